@@ -15,13 +15,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 from judging import map_mm, true_map_mm, volume
 from recordings import machine_content, random_air, random_content, run_of
 from target_seats import draw_machine, remove_rigid_motion
+from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 
 from truepath.alignment.align import align_all
 from truepath.estimation.solve.batch import estimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.volumetric_map import build_volumetric_map
@@ -193,7 +193,7 @@ def measure(
     made = [record(site, plan, seed, k, faults) for k, plan in enumerate(plans)]
     runs = [run_of(one) for one in made]
     seen = align_all(runs, [f"station {k + 1}" for k in range(len(runs))])
-    models = build_run_models(site.machine, [one.at.offset_mm for one in seen])
+    models = build_run_models(site.machine, [one.at for one in seen])
     return judge(site, estimate(models, seen), made[0])
 
 

@@ -74,7 +74,7 @@ def judge(kind: str, seed: int) -> Outcome:
     """Measure a machine, estimate, and compare with the truth."""
     content = draw_machine(kind, seed)
     seen, _ = measure(content, seed)
-    found = estimate(build_run_models(seen.at.machine, [seen.at.offset_mm]), [seen])
+    found = estimate(build_run_models(seen.at.machine, [seen.at]), [seen])
     machine = parse_machine(content)
     truth = random_machine(machine, seed)
     ideal = estimate_ideally(seen, found, machine, truth)
@@ -116,7 +116,7 @@ def estimate_ideally(
     How strongly each error motion bends, and how large slopes, angles and places of
     axes are on machines of this make.
     """
-    nested = build_run_models(seen.at.machine, [seen.at.offset_mm]).nested
+    nested = build_run_models(seen.at.machine, [seen.at]).nested
     model = nested.alone.with_confounded(nested.confounded)
     about = linearise(seen, model, found.runs[0].pose, true_noise(synthetic.Air()))
     data = compute_information(seen, about)

@@ -69,7 +69,7 @@ def ideal(
 def true_noise(air: Air) -> NoiseModel:
     """Return the noise that the simulator draws; its feed has no jitter."""
     white = float(np.sqrt(1.0 - air.share**2))
-    return NoiseModel((white, white), (air.share, air.share), air.tau_s, 0.0)
+    return NoiseModel((white, white), (air.share, air.share, air.share), air.tau_s, 0.0)
 
 
 def true_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:

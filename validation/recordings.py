@@ -41,6 +41,7 @@ def machine_content(
             "angle_sigma_urad": 3.0,
             "transverse_sigma_um": 4.0,
             "rate_hz": 500,
+            "specification": {},  # a perfect tracker, where nothing else is said
         },
     }
 

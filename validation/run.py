@@ -17,6 +17,7 @@ SCRIPTS = (
     "paper_2023_feeds",
     "paper_2023_direct_measurement",
     "random_machines",
+    "instrument_errors",
     "compensation_tables",
     "rotary_compensation",
     "large_machines",

@@ -8,7 +8,7 @@ import numpy as np
 from judging import Volume, map_mm, true_map_mm, volume
 from recordings import run_of
 
-from truepath.alignment.align import align
+from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.solve.batch import Estimate, estimate
 from truepath.kinematics.coarse_model import build_run_models
@@ -57,8 +57,8 @@ def study(
 ) -> Study:
     """Align and estimate as the product does; judge by the exact truth."""
     run = run_of(recording)
-    seen = seen or align(run)
-    models = build_run_models(seen.at.machine, [seen.at.offset_mm])
+    seen = seen or align_all([run], [run.name])[0]
+    models = build_run_models(seen.at.machine, [seen.at])
     found = estimate(models, [seen], perpendicular_only=perpendicular_only)
     within = volume(run.machine)
     error, sigma = map_mm(within, found.model, found.theta, found.covariance)

@@ -101,7 +101,7 @@ def judge(seed: int, off_mm: float) -> Outcome:
     made = record_seated(seed, off_mm, program, STANDSTILL)
     run = run_of(made)
     seen = align(run)
-    found = estimate(build_run_models(run.machine, [seen.at.offset_mm]), [seen])
+    found = estimate(build_run_models(run.machine, [seen.at]), [seen])
     return judge_map(seed, made, found)
 
 

@@ -99,7 +99,7 @@ def judge_world(seed: int, tally: Tally) -> None:
     for recording in world.recordings:
         run = run_of(recording)
         seen = align(run)
-        models = build_run_models(run.machine, [seen.at.offset_mm])
+        models = build_run_models(run.machine, [seen.at])
         alone.append(estimate_checked(models, [seen]).estimate)
     for k in _choose_runs(len(alone)):
         one = alone[k]

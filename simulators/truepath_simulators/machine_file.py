@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,10 @@ class Reflector:
 
 @dataclass(frozen=True, slots=True)
 class TrackerFigures:
-    """One sample's standard deviations, the rate, and what the tracker stands on."""
+    """One sample's standard deviations, the rate, and what the tracker stands on.
+
+    specification : standard deviations of what its own errors are drawn from
+    """
 
     range_sigma_um: float = 1.0
     range_ppm: float = 0.3
@@ -95,6 +98,7 @@ class TrackerFigures:
     transverse_sigma_um: float = 4.0
     rate_hz: float = 500.0
     stands_on: str = "workpiece"
+    specification: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,23 +143,10 @@ def machine_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def few_places():
-    """State what files leave from few places, where no test asks for its digits.
-
-    Whether the motions of a map add up is found once, and not at each look at it.
-    """
-    known = {}
-
-    def adds_up(model, at, theta):
-        key = id(model), theta.tobytes()
-        if key not in known:
-            known[key] = model, find_whether_it_adds_up(model, at, theta)
-        return known[key][1]
-
-    find_whether_it_adds_up = volumetric_map.adds_up
+    """State what files leave from few places, where no test asks for its digits."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(remaining_error, "CLOSE", 128)
         patch.setattr(volumetric_error, "_DRAWS", 8)
-        patch.setattr(volumetric_map, "adds_up", adds_up)
         yield
 
 

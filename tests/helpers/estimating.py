@@ -22,9 +22,7 @@ def estimate(*observed, names=(), known=None, **options):
     names = names or [f"Run {number}" for number in range(1, len(observed) + 1)]
     machine = one_machine([each.at.machine for each in observed], names)
     known = known or KnownEffects()
-    models = build_run_models(
-        machine, [each.at.offset_mm for each in observed], known.effects
-    )
+    models = build_run_models(machine, [each.at for each in observed], known.effects)
     return batch.estimate(models, observed, known=known, **options)
 
 

@@ -42,7 +42,7 @@ def machine_with(targets: tuple[Target, ...]) -> Machine:
 
 def of_a_run(residuals: Residuals) -> RunEstimate:
     return RunEstimate(
-        NoiseModel((1.1, 0.9), (0.2, 0.3), 1.5, 2e-4),
+        NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
         RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
         1e-6 * np.eye(6),
         np.array([50.0, 200.0, 0.0]),

@@ -16,7 +16,7 @@ from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.numerics.rigid import fit_rigid
 
 _NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
@@ -69,14 +69,18 @@ def measure_points(run: Run, specification: TrackerSpecification) -> KnownPoints
     point_mm = np.stack([_mean(seen, k) for k in range(count)])
     distance_mm = np.linalg.norm(point_mm, axis=1)
     along_mm, across_mm = run.machine.tracker.sigma_mm(distance_mm).T
-    angle_rad = np.hypot(specification.eccentricity_rad, specification.index_rad)
-    bent_mm = 0.5 * specification.bending_rad_per_mm * distance_mm**2
+    s = specification
+    circles_urad = np.hypot(s.eccentricity_urad, s.encoder_urad), s.fine_urad
+    turned_urad = [s.index_urad, *(2.0**0.5 * np.array([*circles_urad, s.tilt_urad]))]
+    across_um = 2.0**0.5 * np.array([s.beam_offset_um, s.reflector_um])
+    shifted_um = [s.range_offset_um, s.transit_offset_um, *across_um]
     parts = [
         _NOISE * along_mm,
         _NOISE * 2.0**0.5 * across_mm,
-        angle_rad * distance_mm,
-        bent_mm,
-        np.full(count, specification.range_offset_mm),
+        1e-6 * float(np.linalg.norm(turned_urad)) * distance_mm,
+        1e-6 * float(np.hypot(s.scale_ppm, s.scale_drift_ppm)) * distance_mm,
+        1e-9 * s.bending_urad_per_m * distance_mm**2,
+        np.full(count, 1e-3 * float(np.linalg.norm(shifted_um))),
         np.full(count, _REPEATS_MM),
     ]
     sigma_mm = np.sqrt(np.sum(np.square(parts), axis=0))

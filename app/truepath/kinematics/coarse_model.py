@@ -27,6 +27,7 @@ from truepath.kinematics.effects.base import (
     columns_along,
 )
 from truepath.kinematics.effects.inertial_bend import InertialBend
+from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,
@@ -187,18 +188,18 @@ class RunModels:
 
 
 def build_run_models(
-    machine: Machine,
-    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
-    known: Sequence[Effect] = (),
+    machine: Machine, runs: Sequence[Conditions], known: Sequence[Effect] = ()
 ) -> RunModels:
-    """Return the models of Runs.
+    """Return the models of Runs, with what the tracker may be off by.
 
-    offsets_mm : of the targets in each Run
+    machine : that of the Runs, with the targets of all
     known : effects of the machine from an earlier measurement
     """
+    offsets_mm = [at.offset_mm for at in runs]
+    instrument = list_instrument_errors(runs)
     return RunModels(
-        _nest(machine, offsets_mm, known),
-        build_coarse_model(machine, offsets_mm, known),
+        _nest(machine, offsets_mm, (*known, *instrument)),
+        build_coarse_model(machine, offsets_mm, known, instrument),
         build_shape_model(machine, *offsets_mm),
     )
 

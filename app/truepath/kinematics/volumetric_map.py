@@ -7,7 +7,7 @@ uncertainty.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,6 +27,9 @@ _ROUNDING = 1e-12  # of the largest singular value: a motion that does not show
 _NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
 
+_Composed = dict[bytes, Float64[np.ndarray, "6"] | None]
+
+
 @dataclass(frozen=True, slots=True)
 class VolumetricMap:
     """Linear map from θ to the volumetric error less its rigid motion.
@@ -40,6 +43,7 @@ class VolumetricMap:
     centre_mm: Float64[np.ndarray, "3"]
     volume: Conditions
     weight: Float64[np.ndarray, " n"]
+    _composed: _Composed = field(default_factory=_Composed, repr=False, compare=False)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return ∂(volumetric error, mm)/∂θ."""
@@ -53,11 +57,10 @@ class VolumetricMap:
     ) -> Float64[np.ndarray, "n 3"]:
         """Return the volumetric error δ = actual − nominal, of motions composed."""
         linear = self.jacobian(at) @ theta
-        if adds_up(self.model, self.volume, theta):
+        rigid = self._find_composed_rigid(theta)
+        if rigid is None:
             return linear
         added = compute_second_order_mm(self.model, at, theta)
-        everywhere = compute_second_order_mm(self.model, self.volume, theta)
-        rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, everywhere)
         return linear + added - _rigid_columns(at, self.centre_mm) @ rigid
 
     def displacement_mm(
@@ -68,9 +71,26 @@ class VolumetricMap:
         Locations of rotary axes are stated in that gauge.
         """
         moved = _machine_columns(self.model, at) @ theta
-        if adds_up(self.model, self.volume, theta):
+        if self._find_composed_rigid(theta) is None:
             return moved
         return moved + compute_second_order_mm(self.model, at, theta)
+
+    def _find_composed_rigid(
+        self, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "6"] | None:
+        """Return the rigid motion of what composing adds to the sum of the motions.
+
+        None where they add up. It is that of the whole travel: found once for a θ.
+        """
+        key = theta.tobytes()
+        if key not in self._composed:
+            rigid = None
+            if not adds_up(self.model, self.volume, theta):
+                added = compute_second_order_mm(self.model, self.volume, theta)
+                rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, added)
+            self._composed.clear()
+            self._composed[key] = rigid
+        return self._composed[key]
 
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]

@@ -165,6 +165,6 @@ def _expect_noise(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
     """Return all noise as white: over seconds the correlated part averages too."""
     beam, across = (
         white**2 / rate_hz + 2.0 * noise.ou_time_s * ou**2
-        for white, ou in zip(noise.white, noise.ou, strict=True)
+        for white, ou in zip(noise.white, noise.ou_along_and_across, strict=True)
     )
     return ExpectedNoise((beam, across), noise.along_sigma_mm**2 * _JITTER_CELL_S)

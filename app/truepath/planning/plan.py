@@ -147,7 +147,9 @@ class PlanAttempt:
             workspace,
             order.feeds(self.machine)[0],
         )
-        judge = StationJudge.of(survey, self.assumed, areas.specification)
+        judge = StationJudge.of(
+            survey, self.assumed, areas.find_specification(self.machine)
+        )
         stated_mm = None if workspace.tracker_mm is None else self.station_mm
         return choose_place(judge, areas, order.budget_s, stated_mm)
 

@@ -32,7 +32,7 @@ from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path
 
 # Usual of trackers in a shop; what a Run shows is estimated once there is one.
-EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 2e-4)
+EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 2e-4)
 _CELL_MM, _CELL_S = 16.0, 0.25
 _MOST_CELLS = 4000  # then cells are longer
 _AHEAD = 1e-4  # of a line, to see where the target is going

@@ -80,9 +80,7 @@ def analyse(
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
     checked = estimate_checked(
-        build_run_models(
-            machine, [each.at.offset_mm for each in observed], known.effects
-        ),
+        build_run_models(machine, [each.at for each in observed], known.effects),
         observed,
         known=known,
         perpendicular_only=perpendicular_only,

@@ -256,7 +256,7 @@ def state_noise(run: RunEstimate) -> NoiseFound:
         run.distance_mm,
         stated,
         stated * np.array(noise.white),
-        stated * np.array(noise.ou),
+        stated * np.array(noise.ou_along_and_across),
         noise.ou_time_s,
         along if np.isfinite(along) else None,
     )

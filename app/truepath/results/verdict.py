@@ -50,7 +50,7 @@ _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 3
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
 # White and correlated, of what the tracker states: correlated noise would take what is
 # wrong with the chain for the air's.
-_NOISE = (1.0, 1.0), (1e-3, 1e-3)
+_NOISE = (1.0, 1.0), (1e-3, 1e-3, 1e-3)
 _OTHER_CHAIN = 2.0, 4.0  # times χ² of the best order
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _BESIDE = ("before", "after")  # of the path

@@ -29,6 +29,7 @@ from truepath_simulators.faults import Schedule
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.hidden.motion import MotionFollower
 from truepath_simulators.hidden.superposition import locate_target_mm, misread
+from truepath_simulators.machine.tracker_body import TrackerBody
 from truepath_simulators.machine.tracker_head import (
     Air,
     TrackerClock,
@@ -67,6 +68,8 @@ class TrackerSight:
             parts.truth.machine, remembers=bool(parts.hidden)
         )
         self._timeline: Timeline | None = None
+        self._set_ups = 0
+        self._body = self._draw_body()
         self._last = np.full(3, np.nan)  # read, of a tracker that freezes
         self.verbs = TrackerVerbs(
             [target.name for target in parts.truth.machine.reflectors],
@@ -85,6 +88,8 @@ class TrackerSight:
     def set_down(self, pose: TrackerPose) -> None:
         """Stand elsewhere from now on."""
         self._parts = replace(self._parts, pose=pose)
+        self._set_ups += 1
+        self._body = self._draw_body()
 
     def correct(self, correction: Correction | None) -> None:
         """See the machine driven by these tables from now on."""
@@ -105,6 +110,8 @@ class TrackerSight:
             self.verbs.lose(float(moments_s[mask][0]))
         parts = self._parts
         point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
+        if self._body:
+            point = self._body.read(point, moments_s)
         if parts.hidden:
             point = to_cartesian(misread(to_spherical(point), parts.hidden))
         polar = measure_polar(point, noise, parts.truth.machine.tracker)
@@ -121,6 +128,12 @@ class TrackerSight:
         for _, mask in self._faults.struck("beam-break", moments_s, number):
             status[mask] |= StatusBit.BEAM_BROKEN
         return polar, status
+
+    def _draw_body(self) -> TrackerBody | None:
+        figures, seed = self._parts.truth.machine.tracker, self._parts.seed
+        if not figures.specification:
+            return None
+        return TrackerBody.draw(figures.specification, seed, seed + self._set_ups)
 
     def _locate_target_mm(
         self, timeline: Timeline, moments_s: np.ndarray

@@ -25,6 +25,7 @@ from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.hidden.superposition import locate_target_mm, misread
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.tracker_body import TrackerBody
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, TrackerPose
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile, parse_machine
@@ -129,7 +130,11 @@ def record(
         [program.target[k] for k in row] if program.target else [""] * len(row),
         setting.hidden,
     )
-    stream = _observe(machine, pose.from_table(table_mm), seed, setting)
+    seen_mm = pose.from_table(table_mm)
+    if machine.tracker.specification:
+        body = TrackerBody.draw(machine.tracker.specification, which, seed)
+        seen_mm = body.read(seen_mm, true_s)
+    stream = _observe(machine, seen_mm, seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
         status[_within(true_s, begin, duration)] = BEAM_BROKEN

@@ -14,7 +14,7 @@ from truepath.alignment.known_points import (
     measure_points,
 )
 from truepath.errors import AlignmentError
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.machine.tracker_head import TrackerPose, place_anew
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
@@ -59,7 +59,7 @@ def test_a_tracker_that_was_moved_agrees_with_its_last_station(before, seed):
     assert check.problem == ""
     assert check.place_mm == pytest.approx(SECOND, abs=1.0)
     assert check.moved_mm > 500.0
-    assert check.residual_mm < 0.6 * check.allowed_mm < 0.05
+    assert check.residual_mm < 0.6 * check.allowed_mm < 0.1
 
 
 def test_a_tracker_that_was_not_moved_is_told(before):
@@ -72,7 +72,7 @@ def test_a_tracker_that_was_not_moved_is_told(before):
 
 
 def test_a_reflector_that_moves_meanwhile_is_told(before):
-    check = compare_stations(before, measured(SECOND, 3, nudge_mm=0.1), ASKED_MM)
+    check = compare_stations(before, measured(SECOND, 3, nudge_mm=0.3), ASKED_MM)
     assert check.problem == "residual"
     assert check.residual_mm > check.allowed_mm
 

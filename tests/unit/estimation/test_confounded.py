@@ -91,7 +91,9 @@ def test_a_further_target_is_asked_for_and_tells(two_lengths):
     assert not any("too little for any tool" in s for s in said)
     machine = machine_from_json(load_machine("head-table"))
     offsets = np.array([t.offset_mm for t in machine.targets])
-    assert not build_run_models(machine, [offsets]).nested.whole.confounded
+    position = np.zeros((len(offsets), len(machine.axes)))
+    runs = [make_standstill(machine, position, offsets)]
+    assert not build_run_models(machine, runs).nested.whole.confounded
 
 
 def test_a_plan_knows_what_its_targets_do_not_tell():

@@ -135,7 +135,7 @@ def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
 def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     run, _ = _record(LONG, 30)
     seen = add_surroundings(align(run), run.commanded)
-    models = build_run_models(run.machine, [seen.at.offset_mm])
+    models = build_run_models(run.machine, [seen.at])
     line = np.flatnonzero((seen.row == 17) & ~seen.is_ramp)
     burst = line[len(line) // 2 : len(line) // 2 + 12]
     moved = seen.tracker_mm.copy()

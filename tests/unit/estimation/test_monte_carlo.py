@@ -21,7 +21,7 @@ from truepath.kinematics.coarse_model import NestedModels
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
-NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)
+NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25, 0.25), 0.8, 1e-4)
 FEW = TrialPlan(most_blocks=2)
 
 
@@ -80,7 +80,7 @@ def test_precisions_that_are_known_leave_the_covariance_of_the_solve(fit, trials
 
 def test_more_noise_than_was_weighed_shows_in_the_trials(fit, trials):
     _, linear = squareness(fit)
-    loud = NoiseModel((2.0, 2.0), (0.5, 0.5), 0.8, 2e-4)
+    loud = NoiseModel((2.0, 2.0), (0.5, 0.5, 0.5), 0.8, 2e-4)
     quiet, louder = (
         draw_outputs(of_noise_alone(trials, noise), 0, 500).std(axis=1)
         for noise in (NOISE, loud)
@@ -91,7 +91,7 @@ def test_more_noise_than_was_weighed_shows_in_the_trials(fit, trials):
 
 
 def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
-    ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25), 0.8, 1e-9)
+    ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25, 0.25), 0.8, 1e-9)
     forgetful = replace(ou, ou_time_s=1e-3)
     remembered, quick = (
         draw_outputs(of_noise_alone(trials, noise), 0, 4000).std(axis=1)

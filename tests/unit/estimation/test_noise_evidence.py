@@ -17,7 +17,7 @@ from truepath.estimation.problem.runs import RunInformation, RunInput
 from truepath.kinematics.coarse_model import add_half_widths, build_coarse_model
 from truepath.kinematics.identifiable import build_identifiable_model
 
-NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2, 0.2), 0.9, 2e-4)
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +49,10 @@ def evidence_of(run, prior, noise=NOISE):
 
 
 def moved(noise, x):
-    beam, across, time, *jitter = np.exp(x)
-    along = noise.along_sigma_mm * jitter[0] if jitter else noise.along_sigma_mm
-    ou = (noise.ou[0] * beam, noise.ou[1] * across)
+    *sizes, time = np.exp(x[:4])
+    jitter = np.exp(x[4:])
+    along = noise.along_sigma_mm * jitter[0] if len(jitter) else noise.along_sigma_mm
+    ou = tuple(np.multiply(noise.ou, sizes))
     return NoiseModel(noise.white, ou, noise.ou_time_s * time, along)
 
 
@@ -77,7 +78,7 @@ def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
     run, prior = rough
 
     def difference(cost):
-        return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3), ou_time_s=1.5))
+        return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3, 0.2), ou_time_s=1.5))
 
     def summed(noise):
         data = run.replace_noise(noise).own.eliminate()
@@ -93,7 +94,7 @@ def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
     start = guess_noise(seen, perpendicular_only=False)
-    other = moved(start, np.log([factor, factor, 1.0 / factor, factor]))
+    other = moved(start, np.log([factor, factor, factor, 1.0 / factor, factor]))
     model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
     best, again = (
         refine_runs(model, [RunInput(seen, seen.pose, noise)])[0].noise

@@ -42,7 +42,7 @@ def judge(record, rigid_free, volume, at_rest):
         seen = align(run)
         if not ramps:
             seen = seen.leave_out_ramps()
-        models = build_run_models(run.machine, [seen.at.offset_mm])
+        models = build_run_models(run.machine, [seen.at])
         checked = estimate_checked(models, [seen])
         found = checked.estimate
         q = volume(run.machine)

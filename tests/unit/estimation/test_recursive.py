@@ -18,7 +18,7 @@ from truepath.estimation.problem.normal_equations import (
 )
 from truepath.kinematics.identifiable import build_identifiable_model
 
-NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2, 0.2), 0.9, 2e-4)
 DIGITS = 1e-9
 
 
@@ -133,7 +133,7 @@ def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
 
 
 def test_white_noise_needs_no_tail(moving):
-    about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 2e-4))
+    about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 2e-4))
     sums = added_in_parts(about, moving, [10, 11, 200])
     assert sums.sums.state is None
     assert_same(sums.information(), all_at_once(about, moving))

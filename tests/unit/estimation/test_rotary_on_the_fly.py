@@ -25,7 +25,7 @@ from truepath.planning.lines.default_path import default_path
 from truepath_simulators.motion.program import Program
 
 pytestmark = pytest.mark.timeout(300)
-NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2, 0.2), 0.9, 2e-4)
 
 
 def measured(name, seed, stands_on="base", lines=None, share=0.4):

@@ -29,7 +29,7 @@ def check(run, shift_mm):
     moved = run.tracker.position_mm + shift_mm(share)
     run = replace(run, tracker=replace(run.tracker, position_mm=moved))
     (seen,) = align_all([run], ["run"])
-    found = estimate_checked(build_run_models(run.machine, [seen.at.offset_mm]), [seen])
+    found = estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 

@@ -95,7 +95,7 @@ def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
         assert np.linalg.norm(apart) < 0.2  # the machine's own rigid motion
     quiet, noisy = (run.noise for run in result.runs)
     assert np.divide(noisy.white, quiet.white) == pytest.approx(3.0, rel=0.1)
-    assert noisy.ou == pytest.approx((0.9, 0.9), rel=0.4)
+    assert noisy.ou == pytest.approx((0.9, 0.9, 0.9), rel=0.4)
     assert 0.3 < noisy.ou_time_s < 1.2
 
 
@@ -107,7 +107,9 @@ def test_a_loud_run_does_not_spoil_a_quiet_one(moving, alone):
 
 
 def test_the_same_run_twice_halves_the_variance_that_noise_makes(moving):
-    run = RunInput(moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 1e-4))
+    run = RunInput(
+        moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 1e-4)
+    )
     at = moving.at
     model, _ = build_identifiable_model(at.machine, at.offset_mm, intervals=5)
     once, twice = (
@@ -164,7 +166,7 @@ def test_two_machines_are_refused_with_run_and_field(moving, standing):
 
 
 def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing):
-    noise = NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 0.0)
+    noise = NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 0.0)
     runs = [RunInput(seen, seen.pose, noise) for seen in (moving, standing)]
     model, _ = build_identifiable_model(
         moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5

@@ -18,7 +18,7 @@ def standing(record):
     """Return a Run's observations, its models, its truth, and what is found in it."""
     run, truth = record(22, "standstill", rows=60)
     seen = align(run)
-    models = build_run_models(run.machine, [seen.at.offset_mm])
+    models = build_run_models(run.machine, [seen.at])
     return seen, models, truth, estimate_checked(models, [seen])
 
 

@@ -1,14 +1,16 @@
 """What a tracker within its specification does to points, against its own reading."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from truepath.kinematics.conditions import RecordedState, make_standstill
+from truepath.kinematics.effects.instrument import FineCircle, list_instrument_errors
 from truepath.kinematics.effects.tracker_air import BeamBending
 from truepath.kinematics.effects.tracker_error import ElevationIndex
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
 
@@ -41,8 +43,100 @@ def test_a_point_moves_as_the_elevation_is_read_too_high(
     assert np.abs(told - moved).max() < 1e-3 * np.abs(moved).max()
 
 
-def test_what_a_station_does_not_share_is_the_phase_of_the_azimuth():
-    causes = TrackerSpecification().list_effects()
-    alone = [effect.name for effect, _, shared in causes if not shared]
-    assert alone == ["tracker-eccentricity-azimuth"]
-    assert all(sigma > 0.0 for _, sigma, _ in causes)
+SMALL = 1e-4
+
+
+def rotate(axis, angle):
+    """(n, 3, 3) rotation about a coordinate axis of the tracker."""
+    return Rotation.from_rotvec(np.multiply.outer(angle, np.eye(3)[axis])).as_matrix()
+
+
+def aim(polar, *, transit=0.0, tilt=0.0, skew=0.0, beside=(0.0, 0.0)):
+    """Where the reflector of a tracker is whose axes do not meet or are not square."""
+    distance, azimuth, elevation = polar.T
+    aside = np.stack([distance, skew * distance, np.zeros_like(distance)], axis=1)
+    head = rotate(1, -elevation) @ (aside + np.array([0.0, *beside]))[:, :, None]
+    head = rotate(0, np.full_like(tilt + azimuth, tilt)) @ head
+    head += np.array([transit, 0.0, 0.0])[:, None]
+    return (rotate(2, azimuth) @ head)[:, :, 0]
+
+
+def misread(**off):
+    """Return the point of a tracker whose reading is off, by functions of the polar."""
+    order = ("distance", "azimuth", "elevation")
+
+    def read(polar):
+        moved = polar.copy()
+        for name, error in off.items():
+            moved[:, order.index(name)] += SMALL * error(polar)
+        return to_cartesian(moved)
+
+    return read
+
+
+def circle(cycles):
+    """Errors of both circles with so many cycles a turn."""
+    return [
+        misread(**{name: lambda p, w=wave, k=k: w(cycles * p[:, k])})
+        for k, name in ((1, "azimuth"), (2, "elevation"))
+        for wave in (np.cos, np.sin)
+    ]
+
+
+BODIES = {
+    "index_urad": (1e6, [misread(elevation=lambda p: np.ones(len(p)))]),
+    "eccentricity_urad": (1e6, circle(1)),
+    "encoder_urad": (1e6, circle(2)),
+    "tilt_urad": (
+        1e6,
+        [lambda p: aim(p, tilt=SMALL), lambda p: aim(p, skew=SMALL)],
+    ),
+    "beam_offset_um": (
+        1e3,
+        [lambda p: aim(p, beside=(SMALL, 0.0)), lambda p: aim(p, beside=(0.0, SMALL))],
+    ),
+    "transit_offset_um": (1e3, [lambda p: aim(p, transit=SMALL)]),
+    "range_offset_um": (1e3, [misread(distance=lambda p: np.ones(len(p)))]),
+    "scale_ppm": (1e6, [misread(distance=lambda p: p[:, 0])]),
+    "bending_urad_per_m": (
+        1e3,  # the light bends all the way, so it also comes later
+        [
+            misread(
+                elevation=lambda p: 1e-6 * p[:, 0] * np.cos(p[:, 2]),
+                distance=lambda p: -1e-6 * p[:, 0] ** 2 * np.sin(p[:, 2]),
+            )
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_each_error_of_a_specification_moves_points_as_axes_and_beams_do(seen, name):
+    unit, causes = BODIES[name]
+    none = dict.fromkeys((f.name for f in fields(TrackerSpecification)), 0.0)
+    machine = replace(
+        seen.machine,
+        tracker=replace(
+            seen.machine.tracker,
+            specification=TrackerSpecification(**{**none, name: unit}),
+        ),
+    )
+    seen = replace(seen, machine=machine)
+    (effect,) = list_instrument_errors([seen])
+    columns = np.moveaxis(effect.jacobian(seen), 2, 0)
+    polar = to_spherical(seen.recorded.tracker_mm)
+    assert len(columns) == len(causes)
+    for column, read in zip(columns, causes, strict=True):
+        moved = (read(polar) - seen.recorded.tracker_mm) / SMALL
+        same, mirrored = (np.abs(column - sign * moved).max() for sign in (1, -1))
+        assert min(same, mirrored) < 1e-2 * np.abs(moved).max()
+
+
+def test_the_fine_part_of_a_circle_varies_as_much_as_it_is_stated_to():
+    seen = np.linspace(-0.6, 0.9, 200)
+    rows = FineCircle.over(seen).rows(seen)
+    assert rows.shape[1] <= 16
+    assert (rows**2).sum(axis=1) == pytest.approx(1.0, abs=0.01)
+    apart = (rows[:-40] * rows[40:]).sum(axis=1)
+    process = np.mean([np.cos(k * (seen[40] - seen[0])) for k in range(3, 17)])
+    assert apart == pytest.approx(process, abs=0.02)

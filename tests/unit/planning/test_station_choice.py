@@ -1,18 +1,29 @@
 """The tracker stands where the same time leaves least; more stations pay or do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from truepath.errors import PlanningError
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 from truepath.planning.plan_making import make_plan
 from truepath.planning.plan_order import PlanOrder
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
-PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
-FAULTY = TrackerSpecification(4e-5, 4e-5, 4e-2, 1e-8)
+PERFECT = TrackerSpecification(*[0.0] * 13)
+FAULTY = replace(
+    PERFECT,
+    index_urad=40.0,
+    eccentricity_urad=40.0,
+    encoder_urad=40.0,
+    fine_urad=20.0,
+    beam_offset_um=40.0,
+    transit_offset_um=40.0,
+    range_offset_um=40.0,
+)
 
 
 def nests(*places):

@@ -80,7 +80,7 @@ def drive(machine, *, hidden=(), holds=(), seed=7, setting=None, again=()):
 def evaluate(run):
     """Return the figures of each plane, and the rows whose circle is not whole."""
     seen = align(run)
-    noise = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 0.0)  # of the simulated air
+    noise = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 0.0)  # of the simulated air
     planes, whole = {}, set()
     for arc in seen.arcs:
         commanded = read_commanded(run, run.commanded, arc.row)
@@ -247,7 +247,7 @@ def reduced(demo, places_mm, duration_s, turn_deg, radius_mm):
     time_s = np.arange(0.0, duration_s, 2e-3)
     points = np.column_stack([places_mm(time_s / time_s[-1]), np.zeros(len(time_s))])
     pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
-    noise = NoiseModel((1.0, 1.0), (0.1, 0.1), 1.0, 0.0)
+    noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
     arc = ArcDrive(2, 0, len(time_s))
     stream = time_s, pose.apply(points)
     return reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)

@@ -84,14 +84,18 @@ def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
     )
 
 
-def test_a_drift_is_no_knock_and_is_not_passed_over(record):
-    drift = TableDrift((0.1, -0.1, 0.08))
-    told = analyse(
-        record(22, rows=40, travel_mm=TRAVEL_MM, setting=Setting(hidden=(drift,)))[0]
+def test_a_drift_is_no_knock_and_widens_what_is_stated(record):
+    still, drifting = (
+        analyse(record(22, rows=40, travel_mm=TRAVEL_MM, setting=setting)[0])
+        for setting in (Setting(), Setting(hidden=(TableDrift((0.3, -0.3, 0.24)),)))
     )
-    assert told.knocks == ()
-    assert told.verdict.state != "usable"
-    assert "loop-open" in {reason.kind for reason in told.verdict.reasons}
+    assert drifting.knocks == ()
+    before, after = (one.volumetric.before.mean for one in (still, drifting))
+    assert after.uncertainty_um > 1.3 * before.uncertainty_um
+    apart = np.hypot(before.uncertainty_um, after.uncertainty_um)
+    assert abs(after.value_um - before.value_um) < 2.0 * apart
+    noise = drifting.estimate.runs[0].noise
+    assert noise.ou_time_s > 3.0 * still.estimate.runs[0].noise.ou_time_s
 
 
 @pytest.mark.fault_row(12)

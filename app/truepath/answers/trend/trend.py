@@ -160,7 +160,7 @@ def follow_machine(
 
 def _estimate(run: Run, name: str) -> CheckedEstimate:
     observed = align_all([run], [name])
-    models = build_run_models(run.machine, [one.at.offset_mm for one in observed])
+    models = build_run_models(run.machine, [one.at for one in observed])
     return estimate_checked(models, observed)
 
 

@@ -115,7 +115,7 @@ def _run_json(run: VerifiedRun) -> dict[str, Any]:
 def _noise_json(run: VerifiedRun) -> dict[str, Any]:
     return {
         "white_of_stated": list(run.noise.white),
-        "correlated_of_stated": list(run.noise.ou),
+        "correlated_of_stated": list(run.noise.ou_along_and_across),
         "correlation_time_s": run.noise.ou_time_s,
     }
 

@@ -37,8 +37,8 @@ _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
 class Slope:
     """Cost (−2 log evidence) with gradient and curvature.
 
-    By the logarithms of the Ornstein–Uhlenbeck part's size along and across the beam,
-    its time and, where it counts, the jitter along the travel.
+    By the logarithms of the Ornstein–Uhlenbeck part's size along the beam, in azimuth
+    and in elevation, its time and, where it counts, the jitter along the travel.
     """
 
     cost: float
@@ -65,6 +65,10 @@ class NoiseEvidence:
         Raises Unidentifiable if data and prior do not determine the parameters.
         """
         return _Solution(self, noise).slope()
+
+    def solve(self, noise: NoiseModel) -> Float64[np.ndarray, " p"]:
+        """Return the parameters under a noise."""
+        return _Solution(self, noise).theta
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
@@ -98,7 +102,7 @@ class _Solution:
             ) from error
         half = self.factor.solve_half(total[:p, p])
         self.square = float(total[p, p] + of.known.square - half @ half)
-        theta = self.factor.solve(total[:p, p])
+        theta = self.theta = self.factor.solve(total[:p, p])
         # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
         self.columns = weighted[:, :p]
         self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
@@ -137,7 +141,7 @@ class _Solution:
         size = 2.0 * _by_coordinate(self.here, now, next_)
         longer = _by_coordinate(self.longer, now, next_).sum()
         time = (longer - 0.5 * size.sum()) / _STEP
-        found = [size[0], size[1] + size[2], -time]
+        found = [*size, -time]
         if np.isfinite(self.noise.along_sigma_mm):
             n, along = len(self.of.residual), self.of.travel
             pulled = np.einsum("ni,nip->pn", along, self.columns.reshape(n, 3, -1))
@@ -159,8 +163,8 @@ class _Solution:
         n = len(self.of.residual)
         ou = self.ou_residual.reshape(n, 3)
         change = (self.longer.multiply(ou) - self.here.multiply(ou)) / _STEP
-        beam = 2.0 * ou * np.array([1.0, 0.0, 0.0])
-        columns = [beam, 2.0 * ou - beam, -self.here.solve(change)]
+        each = [2.0 * ou * axis for axis in np.eye(3)]
+        columns = [*each, -self.here.solve(change)]
         if np.isfinite(self.noise.along_sigma_mm):
             along = self.of.travel
             rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
@@ -184,10 +188,11 @@ def _lengthen(noise: NoiseModel) -> NoiseModel:
 
 def _perturb(noise: NoiseModel) -> list[NoiseModel]:
     """Return the noise with one parameter a little larger each."""
-    (beam, across), factor = noise.ou, float(np.exp(_STEP))
+    (beam, azimuth, elevation), factor = noise.ou, float(np.exp(_STEP))
     moved = [
-        replace(noise, ou=(beam * factor, across)),
-        replace(noise, ou=(beam, across * factor)),
+        replace(noise, ou=(beam * factor, azimuth, elevation)),
+        replace(noise, ou=(beam, azimuth * factor, elevation)),
+        replace(noise, ou=(beam, azimuth, elevation * factor)),
         _lengthen(noise),
     ]
     if np.isfinite(noise.along_sigma_mm):

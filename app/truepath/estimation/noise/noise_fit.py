@@ -13,7 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
+from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.noise.noise_evidence import NoiseEvidence, Slope
@@ -21,7 +23,7 @@ from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.known_effects import KnownEffects
-from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
 from truepath.estimation.problem.prior import BendingPrior
 from truepath.estimation.problem.runs import (
     RunInformation,
@@ -38,7 +40,7 @@ _SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
-_USUAL = np.log([0.15, 0.15, 1.0])  # beam, across (of the stated noise), time in s
+_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three sizes of the stated noise, time in s
 _USUAL_SPREAD = 1.2
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
@@ -47,9 +49,12 @@ _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
 _LONGEST_S = 60.0
-_BOUNDS = np.log(
-    [[1e-3, 3.0], [1e-3, 3.0], [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]]
-)
+_FEWEST_TRIPLES = 100
+_MEDIAN = 0.455  # of χ² of one
+_FAST = 1.2  # times what samples scatter, of their means
+_LOW = 0.3  # quantile of differences
+_NEIGHBOURS = 40
+_BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
@@ -57,7 +62,7 @@ def guess_noise(observations: Observations, *, perpendicular_only: bool) -> Nois
     white = (float(observations.scatter[0]), float(observations.scatter[1]))
     is_timed = any(p.is_steady for p in observations.passes)
     along = 2e-4 if is_timed and not perpendicular_only else np.inf
-    return NoiseModel(white, (0.1, 0.1), 1.0, along)
+    return NoiseModel(white, (0.1, 0.1, 0.1), 1.0, along)
 
 
 def refine_runs(
@@ -118,7 +123,81 @@ def _fit_noise(
     known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
-    return _maximise(evidence, run.noise, longest_s)
+    noise = _maximise(evidence, run.noise, longest_s)
+    about, seen = run.linearisation, run.observations
+    theta = evidence.solve(noise)[: design.fixed]
+    rest = about.build(seen, solved=theta).residual
+    louder = _raise_fast(seen, noise, rest)
+    if louder is not None:
+        noise = _maximise(evidence, louder, longest_s)
+    rest = design.residual - evidence.columns @ evidence.solve(noise)
+    return replace(noise, shown=_find_shown(design.observations, noise, rest))
+
+
+def _raise_fast(
+    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
+) -> NoiseModel | None:
+    """Return the noise with what is fast in its cells; None where there is none of it.
+
+    Samples scatter less than their means where noise lasts for some samples: a swing of
+    some hertz. Second differences of neighbours show it, which slow noise leaves small.
+    """
+    time_s, before = seen.at.time_s, np.array(noise.fast)
+    sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
+    middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
+    k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
+    k = k[~seen.is_ramp[k]]
+    if len(k) < _FEWEST_TRIPLES:
+        return None
+    found = (rest[k - 1] - 2.0 * rest[k] + rest[k + 1]) ** 2
+    keep = np.exp(-(time_s[k + 1] - time_s[k - 1]) / 2.0 / noise.ou_time_s)[:, None]
+    slow = 2.0 * ou[k] ** 2 * (3.0 - 4.0 * keep + keep**2)
+    fast = 4.0 * sigma[k] ** 2 + sigma[k - 1] ** 2 + sigma[k + 1] ** 2
+    times = np.median((found - _MEDIAN * slow) / (_MEDIAN * fast), axis=0)
+    times = np.maximum(times, 0.0)
+    raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
+    if not (raised > _FAST).any():
+        return None
+    along, across = (before * np.where(raised > _FAST, raised, 1.0)).tolist()
+    return replace(noise, fast=(along, across))
+
+
+def _find_shown(
+    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
+) -> tuple[float, float, float]:
+    """Return how large the correlated part is, by neighbours in space of other lines.
+
+    Where machine errors are alike, approached alike, but the time is another. By the
+    smaller of the differences: a step of the set-up is in many of the others.
+    """
+    white, _ = split_sigma_mm(seen, noise)
+    stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
+        :, [0, 1, 1]
+    ]
+    pairs = _pair_neighbours(seen)
+    if len(pairs) < _FEWEST_TRIPLES:
+        return 0.0, 0.0, 0.0
+    a, b = pairs.T
+    square = ((rest[a] - rest[b]) / stated[a]) ** 2
+    own = ((white[a] ** 2 + white[b] ** 2) / stated[a] ** 2).mean(axis=0)
+    low = np.quantile(square, _LOW, axis=0) / float(chdtri(1, 1.0 - _LOW))
+    x, y, z = np.sqrt(np.maximum(low - own, 0.0) / 2.0).tolist()
+    return x, y, z
+
+
+def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
+    at, found = seen.at, [np.zeros((0, 2), np.int64)]
+    for approach in np.unique(at.approach, axis=0):
+        alike = (at.approach == approach).all(axis=1) & ~seen.is_ramp
+        own = np.flatnonzero(alike)
+        if len(own) < 2:
+            continue
+        count = min(_NEIGHBOURS, len(own))
+        _, near = cKDTree(at.position_mm[own]).query(at.position_mm[own], k=count)
+        other = seen.row[own[near]] != seen.row[own][:, None]
+        nearest = np.take_along_axis(near, other.argmax(axis=1)[:, None], axis=1)[:, 0]
+        found.append(np.stack([own, own[nearest]], axis=1)[other.any(axis=1)])
+    return np.concatenate(found)
 
 
 def estimate_residual_noise(
@@ -170,7 +249,7 @@ def _maximise(
     """Return the noise model of least cost: Newton's steps, halved where too long."""
     x = _pack(noise)
     low, high = _BOUNDS[: len(x)].T
-    high = np.minimum(high, [np.inf, np.inf, np.log(longest_s), np.inf][: len(x)])
+    high = np.minimum(high, [*[np.inf] * 3, np.log(longest_s), np.inf][: len(x)])
     here, stiffer = _slope(evidence, x, noise), 1.0
     for _ in range(_STEPS):
         damped = stiffer * here.curvature
@@ -207,11 +286,11 @@ def _slope(
 ) -> Slope:
     """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.evaluate(_unpack(x, noise))
-    off = (x[:3] - _USUAL) / _USUAL_SPREAD**2
+    off = (x[:4] - _USUAL) / _USUAL_SPREAD**2
     gradient, curvature = found.gradient.copy(), found.curvature.copy()
-    gradient[:3] += 2.0 * off
-    curvature[range(3), range(3)] += 2.0 / _USUAL_SPREAD**2
-    return Slope(found.cost + float(off @ (x[:3] - _USUAL)), gradient, curvature)
+    gradient[:4] += 2.0 * off
+    curvature[range(4), range(4)] += 2.0 / _USUAL_SPREAD**2
+    return Slope(found.cost + float(off @ (x[:4] - _USUAL)), gradient, curvature)
 
 
 def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
@@ -222,11 +301,13 @@ def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
 
 
 def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
-    beam, across, tau, *jitter = (float(v) for v in np.exp(x))
+    beam, azimuth, elevation, tau, *jitter = (float(v) for v in np.exp(x))
     along = noise.along_sigma_mm
     if jitter:
         along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
-    return replace(noise, ou=(beam, across), ou_time_s=tau, along_sigma_mm=along)
+    return replace(
+        noise, ou=(beam, azimuth, elevation), ou_time_s=tau, along_sigma_mm=along
+    )
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:

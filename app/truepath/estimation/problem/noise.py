@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
 
+_OF_SHOWN = 1.15
 _MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
 
 
@@ -18,23 +19,34 @@ class NoiseModel:
     """White and Ornstein–Uhlenbeck noise along and across the beam, and feed jitter.
 
     white : (2,) standard deviation of a sample, in units of the tracker's stated one
-    ou : (2,) standard deviation of the Ornstein–Uhlenbeck part, in the same units
+    ou : (3,) standard deviation of the Ornstein–Uhlenbeck part along the beam, in
+        azimuth and in elevation, in the same units
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
         speed; infinite where only deviations across the path are used, as on ramps
+    fast : (2,) how much more the mean of a cell scatters than its samples tell
+    shown : (3,) how large the Ornstein–Uhlenbeck part is by most neighbours in space
     ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
     """
 
     white: tuple[float, float]
-    ou: tuple[float, float]
+    ou: tuple[float, float, float]
     ou_time_s: float
     along_sigma_mm: float
     ramp_sigma_mm: float = 0.0
+    fast: tuple[float, float] = (1.0, 1.0)
+    shown: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def ou_along_and_across(self) -> tuple[float, float]:
+        """The Ornstein–Uhlenbeck part along and across the beam, root mean square."""
+        along, azimuth, elevation = self.ou
+        return along, float(np.hypot(azimuth, elevation)) / 2.0**0.5
 
     @property
     def usual(self) -> NoiseModel:
         """The noise as the tracker states it, with the jitter of the feed."""
-        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU))
+        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU, USUAL_OU))
 
 
 def cell_noise(
@@ -77,12 +89,10 @@ def split_sigma_mm(
     tracker = observations.at.machine.tracker
     distance = np.linalg.norm(observations.tracker_mm, axis=1)
     stated = tracker.sigma_mm(distance)[:, [0, 1, 1]]
-    white, ou = (
-        np.array([beam, across, across]) for beam, across in (noise.white, noise.ou)
-    )
-    white = stated * white / np.sqrt(observations.count)[:, None]
+    beam, across = np.multiply(noise.white, noise.fast).tolist()
+    white = stated * [beam, across, across] / np.sqrt(observations.count)[:, None]
     on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
-    return np.hypot(white, on_ramp[:, None]), stated * ou
+    return np.hypot(white, on_ramp[:, None]), stated * np.array(noise.ou)
 
 
 def _add_jitter(
@@ -121,15 +131,20 @@ def floor_mm(
 
 
 def limit_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise, of which more than is usual is for a test to show."""
-    beam, across = noise.ou
+    """Return the noise, of which more than is usual is for a test to show.
+
+    Unless neighbours in space show it, where the machine errs alike.
+    """
+    most = np.maximum(_MOST_OU, _OF_SHOWN * np.array(noise.shown))
+    along, azimuth, elevation = np.minimum(noise.ou, most).tolist()
+    is_usual = max(noise.shown) < _MOST_OU
     return replace(
         noise,
-        ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
-        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
+        ou=(along, azimuth, elevation),
+        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S if is_usual else np.inf),
     )
 
 
 def raise_noise(noise: NoiseModel) -> NoiseModel:
     """Return the noise as loud as is usual: few lines do not tell how loud it is."""
-    return replace(noise, ou=(_MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)
+    return replace(noise, ou=(_MOST_OU, _MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

@@ -39,6 +39,7 @@ from truepath.estimation.solve.run_estimate import (
     estimate_run,
 )
 from truepath.kinematics.coarse_model import NestedModels, RunModels
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.second_order import adds_up, compute_second_order_mm
@@ -156,13 +157,15 @@ def _state(
 
     shapes : for what the inputs determine
     """
+    tracker = {e.name for e in fit.model.effects if is_of_instrument(e)}
+    found = fit.prior.precision.items()
     result = widen_by_unknown_precision(fit.prior, fit.result)
     result = add_hidden_variance(result, fit.model, fit.prior.precision)
     return Estimate(
         fit.model,
         result.theta,
         result.covariance,
-        fit.prior.precision,
+        {name: value for name, value in found if name not in tracker},
         assess_observability(shapes, inputs),
         fit.direction,
         perpendicular_only,

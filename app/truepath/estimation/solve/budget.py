@@ -30,11 +30,22 @@ from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.volumetric_map import compute_component_grams
 
-SOURCES = ("tracker", "air", "motion", "alignment", "thermal", "effects", "model")
+SOURCES = (
+    "tracker",
+    "air",
+    "motion",
+    "alignment",
+    "instrument",
+    "thermal",
+    "effects",
+    "model",
+)
 """White noise of the tracker; correlated noise; what moves along the travel and on
-ramps; pose and seats; thermal effects, and others, known before; prior and knots."""
+ramps; pose and seats; what the tracker may be off by; thermal effects, and others,
+known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
 _STEP = 1e-3  # of a variance: small beside it, large beside rounding
@@ -73,9 +84,13 @@ def _split_covariance(
     C = compute_posterior(data, prior).covariance
     before = [C @ precision @ C for precision in known]
     alignment = fit.result.covariance - C
-    model = stated - fit.result.covariance + C @ prior @ C
+    of_tracker = np.zeros(size, bool)
+    for effect in filter(is_of_instrument, fit.model.effects):
+        of_tracker[fit.model.slices[effect.name]] = True
+    tracker = prior * np.outer(of_tracker, of_tracker)
+    model = stated - fit.result.covariance + C @ (prior - tracker) @ C
     noise = _split_noise(fit.runs, C, C @ held @ C)
-    return np.array([*noise, alignment, *before, model])
+    return np.array([*noise, alignment, C @ tracker @ C, *before, model])
 
 
 def _split_noise(
@@ -111,8 +126,9 @@ def _scale_white(noise: NoiseModel, factor: float) -> NoiseModel:
 
 
 def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:
-    beam, across = noise.ou
-    return replace(noise, ou=(beam * factor, across * factor))
+    beam, azimuth, elevation = noise.ou
+    ou = (beam * factor, azimuth * factor, elevation * factor)
+    return replace(noise, ou=ou)
 
 
 def _propagate(

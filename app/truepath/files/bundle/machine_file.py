@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -31,6 +32,7 @@ from truepath.kinematics.machine.machine import (
     Target,
 )
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 
 SCHEMA = "machine/1"
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
@@ -133,6 +135,37 @@ class TargetFile(FileModel):
     seat_sigma_mm: Positive = SEAT_SIGMA_MM
 
 
+class SpecificationFile(FileModel):
+    """What the tracker may be off by, standard uncertainties; 0 where left out."""
+
+    index_urad: NotNegative = 0.0
+    eccentricity_urad: NotNegative = 0.0
+    encoder_urad: NotNegative = 0.0
+    fine_urad: NotNegative = 0.0
+    beam_offset_um: NotNegative = 0.0
+    transit_offset_um: NotNegative = 0.0
+    tilt_urad: NotNegative = 0.0
+    range_offset_um: NotNegative = 0.0
+    scale_ppm: NotNegative = 0.0
+    scale_drift_ppm: NotNegative = 0.0
+    bending_urad_per_m: NotNegative = 0.0
+    delay_us: NotNegative = 0.0
+    reflector_um: NotNegative = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown(cls, content: object) -> object:
+        for name in content if isinstance(content, dict) else ():
+            if name not in cls.model_fields:
+                known = f"known are {', '.join(cls.model_fields)}"
+                raise refuse("is an unknown error of a tracker", known, name)
+        return content
+
+    def specification(self) -> TrackerSpecification:
+        """Return the specification."""
+        return TrackerSpecification(**self.model_dump())
+
+
 class TrackerFile(FileModel):
     """The tracker's noise, usual where it is not stated, and where it stands."""
 
@@ -142,6 +175,7 @@ class TrackerFile(FileModel):
     transverse_sigma_um: NotNegative = _USUAL.transverse_sigma_um
     rate_hz: RateHz = _USUAL.rate_hz
     stands_on: Literal["workpiece", "base"] = "workpiece"
+    specification: SpecificationFile | None = None
 
     @model_validator(mode="after")
     def _require_noise_across(self) -> TrackerFile:
@@ -150,6 +184,14 @@ class TrackerFile(FileModel):
             remedy = "state the noise across the beam"
             raise refuse(problem, remedy, "transverse_sigma_um")
         return self
+
+    def tracker(self) -> TrackerNoise:
+        """Return the tracker."""
+        stated = self.model_dump(exclude={"specification"})
+        found = self.specification
+        return TrackerNoise(
+            **stated, specification=found.specification() if found else None
+        )
 
 
 class MotionFile(FileModel):
@@ -240,7 +282,7 @@ class MachineFile(FileModel):
         )
         if self.tool_offset_mm is not None:
             targets = (Target("", "tool", self.tool_offset_mm),)
-        noise = TrackerNoise(**self.tracker.model_dump())
+        noise = self.tracker.tracker()
         motion = (self.motion or MotionFile()).limits()
         axes = self.axes.axes()
         altitude_m = self.site.altitude_m
@@ -273,10 +315,17 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
         "kinematic_chain": machine.chain,
         "axes": {axis.name: _axis_json(axis) for axis in machine.axes},
         **_targets_json(machine.targets),
-        "tracker": {name: getattr(noise, name) for name in TrackerFile.model_fields},
+        "tracker": _tracker_json(noise),
         **_motion_json(machine.motion),
         **({} if site is None else {"site": {"altitude_m": site}}),
     }
+
+
+def _tracker_json(tracker: TrackerNoise) -> dict[str, Any]:
+    stated = asdict(tracker)
+    if tracker.specification is None:
+        del stated["specification"]
+    return stated
 
 
 def encode_machine(machine: Machine) -> bytes:

@@ -33,7 +33,7 @@ from truepath.documents.file_model import (
     validate,
 )
 from truepath.documents.whole_files import read_whole
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.files.bundle.machine_file import SpecificationFile
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 
@@ -82,24 +82,6 @@ class BoxFile(FileModel):
         return Box(self.min_mm, self.max_mm, self.name or "", self.carried_by or "")
 
 
-class SpecificationFile(FileModel):
-    """What the tracker may be off by, standard uncertainties; usual where left out."""
-
-    eccentricity_urad: Size = 1.0
-    index_urad: Size = 1.0
-    range_offset_um: Size = 1.0
-    bending_urad_per_m: Size = 0.3
-
-    def specification(self) -> TrackerSpecification:
-        """Return the specification."""
-        return TrackerSpecification(
-            1e-6 * self.eccentricity_urad,
-            1e-6 * self.index_urad,
-            1e-3 * self.range_offset_um,
-            1e-9 * self.bending_urad_per_m,
-        )
-
-
 class ReflectorFile(FileModel):
     """Where the reflector looks."""
 
@@ -122,7 +104,7 @@ class TrackerPlaceFile(FileModel):
     areas: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
     keep_out: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
     move_minutes: Size = 10.0
-    specification: SpecificationFile = SpecificationFile()
+    specification: SpecificationFile | None = None
 
     @property
     def nearest(self) -> float:
@@ -138,7 +120,7 @@ class TrackerPlaceFile(FileModel):
             tuple(file.box() for file in self.areas),
             tuple(file.box() for file in self.keep_out),
             60.0 * self.move_minutes,
-            self.specification.specification(),
+            self.specification and self.specification.specification(),
         )
 
     @model_validator(mode="after")

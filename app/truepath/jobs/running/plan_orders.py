@@ -116,7 +116,7 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
             for plan in plans
         ],
         "known_points": encode_commanded_json(points),
-        "specification": asdict(workspace.stations.specification),
+        "specification": asdict(workspace.stations.find_specification(planned.machine)),
     }
 
 

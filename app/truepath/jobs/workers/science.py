@@ -6,7 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -223,9 +223,11 @@ def check_station(
         hold_against_plan,
         measure_points,
     )
-    from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+    from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 
-    within = TrackerSpecification(**specification)
+    # A plan that an earlier version made has other names.
+    names = {one.name for one in fields(TrackerSpecification)} & specification.keys()
+    within = TrackerSpecification(**{name: specification[name] for name in names})
     try:
         now = measure_points(open_recorded(Path(file)), within)
     except AlignmentError as error:

@@ -1,4 +1,4 @@
-"""The tracker's random errors, as `machine.json` states them."""
+"""The tracker's errors, as `machine.json` states them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+
 
 @dataclass(frozen=True, slots=True)
 class TrackerNoise:
-    """Standard deviations of one sample, its rate, and where the tracker stands."""
+    """Standard deviations of one sample, its rate, and where the tracker stands.
+
+    specification : of its systematic errors; None where it is not stated
+    """
 
     range_sigma_um: float = 1.0
     range_ppm: float = 0.3
@@ -18,6 +23,12 @@ class TrackerNoise:
     transverse_sigma_um: float = 4.0
     rate_hz: float = 500.0
     stands_on: str = "workpiece"
+    specification: TrackerSpecification | None = None
+
+    @property
+    def systematic(self) -> TrackerSpecification:
+        """The specification as stated, or a typical one."""
+        return self.specification or TrackerSpecification()
 
     def sigma_mm(
         self, distance_mm: Float64[np.ndarray, " n"]

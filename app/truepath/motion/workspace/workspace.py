@@ -8,15 +8,15 @@ are checked over the whole swept line (`line_of_sight`).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.errors import PlanningError
 from truepath.kinematics.conditions import Conditions, observe_targets
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 from truepath.kinematics.machine.machine import Machine, Target
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.line_of_sight import (
     Box,
@@ -39,13 +39,18 @@ class StationAreas:
 
     keep_out : boxes in which it must not stand
     move_s : what another station costs: carry it, warm up, check known points
-    specification : what the tracker may be off by in a way that no time averages
+    specification : of the tracker's systematic errors; None where it is not stated
     """
 
     areas: tuple[Box, ...]
     keep_out: tuple[Box, ...] = ()
     move_s: float = 600.0
-    specification: TrackerSpecification = field(default_factory=TrackerSpecification)
+    specification: TrackerSpecification | None = None
+
+    def find_specification(self, machine: Machine) -> TrackerSpecification:
+        """Return what the machine file states of the tracker, else this, else usual."""
+        stated = machine.tracker.specification
+        return stated or self.specification or machine.tracker.systematic
 
     def allow(self, place_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Tell at which places the tracker may stand."""

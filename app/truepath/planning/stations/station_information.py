@@ -4,9 +4,8 @@ The same survey of the travel is put through the estimator's own equations from 
 place: what the place does not see is left out, as a plan's lines would leave it out,
 the tracker's pose and the timing of the lines are integrated out, and what remains is
 stated per second of measuring. So places compare at equal time, whatever each sees.
-Beside the machine's parameters θ stand the causes b that a tracker within its
-specification has and no time averages: their coupling K with θ tells what they do to
-the estimate, C K b.
+Beside the machine's parameters stand the errors of a tracker within its specification,
+as in every estimate: what all stations share, and what each has for itself.
 """
 
 from __future__ import annotations
@@ -20,9 +19,14 @@ from jaxtyping import Bool, Float64
 from truepath.errors import Unidentifiable
 from truepath.estimation.problem.runs import RunInput, collect_information
 from truepath.kinematics.coarse_model import add_half_widths
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
+from truepath.kinematics.effects.instrument import (
+    FineCircle,
+    SetUpErrors,
+    TrackerErrors,
+)
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
@@ -31,6 +35,7 @@ from truepath.motion.workspace.workspace import Workspace
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.forecast import Assumptions
 from truepath.planning.predicted_cells import predict_cells
+from truepath_drivers.interfaces.records import Path
 
 INTERVALS = 6  # of the knots, as lines are chosen by
 _CELLS_ACROSS = 16  # of the longest diagonal: as many as knots tell apart
@@ -41,13 +46,12 @@ _GRID = 6  # places an axis at which it is asked what is seen
 class StationInformation:
     """What a second of measuring from one place tells.
 
-    matrix : (p, p) on the machine; coupling : (p, s) with the tracker's own causes
+    matrix : (q, q) on the machine, the tracker wherever it stands, and this set-up
     sees : (v,) which places of the travel
     """
 
     place_mm: Float64[np.ndarray, "3"]
-    matrix: Float64[np.ndarray, "p p"]
-    coupling: Float64[np.ndarray, "p s"]
+    matrix: Float64[np.ndarray, "q q"]
     sees: Bool[np.ndarray, " v"]
 
 
@@ -56,8 +60,8 @@ class StationVariance:
     """What measuring from places leaves, root mean square over the travel.
 
     random_mm : uncertainty that time averages; systematic_mm : what the tracker's own
-        causes put into the map
-    covariance : (p, p) of the first; seen : share of the travel
+        errors add to it
+    covariance : (p, p) of both; seen : share of the travel
     """
 
     random_mm: float
@@ -98,8 +102,8 @@ class Survey:
 class StationJudge:
     """Judges places by a survey.
 
-    model : of the machine, then the tracker's own causes; prior, gram : of the machine
-    sigma : (s,) of the causes' parameters; shared : (s,) the same at every station
+    model : of the machine, then the tracker's errors, those of a set-up last
+    prior, gram : of the machine; shared : parameters of the tracker at every station
     """
 
     survey: Survey
@@ -107,8 +111,7 @@ class StationJudge:
     model: MachineModel
     prior: Float64[np.ndarray, "p p"]
     gram: Float64[np.ndarray, "p p"]
-    sigma: Float64[np.ndarray, " s"]
-    shared: Bool[np.ndarray, " s"]
+    shared: int
 
     @staticmethod
     def of(
@@ -122,16 +125,21 @@ class StationJudge:
             survey.measured, offsets_mm, intervals=INTERVALS
         )
         machine = add_half_widths(motions.with_effects(*assumed.known.effects))
-        causes = specification.list_effects()
-        counts = [len(effect.parameters) for effect, _, _ in causes]
+        tracker = TrackerErrors(
+            specification,
+            FineCircle(-np.pi, np.pi),
+            FineCircle(-0.5 * np.pi, 0.5 * np.pi),
+            isinstance(survey.commanded, Path),
+        )
+        takes_s = float(row_times_s(survey.commanded, survey.feed_mm_min).sum())
+        set_up = SetUpErrors(specification, 0.0, takes_s)
         return StationJudge(
             survey,
             assumed,
-            machine.with_effects(*(effect for effect, _, _ in causes)),
+            machine.with_effects(tracker, set_up),
             assumed.make_prior(machine),
             compute_volumetric_gram(machine),
-            np.repeat([sigma for _, sigma, _ in causes], counts),
-            np.repeat([shared for _, _, shared in causes], counts),
+            len(tracker.parameters),
         )
 
     def judge(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
@@ -153,12 +161,10 @@ class StationJudge:
             found = collect_information([run], self.model)[0].own.eliminate()
         except Unidentifiable:
             return None
-        p, rate = len(self.prior), 1.0 / seconds
         everywhere = self._grid
         return StationInformation(
             place_mm,
-            rate * found.matrix[:p, :p],
-            rate * found.matrix[:p, p:],
+            found.matrix / seconds,
             workspace.allows(survey.machine, everywhere, everywhere),
         )
 
@@ -166,17 +172,21 @@ class StationJudge:
         self, stations: Sequence[StationInformation], time_s: float
     ) -> StationVariance:
         """Return what stations leave that share a time equally."""
-        each_s = time_s / len(stations)
-        known = each_s * np.sum([one.matrix for one in stations], axis=0)
-        factor = ScaledCholesky.of(self.prior + known)
-        covariance = factor.invert()
-        pulls = [factor.solve(each_s * one.coupling) * self.sigma for one in stations]
-        together = np.sum(pulls, axis=0)[:, self.shared]
-        alone = [pull[:, ~self.shared] for pull in pulls]
-        moved = np.hstack([together, *alone])
+        p, each_s = len(self.prior), time_s / len(stations)
+        common = p + self.shared
+        own = self.model.size - common
+        precision = np.eye(common + len(stations) * own)
+        precision[:p, :p] = self.prior
+        for k, one in enumerate(stations):
+            first = common + k * own
+            place = np.r_[:common, first : first + own]
+            precision[np.ix_(place, place)] += each_s * one.matrix
+        covariance = ScaledCholesky.of(precision).invert()[:p, :p]
+        perfect = ScaledCholesky.of(precision[:p, :p]).invert()
+        total, random = (float(np.sum(self.gram * C)) for C in (covariance, perfect))
         return StationVariance(
-            float(np.sum(self.gram * covariance)) ** 0.5,
-            float(np.sum(moved * (self.gram @ moved))) ** 0.5,
+            random**0.5,
+            max(total - random, 0.0) ** 0.5,
             covariance,
             float(np.any([one.sees for one in stations], axis=0).mean()),
         )

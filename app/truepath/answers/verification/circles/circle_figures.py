@@ -272,7 +272,7 @@ def _build_noise(
     stated = tracker.sigma_mm(np.linalg.norm(place_mm, axis=1))[:, [0, 1, 1]]
     scaled = local * stated
     white = np.array([noise.white[0], noise.white[1], noise.white[1]])
-    ou = np.array([noise.ou[0], noise.ou[1], noise.ou[1]])
+    ou = np.array(noise.ou)
     order = np.argsort(time_s)
     shared = np.empty((SECTORS, SECTORS))
     shared[np.ix_(order, order)] = correlate_means(

@@ -57,8 +57,9 @@ def find_poses(
     known = extract_known_effects(
         result.model, np.zeros(result.model.size), result.covariance
     ).loosen()
-    offsets = [part.at.offset_mm for part in parts]
-    models = build_run_models(result.machine, offsets, known.effects)
+    models = build_run_models(
+        result.machine, [part.at for part in parts], known.effects
+    )
     starts = [_take_off(result, part, correction) for part in parts]
     try:
         return _settle_noise(models.coarse, starts, known)

@@ -39,12 +39,21 @@ class Box(Area):
 
 
 class Specification(RequestBody):
-    """What the tracker may be off by: standard uncertainties, usual if left out."""
+    """What the tracker may be off by: standard uncertainties, 0 if left out."""
 
-    eccentricity_urad: _Range = 1.0
-    index_urad: _Range = 1.0
-    range_offset_um: _Range = 1.0
-    bending_urad_per_m: _Range = 0.3
+    index_urad: _Range = 0.0
+    eccentricity_urad: _Range = 0.0
+    encoder_urad: _Range = 0.0
+    fine_urad: _Range = 0.0
+    beam_offset_um: _Range = 0.0
+    transit_offset_um: _Range = 0.0
+    tilt_urad: _Range = 0.0
+    range_offset_um: _Range = 0.0
+    scale_ppm: _Range = 0.0
+    scale_drift_ppm: _Range = 0.0
+    bending_urad_per_m: _Range = 0.0
+    delay_us: _Range = 0.0
+    reflector_um: _Range = 0.0
 
 
 class TrackerSite(RequestBody):

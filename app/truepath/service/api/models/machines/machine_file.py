@@ -41,7 +41,7 @@ class TargetOut(BaseModel):
 
 
 class TrackerNoiseOut(BaseModel):
-    """Noise of one sample of the tracker, 1 σ, and where the tracker stands."""
+    """Noise of one sample of the tracker, 1 σ, where it stands, how far it is off."""
 
     range_sigma_um: float
     range_ppm: float
@@ -49,6 +49,9 @@ class TrackerNoiseOut(BaseModel):
     transverse_sigma_um: float
     rate_hz: float
     stands_on: Literal["workpiece", "base"]
+    specification: dict[str, float] | None = Field(
+        None, description="By its key; that of a typical tracker where left out."
+    )
 
 
 class MotionLimitsOut(BaseModel):

@@ -1,0 +1,27 @@
+"""By how much a tracker in order may be off, as its file states it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSpecification:
+    """Standard uncertainties of a tracker's systematic errors; a typical tracker's.
+
+    One that is 0 is not there.
+    """
+
+    index_urad: float = 10.0
+    eccentricity_urad: float = 4.0
+    encoder_urad: float = 4.0
+    fine_urad: float = 1.5
+    beam_offset_um: float = 5.0
+    transit_offset_um: float = 5.0
+    tilt_urad: float = 4.0
+    range_offset_um: float = 4.0
+    scale_ppm: float = 1.0
+    scale_drift_ppm: float = 2.0
+    bending_urad_per_m: float = 0.5
+    delay_us: float = 20.0
+    reflector_um: float = 1.0

@@ -1,0 +1,141 @@
+"""A tracker as bodies: axes that neither meet nor are square, circles, a beam, a lens.
+
+How far each is off is drawn from the tracker's specification. Where it looks is found
+by turning its axes until the beam meets the target, not by a formula for each error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from truepath_simulators.machine.joint import rotation_matrices
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
+from truepath_simulators.randomness import generator
+
+_FINE = np.arange(3, 17)  # cycles a turn
+_AIR_S = 1800.0  # a period of the air's slow change
+_TURNS = 4  # until the beam meets the target: each leaves a millionth
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerBody:
+    """One tracker in one set-up. Angles in rad, lengths in mm, times in s.
+
+    circles : (2, k, 2) error of azimuth and elevation, k cycles a turn, cos and sin
+    square : (2,) of the transit axis to the standing one, of the beam to the transit
+    late_s : (4,) range, azimuth, rise into azimuth, turn into elevation
+    """
+
+    circles: np.ndarray
+    index: float
+    square: np.ndarray
+    transit_mm: float
+    beam_mm: np.ndarray
+    reflector_mm: np.ndarray
+    late_s: np.ndarray
+    range_mm: float
+    scale: float
+    air: tuple[float, float]
+    bending_per_mm: float
+
+    @staticmethod
+    def draw(
+        specification: Mapping[str, float], tracker_seed: int, set_up_seed: int
+    ) -> TrackerBody:
+        """Draw a tracker, and what changes with its set-up."""
+        made = generator(tracker_seed, "tracker: body")
+        placed = generator(set_up_seed, "tracker: set-up")
+
+        def size(rng: np.random.Generator, key: str, *shape: int) -> np.ndarray:
+            unit = 1e-3 if key.endswith("_um") else 1e-6
+            return unit * specification.get(key, 0.0) * rng.standard_normal(shape)
+
+        coarse = [
+            size(made, key, 2, 1, 2) for key in ("eccentricity_urad", "encoder_urad")
+        ]
+        fine = size(made, "fine_urad", 2, len(_FINE), 2) / len(_FINE) ** 0.5
+        return TrackerBody(
+            np.concatenate([*coarse, fine], axis=1),
+            float(size(made, "index_urad")),
+            size(made, "tilt_urad", 2),
+            float(size(made, "transit_offset_um")),
+            size(made, "beam_offset_um", 2),
+            size(made, "reflector_um", 2),
+            size(made, "delay_us", 4),
+            float(size(placed, "range_offset_um")),
+            float(size(placed, "scale_ppm")),
+            (float(size(placed, "scale_drift_ppm")), placed.uniform(0.0, 2.0 * np.pi)),
+            1e-3 * float(size(placed, "bending_urad_per_m")),
+        )
+
+    def read(self, point_mm: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        """Return what its software makes of targets (n, 3), in its own frame."""
+        seen = to_spherical(point_mm + self._move_centre(point_mm))
+        turned = seen.copy()
+        for _ in range(_TURNS):
+            missed = seen - to_spherical(self._aim(turned))
+            missed[:, 1] = np.angle(np.exp(1j * missed[:, 1]))
+            turned += missed
+        distance, azimuth, elevation = turned.T
+        wave, phase = self.air
+        scale = self.scale + wave * np.sin(2.0 * np.pi * time_s / _AIR_S + phase)
+        bent = self.bending_per_mm * distance
+        told = np.stack(
+            [
+                distance * (1.0 + scale - bent * np.sin(elevation)) + self.range_mm,
+                azimuth + _swing(self.circles[0], azimuth),
+                elevation
+                + _swing(self.circles[1], elevation)
+                + self.index
+                + bent * np.cos(elevation),
+            ],
+            axis=1,
+        )
+        return to_cartesian(told - self._lag(turned, time_s))
+
+    def _aim(self, turned: np.ndarray) -> np.ndarray:
+        """Return where the beam ends for range and angles of the axes."""
+        distance, azimuth, elevation = turned.T
+        nothing = np.zeros_like(distance)
+        tilt, skew = self.square
+        end = np.stack([distance, skew * distance, nothing], axis=1)
+        end[:, 1:] += self.beam_mm
+        for turn in (
+            rotation_matrices(nothing, -elevation, nothing),
+            rotation_matrices(nothing + tilt, nothing, nothing),
+        ):
+            end = np.einsum("nij,nj->ni", turn, end)
+        end[:, 0] += self.transit_mm
+        turn = rotation_matrices(nothing, nothing, azimuth)
+        return np.einsum("nij,nj->ni", turn, end)
+
+    def _move_centre(self, point_mm: np.ndarray) -> np.ndarray:
+        """Return how far its optical centre is off, which turns to the beam."""
+        _, azimuth, elevation = to_spherical(point_mm).T
+        nothing = np.zeros_like(azimuth)
+        turn = rotation_matrices(nothing, -elevation, azimuth)
+        return turn @ np.array([0.0, *self.reflector_mm])
+
+    def _lag(self, turned: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        if len(time_s) < 2 or not self.late_s.any():
+            return np.zeros_like(turned)
+        speed = np.gradient(np.unwrap(turned, axis=0), time_s, axis=0)
+        level = np.cos(turned[:, 2])
+        away, side, rise, turn = self.late_s
+        return np.stack(
+            [
+                away * speed[:, 0],
+                side * speed[:, 1] + rise * speed[:, 2] / level,
+                turn * level * speed[:, 1],
+            ],
+            axis=1,
+        )
+
+
+def _swing(circle: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    cycles = np.r_[1, 2, _FINE]
+    waves = np.multiply.outer(angle, cycles)
+    return np.cos(waves) @ circle[:, 0] + np.sin(waves) @ circle[:, 1]
