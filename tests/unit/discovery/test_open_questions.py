@@ -227,7 +227,7 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(leaning):
 def test_from_which_side_the_first_point_was_reached_explains_nothing(
     run_of, calibrated
 ):
-    points = two_sides_of_y(24, 0.06)
+    points = two_sides_of_y(24, 0.1)
     home = np.vstack([LOW, points.position])
     way = Program(home, np.full(len(home), 100.0), np.full(len(home), 0.8))
     hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
