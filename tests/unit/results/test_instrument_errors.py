@@ -40,7 +40,8 @@ def measure(seed, mode="otf", places=1, **stated):
 
 
 @pytest.mark.parametrize(
-    ("mode", "places"), [("otf", 1), ("otf", 2), ("standstill", 1)]
+    ("mode", "places"),
+    [("otf", 1), pytest.param("otf", 2, marks=pytest.mark.long), ("standstill", 1)],
 )
 def test_what_is_stated_holds_what_the_tracker_does(mode, places):
     inside = []
