@@ -17,14 +17,14 @@ from truepath_simulators.worlds.synthetic import Setting
 ROWS, FEED = 24, 6000.0
 
 
-def content(told=None):
-    """A small machine whose tracker errs as is typical, and what its file tells."""
+def content():
+    """A small machine whose tracker errs as is typical, and says so."""
     made = load_small("demo", 0.5)
     made["tracker"]["specification"] = asdict(TrackerSpecification())
-    return made if told is None else made | {"tracker": made["tracker"] | told}
+    return made
 
 
-def measure(seed, mode="otf", places=1, **stated):
+def measure(seed, mode="otf", places=1):
     """Return the findings of a machine, and its truth."""
     made = content()
     machine = parse_machine(made)
