@@ -12,9 +12,10 @@ estimator G = C JᵀV⁻¹ (JCGM 100, 5.1.2):
 
 A is homogeneous of degree −1 in all noise variances together, so the parts of white
 noise, of correlated noise and of what moves along the travel add up to C A C. That the
-pose is solved from the same data brings the rest of the covariance, and what the prior
-itself is not known to, with all that hides between knots, brings what the estimate
-states beyond its posterior.
+pose is solved from the same data brings the rest of the covariance of a perfect
+tracker, and that it may be off what is more than that. What the prior itself is not
+known to, with all that hides between knots, brings what the estimate states beyond its
+posterior.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ ramps; pose and seats; what the tracker may be off by; thermal effects, and othe
 known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
+_KNOWN = 1e9  # of what is known to no more than its size: nothing is left of it
 _STEP = 1e-3  # of a variance: small beside it, large beside rounding
 
 
@@ -80,17 +82,22 @@ def _split_covariance(
     held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
     known = _find_known_precisions(fit)
     prior = fit.prior.precision_matrix(size)
+    tracker = [
+        fit.model.slices[effect.name]
+        for effect in filter(is_of_instrument, fit.model.effects)
+    ]
+    perfect, free = prior.copy(), fit.result.covariance
+    for part in tracker:
+        perfect[part, part] += _KNOWN * np.eye(part.stop - part.start)
+    if tracker:
+        free = compute_posterior(fit.data, perfect).covariance
     data = replace(fit.data, matrix=held + known.sum(axis=0))
-    C = compute_posterior(data, prior).covariance
+    C = compute_posterior(data, perfect).covariance
     before = [C @ precision @ C for precision in known]
-    alignment = fit.result.covariance - C
-    of_tracker = np.zeros(size, bool)
-    for effect in filter(is_of_instrument, fit.model.effects):
-        of_tracker[fit.model.slices[effect.name]] = True
-    tracker = prior * np.outer(of_tracker, of_tracker)
-    model = stated - fit.result.covariance + C @ (prior - tracker) @ C
+    instrument = fit.result.covariance - free
+    model = stated - fit.result.covariance + C @ perfect @ C
     noise = _split_noise(fit.runs, C, C @ held @ C)
-    return np.array([*noise, alignment, C @ tracker @ C, *before, model])
+    return np.array([*noise, free - C, instrument, *before, model])
 
 
 def _split_noise(
