@@ -26,7 +26,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds import synthetic
 
-MACHINES, POINTS = 24, 80
+MACHINES, POINTS = 12, 80
 UNCERTAINTY = DOCUMENT.with_name("uncertainty.md")
 WAYS = {
     "on the fly, one place": ("otf", 1),

@@ -91,7 +91,7 @@ def test_the_error_left_is_near_the_information_bound(validation):
 
 
 @pytest.mark.long
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_gantries_reach_the_information_bound(validation):
     script = validation("large_machines")
     gantry = next(world for world in script.WORLDS if world.travel_mm[0] == 3000.0)
