@@ -89,7 +89,7 @@ class Timeline:
         return self.acceleration[piece] + t * self.jerk[piece]
 
     def lengths(self, time_s: np.ndarray) -> np.ndarray:
-        """Return what is gone along the path (n,) at times (n,)."""
+        """Return the distance travelled along the path (n,) at times (n,)."""
         piece, run = self._run(time_s)
         return self.gone[piece] + run
 

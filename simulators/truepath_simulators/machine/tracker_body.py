@@ -83,7 +83,7 @@ class TrackerBody:
         wave, phase = self.air
         scale = self.scale + wave * np.sin(2.0 * np.pi * time_s / _AIR_S + phase)
         bent = self.bending_per_mm * distance
-        told = np.stack(
+        reading = np.stack(
             [
                 distance * (1.0 + scale - bent * np.sin(elevation)) + self.range_mm,
                 azimuth + _swing(self.circles[0], azimuth),
@@ -94,7 +94,7 @@ class TrackerBody:
             ],
             axis=1,
         )
-        return to_cartesian(told - self._lag(turned, time_s))
+        return to_cartesian(reading - self._lag(turned, time_s))
 
     def _aim(self, turned: np.ndarray) -> np.ndarray:
         """Return where the beam ends for range and angles of the axes."""

@@ -36,7 +36,7 @@ def test_the_sources_add_up_to_the_uncertainty_of_the_map_and_none_takes_away(fo
     assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
     gram = compute_volumetric_gram(found.model)
     assert stated == pytest.approx(np.sqrt(np.sum(gram * found.covariance)))
-    assert min(parts.values()) > -5e-4 * total  # of a difference
+    assert min(parts.values()) > -1e-3 * total  # the step of a derivative
     for source in ("tracker", "air", "alignment", "model"):
         assert parts[source] > 1e-3 * total, source
     assert parts["thermal"] == parts["effects"] == 0.0

@@ -1,9 +1,10 @@
 """What a tracker within its specification does is in what is stated."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimating import judge_map
 from recorded import load_small, record_run
@@ -70,3 +71,42 @@ def test_errors_of_the_tracker_are_no_errors_of_the_machine():
     said = str(result_json(found))
     assert "tracker-errors" not in said
     assert "set-up-errors" not in said
+
+
+@pytest.fixture(scope="module")
+def still():
+    """A Run of a perfect tracker, and its recording."""
+    made = load_small("demo", 0.5)
+    program = paths.chord_path(parse_machine(made), 21, 40, FEED)
+    return record_run(made, program, 21)
+
+
+def disturb(recorded, across_mm):
+    """Return findings, and the share inside two sigma, of directions that are off."""
+    run, made = recorded
+    points = run.tracker.position_mm
+    side = np.cross([0.0, 0.0, 1.0], points)
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    moved = replace(run.tracker, position_mm=points + across_mm[:, None] * side)
+    found = analyse(replace(run, tracker=moved))
+    return found, judge_map(found.estimate, made.truth.deviation_mm).inside
+
+
+def test_noise_in_azimuth_alone_is_found_there_and_is_in_what_is_stated(still, rng):
+    count, keep = len(still[0].tracker), np.exp(-0.01 / 0.7)  # at 100 Hz, in 0.7 s
+    drive = np.sqrt(1.0 - keep**2) * rng.standard_normal(count)
+    azimuth_mm = 0.006 * lfilter([1.0], [1.0, -keep], drive)
+    found, inside = disturb(still, azimuth_mm)
+    along, azimuth, elevation = found.estimate.runs[0].noise.ou
+    assert azimuth > 2.0 * max(along, elevation)
+    assert inside > 0.85
+    assert found.verdict.state == "usable"  # neighbours in space show it
+
+
+def test_a_swing_of_some_hertz_is_no_scatter_of_samples(still):
+    time_s = still[0].tracker.device_time_s
+    found, inside = disturb(still, 0.008 * np.sin(2.0 * np.pi * 4.3 * time_s))
+    noise = found.estimate.runs[0].noise
+    assert noise.fast[1] > 1.2
+    assert max(noise.white) < 1.6
+    assert inside > 0.85

@@ -49,7 +49,7 @@ ramps; pose and seats; what the tracker may be off by; thermal effects, and othe
 known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
-_KNOWN = 1e9  # of what is known to no more than its size: nothing is left of it
+_KNOWN = 1e9  # precision of a parameter of size 1: as good as fixed
 _STEP = 1e-3  # of a variance: small beside it, large beside rounding
 
 
