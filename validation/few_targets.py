@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from truepath.alignment.align import align
-from truepath.alignment.observations.observations import Observations
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
 from truepath.motion.configurations import Configurations
@@ -82,7 +80,7 @@ def draw_machine(kind: str, seed: int) -> dict[str, Any]:
     }
 
 
-def measure(content: dict[str, Any], seed: int) -> tuple[Observations, TruthMachine]:
+def measure(content: dict[str, Any], seed: int) -> tuple[Run, TruthMachine]:
     """Stand at random places, every target but the last in turn, each off its place."""
     measured = copy.deepcopy(content)
     del measured["targets"][OTHER]
@@ -107,4 +105,4 @@ def measure(content: dict[str, Any], seed: int) -> tuple[Observations, TruthMach
     commanded = Configurations(
         stated.axis_names, program.position, program.dwell_s, program.target
     )
-    return align(Run(content["name"], stated, commanded, samples)), made.truth
+    return Run(content["name"], stated, commanded, samples), made.truth

@@ -17,6 +17,7 @@ from few_targets import KINDS, OTHER, draw_machine, measure
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
+from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
@@ -73,27 +74,16 @@ class Outcome:
 def judge(kind: str, seed: int) -> Outcome:
     """Measure a machine, estimate, and compare with the truth."""
     content = draw_machine(kind, seed)
-    seen, _ = measure(content, seed)
+    seen = align(measure(content, seed)[0])
     found = estimate(build_run_models(seen.at.machine, [seen.at]), [seen])
     machine = parse_machine(content)
     truth = random_machine(machine, seed)
     ideal = estimate_ideally(seen, found, machine, truth)
-    q = np.random.default_rng([seed, 17]).uniform(
-        machine.low, machine.high, (GRID, len(machine.low))
-    )
     maps: dict[str, Score] = {}
     for name in ("T1", OTHER):
-        reflector = machine.reflector(name)
-        place = perfect(machine).nominal_point_mm(q, reflector)
-        offset = np.tile(np.array(reflector.offset_mm), (GRID, 1))
-        at = make_standstill(seen.at.machine, q, offset)
-        told = build_volumetric_map(found.model, name)
-        before = remove_rigid_motion(place, truth.deviation_mm(q, name))
-        left = remove_rigid_motion(place, before - told.error_mm(at, found.theta))
-        inside = np.abs(left) < 2.0 * told.sigma_mm(at, found.covariance)
-        best = build_volumetric_map(ideal.model, name)
-        bound = best.sigma_mm(at, ideal.covariance)
-        rest = remove_rigid_motion(place, before - best.error_mm(at, ideal.theta))
+        before, left, sigma = map_mm(found, machine, truth, name, seed)
+        _, rest, bound = map_mm(ideal, machine, truth, name, seed)
+        inside = np.abs(left) < 2.0 * sigma
         sizes = [1e3 * root_mean_square(v) for v in (before, left, bound, rest)]
         maps[name] = Score(*sizes, float(inside.mean()))
     targets = list(content["targets"])[:-1]
@@ -101,6 +91,27 @@ def judge(kind: str, seed: int) -> Outcome:
     places = on_tool, len(targets) - on_tool
     off = dict(list_deviations(found, truth))
     return Outcome(seed, content["kinematic_chain"], places, maps, off)
+
+
+def map_mm(
+    found: EstimatedModel,
+    machine: MachineFile,
+    truth: TruthMachine,
+    target: str,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return error before, error left and its uncertainty at random places, (n, 3)."""
+    q = np.random.default_rng([seed, 17]).uniform(
+        machine.low, machine.high, (GRID, len(machine.low))
+    )
+    reflector = machine.reflector(target)
+    place = perfect(machine).nominal_point_mm(q, reflector)
+    offset = np.tile(np.array(reflector.offset_mm), (GRID, 1))
+    at = make_standstill(found.model.machine, q, offset)
+    told = build_volumetric_map(found.model, target)
+    before = remove_rigid_motion(place, truth.deviation_mm(q, target))
+    left = remove_rigid_motion(place, before - told.error_mm(at, found.theta))
+    return before, left, told.sigma_mm(at, found.covariance)
 
 
 def root_mean_square(vectors: np.ndarray) -> float:

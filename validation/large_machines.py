@@ -70,7 +70,7 @@ class Outcome:
 
 def outcome(world: World, seed: int) -> Outcome:
     """Record, estimate and judge one machine."""
-    content, air = _content(world, seed), random_air(seed)
+    content, air = draw_gantry(world, seed), random_air(seed)
     machine = parse_machine(content)
     truth = random_machine(machine, seed)
     if world.step_mm:
@@ -84,7 +84,7 @@ def outcome(world: World, seed: int) -> Outcome:
     solve_s = time.perf_counter() - begin
     found, within = findings.estimate, volume(run.machine)
     (cells,) = join_cells([align(run)], found.model)
-    best = ideal(within, cells, found, recording, air)
+    best = ideal(within, [cells], found, recording, air)
     found_mm, sigma_mm = map_mm(within, found.model, found.theta, found.covariance)
     truth_mm = true_map_mm(within, truth)
     left_mm = truth_mm - found_mm
@@ -101,7 +101,8 @@ def outcome(world: World, seed: int) -> Outcome:
     )
 
 
-def _content(world: World, seed: int) -> dict[str, Any]:
+def draw_gantry(world: World, seed: int) -> dict[str, Any]:
+    """Draw chain and tool of a machine."""
     rng = np.random.default_rng([seed, 3])
     tool = (*np.round(rng.uniform(-60.0, 60.0, 2), 1), -round(rng.uniform(80, 250), 1))
     return machine_content(

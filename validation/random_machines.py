@@ -49,7 +49,7 @@ def outcome(seed: int) -> Outcome:
     program = plan_program(content, FEED_MM_MIN, LINES)
     setting = synthetic.Setting(air=air)
     done = study(synthetic.record(content, program, seed, "otf", setting))
-    best = ideal(done.within, done.seen, done.found, done.recording, air)
+    best = ideal(done.within, [done.seen], done.found, done.recording, air)
     rms = done.within.rms_length
     return Outcome(
         seed,

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import cho_factor, cho_solve
 
 from truepath.kinematics.effects.base import Effect, Role
+from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.kinematics.machine.machine import LinearAxis
+from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import MachineModel
 
 
@@ -43,6 +47,14 @@ class EstimatedModel:
         model = replace(self.model, effects=kept)
         return EstimatedModel(model, rows @ self.theta, covariance)
 
+    def widen_by_scale(self, scale: float) -> Self:
+        """Return it with all its lengths uncertain in common.
+
+        scale : standard uncertainty of it, of 1
+        """
+        stretch = scale * find_stretch(self.model)
+        return replace(self, covariance=self.covariance + np.outer(stretch, stretch))
+
     @cached_property
     def target_rows(self) -> Float64[np.ndarray, "k p"]:
         """The parameters of `at_targets`, linear in these: a regression."""
@@ -64,3 +76,19 @@ class EstimatedModel:
             for e in self.model.effects
             if e.role in (Role.MACHINE, Role.DIRECTION)
         }
+
+
+def find_stretch(model: MachineModel) -> Float64[np.ndarray, " p"]:
+    """Return the parameters of a machine whose lengths are all too long by themselves.
+
+    A wrong scale of the tracker looks like it: no residual shows it.
+    """
+    stretch = np.zeros(model.size)
+    for motion in model.error_motions:
+        axis = motion.axis
+        if is_positioning(motion.symbol) and isinstance(axis, LinearAxis):
+            at_mm = np.linspace(axis.low, axis.high, 2 * motion.spline.size)
+            away_mm = at_mm - reference_position_mm(axis)
+            part = model.slices[motion.name]
+            stretch[part] = np.linalg.lstsq(motion.rows(at_mm), away_mm, rcond=None)[0]
+    return stretch

@@ -29,6 +29,7 @@ from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
 from truepath.files.bundle.sample_sketch import share_samples
 from truepath.files.earlier.verdict import Verdict
+from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
@@ -96,7 +97,8 @@ def analyse(
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     brought = find_contributions(estimated, checked.given)
-    budget = split_uncertainty(estimated)
+    scale = PER_PPM * provenance.state_length_scale_ppm(machine.tracker)
+    budget = split_uncertainty(estimated, scale)
     scores = _score_ranges(checked.estimate)
     ranges = judge_range(scores, checked.given, names)
     fit = checked.estimate.fit

@@ -35,7 +35,7 @@ def environment_json(summary: RunSummary) -> dict[str, Any]:
             "uncertainty_ppm": ppm if is_corrected else None,
             "per_K_ppm": per_k,
             "per_hPa_ppm": per_hpa,
-            "in_tables": False,
+            "in_tables": True,
         },
     }
 
@@ -60,8 +60,8 @@ def describe_scale(refraction: Refraction) -> str:
     ppm, per_k, per_hpa = state_scale_ppm(refraction)
     what = f"{per_k:.2f} ppm a K and {per_hpa:.2f} ppm a hPa that the air is mistaken"
     common = (
-        "common to all ranges, and to the positioning errors of all axes alike; it is "
-        "not in the uncertainties of the tables"
+        "common to all ranges, and to the positioning errors of all axes alike; the "
+        "uncertainties of the tables contain it"
     )
     if refraction.by not in _CORRECTED:
         return f"{what}, {common}"

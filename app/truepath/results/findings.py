@@ -20,13 +20,13 @@ from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm
-from truepath.files.units import UM_PER_MM
+from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade
 from truepath.results.as_if_driven import judge_program
 from truepath.results.error_tables import ErrorTables, build_error_tables
 from truepath.results.trial_results import TrialResults
-from truepath.results.verdict import judge, judge_gain
+from truepath.results.verdict import judge, judge_gain, judge_scale
 from truepath.results.volumetric_error import (
     Spread,
     VolumetricError,
@@ -128,7 +128,7 @@ class Findings:
     budget : what each source of uncertainty brings, if it was asked
     both_directions : the volumetric error with lost motion, where that is determined
     length_scale_ppm : standard uncertainty that all lengths have in common, of air and
-        tracker: in the volumetric error, in no table
+        tracker, which the covariance of the estimate contains
     """
 
     estimate: Estimate
@@ -176,6 +176,7 @@ def state_checked_findings(
                 own,
                 provenance.judge_model(),
                 judge_gain(found.volumetric),
+                judge_scale(found.estimate),
                 judge_program(found.estimate.model.machine, found.volumetric),
             ]
         ),
@@ -199,6 +200,7 @@ def state_findings(
     sources = range(len(estimate.runs)) if given is None else given
     tracker = estimate.model.machine.tracker
     length_scale_ppm = provenance.state_length_scale_ppm(tracker)
+    estimate = estimate.widen_by_scale(PER_PPM * length_scale_ppm)
     return Findings(
         estimate,
         provenance,

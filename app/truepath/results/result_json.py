@@ -154,6 +154,7 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         },
         "measured_s": run.measured_s,
         "length_scale_ppm": found.length_scale_ppm,
+        "length_scale_in_tables": True,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
     }

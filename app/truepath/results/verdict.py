@@ -29,9 +29,12 @@ from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
 from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
 from truepath.files.units import UM_PER_MM
+from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.machine.other_chains import list_orders
+from truepath.kinematics.machine.symbols import LINEAR, is_positioning
 from truepath.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
@@ -46,6 +49,8 @@ _RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
+_MATERIAL = 2.0 * 11.5e-6  # of a usual machine: 2 K of steel
+_APART = 6.0  # χ² of two parameters: by chance once in 20
 _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
 # White and correlated, of what the tracker states: correlated noise would take what is
@@ -128,6 +133,37 @@ def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdic
     if len(names) == 1:
         reasons = [replace(one, run="") for one in reasons]
     return Verdict(tuple(reasons))
+
+
+def judge_scale(found: EstimatedModel) -> Verdict:
+    """Return whether all three linear axes are too long, or too short, by the same."""
+    motions = [m for m in found.model.error_motions if _is_length(m)]
+    if len(motions) < len(LINEAR):
+        return Verdict()
+    slopes = np.zeros((len(motions), found.model.size))
+    for row, motion in zip(slopes, motions, strict=True):
+        at_mm = np.linspace(motion.axis.low, motion.axis.high, 2 * motion.spline.size)
+        away_mm = at_mm - at_mm.mean()
+        row[found.model.slices[motion.name]] = (
+            away_mm @ motion.rows(at_mm) / (away_mm @ away_mm)
+        )
+    slope, covariance = slopes @ found.theta, slopes @ found.covariance @ slopes.T
+    weight = np.linalg.solve(covariance, np.ones(len(slope)))
+    common, sigma = float(weight @ slope / weight.sum()), float(weight.sum() ** -0.5)
+    apart = slope - common
+    disagreement = float(apart @ np.linalg.solve(covariance, apart))
+    expected = float(np.hypot(sigma, _MATERIAL))
+    if disagreement > _APART or abs(common) < 2.0 * expected:
+        return Verdict()
+    values: dict[str, Value] = {
+        "distance_um": UM_PER_MM * 1000.0 * common,
+        "within_um": UM_PER_MM * 1000.0 * 2.0 * sigma,
+    }
+    return Verdict((Reason("all-axes-scaled", "doubtful", values),))
+
+
+def _is_length(motion: ErrorMotion) -> bool:
+    return is_positioning(motion.symbol) and isinstance(motion.axis, LinearAxis)
 
 
 def judge_range(

@@ -5,8 +5,8 @@ what the stated uncertainty leaves where −δ̂ is applied in full: errors draw
 covariance of the estimate (JCGM 101). Both are without the rigid motion of the whole
 volume. That the machine then does as promised is for a measurement of its own to show.
 
-The scale of air and tracker is common to all lengths and shows in no residual: it is in
-the uncertainty of each figure, though in none of the tables.
+The scale of the air is common to all lengths and shows in no residual: it is in the
+covariance, and its part of each figure is stated beside.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def compute_volumetric_error(
 ) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel.
 
-    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    length_scale_ppm : standard uncertainty that all lengths have in common, which the
+        covariance contains
     """
     model, covariance = estimated.model, estimated.covariance
     linear = _FEW if model.machine.rotary_axes else _GRID
@@ -171,7 +172,8 @@ def make_spread(
     at_twice : the same with all lengths off by `TWICE` the uncertainty of their scale
     """
     by_scale = state_scale_share(value, at_twice)
-    total = np.hypot(drawn.std(axis=1), by_scale)
+    # A mean length grows with the square of the scale: twice its spread is too little.
+    total = np.maximum(drawn.std(axis=1), by_scale)
     return Spread(*map(Figure, value.tolist(), total.tolist(), by_scale.tolist()))
 
 
@@ -183,7 +185,8 @@ def compute_both_directions(
     Mean and 95 % are over positions that fill the travel evenly, as in the account of
     compensation files; the largest is that on a grid with the corners too.
 
-    length_scale_ppm : standard uncertainty that all measured lengths have in common
+    length_scale_ppm : standard uncertainty that all lengths have in common, which the
+        covariance contains
     """
     model = estimated.model
     if not any(effect.half_difference for effect in model.effects):

@@ -16,7 +16,7 @@ from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.randomness import generator
 
 _FINE = np.arange(3, 17)  # cycles a turn
-_AIR_S = 1800.0  # a period of the air's slow change
+_AIR_S = 1800.0  # a period of the air's slow change since the tracker read it
 _TURNS = 4  # until the beam meets the target: each leaves a millionth
 
 
@@ -81,7 +81,8 @@ class TrackerBody:
             turned += missed
         distance, azimuth, elevation = turned.T
         wave, phase = self.air
-        scale = self.scale + wave * np.sin(2.0 * np.pi * time_s / _AIR_S + phase)
+        swing = np.sin(2.0 * np.pi * time_s / _AIR_S + phase) - np.sin(phase)
+        scale = self.scale + wave * swing
         bent = self.bending_per_mm * distance
         reading = np.stack(
             [

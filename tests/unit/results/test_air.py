@@ -16,13 +16,14 @@ from truepath.files.environment.refraction import (
     state_length_ppm,
     state_scale_ppm,
 )
+from truepath.kinematics.estimated_model import find_stretch
 from truepath.results.environment_json import (
     describe_refraction,
     describe_scale,
     environment_json,
 )
 from truepath.results.findings import state_findings
-from truepath.results.verdict import judge_air
+from truepath.results.verdict import judge_air, judge_scale
 from truepath_drivers.interfaces.records import (
     AirSamples,
     Path,
@@ -108,7 +109,7 @@ def test_the_scale_is_uncertain_by_what_the_air_is_mistaken(run, by):
     assert scale["per_K_ppm"] == pytest.approx(0.95, abs=0.02)
     assert scale["per_hPa_ppm"] == pytest.approx(0.27, abs=0.005)
     assert scale["uncertainty_ppm"] == pytest.approx(np.hypot(0.95 / 2, 0.27), abs=0.05)
-    assert not scale["in_tables"]
+    assert scale["in_tables"]
     assert "positioning errors of all axes" in describe_scale(corrected.refraction)
 
 
@@ -155,3 +156,40 @@ def test_ranges_that_nobody_corrects_decide_no_tolerance(estimate, provenance):
         ]
         assert decided[0] is not Conformity.UNDECIDED
         assert decided[1] is Conformity.UNDECIDED
+
+
+def find_table(found, symbol):
+    return next(table for table in found.tables.tables if table.symbol == symbol)
+
+
+def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(
+    estimate, provenance
+):
+    told = [
+        state_findings(
+            estimate,
+            replace(
+                provenance,
+                runs=tuple(replace(r, refraction=by) for r in provenance.runs),
+            ),
+        )
+        for by in (Refraction("instrument"), Refraction("nobody", why="no pressure"))
+    ]
+    known, open_air = (find_table(one, "EXX") for one in told)
+    more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
+    away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]
+    more_um = np.sqrt(open_air.uncertainty**2 - known.uncertainty**2)
+    assert more_um == pytest.approx(1e-3 * more_ppm * np.abs(away_mm), abs=1e-6)
+    straight = [find_table(one, "EYX").uncertainty for one in told]
+    assert straight[1] == pytest.approx(straight[0], abs=1e-9)
+
+
+def test_axes_that_are_all_long_by_the_same_ask_for_air_and_temperature(estimate):
+    stretch = find_stretch(estimate.model)
+    (reason,) = judge_scale(replace(estimate, theta=68e-6 * stretch)).reasons
+    assert (reason.kind, reason.state) == ("all-axes-scaled", "doubtful")
+    assert reason.values["distance_um"] == pytest.approx(68.0)
+    # What air and a machine at 22 °C explain, and axes that are each for themselves.
+    assert not judge_scale(replace(estimate, theta=40e-6 * stretch)).reasons
+    stretch[estimate.model.slices["EXX"]] *= 0.5
+    assert not judge_scale(replace(estimate, theta=68e-6 * stretch)).reasons

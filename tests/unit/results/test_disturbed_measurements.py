@@ -128,7 +128,7 @@ def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
     [
         (-60.0, "doubtful", {"rows": 30, "travel_mm": 300.0}, 12.0),
         pytest.param(-40.0, "doubtful", {"rows": 60}, 6.0, marks=pytest.mark.long),
-        pytest.param(250.0, "not-usable", {"rows": 60}, 6.0, marks=pytest.mark.long),
+        pytest.param(250.0, "not-usable", {"rows": 60}, 10.0, marks=pytest.mark.long),
     ],
 )
 def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(

@@ -30,7 +30,7 @@ from truepath.answers.comparison.direct_error import (
 from truepath.errors import BadInput
 from truepath.files.bundle.run import DirectMeasurement
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.files.units import PER_PPM, UM_PER_MM, scale_of
+from truepath.files.units import UM_PER_MM, scale_of
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine, position_unit
@@ -38,7 +38,6 @@ from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     find_unit,
     is_location,
-    is_positioning,
     list_error_motions,
 )
 from truepath.results.error_tables import build_error_tables, evaluate
@@ -198,7 +197,7 @@ def _compare_error(
         position_unit=position_unit(axis),
         position_mm=theirs.position_mm,
         value=value,
-        sigma=np.hypot(sigma, gauge @ _find_scale_um(result, axis, symbol, theirs)),
+        sigma=sigma,
         reference=gauge @ theirs.mean,
         reference_sigma=np.sqrt((gauge**2) @ theirs.sigma**2),
         forward=theirs.forward - removed,
@@ -208,15 +207,6 @@ def _compare_error(
         merged=tuple(shares),
         missing=missing,
     )
-
-
-def _find_scale_um(
-    result: CalibrationResult, axis: Axis, symbol: str, theirs: DirectError
-) -> Float64[np.ndarray, " n"]:
-    """Return what one standard uncertainty of the scale makes of an error motion."""
-    if isinstance(axis, LinearAxis) and is_positioning(symbol):
-        return UM_PER_MM * PER_PPM * result.length_scale_ppm * theirs.position_mm
-    return np.zeros(len(theirs.position_mm))
 
 
 def _compare_numbers(

@@ -6,9 +6,6 @@ R₂C₂R₂ᵀ + R₁C₁R₁ᵀ. That is on the safe side: what both took from
 cancel. Tables are compared in their own gauge, the volumetric error after its best-fit
 rigid motion is removed from each: where the tracker stood is no change of the machine.
 
-The scale of air and tracker is common to all lengths of a calibration and is in none of
-its tables: here it counts, in positioning and in the volume, as one more parameter.
-
 Many entries are looked at, and some of them differ much by chance alone. An entry has
 changed only if its |difference| / uncertainty is more than the largest over all entries
 is with a chance of 2.5 %; the root mean square of the volumetric difference is held
@@ -29,11 +26,10 @@ from jaxtyping import Float64
 from truepath.errors import BadInput
 from truepath.files.bundle.one_machine import have_same_targets, one_machine
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.files.units import PER_PPM, UM_PER_MM, scale_of
-from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.files.units import UM_PER_MM, scale_of
 from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.machine.machine import LinearAxis, position_unit
-from truepath.kinematics.machine.symbols import find_unit, is_positioning
+from truepath.kinematics.machine.machine import position_unit
+from truepath.kinematics.machine.symbols import find_unit
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
 
@@ -115,10 +111,7 @@ def find_changes(before: CalibrationResult, after: CalibrationResult) -> Machine
     are of different machines.
     """
     _refuse_what_cannot_be_compared(before, after)
-    pair = _Pair(
-        _Side(before.at_targets, PER_PPM * before.length_scale_ppm),
-        _Side(after.at_targets, PER_PPM * after.length_scale_ppm),
-    )
+    pair = _Pair(before.at_targets, after.at_targets)
     places, values, drawn = pair.evaluate_entries()
     sigma = drawn.std(axis=1)
     known = sigma > _SMALLEST
@@ -168,43 +161,24 @@ Place = tuple[str, float | None, str, str]
 """Symbol, position, its unit, unit of the value."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Side:
-    """One calibration: its parameters, and one more, the scale of its lengths.
-
-    scale : standard uncertainty of that, of 1; what is known of it is in the parameters
-    """
-
-    estimated: EstimatedModel
-    scale: float
-
-    @property
-    def theta(self) -> Float64[np.ndarray, " p"]:
-        """What was found of them, the scale last."""
-        return np.append(self.estimated.theta, 0.0)
-
-    def draw(self, seed: int) -> Float64[np.ndarray, "p d"]:
-        """Return departures of them by their covariance, always the same."""
-        value, vector = np.linalg.eigh(self.estimated.covariance)
-        rng = np.random.default_rng(seed)
-        unit = rng.standard_normal((len(value), _DRAWS))
-        own = vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
-        return np.vstack([own, self.scale * rng.standard_normal(_DRAWS)])
+def _draw(estimated: EstimatedModel, seed: int) -> Float64[np.ndarray, "p d"]:
+    """Return departures of its parameters by their covariance, always the same."""
+    value, vector = np.linalg.eigh(estimated.covariance)
+    unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
+    return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
     """What two calibrations of one machine both state."""
 
-    before: _Side
-    after: _Side
+    before: EstimatedModel
+    after: EstimatedModel
 
     @property
     def not_compared(self) -> tuple[str, ...]:
         """Symbols that only one of both states."""
-        before, after = (
-            _list_symbols(one.estimated) for one in (self.before, self.after)
-        )
+        before, after = _list_symbols(self.before), _list_symbols(self.after)
         return tuple(sorted(before ^ after))
 
     def evaluate_entries(
@@ -212,15 +186,14 @@ class _Pair:
     ) -> tuple[list[Place], Float64[np.ndarray, "2 n"], Float64[np.ndarray, "n d"]]:
         """Return the entries of both tables, and their difference drawn by chance."""
         sides = (self.before, self.after)
-        known = [_list_symbols(one.estimated) for one in sides]
+        known = [_list_symbols(one) for one in sides]
         symbols = known[0] & known[1]
         if not symbols:
             raise BadInput("the results state no error motion in common")
-        (places, rows), (_, other) = (
-            _find_rows(one.estimated, symbols) for one in sides
-        )
+        (places, rows), (_, other) = (_find_rows(one, symbols) for one in sides)
         values = np.stack([rows @ self.before.theta, other @ self.after.theta])
-        return places, values, rows @ self.before.draw(1) + other @ self.after.draw(2)
+        drawn = rows @ _draw(self.before, 1) + other @ _draw(self.after, 2)
+        return places, values, drawn
 
 
 def _list_symbols(estimated: EstimatedModel) -> set[str]:
@@ -247,11 +220,8 @@ def _find_rows(
             places += [(symbol, float(p), measure, unit) for p in at]
         else:
             places.append((symbol, None, "", unit))
-        block = np.zeros((len(part), model.size + 1))
+        block = np.zeros((len(part), model.size))
         block[:, model.slices[effect.name]] = scale_of(unit) * part
-        if motion and is_positioning(symbol) and isinstance(motion.axis, LinearAxis):
-            away_mm = choose_table_positions(motion.axis)
-            block[:, -1] = UM_PER_MM * (away_mm - reference_position_mm(motion.axis))
         blocks.append(block)
     return places, np.concatenate(blocks)
 
@@ -259,13 +229,12 @@ def _find_rows(
 def _compare_volume(
     before: CalibrationResult, after: CalibrationResult
 ) -> ChangedVolume:
-    sides = [_Side(one, PER_PPM * one.length_scale_ppm) for one in (before, after)]
     columns = np.concatenate([-_weigh(before), _weigh(after)], axis=1)
     value, vector = np.linalg.eigh(columns.T @ columns)
     kept = value > _FINE * value[-1]
     root: Float64[np.ndarray, "k p"] = (vector[:, kept] * np.sqrt(value[kept])).T
-    theta = np.concatenate([one.theta for one in sides])
-    drawn = root @ np.concatenate([one.draw(k) for k, one in enumerate(sides, 1)])
+    theta = np.concatenate([before.theta, after.theta])
+    drawn = root @ np.concatenate([_draw(before, 1), _draw(after, 2)])
     length_um: Float64[np.ndarray, " d"] = np.linalg.norm(drawn, axis=0)
     difference_um = float(np.linalg.norm(columns @ theta))
     left = difference_um**2 - float(np.mean(length_um**2))
@@ -278,15 +247,9 @@ def _compare_volume(
 
 
 def _weigh(estimated: EstimatedModel) -> Float64[np.ndarray, "m p"]:
-    """Return columns whose length is the root mean square over the travel, µm.
-
-    The last one is of the scale.
-    """
+    """Return columns whose length is the root mean square over the travel, µm."""
     volumetric = build_volumetric_map(estimated.model)
-    away_mm = volumetric.volume.point_mm - volumetric.centre_mm
-    columns = np.concatenate(
-        [volumetric.jacobian(volumetric.volume), away_mm[:, :, None]], axis=2
-    )
+    columns = volumetric.jacobian(volumetric.volume)
     columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]
     return columns.reshape(-1, columns.shape[2])
 

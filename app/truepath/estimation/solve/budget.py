@@ -32,6 +32,7 @@ from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.volumetric_map import compute_component_grams
 
 SOURCES = (
@@ -45,8 +46,8 @@ SOURCES = (
     "model",
 )
 """White noise of the tracker; correlated noise; what moves along the travel and on
-ramps; pose and seats; what the tracker may be off by; thermal effects, and others,
-known before; prior and knots."""
+ramps; pose and seats; what the tracker and its knowledge of the air may be off by;
+thermal effects, and others, known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
 _KNOWN = 1e9  # precision of a parameter of size 1: as good as fixed
@@ -63,8 +64,10 @@ class UncertaintyBudget:
     variance_mm2: Float64[np.ndarray, "s 3"]
 
 
-def split_uncertainty(estimate: Estimate) -> UncertaintyBudget:
+def split_uncertainty(estimate: Estimate, scale: float = 0.0) -> UncertaintyBudget:
     """Return the budget of an estimate that has kept what it was solved from.
+
+    scale : standard uncertainty that all lengths have in common, of 1, of the air
 
     Raises Unidentifiable if the data do not determine the machine.
     """
@@ -72,6 +75,8 @@ def split_uncertainty(estimate: Estimate) -> UncertaintyBudget:
     assert fit is not None  # noqa: S101 (it was asked to be kept)
     grams = compute_component_grams(estimate.model)
     parts = _split_covariance(fit, estimate.covariance)
+    stretch = scale * find_stretch(estimate.model)
+    parts[SOURCES.index("instrument")] += np.outer(stretch, stretch)
     return UncertaintyBudget(np.einsum("spq,kpq->sk", parts, grams, optimize=True))
 
 

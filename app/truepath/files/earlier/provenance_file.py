@@ -24,6 +24,7 @@ class _Reckoned(FileModel):
 
     measured_s: float | None = Field(default=None, ge=0.0)
     length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    length_scale_in_tables: bool = False
     runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
     temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
         default_factory=dict, alias="temperature_degC"

@@ -34,6 +34,7 @@ from truepath.files.bundle.machine_file import MachineFile
 from truepath.files.earlier.model_file import model_from_json
 from truepath.files.earlier.provenance_file import require_reckoned
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
+from truepath.files.units import PER_PPM
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import (
@@ -330,7 +331,7 @@ def result_from_json(
     ranges = document.ranges()
     _require_within_travel(ranges, machine, file)
     direction = document.direction or _Direction(half_difference={})
-    return CalibrationResult(
+    result = CalibrationResult(
         stated.model,
         stated.theta,
         stated.covariance,
@@ -346,6 +347,9 @@ def result_from_json(
         *direction.read_across(),
         document.direction is not None,
     )
+    if result.provenance.get("length_scale_in_tables"):
+        return result
+    return result.widen_by_scale(PER_PPM * result.length_scale_ppm)
 
 
 def _require_within_travel(

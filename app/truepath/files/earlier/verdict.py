@@ -66,6 +66,13 @@ SENTENCES: Mapping[str, Sentence] = {
         "Set the home distance again, choose the reflector in use, measure again; a "
         "discovery takes it out of this Run.",
     ),
+    "all-axes-scaled": Sentence(
+        "All linear axes are off by {distance_um} a metre alike (within {within_um}, "
+        "k = 2): by the pressure or temperature of the air that the tracker takes, by "
+        "its scale, or by a machine that is warmer or colder than its scales say.",
+        "Look at what the tracker takes for the air, and at the temperature of the "
+        "machine; hold a known length against the tracker.",
+    ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "
         "measured, too short, or disturbed.",

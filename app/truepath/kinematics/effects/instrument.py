@@ -228,11 +228,17 @@ class SetUpErrors(Effect):
         s = self.specification
         sizes = (
             s.range_offset_um,
-            s.scale_ppm,
+            self._mean_scale_ppm,
             s.scale_drift_ppm,
             s.bending_urad_per_m,
         )
         return sum(size > 0.0 for size in sizes)
+
+    @property
+    def _mean_scale_ppm(self) -> float:
+        """A scale that drifts from the begin has half of it in the mean."""
+        s = self.specification
+        return float(np.hypot(s.scale_ppm, 0.5 * s.scale_drift_ppm))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the columns where the observer stands."""
@@ -243,7 +249,7 @@ class SetUpErrors(Effect):
         r = b.distance_mm[:, None]
         when = (at.time_s - self.begin_s) / max(self.end_s - self.begin_s, 1e-9)
         terms.add(1e-3 * s.range_offset_um, b.along)
-        terms.add(1e-6 * s.scale_ppm, r * b.along)
+        terms.add(1e-6 * self._mean_scale_ppm, r * b.along)
         terms.add(1e-6 * s.scale_drift_ppm, (when - 0.5)[:, None] * r * b.along)
         bend = r**2 * (
             np.cos(b.elevation)[:, None] * b.up - np.sin(b.elevation)[:, None] * b.along

@@ -99,8 +99,7 @@ class Consistency:
 class HeldPlaces:
     """Measurement and prediction at places, in their m components, mm.
 
-    scale_mm, own_scale_mm : (m,) by one standard uncertainty of the scale of air and
-        tracker, of the measurement and of the result
+    scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
     lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
     change_mm : (m, c) by what usually changes of an axis
@@ -112,7 +111,6 @@ class HeldPlaces:
     as_found_mm: Float64[np.ndarray, " m"]
     predicted_mm: Float64[np.ndarray, " m"]
     scale_mm: Float64[np.ndarray, " m"]
-    own_scale_mm: Float64[np.ndarray, " m"]
     columns: Float64[np.ndarray, "m p"]
     bend_mm2: Float64[np.ndarray, " m"]
     lost_mm: Float64[np.ndarray, "m s"]
@@ -151,7 +149,6 @@ class HeldPlaces:
             as_found,
             predicted,
             PER_PPM * scale_ppm * away_mm,
-            PER_PPM * result.length_scale_ppm * away_mm,
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             places.project(list_lost_departures_mm(result, at)),
@@ -170,7 +167,6 @@ class HeldPlaces:
             np.concatenate([part.as_found_mm for part in parts]),
             np.concatenate([part.predicted_mm for part in parts]),
             np.concatenate([part.scale_mm for part in parts]),
-            np.concatenate([part.own_scale_mm for part in parts]),
             np.concatenate([part.columns for part in parts]),
             np.concatenate([part.bend_mm2 for part in parts]),
             np.concatenate([part.lost_mm for part in parts]),
@@ -196,7 +192,6 @@ class HeldPlaces:
     def predict_covariance(self) -> Float64[np.ndarray, "m m"]:
         """Return the covariance of what the result predicts, mm²."""
         spread = self.columns @ self.result.covariance @ self.columns.T
-        spread += np.outer(self.own_scale_mm, self.own_scale_mm)
         return spread + self.lost_mm @ self.lost_mm.T + np.diag(self.bend_mm2)
 
     def free_covariance(self) -> Float64[np.ndarray, "m m"]:

@@ -226,7 +226,12 @@ class ProvenanceOut(BaseModel):
     length_scale_ppm: float | None = Field(
         None,
         description="Standard uncertainty that all lengths have in common, of air and "
-        "tracker: in the volumetric error, in no table. Earlier versions lack it.",
+        "tracker. Earlier versions lack it.",
+    )
+    length_scale_in_tables: bool = Field(
+        False,
+        description="Whether the tables' uncertainties contain it, as that of the "
+        "volumetric error does. Earlier versions: no.",
     )
     feed_mm_min: list[float] | None
     temperature_degC: dict[str, tuple[float, float]] = Field(  # noqa: N815

@@ -144,12 +144,14 @@ class RefractionOut(BaseModel):
 
 
 class RangeScaleOut(BaseModel):
-    """What the air leaves of the scale of all ranges; not in the tables."""
+    """What the air leaves of the scale of all ranges."""
 
     uncertainty_ppm: float | None
     per_K_ppm: float  # noqa: N815
     per_hPa_ppm: float  # noqa: N815
-    in_tables: bool
+    in_tables: bool = Field(
+        description="Whether the tables' uncertainties contain it; earlier: no."
+    )
 
 
 class EnvironmentOut(BaseModel):
