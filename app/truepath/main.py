@@ -7,6 +7,7 @@ the bench's devices.
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import tempfile
 import threading
@@ -72,6 +73,8 @@ from truepath.users.access import Access, AccessRules
 from truepath.users.audit import AuditLog, Entry
 from truepath.users.certificates import TlsFiles, check_tls_files
 
+_END_S = 60.0
+
 log = structlog.get_logger(__name__)
 
 
@@ -80,6 +83,9 @@ def serve(
 ) -> None:
     """Run the service until SIGTERM or Ctrl+C; both hold the feed before all else.
 
+    What does not end within a minute is ended by force, and says where it stood: its
+    children end with it, and the watchdog of the machine holds what still moves.
+
     listening : receives the service's address once it answers, in a thread of its own
 
     Raises BadInput, InUse.
@@ -87,6 +93,7 @@ def serve(
     configure_log(settings.log_level, settings.log_format, settings.log)
     tls = _check_tls(settings)
     with (
+        _bound_end() as ending,
         open_service(settings) as service,
         bind_socket(settings.host, settings.port) as listener,
     ):
@@ -108,10 +115,20 @@ def serve(
             listening,
             tls=tls,
             trusted_proxies=settings.trusted_proxies,
+            ending=ending,
         )
         with ignore_raised_signals():
             server.run(sockets=[listener])
     log.info("service ended")
+
+
+@contextmanager
+def _bound_end() -> Iterator[Callable[[], None]]:
+    """Yield what lets the process end by force if leaving takes too long from then."""
+    try:
+        yield partial(faulthandler.dump_traceback_later, _END_S, exit=True)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import httpx2
 import psutil
 import pytest
 
+import service_process
 from api_builders import edited
 from described_answers import check_answer
 from real_services import process, service_of, write_machine
@@ -234,6 +235,28 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
     events = [line["event"] for line in said]
     assert events.index("ending: motion first") < events.index("job ended")
     assert events[-1] == "service ended"
+
+
+HANGING = """
+import time
+from truepath import main
+from truepath.settings import load_settings
+
+main._END_S = 1.0
+main.Dispatcher.close = lambda *_: time.sleep(600.0)
+if __name__ == "__main__":
+    main.serve(load_settings())
+"""
+
+
+def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path, monkeypatch):
+    monkeypatch.setattr(service_process, "PROGRAM", HANGING)
+    with service_process.process(tmp_path) as (running, _):
+        children = _children(running.pid)
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(40) == 1
+        wait_until(lambda: not any(_is_alive(child) for child in children), "their end")
+    assert "<lambda>" in (tmp_path / "service.log").read_text()
 
 
 @pytest.mark.fault_row(25)

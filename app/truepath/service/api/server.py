@@ -42,6 +42,7 @@ class Server(uvicorn.Server):
     listening : receives the address once it answers, in a thread of its own
     tls : None for plain HTTP
     trusted_proxies : addresses that many clients are behind
+    ending : called first, once it has to end
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Server(uvicorn.Server):
         *,
         tls: TlsFiles | None = None,
         trusted_proxies: Collection[str] = (),
+        ending: Callable[[], None] | None = None,
     ) -> None:
         config = uvicorn.Config(
             app,
@@ -67,6 +69,7 @@ class Server(uvicorn.Server):
         )
         super().__init__(config)
         self._service, self._address, self._listening = service, address, listening
+        self._ending = ending
         self._manager = ServiceManager.of_environment()
         self._connections = Connections(
             self.server_state, service.max_streams, trusted_proxies
@@ -98,6 +101,8 @@ class Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Hold the feed, let streams end, then wait for answers under way."""
         log.info("ending: motion first")
+        if self._ending is not None:
+            self._ending()
         self._manager.end()
         close = self._service.dispatcher.close
         await run_sync(close, limiter=CapacityLimiter(1))
