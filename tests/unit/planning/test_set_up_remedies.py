@@ -116,3 +116,11 @@ def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_m
     # Rows are not seen from behind the wall.
     assert remedies["second-place"]["position_mm"][0] > -300.0
     assert errors["statement"][1] in render_plan_report(document)
+
+
+@pytest.mark.long
+def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
+    plan = make_plan(small_mill, PlanOrder(target_um=0.2, feeds_mm_min=(6000.0,)))
+    assert plan.reached is False
+    assert plan.outcome.random_mm < 0.4 * plan.outcome.volumetric_sigma_mm
+    assert plan.duration_s < 1000.0
