@@ -140,7 +140,7 @@ def compare_stations(site: Site, said: str, worlds: int) -> list[str]:
     ]
     systematic_mm = [o.left.systematic_mm for o in one.stations.options]
     told = [
-        float(np.hypot(plan.uncertainty_um, 1e3 * systematic_mm[k]))
+        1e3 * float(np.hypot(plan.outcome.random_mm, systematic_mm[k]))
         for plan, k in ((one, 0), (three, 2), (long, 0))
     ]
     return [

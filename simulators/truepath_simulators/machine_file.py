@@ -90,6 +90,7 @@ class TrackerFigures:
     """One sample's standard deviations, the rate, and what the tracker stands on.
 
     specification : standard deviations of what its own errors are drawn from
+    face : in which it measures; in the second its head looks over its back
     """
 
     range_sigma_um: float = 1.0
@@ -99,6 +100,7 @@ class TrackerFigures:
     rate_hz: float = 500.0
     stands_on: str = "workpiece"
     specification: Mapping[str, float] = field(default_factory=dict)
+    face: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,22 +3,27 @@
 The cells that the plan would give, the noise and the prior of the estimator, and its
 posterior: nothing is estimated, so the covariance is all there is. The prior's
 precisions, which an estimate finds from its data, are those of machines of usual
-errors, or those that a live estimate has found.
+errors, or those that a live estimate has found. What the tracker may be off by stands
+beside the machine's parameters, as in every estimate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from scipy.linalg import block_diag
 
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.problem.design_matrix import linearise
-from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.information import (
+    Information,
+    OwnParameters,
+    compute_posterior,
+)
 from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import RecursiveEstimator
@@ -30,6 +35,10 @@ from truepath.estimation.problem.observability import (
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.kinematics.coarse_model import add_bends
+from truepath.kinematics.effects.instrument import (
+    is_of_instrument,
+    list_instrument_errors,
+)
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
@@ -43,6 +52,7 @@ from truepath.kinematics.volumetric_map import (
 )
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import row_times_s
+from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 from truepath_drivers.interfaces.records import Path
 
@@ -100,12 +110,14 @@ class Step:
     """What is left once a row of the plan is reached.
 
     sigma_mm : volumetric, as of the whole plan
+    random_mm : what of it a perfect tracker would leave
     weakest_mm : what of it the error motions known least put at the tool, by name, the
         weakest first
     """
 
     row: int
     sigma_mm: float
+    random_mm: float
     weakest_mm: Mapping[str, float]
 
 
@@ -117,6 +129,7 @@ class Forecast:
     known : effects in the model, as an earlier measurement has left them
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
         of the volumetric error vector, its rigid motion left out
+    random_mm : what of it a perfect tracker would leave
     curve : the same once rows of the plan are reached, in its order
     unobservable : what the plan cannot show, in words
     stations : what is measured from each place of the tracker
@@ -126,6 +139,7 @@ class Forecast:
     known: KnownEffects
     covariance: Float64[np.ndarray, "p p"]
     volumetric_sigma_mm: float
+    random_mm: float
     curve: tuple[Step, ...]
     unobservable: tuple[str, ...]
     stations: tuple[RunInput, ...]
@@ -168,28 +182,66 @@ def forecast(
     known, noise = assumed.known, assumed.used_noise
     earlier = before.stations if before else ()
     stations = (*earlier, RunInput(cells, cells.pose, noise))
-    offset_mm = np.vstack([run.observations.at.offset_mm for run in stations])
-    model, _ = build_identifiable_model(machine, offset_mm)
-    confounded = list_confounded_effects(machine, offset_mm)
-    model = model.with_effects(*known.effects)
-    if any(run.observations.is_ramp.any() for run in stations):
-        model = add_bends(model)
-    model = model.with_confounded(confounded)
+    model = _build_model(machine, known, stations)
     prior = assumed.make_prior(model)
     if earlier:
         prior += combine_runs(collect_information(earlier, model)).matrix
     covariance, curve = _trace_curve(cells, noise, model, prior)
-    shapes = build_shape_model(machine, offset_mm)
-    observed = assess_observability(shapes, stations)
+    offset_mm = np.vstack([run.observations.at.offset_mm for run in stations])
+    observed = assess_observability(build_shape_model(machine, offset_mm), stations)
     return Forecast(
         model,
         known,
         covariance,
         curve[-1].sigma_mm,
+        curve[-1].random_mm,
         curve,
         observed.unobservable,
         stations,
     )
+
+
+def predict_with_each(
+    machine: Machine,
+    found: Forecast,
+    further: Sequence[Observations],
+    assumed: Assumptions,
+) -> list[float]:
+    """Return the volumetric sigma in mm after a plan and each of further measurements.
+
+    further : cells of one each, of which one is made after the plan
+    """
+    runs = [RunInput(cells, cells.pose, assumed.used_noise) for cells in further]
+    stations = (*found.stations, *runs)
+    model = _build_model(machine, found.known, stations)
+    gram, size = compute_volumetric_gram(model), model.size
+    told: list[Float64[np.ndarray, "p p"]] = []
+    for run in collect_information(stations, model):
+        matrix = run.data.matrix.copy()
+        pose = run.linearisation.pose_parameters
+        matrix[size:, size:] += diagonal_precision(pose, _POSE)
+        own = OwnParameters.of(Information.of_matrix(matrix), size)
+        told.append(own.eliminate().matrix)
+    planned = len(found.stations)
+    prior = assumed.make_prior(model) + np.sum(told[:planned], axis=0)
+    after = [
+        compute_posterior(Information.of_matrix(one), prior) for one in told[planned:]
+    ]
+    return [float(np.sum(gram * one.covariance)) ** 0.5 for one in after]
+
+
+def _build_model(
+    machine: Machine, known: KnownEffects, stations: Sequence[RunInput]
+) -> MachineModel:
+    """Return the model that an estimate of the stations would have."""
+    seen = [run.observations for run in stations]
+    offset_mm = np.vstack([each.at.offset_mm for each in seen])
+    model, _ = build_identifiable_model(machine, offset_mm)
+    instrument = list_instrument_errors([each.at for each in seen])
+    model = model.with_effects(*known.effects, *instrument)
+    if any(each.is_ramp.any() for each in seen):
+        model = add_bends(model)
+    return model.with_confounded(list_confounded_effects(machine, offset_mm))
 
 
 def predict_undetermined(
@@ -232,6 +284,9 @@ def _trace_curve(
 ) -> tuple[Float64[np.ndarray, "p p"], tuple[Step, ...]]:
     """Return the covariance after all cells, and what is left on the way."""
     gram = compute_volumetric_gram(model)
+    of_tracker = np.zeros(model.size, bool)
+    for effect in filter(is_of_instrument, model.effects):
+        of_tracker[model.slices[effect.name]] = True
     sums = RecursiveEstimator.start(linearise(cells, model, cells.pose, noise))
     steps, nothing = list[Step](), np.zeros(model.size)
     covariance = np.zeros((model.size, model.size))
@@ -240,11 +295,25 @@ def _trace_curve(
     for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
         sums = sums.add(cells.select(np.arange(first, last)))
         covariance = _compute_covariance(sums, prior)
-        mean_square = float(np.sum(gram * covariance))
+        sigma_mm, random_mm = (
+            max(float(np.sum(gram * each)), 0.0) ** 0.5
+            for each in (covariance, _hold(covariance, of_tracker))
+        )
         weakest_mm = _find_weakest_mm(EstimatedModel(model, nothing, covariance))
         row = int(cells.row[last - 1])
-        steps.append(Step(row, max(mean_square, 0.0) ** 0.5, weakest_mm))
+        steps.append(Step(row, sigma_mm, random_mm, weakest_mm))
     return covariance, tuple(steps)
+
+
+def _hold(
+    covariance: Float64[np.ndarray, "p p"], fixed: Bool[np.ndarray, " p"]
+) -> Float64[np.ndarray, "p p"]:
+    """Return the covariance where some parameters are known exactly."""
+    if not fixed.any():
+        return covariance
+    factor = ScaledCholesky.of(covariance[np.ix_(fixed, fixed)])
+    half = factor.solve_half(covariance[fixed])
+    return covariance - half.T @ half
 
 
 def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:

@@ -36,6 +36,7 @@ from truepath.planning.lines.target_blocks import (
 )
 from truepath.planning.lines.target_shares import share_among_targets
 from truepath.planning.plan_order import PlanOrder
+from truepath.planning.remedies import SetUpRemedy
 from truepath.planning.stations.station_choice import (
     StationAdvice,
     StationChoice,
@@ -73,6 +74,7 @@ class Plan:
     stations: StationAdvice | None = None
     feeds_worth: dict[float, float] = field(default_factory=dict[float, float])
     further: tuple[Plan, ...] = ()
+    remedies: tuple[SetUpRemedy, ...] = ()
 
     @property
     def duration_s(self) -> float:

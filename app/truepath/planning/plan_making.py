@@ -6,21 +6,29 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine
+from truepath.motion.workspace.workspace import MOVE_S
 from truepath.planning.initial_design import choose_station
 from truepath.planning.plan import Plan, PlanAttempt
 from truepath.planning.plan_order import PlanOrder
-from truepath.planning.stations.station_choice import StationChoice
+from truepath.planning.predicted_cells import assume_stations_mm
+from truepath.planning.remedies import find_set_up_remedies
+from truepath.planning.stations.station_choice import APART_MM, StationChoice
 from truepath.progress import Progress, ignore_progress
 
 _LONGEST_S = 3600.0
 _FIRST_TRY_S = 60.0
 _TRIES = 5
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
+_LITTLE = 0.1  # of a variance: without it the uncertainty is less by a twentieth
 
 
 def make_plan(
@@ -29,7 +37,8 @@ def make_plan(
     """Return the plan that was asked for.
 
     With a target it is the shortest plan found that reaches it; where none does within
-    the minutes (an hour without), the plan of that length, which says how far it comes.
+    the minutes (an hour without), the plan of that length, which says how far it comes,
+    or a shorter one after which time would change hardly anything.
 
     Raises PlanningError if nothing can be planned; it names the reason. BundleError if
     the model is of another machine.
@@ -38,18 +47,55 @@ def make_plan(
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, order.workspace)
     attempt = PlanAttempt(machine, order, order.assume(machine), station_mm)
-    if order.workspace.stations is None:
-        return _plan_as_ordered(attempt, on_progress)
-    choice = attempt.choose_place(order.workspace.stations)
+    areas = order.workspace.stations
+    if areas is None:
+        plan = _plan_as_ordered(attempt, on_progress)
+        return _add_remedies(attempt, plan, _list_usual_places(plan), MOVE_S)
+    choice = attempt.choose_place(areas)
     if order.stations > 1:
         plan = _plan_stations(attempt, choice, on_progress)
     else:
         first = attempt.place_tracker(choice.first.place_mm)
         plan = _plan_as_ordered(first, on_progress)
     time_s = sum(one.duration_s for one in plan.at_stations)
-    sigma_mm = plan.outcome.volumetric_sigma_mm
-    scale = choice.compare(order.stations, time_s, sigma_mm)
-    return replace(plan, stations=choice.advise(time_s, scale))
+    scale = choice.compare(order.stations, time_s, plan.outcome.random_mm)
+    advice = choice.advise(time_s, scale)
+    plan = replace(plan, stations=advice)
+    further = [option.place_mm[-1] for option in advice.options[order.stations :]]
+    return _add_remedies(attempt, plan, further[:1], areas.move_s)
+
+
+def _add_remedies(
+    attempt: PlanAttempt,
+    plan: Plan,
+    elsewhere_mm: Sequence[NDArray[np.float64]],
+    move_s: float,
+) -> Plan:
+    """Return the plan that says what would take away most of the tracker's errors."""
+    last = plan.at_stations[-1]
+    remedies = find_set_up_remedies(
+        attempt.order.moving(attempt.machine),
+        last.commanded,
+        plan.outcome,
+        attempt.assumed,
+        here_mm=last.station_mm,
+        elsewhere_mm=elsewhere_mm,
+        takes_s=last.duration_s,
+        move_s=move_s,
+    )
+    return replace(plan, remedies=remedies)
+
+
+def _list_usual_places(plan: Plan) -> list[NDArray[np.float64]]:
+    """Return the usual places, apart from the tracker's, that see all of a plan."""
+    found: list[NDArray[np.float64]] = []
+    for place in assume_stations_mm(plan.machine):
+        if np.linalg.norm(place - plan.station_mm) >= APART_MM:
+            with suppress(PlanningError):
+                workspace = plan.order.workspace.place_tracker(place)
+                workspace.refuse(plan.machine, plan.commanded)
+                found.append(place)
+    return found
 
 
 def _plan_stations(
@@ -89,11 +135,15 @@ def _plan_for_target(
         on_progress(
             number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)"
         )
-        # Uncertainty falls with the square root of time, slower where much is known.
-        wanted = float(np.clip((reached_um / target_um) ** 2, 0.3, 6.0))
+        # What is random falls with the square root of time, slower where much is known.
+        random_um2 = (1e3 * planned.outcome.random_mm) ** 2
+        room_um2 = target_um**2 - reached_um**2 + random_um2
+        wanted = float(np.clip(random_um2 / max(room_um2, 1e-9), 0.3, 6.0))
         if planned.reached:
             found = planned
-        elif budget_s >= longest_s:
+        elif budget_s >= longest_s or (
+            room_um2 <= 0.0 and random_um2 < _LITTLE * reached_um**2
+        ):
             break
         else:
             short_s = budget_s

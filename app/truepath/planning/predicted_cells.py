@@ -28,7 +28,7 @@ from truepath.kinematics.conditions import (
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import Drive, Stops, row_times_s
-from truepath.numerics.rigid import RigidTransform
+from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers.interfaces.records import Path
 
 # Usual of trackers in a shop; what a Run shows is estimated once there is one.
@@ -66,6 +66,7 @@ def predict_cells(
     station_mm: Float64[np.ndarray, "3"],
     *,
     cell_mm: float = _CELL_MM,
+    turn_rad: float = 0.0,
 ) -> Observations:
     """Return the cells of a measurement with the tracker at a place.
 
@@ -73,6 +74,7 @@ def predict_cells(
 
     station_mm : in the frame that the tracker stands on (workpiece or base)
     cell_mm : length of cells along lines, at least
+    turn_rad : of the tracker about its standing axis, from where it faces the machine
 
     Raises PlanningError if nothing moves and nothing dwells.
     """
@@ -86,20 +88,32 @@ def predict_cells(
     speed = np.linalg.norm(at.velocity_mm_s, axis=1, keepdims=True)
     seconds = np.concatenate([np.full(len(p.share), p.cell_s) for p in parts])
     count = np.maximum(machine.tracker.rate_hz * seconds, 1.0)
+    pose = _face(at.point_mm.mean(axis=0), station_mm, turn_rad)
     seen = Observations(
         at,
-        at.point_mm - station_mm,
+        pose.apply(at.point_mm),
         count,
         at.velocity_mm_s / np.maximum(speed, 1e-12),
         np.concatenate([np.full(len(p.share), p.row) for p in parts]),
         np.ones(2),
-        RigidTransform(np.eye(3), -station_mm),
+        pose,
         (),
         int(count.sum()),
         int(count.sum()),
         ramp=np.concatenate([np.full(len(p.share), p.is_ramp) for p in parts]),
     )
     return add_surroundings(seen, commanded)
+
+
+def _face(
+    point_mm: Float64[np.ndarray, "3"],
+    station_mm: Float64[np.ndarray, "3"],
+    turn_rad: float,
+) -> RigidTransform:
+    """Return the pose of a level tracker at a place that looks at a point."""
+    x, y, _ = point_mm - station_mm
+    rotation = build_rotation(np.array([0.0, 0.0, turn_rad - np.arctan2(y, x)]))
+    return RigidTransform(rotation, -rotation @ station_mm)
 
 
 def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:

@@ -1,14 +1,18 @@
-"""The one line that would help a weak error motion most, found by trying.
+"""What would help most, found by trying: a line more, or the tracker set up otherwise.
 
 Lines along each axis at the ends and the middle of the others, and the diagonals of the
 travel; each is put through the same algebra as the measurement itself. What a line
 gains of the motion's variance at the tool decides.
+
+What the tracker is off by no line and no time takes away, but the same rows do from
+another place, from the same one with its base turned, or in its second face: the same
+fault acts otherwise.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +25,15 @@ from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Commanded, join_rows, select_rows
 from truepath.motion.workspace.travel import inner_travel
 from truepath.numerics.design_criteria import IntegratedVariance
-from truepath.planning.predicted_cells import EXPECTED_NOISE
+from truepath.planning.forecast import Assumptions, Forecast, predict_with_each
+from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 from truepath_drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell
+_TURNS_RAD = (0.5 * np.pi, np.pi)  # of the base: cycles once and twice a turn change
+_TURN_S = 300.0  # to turn the base, and to let it settle
+_FACE_S = 60.0  # to turn the head over and to lock again
 _PLACES = {"low": "low end", "middle": "middle", "high": "high end"}
 
 
@@ -76,6 +84,69 @@ def append_line(commanded: Commanded, line: Remedy) -> Commanded:
     if isinstance(added, Path):
         added = replace(added, feed_mm_min=np.repeat(added.feed_mm_min, more))
     return join_rows([commanded, added])
+
+
+@dataclass(frozen=True, slots=True)
+class SetUpRemedy:
+    """The rows once more, with the tracker set up otherwise.
+
+    change : `second-place`, `turned-base` or `other-face`
+    turn_rad : of the base, against where it stands before
+    added_s : what it takes, moving and measuring
+    sigma_mm : volumetric, of both measurements together
+    removed_mm : what of the plan's it takes away
+    """
+
+    change: str
+    place_mm: Float64[np.ndarray, "3"]
+    turn_rad: float
+    added_s: float
+    sigma_mm: float
+    removed_mm: float
+
+    @property
+    def mm_per_s(self) -> float:
+        """What a second of it takes away."""
+        return self.removed_mm / self.added_s
+
+
+def find_set_up_remedies(
+    machine: Machine,
+    commanded: Commanded,
+    found: Forecast,
+    assumed: Assumptions,
+    *,
+    here_mm: Float64[np.ndarray, "3"],
+    elsewhere_mm: Sequence[Float64[np.ndarray, "3"]],
+    takes_s: float,
+    move_s: float,
+) -> tuple[SetUpRemedy, ...]:
+    """Return what takes away most of the tracker's errors, the most a second first.
+
+    commanded, takes_s : the rows that are measured once more; found : after the plan
+    here_mm : where the tracker stands; elsewhere_mm : where it may stand as well
+    move_s : what moving it takes
+    """
+    if found.random_mm == found.volumetric_sigma_mm:  # a perfect tracker
+        return ()
+    ways = [("second-place", machine, place, 0.0, move_s) for place in elsewhere_mm]
+    ways += [("turned-base", machine, here_mm, turn, _TURN_S) for turn in _TURNS_RAD]
+    if face := machine.tracker.face:
+        turned_over = replace(machine, tracker=replace(machine.tracker, face=3 - face))
+        ways.append(("other-face", turned_over, here_mm, 0.0, _FACE_S))
+    cells = [
+        predict_cells(seen, commanded, place, turn_rad=turn)
+        for _, seen, place, turn, _ in ways
+    ]
+    left_mm = predict_with_each(machine, found, cells, assumed)
+    best: dict[str, SetUpRemedy] = {}
+    for (change, _, place, turn, set_up_s), sigma_mm in zip(ways, left_mm, strict=True):
+        removed_mm = found.volumetric_sigma_mm - sigma_mm
+        added_s = set_up_s + takes_s
+        one = SetUpRemedy(change, place, turn, added_s, sigma_mm, removed_mm)
+        if change not in best or one.mm_per_s > best[change].mm_per_s:
+            best[change] = one
+    return tuple(sorted(best.values(), key=lambda one: -one.mm_per_s))
 
 
 def _lines(machine: Machine) -> Iterator[Remedy]:

@@ -71,14 +71,19 @@ class TrackerBody:
             1e-3 * float(size(placed, "bending_urad_per_m")),
         )
 
-    def read(self, point_mm: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    def read(
+        self, point_mm: np.ndarray, time_s: np.ndarray, face: int = 1
+    ) -> np.ndarray:
         """Return what its software makes of targets (n, 3), in its own frame."""
         seen = to_spherical(point_mm + self._move_centre(point_mm))
-        turned = seen.copy()
+        turned, sense = seen.copy(), np.ones(3)
+        if face == 2:  # half a turn, and over the zenith: up is down for its axis
+            turned = seen * [1, 1, -1] + [0.0, np.pi, np.pi]
+            sense[2] = -1.0
         for _ in range(_TURNS):
             missed = seen - to_spherical(self._aim(turned))
             missed[:, 1] = np.angle(np.exp(1j * missed[:, 1]))
-            turned += missed
+            turned += sense * missed
         distance, azimuth, elevation = turned.T
         wave, phase = self.air
         swing = np.sin(2.0 * np.pi * time_s / _AIR_S + phase) - np.sin(phase)

@@ -7,14 +7,16 @@ import re
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from page_steps import SLOW_MS, go, prepare
+from page_steps import SLOW_MS, choose, go, prepare
 from scripted_data import plan_curve, planned_path
 from scripted_service import ScriptedService
 
 POINTS = plan_curve()["points"]
 
 
-def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
+def show(
+    panel, service: ScriptedService, predicted=None, **more
+) -> tuple[Page, Locator]:
     """Open Plan with the curve computed."""
     service.connected = True
     service.planned = {
@@ -22,7 +24,7 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
         "state": "succeeded",
         "progress": 1.0,
         "commanded": planned_path(),
-        "document": {"stations": None},
+        "document": {"stations": None, "predicted": predicted},
     }
     page = panel.open("#/plan", **more)
     card = page.locator("[data-card=curve]")
@@ -55,6 +57,42 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
     handle.press("ArrowRight")
     expect(handle).to_have_attribute("aria-valuenow", "2")
     assert plans(service) == [6]
+
+
+def test_what_of_it_is_the_trackers_and_what_takes_that_away_is_said(panel, service):
+    remedy = {"position_mm": [700, -900, 50], "turn_deg": 0, "minutes": 12}
+    errors = {
+        "random_um": 0.6,
+        "remedies": [
+            remedy
+            | {"change": "second-place", "expanded_volumetric_uncertainty_um": 1.5},
+            remedy
+            | {"change": "turned-base", "expanded_volumetric_uncertainty_um": 1.7}
+            | {"turn_deg": 90},
+        ],
+    }
+    predicted = {"expanded_volumetric_uncertainty_um": 2.4, "tracker_errors": errors}
+    page, _ = show(panel, service, predicted)
+    for language, title, *said in (
+        (
+            "English",
+            "Errors of the tracker itself",
+            "with a perfect tracker it would be 1.20 µm",
+            "The same again from X 700",
+            "U = 1.50 µm, 12 min more",
+            "base turned by 90°",
+        ),
+        (
+            "Deutsch",
+            "Eigene Abweichungen des Trackers",
+            "mit einem vollkommenen Tracker wäre es 1,20 µm",
+            "U = 1,70 µm, 12 min mehr",
+        ),
+    ):
+        choose(page, language)
+        card = page.locator(".card", has_text=title).last
+        for text in said:
+            expect(card).to_contain_text(text)
 
 
 def test_the_handle_is_dragged_and_the_plan_up_to_it_is_what_is_driven(panel, service):

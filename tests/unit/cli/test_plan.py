@@ -241,6 +241,20 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert "one station is enough" in page
 
 
+def test_a_plan_says_what_the_tracker_may_be_off_by_and_what_takes_that_away(
+    command, keep, tmp_path
+):
+    content = load_machine("demo")
+    del content["tracker"]["specification"]  # a typical one
+    words = ["plan", keep(content, "machine.json"), "-o", tmp_path / "out", *LINUXCNC]
+    said = command.run(*words, "--minutes", "0.5").out
+    document = json.loads((tmp_path / "out" / "plan.json").read_text())
+    statements = document["predicted"]["tracker_errors"]["statement"]
+    assert len(statements) == 3
+    for statement in statements:
+        assert f"tracker: {statement}" in said
+
+
 def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
     nests = [{"min_mm": p, "max_mm": p} for p in ([250, -700, 0], [1100, 100, 50])]
     workspace = {"schema": "workspace/1", "tracker": {"areas": nests}}

@@ -1,18 +1,25 @@
 """What a plan is said to leave unknown, against what the estimate then states."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from estimating import estimate
-from truepath.alignment.align import align
+from recorded import load_small, record_run
+from truepath.alignment.align import align, align_all
 from truepath.errors import Unidentifiable
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.forecast import (
     Assumptions,
     forecast,
     predict_undetermined,
 )
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(
@@ -46,6 +53,25 @@ def test_the_forecast_agrees_with_what_estimates_state_within_15_percent(outcome
 def test_with_prior_and_noise_known_it_agrees_on_every_machine(outcomes):
     for stated, _, known in outcomes:
         assert known.volumetric_sigma_mm == pytest.approx(stated, rel=0.15)
+
+
+@pytest.mark.parametrize("places", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
+    content = load_small("demo", 1.0)
+    content["tracker"]["specification"] = asdict(TrackerSpecification())
+    program = paths.chord_path(parse_machine(content), 1, 16, 10_000.0)
+    made = [
+        record_run(content, program, seed, setting=Setting(machine_seed=1))
+        for seed in range(1, 1 + places)
+    ]
+    result = estimate(*align_all([run for run, _ in made], ["one", "two"][:places]))
+    stated = np.sum(compute_volumetric_gram(result.model) * result.covariance) ** 0.5
+    found = None
+    for run, truth in made:
+        stand_mm = truth.pose.position_mm
+        found = forecast(run.machine, run.commanded, stand_mm, before=found)
+    assert found.volumetric_sigma_mm == pytest.approx(stated, rel=0.1)
+    assert found.random_mm < 0.8 * stated
 
 
 def test_uncertainty_shrinks_from_row_to_row(outcomes):

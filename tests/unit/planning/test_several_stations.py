@@ -61,7 +61,7 @@ def test_the_document_tells_of_each_station(planned):
     assert document["curve"][-1]["row"] == document["rows"]
     assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
     left = document["stations"]["options"][1]["random_um"]
-    assert left == pytest.approx(planned.uncertainty_um)
+    assert left == pytest.approx(1e3 * planned.outcome.random_mm)
 
 
 def test_known_points_are_seen_from_every_station(mill, square):

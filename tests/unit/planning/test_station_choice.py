@@ -64,9 +64,9 @@ def test_the_place_is_allowed_near_and_no_place_is_better(perfect):
     assert np.linalg.norm(perfect.station_mm - [125.0, 100.0, -75.0]) < 1500.0
 
 
-def test_the_uncertainty_of_one_station_is_that_of_the_plan(perfect):
+def test_what_time_averages_from_one_station_is_that_of_the_plan(perfect):
     left = perfect.stations.options[0].left
-    assert left.random_mm == pytest.approx(perfect.forecast.volumetric_sigma_mm)
+    assert left.random_mm == pytest.approx(perfect.forecast.random_mm)
     assert left.systematic_mm == 0.0
     assert left.seen == 1.0
 

@@ -9,8 +9,10 @@ from scipy.signal import lfilter
 from estimating import judge_map
 from recorded import load_small, record_run
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
+from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
@@ -64,6 +66,29 @@ def test_the_budget_tells_what_is_the_trackers_and_a_second_place_takes_it_away(
     ]
     assert share[0] > 0.5
     assert two["total_um"]["volume"] < 0.8 * one["total_um"]["volume"]
+
+
+SIGNED = {"index_urad": 60.0, "tilt_urad": 30.0, "transit_offset_um": 40.0}
+
+
+def test_a_run_in_the_other_face_takes_away_what_changes_its_sign_in_it():
+    made = content()
+    made["tracker"]["specification"] = SIGNED
+    machine = parse_machine(made)
+    program = paths.chord_path(machine, 17, ROWS, FEED)
+    setting = Setting(machine_seed=17, pose=random_pose(machine, 17))
+    recorded = []
+    for face in (1, 2):
+        made["tracker"]["face"] = face
+        recorded.append(record_run(made, program, 17 + face, setting=setting))
+    runs = [run for run, _ in recorded]
+    one, both = (analyse(*some).estimate for some in (runs[:1], runs))
+    stated = [
+        np.sum(compute_volumetric_gram(each.model) * each.covariance) ** 0.5
+        for each in (one, both)
+    ]
+    assert stated[1] < 0.6 * stated[0]
+    assert judge_map(both, recorded[0][1].truth.deviation_mm).inside > 0.86
 
 
 def test_errors_of_the_tracker_are_no_errors_of_the_machine():

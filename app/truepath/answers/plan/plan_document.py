@@ -21,6 +21,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.planning.grade import sample_sigma_mm, verdict
 from truepath.planning.plan import Plan
+from truepath.planning.remedies import SetUpRemedy
 from truepath.planning.stations.station_choice import StationAdvice, StationOption
 from truepath.planning.stations.station_information import StationVariance
 from truepath.results.updated_effects import (
@@ -65,6 +66,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()
             },
+            "tracker_errors": _state_tracker_errors(planned),
         },
         "target": None
         if target_um is None
@@ -74,13 +76,53 @@ def plan_document(planned: Plan) -> dict[str, Any]:
     }
 
 
+def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
+    """Return what the tracker's errors leave, and what takes most of it away."""
+    random_um = UM_PER_MM * planned.outcome.random_mm
+    if not planned.remedies:
+        return None
+    total_um = planned.uncertainty_um
+    said = [
+        f"with a perfect tracker {random_um:.2f} µm would stay (k = 1); the rest of "
+        f"{total_um:.2f} µm is what the tracker may be off by, which no time averages"
+    ]
+    return {
+        "random_um": random_um,
+        "systematic_um": max(total_um**2 - random_um**2, 0.0) ** 0.5,
+        "statement": [*said, *map(_describe_remedy, planned.remedies)],
+        "remedies": [
+            {
+                "change": one.change,
+                "position_mm": _round(one.place_mm),
+                "turn_deg": round(math.degrees(one.turn_rad), 3),
+                "minutes": one.added_s / 60.0,
+                **_state_both(UM_PER_MM * one.sigma_mm),
+                "removed_um_per_minute": UM_PER_MM * 60.0 * one.mm_per_s,
+            }
+            for one in planned.remedies
+        ],
+    }
+
+
+def _describe_remedy(one: SetUpRemedy) -> str:
+    way = {
+        "second-place": f"from {_place(one.place_mm)}",
+        "turned-base": f"with its base turned by {math.degrees(one.turn_rad):.0f}°",
+        "other-face": "in its other face",
+    }[one.change]
+    return (
+        f"the same rows once more {way} leave {UM_PER_MM * one.sigma_mm:.2f} µm, for "
+        f"{one.added_s / 60.0:.0f} min more"
+    )
+
+
 def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
     """Yield what is left once rows are reached, its grade, and what is known least."""
     for first_row, begin_s, plan in _in_turn(planned):
         found = plan.forecast
         sample_mm = sample_sigma_mm([run.observations for run in found.stations])
         for step in found.curve:
-            number = step.sigma_mm / sample_mm
+            number = step.random_mm / sample_mm
             yield {
                 "row": first_row + step.row + 1,
                 "time_s": round(begin_s + float(plan.time_s[step.row]), 3),

@@ -70,6 +70,7 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
             "effects": [_state_effect(effect) for effect in predicted["effects"]],
             "unobservable": document["unobservable"],
             "stations": document["stations"],
+            "tracker_errors": predicted["tracker_errors"],
             "feeds": explain_feeds(document),
         },
     )

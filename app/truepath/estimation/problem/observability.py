@@ -96,9 +96,11 @@ def usual_precision_matrix(
     prior = replace(prior, precision={**prior.precision, **known})
     slack = diagonal_precision(model.parameters, USUAL)
     for effect in model.effects:
+        part = model.slices[effect.name]
         if effect.name in model.confounded:
-            part = model.slices[effect.name]
             slack[part, part] = straight_precision(effect)
+        elif (charge := prior.charges.get(effect.name)) and charge.is_known:
+            slack[part, part] = 0.0
     return prior.precision_matrix(model.size) + slack
 
 

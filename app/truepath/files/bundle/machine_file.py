@@ -176,6 +176,7 @@ class TrackerFile(FileModel):
     rate_hz: RateHz = _USUAL.rate_hz
     stands_on: Literal["workpiece", "base"] = "workpiece"
     specification: SpecificationFile | None = None
+    face: Literal[1, 2] | None = None
 
     @model_validator(mode="after")
     def _require_noise_across(self) -> TrackerFile:
@@ -322,10 +323,7 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
 
 
 def _tracker_json(tracker: TrackerNoise) -> dict[str, Any]:
-    stated = asdict(tracker)
-    if tracker.specification is None:
-        del stated["specification"]
-    return stated
+    return {key: value for key, value in asdict(tracker).items() if value is not None}
 
 
 def encode_machine(machine: Machine) -> bytes:

@@ -30,7 +30,12 @@ _LEFT_OUT = 2e-3  # of the variance of what is fine
 
 @dataclass(frozen=True)
 class _Beam:
-    """Where the tracker looks, and its directions there, in its own frame."""
+    """Where the tracker looks, and its directions there, in its own frame.
+
+    azimuth, elevation : of its axes. In the second face the head is turned by half a
+        turn and looks over its back; across and up turn with it
+    facing : 1, or -1 in the second face
+    """
 
     along: Float64[np.ndarray, "n 3"]
     across: Float64[np.ndarray, "n 3"]
@@ -38,13 +43,12 @@ class _Beam:
     distance_mm: Float64[np.ndarray, " n"]
     azimuth: Float64[np.ndarray, " n"]
     elevation: Float64[np.ndarray, " n"]
+    facing: float
 
     @staticmethod
-    def of(recorded: RecordedState) -> _Beam:
-        x, y, z = recorded.tracker_mm.T
-        flat = np.hypot(x, y)
-        distance = np.hypot(flat, z)
-        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
+    def of(recorded: RecordedState, face: int | None) -> _Beam:
+        distance = np.linalg.norm(recorded.tracker_mm, axis=1)
+        azimuth, elevation = _find_angles(recorded, face)
         ca, sa = np.cos(azimuth), np.sin(azimuth)
         ce, se = np.cos(elevation), np.sin(elevation)
         nothing = np.zeros_like(ca)
@@ -55,7 +59,19 @@ class _Beam:
             distance,
             azimuth,
             elevation,
+            -1.0 if face == 2 else 1.0,
         )
+
+
+def _find_angles(
+    recorded: RecordedState, face: int | None
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return azimuth and elevation of the axes."""
+    x, y, z = recorded.tracker_mm.T
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+    if face == 2:
+        return azimuth + np.pi, np.pi - elevation
+    return azimuth, elevation
 
 
 @dataclass(frozen=True)
@@ -158,7 +174,8 @@ class TrackerErrors(Effect):
         recorded = _find_recorded(at, self.set_ups)
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
-        s, b, terms = self.specification, _Beam.of(recorded), _Terms()
+        s, terms = self.specification, _Terms()
+        b = _Beam.of(recorded, at.machine.tracker.face)
         turn = (b.distance_mm * np.cos(b.elevation))[:, None] * b.across
         rise = b.distance_mm[:, None] * b.up
         for size, cycles in ((s.eccentricity_urad, 1), (s.encoder_urad, 2)):
@@ -178,7 +195,7 @@ class TrackerErrors(Effect):
         terms.add(1e-3 * s.beam_offset_um, b.across, b.up)
         terms.add(1e-3 * s.transit_offset_um, cosine * b.along - sine * b.up)
         terms.add(1e-6 * s.tilt_urad, tangent * turn, turn / cosine)
-        terms.add(1e-3 * s.reflector_um, b.across, b.up)
+        terms.add(1e-3 * s.reflector_um, b.facing * b.across, b.facing * b.up)
         if self.is_moving:
             speed = at.velocity_mm_s @ recorded.rotation.T
             away, side, up = (
@@ -245,7 +262,8 @@ class SetUpErrors(Effect):
         recorded = _find_recorded(at, (self.set_up,) if self.set_up else ())
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
-        s, b, terms = self.specification, _Beam.of(recorded), _Terms()
+        s, terms = self.specification, _Terms()
+        b = _Beam.of(recorded, at.machine.tracker.face)
         r = b.distance_mm[:, None]
         when = (at.time_s - self.begin_s) / max(self.end_s - self.begin_s, 1e-9)
         terms.add(1e-3 * s.range_offset_um, b.along)
@@ -262,20 +280,22 @@ class SetUpErrors(Effect):
         return _known(self._count)
 
 
-def name_set_up(recorded: RecordedState) -> str:
+def name_set_up(recorded: RecordedState, face: int | None) -> str:
     """Return what tells a set-up from others: how the tracker stands, to the last bit.
 
-    Runs that are solved together may have no numbers, or the same clock.
+    Runs that are solved together may have no numbers, or the same clock. A change of
+    face is a new lock.
     """
-    return format(zlib.crc32(recorded.rotation.tobytes()), "08x")
+    return format(zlib.crc32(recorded.rotation.tobytes(), face or 1), "08x")
 
 
 def _find_recorded(at: Conditions, set_ups: Sequence[str]) -> RecordedState | None:
     """Return what was recorded in one of the set-ups; None where it was in none."""
     recorded = at.recorded
-    if recorded is None or (set_ups and name_set_up(recorded) not in set_ups):
-        return None
-    return recorded
+    if recorded is None or not set_ups:
+        return recorded
+    name = name_set_up(recorded, at.machine.tracker.face)
+    return recorded if name in set_ups else None
 
 
 def _turn_back(terms: _Terms, recorded: RecordedState) -> Float64[np.ndarray, "n 3 p"]:
@@ -302,8 +322,9 @@ def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
     trackers: dict[TrackerSpecification, dict[str, Conditions]] = {}
     for at in runs:
         if at.recorded is not None:
-            set_ups = trackers.setdefault(at.machine.tracker.systematic, {})
-            set_ups[name_set_up(at.recorded)] = at
+            tracker = at.machine.tracker
+            set_ups = trackers.setdefault(tracker.systematic, {})
+            set_ups[name_set_up(at.recorded, tracker.face)] = at
     effects: list[Effect] = []
     for specification, set_ups in trackers.items():
         own = () if len(trackers) == 1 else tuple(set_ups)
@@ -319,9 +340,13 @@ def _share_errors(
     runs: Sequence[Conditions],
     own: tuple[str, ...],
 ) -> TrackerErrors:
-    seen = [at.recorded.tracker_mm for at in runs if at.recorded is not None]
-    x, y, z = np.concatenate(seen).T
-    azimuth = FineCircle.over(np.arctan2(y, x))
-    elevation = FineCircle.over(np.arctan2(z, np.hypot(x, y)))
+    angles = [
+        _find_angles(at.recorded, at.machine.tracker.face)
+        for at in runs
+        if at.recorded is not None
+    ]
+    azimuth, elevation = (
+        FineCircle.over(np.concatenate(each)) for each in zip(*angles, strict=True)
+    )
     is_moving = any((at.line >= 0).any() for at in runs)
     return TrackerErrors(specification, azimuth, elevation, is_moving, own)

@@ -15,6 +15,7 @@ class TrackerNoise:
     """Standard deviations of one sample, its rate, and where the tracker stands.
 
     specification : of its systematic errors; None where it is not stated
+    face : 1 or 2, in which it measures; None where it has not two
     """
 
     range_sigma_um: float = 1.0
@@ -24,6 +25,7 @@ class TrackerNoise:
     rate_hz: float = 500.0
     stands_on: str = "workpiece"
     specification: TrackerSpecification | None = None
+    face: int | None = None
 
     @property
     def systematic(self) -> TrackerSpecification:

@@ -30,6 +30,7 @@ from truepath.motion.workspace.line_of_sight import (
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.records import Path
 
+MOVE_S = 600.0  # to carry a tracker, let it warm up, check known points
 REPLAN = "plan other lines, or correct the workspace"
 
 
@@ -38,13 +39,13 @@ class StationAreas:
     """Where the tracker may stand, in the frame that it stands on.
 
     keep_out : boxes in which it must not stand
-    move_s : what another station costs: carry it, warm up, check known points
+    move_s : what another station costs
     specification : of the tracker's systematic errors; None where it is not stated
     """
 
     areas: tuple[Box, ...]
     keep_out: tuple[Box, ...] = ()
-    move_s: float = 600.0
+    move_s: float = MOVE_S
     specification: TrackerSpecification | None = None
 
     def find_specification(self, machine: Machine) -> TrackerSpecification:

@@ -31,7 +31,7 @@ _WIDER = 1.2  # than the areas: so much of it comes to lie on their borders
 _CLIMBERS, _HALVINGS = 2, 3
 MOST_STATIONS = 3
 _WORTH = 0.9  # of what one place leaves, or below: further stations pay
-_APART_MM = 300.0  # of stations: nearer ones see much the same
+APART_MM = 300.0  # of stations: nearer ones see much the same
 _UNSEEN = 0.02  # share of the travel that is worth a station
 
 
@@ -124,13 +124,13 @@ class StationChoice:
             chosen = self._add(chosen)
         return chosen
 
-    def compare(self, count: int, time_s: float, sigma_mm: float) -> float:
+    def compare(self, count: int, time_s: float, random_mm: float) -> float:
         """Return what a plan leaves over what the survey says of the same time.
 
-        count : of its stations; sigma_mm : what it leaves by its forecast
+        count : of its stations; random_mm : what time averages of it, by its forecast
         """
         same = self.judge.evaluate(self.choose_stations(count), time_s)
-        return sigma_mm / same.random_mm
+        return random_mm / same.random_mm
 
     def advise(self, time_s: float, scale: float) -> StationAdvice:
         """Return what to say of stations that measure for a time in all.
@@ -186,7 +186,7 @@ class StationChoice:
         if not free:
             raise PlanningError(
                 f"the tracker's areas have no {len(others) + 1} places that are "
-                f"{_APART_MM:g} mm apart; widen them, or plan fewer stations"
+                f"{APART_MM:g} mm apart; widen them, or plan fewer stations"
             )
         return min(free, key=predict_left_mm)
 
@@ -196,7 +196,7 @@ class StationChoice:
         return [
             one
             for one in self.judged
-            if np.linalg.norm(taken - one.place_mm, axis=1).min() >= _APART_MM
+            if np.linalg.norm(taken - one.place_mm, axis=1).min() >= APART_MM
         ]
 
 

@@ -111,12 +111,34 @@ class PredictedLagOut(BaseModel):
     uncertainty_ms: float
 
 
+class SetUpRemedyOut(MapUncertaintyOut):
+    """The rows once more with the tracker set up otherwise, and what both leave."""
+
+    change: Literal["second-place", "turned-base", "other-face"]
+    position_mm: Vector3
+    turn_deg: float = Field(description="Of the base, against where it stands before.")
+    minutes: float = Field(description="More than the plan takes, set-up included.")
+    removed_um_per_minute: float
+
+
+class TrackerErrorsOut(BaseModel):
+    """What the tracker may be off by leaves, and what takes most of it a minute."""
+
+    random_um: float = Field(description="What a perfect tracker would leave.")
+    systematic_um: float
+    statement: list[str]
+    remedies: list[SetUpRemedyOut]
+
+
 class PredictedOut(MapUncertaintyOut):
     """What the plan leaves unknown."""
 
     errors: dict[str, PredictedErrorOut]
     effects: list[UpdatedEffectOut]
     servo_mismatch: dict[str, PredictedLagOut]
+    tracker_errors: TrackerErrorsOut | None = Field(
+        None, description="Null where the tracker is stated to be perfect."
+    )
 
 
 class PlannedTargetOut(MapUncertaintyOut):

@@ -52,6 +52,9 @@ class TrackerNoiseOut(BaseModel):
     specification: dict[str, float] | None = Field(
         None, description="By its key; that of a typical tracker where left out."
     )
+    face: Literal[1, 2] | None = Field(
+        None, description="In which it measures; left out where it has not two."
+    )
 
 
 class MotionLimitsOut(BaseModel):

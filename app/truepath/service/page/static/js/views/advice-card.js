@@ -23,6 +23,19 @@ export function adviceCard(plan) {
     h("p", { class: "field-note" }, t("advice.note", { k: COVERAGE, minutes: number(stations.move_minutes) })));
 }
 
+/** A card that says how much of a prediction is the tracker's, and what takes it away; null for a perfect tracker. */
+export function settleCard(predicted) {
+  const errors = predicted?.tracker_errors;
+  if (!errors) return null;
+  const values = { random: expanded(errors.random_um), all: quantity(predicted.expanded_volumetric_uncertainty_um, "gap") };
+  return card(t("settle.title"), h("p", {}, t("settle.share", values)),
+    pairs(errors.remedies.map((one) => [
+      t(`settle.${one.change}`, { place: placeText(one.position_mm), turn: number(one.turn_deg) }),
+      t("settle.leaves", { u: quantity(one.expanded_volumetric_uncertainty_um, "gap"), minutes: number(one.minutes) }),
+    ])),
+    h("p", { class: "field-note" }, t("settle.note", { k: COVERAGE })));
+}
+
 const after = ({ position_mm, duration_s, volumetric_uncertainty_um: left }) => [
   placeText(position_mm), h("br"),
   h("span", { class: "quiet" }, t("advice.after", { time: duration(duration_s), u: expanded(left) })),

@@ -8,7 +8,7 @@ import { sayUnobservable } from "../statements.js";
 import { nameOf } from "../tables.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
-import { adviceCard } from "./advice-card.js";
+import { adviceCard, settleCard } from "./advice-card.js";
 
 const LONGEST_MIN = ["3", "6", "12"];
 const NO_OFFSET = [0, 0, 0];
@@ -175,12 +175,12 @@ const named = ({ error, at_tool_um }) => t("curve.weak_one", { error, name: name
 
 /** Stations and tools in words, where the plan has something to say of them. */
 function more(plan, unobservable) {
-  const { tracker, stations, at_stations } = plan.document ?? {};
+  const { tracker, stations, at_stations, predicted } = plan.document ?? {};
   const advice = stations ? adviceCard({ place: { tracker, stations, at_stations } }) : null;
   const blind = unobservable.length
     ? h("details", { class: "curve-blind" }, h("summary", {}, t("curve.blind", { count: number(unobservable.length) })),
       h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, sayUnobservable(text))))) : null;
-  return h("div", { class: "stack" }, advice, blind);
+  return h("div", { class: "stack" }, advice, settleCard(predicted), blind);
 }
 
 /** Rows with where the tracker stands for each, the travel, and the reflector on the tool. */
