@@ -132,8 +132,10 @@ def record(
     )
     seen_mm = pose.from_table(table_mm)
     if machine.tracker.specification:
-        body = TrackerBody.draw(machine.tracker.specification, which, seed)
-        seen_mm = body.read(seen_mm, true_s)
+        locks_s = sorted(begin + lasts for begin, lasts in setting.defects.beam_breaks)
+        stated = machine.tracker.specification
+        body = TrackerBody.draw(stated, which, seed, 1 + len(locks_s))
+        seen_mm = body.read(seen_mm, true_s, locks_s)
     stream = _observe(machine, seen_mm, seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
