@@ -11,6 +11,7 @@ from truepath.alignment.align import align_all
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.results.verdict import judge
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -54,11 +55,13 @@ def lock_again(position_mm):
     return to_cartesian(to_spherical(position_mm) + LONGER)
 
 
+# What is done, how large it is, and which reason of the verdict says it.
 KINDS = {
-    "place": (shift, 1e3 * np.linalg.norm(PLACE_MM)),
-    "tilt": (tilt, 1e6 * np.linalg.norm(TILT_RAD)),
-    "range": (lock_again, 1e3 * RANGE_MM),
+    "place": (shift, 1e3 * np.linalg.norm(PLACE_MM), "set-up-moved"),
+    "tilt": (tilt, 1e6 * np.linalg.norm(TILT_RAD), "tracker-tilted"),
+    "range": (lock_again, 1e3 * RANGE_MM, "range-offset-changed"),
 }
+SAID = {said for _, _, said in KINDS.values()}
 
 
 def disturb(run, kind, share, broken_s=0.0):
@@ -93,8 +96,11 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     (knock,) = found.knocks
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
-    told = 1e6 * knock.turned_rad if kind == "tilt" else 1e3 * knock.moved_mm
-    assert told == pytest.approx(KINDS[kind][1], abs=5.0)
+    _, size, said = KINDS[kind]
+    (reason,) = (one for one in judge(found, ["run"]).reasons if one.kind in SAID)
+    assert reason.kind == said
+    told = reason.values["angle_urad" if kind == "tilt" else "distance_um"]
+    assert told == pytest.approx(size, abs=5.0)
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75
 
 
