@@ -48,7 +48,8 @@ class Defects:
 
     dropped_share : share of the frames that are missing, one by one
     gaps : (begin_s, duration_s) of silence, since the begin of the stream
-    beam_breaks : (begin_s, duration_s) in which samples are there but not valid
+    beam_breaks : (begin_s, duration_s) in which samples are there but not valid; after
+        each, a tracker with a specification has another range offset
     spikes, spike_mm : number of valid samples that are off by so much
     duplicated_share : share of the frames that come twice, as no good driver lets them
     late_start_s : the stream begins so long after the motion
