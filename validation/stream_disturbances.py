@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
+from truepath_simulators.worlds.synthetic import BEAM_BROKEN
 
 Disturb = Callable[[TrackerSamples, np.random.Generator], TrackerSamples]
 
@@ -107,6 +109,18 @@ def knock(*size_um: float, drift_um: float = 0.0) -> Disturb:
     return disturb
 
 
+def shift(size_um: float) -> Disturb:
+    """Shift the tracker at one moment."""
+
+    def disturb(stream: TrackerSamples, rng: np.random.Generator) -> TrackerSamples:
+        late = slice(int(rng.uniform(0.2, 0.8) * len(stream)), None)
+        moved = stream.position_mm.copy()
+        moved[late] += draw_shift_mm(1e-3 * size_um, rng)
+        return move(stream, moved)
+
+    return disturb
+
+
 def turn(angle_urad: float) -> Disturb:
     """Turn the tracker about itself at one moment."""
 
@@ -115,5 +129,21 @@ def turn(angle_urad: float) -> Disturb:
         moved = stream.position_mm.copy()
         moved[late] += np.cross(draw_shift_mm(1e-6 * angle_urad, rng), moved[late])
         return move(stream, moved)
+
+    return disturb
+
+
+def lock_again(offset_um: float, broken_s: float) -> Disturb:
+    """Read every distance too long from one moment on, after so long without beam."""
+
+    def disturb(stream: TrackerSamples, rng: np.random.Generator) -> TrackerSamples:
+        first = int(rng.uniform(0.2, 0.8) * len(stream))
+        back_s = stream.device_time_s[first] + broken_s
+        late = stream.device_time_s >= back_s
+        polar = to_spherical(stream.position_mm)
+        polar[late, 0] += 1e-3 * offset_um
+        status = stream.status.copy()
+        status[first:][~late[first:]] = BEAM_BROKEN
+        return replace(stream, position_mm=to_cartesian(polar), status=status)
 
     return disturb

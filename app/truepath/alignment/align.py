@@ -53,7 +53,7 @@ from truepath.alignment.stream.sequence import Matching, match_stops, require_ta
 from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY
 from truepath.alignment.stream.stops import StopSequence, find_stops
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import PointRows, Run
+from truepath.files.bundle.run import PointRows, Run, list_locks_s
 from truepath.kinematics.machine.other_chains import describe_other, list_other_machines
 from truepath_drivers.interfaces.records import Path
 
@@ -79,7 +79,12 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
     for name, run in zip(names, runs, strict=True):
         try:
             seen = align(run)
-            seen = add_surroundings(seen, run.commanded, run.temperature)
+            seen = add_surroundings(
+                seen,
+                run.commanded,
+                run.temperature,
+                locks_s=list_locks_s(run.tracker),
+            )
         except AlignmentError as error:
             if len(runs) == 1:
                 raise

@@ -29,7 +29,7 @@ from truepath.estimation.noise.baseline import (
     refit_noise,
 )
 from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.run import Run
+from truepath.files.bundle.run import Run, list_locks_s
 from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.candidate_term import propose_terms
@@ -100,7 +100,13 @@ def _add_surroundings(
 ) -> Observations:
     """Return observations of a Run with its number and their surroundings."""
     observations = _leave_out_unlike(run, observations)
-    return add_surroundings(observations, run.commanded, run.temperature, number)
+    return add_surroundings(
+        observations,
+        run.commanded,
+        run.temperature,
+        number,
+        list_locks_s(run.tracker),
+    )
 
 
 @dataclass(frozen=True)

@@ -181,6 +181,12 @@ class RunModels:
     coarse: MachineModel
     shapes: ShapeModel
 
+    def with_effects(self, *effects: Effect) -> RunModels:
+        """Return the models with further effects."""
+        alone = add_effects(self.nested.alone, effects)
+        nested = replace(self.nested, alone=alone)
+        return replace(self, nested=nested, coarse=add_effects(self.coarse, effects))
+
     def add_bends(self) -> RunModels:
         """Return the models for Runs that are measured on ramps as well."""
         alone = add_bends(self.nested.alone)

@@ -25,6 +25,7 @@ class RecordedState:
     tracker_mm : (n, 3) point in the tracker's frame
     rotation : (3, 3) frame of the workpiece, or base, to that of the tracker
     temperature_degc : (n, sensors) of the named sensors
+    lock : (n,) how often the beam was lost and found before; never where left out
     """
 
     rate: Float64[np.ndarray, "n a"]
@@ -34,10 +35,11 @@ class RecordedState:
     rotation: Float64[np.ndarray, "3 3"]
     sensors: tuple[str, ...] = ()
     temperature_degc: Float64[np.ndarray, "n s"] | None = None
+    lock: Int64[np.ndarray, " n"] | None = None
 
     def select(self, rows: Int64[np.ndarray, " m"]) -> RecordedState:
         """Return those of some of the moments."""
-        celsius = self.temperature_degc
+        celsius, lock = self.temperature_degc, self.lock
         return replace(
             self,
             rate=self.rate[rows],
@@ -45,6 +47,7 @@ class RecordedState:
             since_reversal=self.since_reversal[rows],
             tracker_mm=self.tracker_mm[rows],
             temperature_degc=None if celsius is None else celsius[rows],
+            lock=None if lock is None else lock[rows],
         )
 
 

@@ -123,7 +123,7 @@ class Findings:
     trials : what trials say of it, if they were run
     grade : what the set-up was worth before the measurement, if it was asked
     verdict : whether the result may be used
-    left_out : of each Run given, what was not used; knocks : at which Runs were split
+    left_out : of each Run given, what was not used; knocks : steps of the set-up
     contributions : what each Run given brought, if it was asked
     budget : what each source of uncertainty brings, if it was asked
     both_directions : the volumetric error with lost motion, where that is determined

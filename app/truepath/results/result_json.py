@@ -190,6 +190,7 @@ def _knock_json(knock: Knock) -> dict[str, Any]:
     return {
         "run": knock.run,
         "row": knock.row,
+        "kind": knock.kind,
         "t_s": knock.time_s,
         "shift_um": UM_PER_MM * knock.moved_mm,
         "turn_urad": URAD_PER_RAD * knock.turned_rad,

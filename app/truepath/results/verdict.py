@@ -19,6 +19,7 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.disturbances import CheckedEstimate
 from truepath.estimation.checks.misfit import Misfit
 from truepath.estimation.checks.run_parts import Knock
+from truepath.estimation.checks.step_kinds import RANGE, TILT
 from truepath.estimation.checks.tracker_score import RangeOffsetScore
 from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.direction import Fit
@@ -28,7 +29,7 @@ from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
 from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
-from truepath.files.units import UM_PER_MM
+from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -374,9 +375,15 @@ def _list_lines(rows: Sequence[int]) -> str:
 
 def _judge_knocks(knocks: Sequence[Knock]) -> Iterator[Reason]:
     for knock in knocks:
-        distance_um = UM_PER_MM * knock.moved_mm
-        values = {"distance_um": distance_um, "at_s": knock.time_s}
-        yield Reason("set-up-moved", "usable", values)
+        kind, values = "set-up-moved", {"distance_um": UM_PER_MM * knock.moved_mm}
+        if knock.kind == TILT:
+            kind, values = (
+                "tracker-tilted",
+                {"angle_urad": URAD_PER_RAD * knock.turned_rad},
+            )
+        elif knock.kind == RANGE:
+            kind = "range-offset-changed"
+        yield Reason(kind, "usable", values | {"at_s": knock.time_s})
 
 
 def _judge_noise(

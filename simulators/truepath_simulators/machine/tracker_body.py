@@ -6,7 +6,7 @@ by turning its axes until the beam meets the target, not by a formula for each e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ class TrackerBody:
     circles : (2, k, 2) error of azimuth and elevation, k cycles a turn, cos and sin
     square : (2,) of the transit axis to the standing one, of the beam to the transit
     late_s : (4,) range, azimuth, rise into azimuth, turn into elevation
+    range_mm : (locks,) offset of the range after each lock of the beam
     """
 
     circles: np.ndarray
@@ -36,16 +37,19 @@ class TrackerBody:
     beam_mm: np.ndarray
     reflector_mm: np.ndarray
     late_s: np.ndarray
-    range_mm: float
+    range_mm: np.ndarray
     scale: float
     air: tuple[float, float]
     bending_per_mm: float
 
     @staticmethod
     def draw(
-        specification: Mapping[str, float], tracker_seed: int, set_up_seed: int
+        specification: Mapping[str, float],
+        tracker_seed: int,
+        set_up_seed: int,
+        locks: int = 1,
     ) -> TrackerBody:
-        """Draw a tracker, and what changes with its set-up."""
+        """Draw a tracker, and what changes with its set-up and each lock."""
         made = generator(tracker_seed, "tracker: body")
         placed = generator(set_up_seed, "tracker: set-up")
 
@@ -57,6 +61,8 @@ class TrackerBody:
             size(made, key, 2, 1, 2) for key in ("eccentricity_urad", "encoder_urad")
         ]
         fine = size(made, "fine_urad", 2, len(_FINE), 2) / len(_FINE) ** 0.5
+        locked = generator(set_up_seed, "tracker: locks")
+        again = size(locked, "range_offset_um", locks - 1)
         return TrackerBody(
             np.concatenate([*coarse, fine], axis=1),
             float(size(made, "index_urad")),
@@ -65,16 +71,23 @@ class TrackerBody:
             size(made, "beam_offset_um", 2),
             size(made, "reflector_um", 2),
             size(made, "delay_us", 4),
-            float(size(placed, "range_offset_um")),
+            np.append(size(placed, "range_offset_um"), again),
             float(size(placed, "scale_ppm")),
             (float(size(placed, "scale_drift_ppm")), placed.uniform(0.0, 2.0 * np.pi)),
             1e-3 * float(size(placed, "bending_urad_per_m")),
         )
 
     def read(
-        self, point_mm: np.ndarray, time_s: np.ndarray, face: int = 1
+        self,
+        point_mm: np.ndarray,
+        time_s: np.ndarray,
+        locks_s: Sequence[float] = (),
+        face: int = 1,
     ) -> np.ndarray:
-        """Return what its software makes of targets (n, 3), in its own frame."""
+        """Return what its software makes of targets (n, 3), in its own frame.
+
+        locks_s : when it has found its target again
+        """
         seen = to_spherical(point_mm + self._move_centre(point_mm))
         turned, sense = seen.copy(), np.ones(3)
         if face == 2:  # half a turn, and over the zenith: up is down for its axis
@@ -89,9 +102,10 @@ class TrackerBody:
         swing = np.sin(2.0 * np.pi * time_s / _AIR_S + phase) - np.sin(phase)
         scale = self.scale + wave * swing
         bent = self.bending_per_mm * distance
+        offset = self.range_mm[np.searchsorted(locks_s, time_s, side="right")]
         reading = np.stack(
             [
-                distance * (1.0 + scale - bent * np.sin(elevation)) + self.range_mm,
+                distance * (1.0 + scale - bent * np.sin(elevation)) + offset,
                 azimuth + _swing(self.circles[0], azimuth),
                 elevation
                 + _swing(self.circles[1], elevation)

@@ -112,7 +112,7 @@ class TrackerSight:
         point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
         if self._body:
             face = parts.truth.machine.tracker.face
-            point = self._body.read(point, moments_s, face)
+            point = self._body.read(point, moments_s, face=face)
         if parts.hidden:
             point = to_cartesian(misread(to_spherical(point), parts.hidden))
         polar = measure_polar(point, noise, parts.truth.machine.tracker)

@@ -48,7 +48,8 @@ class Defects:
 
     dropped_share : share of the frames that are missing, one by one
     gaps : (begin_s, duration_s) of silence, since the begin of the stream
-    beam_breaks : (begin_s, duration_s) in which samples are there but not valid
+    beam_breaks : (begin_s, duration_s) in which samples are there but not valid; after
+        each, a tracker with a specification has another range offset
     spikes, spike_mm : number of valid samples that are off by so much
     duplicated_share : share of the frames that come twice, as no good driver lets them
     late_start_s : the stream begins so long after the motion
@@ -132,8 +133,10 @@ def record(
     )
     seen_mm = pose.from_table(table_mm)
     if machine.tracker.specification:
-        body = TrackerBody.draw(machine.tracker.specification, which, seed)
-        seen_mm = body.read(seen_mm, true_s, machine.tracker.face)
+        locks_s = sorted(begin + lasts for begin, lasts in setting.defects.beam_breaks)
+        stated = machine.tracker.specification
+        body = TrackerBody.draw(stated, which, seed, 1 + len(locks_s))
+        seen_mm = body.read(seen_mm, true_s, locks_s, machine.tracker.face)
     stream = _observe(machine, seen_mm, seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:

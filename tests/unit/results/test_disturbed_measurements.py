@@ -77,6 +77,8 @@ def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
     assert abs(knock.time_s - clean.tracker.device_time_s[first]) < 3.0
     assert 1e3 * knock.moved_mm == pytest.approx(46.9, abs=2.0)
     assert [run.part for run in spoilt.runs] == [1, 2]
+    (step,) = result_json(spoilt)["setup_steps"]
+    assert step["kind"] == "place"
     assert "set-up-moved" in {reason.kind for reason in spoilt.verdict.reasons}
     assert spoilt.verdict.state == "usable"
     assert spoilt.volumetric.before.mean.value_um == pytest.approx(

@@ -138,10 +138,22 @@ class Observations:
 
     @property
     def stretches(self) -> list[tuple[int, int]]:
-        """First cell and one past the last of lines and standstills, ramps apart."""
+        """First cell and one past the last of lines and standstills.
+
+        Ramps apart, and what is before and after a new lock of the beam.
+        """
         changes = 1 + np.flatnonzero(np.diff(self.is_ramp))
+        changes = np.union1d(changes, self.new_locks)
         ends = np.union1d([last for _, last in self.lines], changes)
         return list(pairwise([0, *ends.astype(np.int64).tolist()]))
+
+    @property
+    def new_locks(self) -> Int64[np.ndarray, " m"]:
+        """The first cells after the beam was lost and found again."""
+        recorded = self.at.recorded
+        if recorded is None or recorded.lock is None:
+            return np.zeros(0, np.int64)
+        return 1 + np.flatnonzero(np.diff(recorded.lock))
 
     @property
     def is_ramp(self) -> Bool[np.ndarray, " n"]:

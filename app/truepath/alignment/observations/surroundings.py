@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,10 +21,12 @@ def add_surroundings(
     commanded: Path | Configurations,
     temperature: TemperatureSamples | None = None,
     number: int = 0,
+    locks_s: Sequence[float] = (),
 ) -> Observations:
     """Return the observations, their conditions knowing Run and surroundings.
 
     number : which of several Runs it is
+    locks_s : when the beam was found again after it was lost
     """
     recorded = RecordedState(
         _rates(observations),
@@ -32,6 +35,7 @@ def add_surroundings(
         observations.tracker_mm,
         observations.pose.rotation,
         *_temperatures(temperature, observations.at.time_s),
+        np.searchsorted(np.array(locks_s), observations.at.time_s, side="right"),
     )
     return replace(
         observations, at=replace(observations.at, run=number, recorded=recorded)

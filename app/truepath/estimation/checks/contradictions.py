@@ -9,6 +9,7 @@ verdict.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -23,6 +24,7 @@ from truepath.estimation.checks.run_parts import (
     split_at_all,
 )
 from truepath.estimation.checks.setup_steps import Step
+from truepath.estimation.checks.step_kinds import RANGE
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
@@ -52,7 +54,7 @@ def remove_plainest(
             fewer += split_at_all(part, knocks, edges, misfit.off_mm)
         elif bad.any():
             seen = leave_out(part.seen, bad, misfit.off_mm, edges)
-            fewer.append(RunPart(part.given, seen))
+            fewer.append(replace(part, seen=seen))
         elif knocks:
             fewer += split_at_all(part, knocks, edges, misfit.off_mm)
         else:
@@ -74,7 +76,7 @@ def find_knocks(misfit: Misfit) -> list[Step]:
     found = [
         step
         for step in misfit.steps
-        if step.gain > limit and step.moved_mm > LEAST_KNOCK_MM
+        if (step.gain > limit or step.kind == RANGE) and step.moved_mm > LEAST_KNOCK_MM
     ]
     excess = misfit.square - misfit.freedom
     alone = max((step.alone for step in found), default=0.0)

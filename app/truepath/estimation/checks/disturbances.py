@@ -2,14 +2,14 @@
 
 Solve, look at what is left (`misfit`), act on the plainest contradiction, solve again.
 A step of the tracker's or reflector's place makes two Runs of one, each with a pose of
-its own. Cells and whole lines that the rest of the measurement contradicts are left
-out.
+its own; a new range offset is one parameter more. Cells and whole lines that the rest
+of the measurement contradicts are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -33,6 +33,7 @@ from truepath.estimation.checks.run_parts import (
     measure_knock,
     split_at_all,
 )
+from truepath.estimation.checks.step_kinds import RANGE
 from truepath.estimation.checks.usual_machine import (
     bends_freely,
     find_shifted_stops,
@@ -89,7 +90,7 @@ def estimate_checked(
 
     def solve(parts: Sequence[RunPart], begin: float, end: float) -> Estimate:
         return estimate(
-            models,
+            _add_range_steps(models, parts),
             [part.seen for part in parts],
             known=known,
             perpendicular_only=perpendicular_only,
@@ -122,8 +123,8 @@ class _Solved:
     def of(cls, parts: list[RunPart], found: Estimate) -> Self:
         """Return them with what the estimate leaves."""
         fit = _fit_of(found)
-        misfits = tuple(assess_misfit(fit, k) for k in range(len(found.runs)))
-        return cls(parts, found, misfits)
+        misfits = (assess_misfit(fit, k, names=True) for k in range(len(found.runs)))
+        return cls(parts, found, tuple(misfits))
 
     def state(self, runs: int) -> CheckedEstimate:
         """Return what is told of so many Runs given."""
@@ -131,11 +132,13 @@ class _Solved:
             [x for part in self.parts if part.given == k for x in part.seen.left_out]
             for k in range(runs)
         ]
+        knocks = _list_knocks(self.parts, self.found)
+        knocks += _list_new_offsets(self.parts, self.found)
         return CheckedEstimate(
             self.found,
             tuple(part.given for part in self.parts),
             tuple(map(tuple, left_out)),
-            tuple(_list_knocks(self.parts, self.found)),
+            tuple(sorted(knocks, key=lambda knock: (knock.run, knock.time_s))),
             self.misfits,
         )
 
@@ -153,8 +156,8 @@ def _split_at_hidden_steps(
         fit = _fit_of(solved.found)
         if not bends_freely(fit):
             break
-        usual = fit_usual_machine(fit, _list_names(models))
-        misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+        usual = fit_usual_machine(fit, _list_names(models, solved.parts))
+        misfits = [assess_misfit(usual, k, names=True) for k in range(len(fit.runs))]
         if not _has_plain_step(misfits):
             break
         parts = _split(solved, misfits)
@@ -178,14 +181,19 @@ def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
     return join_empty(parts)
 
 
-def _list_names(models: RunModels) -> set[str]:
+def _add_range_steps(models: RunModels, parts: Sequence[RunPart]) -> RunModels:
+    return models.with_effects(*(step for part in parts for step in part.range_steps))
+
+
+def _list_names(models: RunModels, parts: Sequence[RunPart]) -> set[str]:
     """Return the effects of a machine whose direction of approach does not matter."""
-    return {effect.name for effect in models.nested.alone.effects}
+    nested = _add_range_steps(models, parts).nested
+    return {effect.name for effect in nested.alone.effects}
 
 
 def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solved:
     """Return the estimate without stops that a usual machine cannot follow."""
-    suspects = _find_shifted(solved.found, models)
+    suspects = _find_shifted(solved, models)
     if not suspects:
         return solved
     without = solve(_leave_out_lines(solved, suspects), 0.7, 0.75)
@@ -232,16 +240,16 @@ def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
     )
 
 
-def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
+def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
     """Return the stops of each Run that a usual machine cannot follow; or nothing.
 
     The last points of a target look so after a step of the set-up, if the seats of
     later targets can follow it: then the step is to be found.
     """
-    fit = _fit_of(found)
+    fit = _fit_of(solved.found)
     if not is_doubtful(fit):
         return []
-    usual = fit_usual_machine(fit, _list_names(models))
+    usual = fit_usual_machine(fit, _list_names(models, solved.parts))
     lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []
@@ -270,7 +278,7 @@ def _leave_out_lines(
         bad = spread_over_cells(misfit, chosen)
         edges = part.seen.find_edges(fitted)
         seen = leave_out(part.seen, bad, misfit.off_mm, edges)
-        fewer.append(RunPart(part.given, seen) if bad.any() else part)
+        fewer.append(replace(part, seen=seen) if bad.any() else part)
     return fewer
 
 
@@ -287,4 +295,23 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
         if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
             knocks.append(knock)  # else what was between is left out, and all as before
+    return knocks
+
+
+def _list_new_offsets(parts: list[RunPart], found: Estimate) -> list[Knock]:
+    """Return the steps of the range offset, as large as the solve finds them."""
+    fit = _fit_of(found)
+    steps = {step: part.given for part in parts for step in part.range_steps}
+    knocks: list[Knock] = []
+    for step, given in steps.items():
+        seen = [part.seen for part in parts if part.given == given]
+        time_s = np.concatenate([each.at.time_s for each in seen])
+        row = np.concatenate([each.row for each in seen])
+        first = int(np.searchsorted(time_s, step.time_s))
+        (size_mm,) = fit.result.theta[fit.model.slices[step.name]]
+        if 0 < first < len(time_s) and abs(size_mm) > LEAST_KNOCK_MM:
+            between_s = float(time_s[first - 1]), float(time_s[first])
+            knocks.append(
+                Knock(given, int(row[first]), between_s, float(size_mm), 0.0, RANGE)
+            )
     return knocks

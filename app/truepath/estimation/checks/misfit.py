@@ -2,8 +2,8 @@
 
 Everything here is a score test (`score`), of columns B that might be added.
 
-A step of the tracker's or the reflector's place has the columns of the pose for all
-that comes after it. Sums over lines, accumulated from the end, give B for all moments
+A step of the set-up has the columns of pose and range offset for all that comes after
+it. Sums over lines, accumulated from the end, give B for all moments
 at once. Steps count only as far as slow drift of pose and size does not explain them as
 well, and as far as they stand out from what they do not explain: a machine that warms,
 or an effect that the model lacks, is no knock.
@@ -24,12 +24,14 @@ from scipy.special import chdtri
 from truepath.estimation.checks.misfit_blocks import BlockMisfit, MisfitBlock
 from truepath.estimation.checks.setup_steps import Step, StepSearch, find_steps
 from truepath.estimation.checks.step_candidates import (
+    COLUMNS,
     Candidates,
     Drift,
     Prospects,
     Shared,
     StepSums,
 )
+from truepath.estimation.checks.step_kinds import StepKinds
 from truepath.estimation.problem.design_matrix import DesignMatrix, cut_into_blocks
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, add_information
@@ -85,8 +87,11 @@ class Misfit:
         return float(np.sqrt(self.square / self.freedom))
 
 
-def assess_misfit(fit: Fit, number: int) -> Misfit:
-    """Return what the fit leaves of one of its Runs."""
+def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> Misfit:
+    """Return what the fit leaves of one of its Runs.
+
+    names : say what the steps are as well, and look for new range offsets
+    """
     examination = _Examination(fit, number)
     lines = examination.seen.lines
     begin = np.array(lines, np.int64)[:, 0]
@@ -97,7 +102,7 @@ def assess_misfit(fit: Fit, number: int) -> Misfit:
     if any(step.alone > limit for step in found.steps):
         within = np.concatenate([np.arange(*line, _STRIDE) for line in lines])
         found = examination.assess(within, _MOST_STEPS)
-    return found
+    return examination.name_steps(found) if names else found
 
 
 class _Examination:
@@ -167,6 +172,32 @@ class _Examination:
             self._list_unseen(steps.bare, limit),
         )
 
+    def name_steps(self, found: Misfit) -> Misfit:
+        """Return what the fit leaves, its steps with what they are.
+
+        Not where it is unknown how the tracker looks: no offset could be solved for.
+        """
+        if self.seen.at.recorded is None:
+            return found
+        limit = compute_step_limit(len(found.line)) * found.rest
+        steps = [step for step in found.steps if step.gain > limit]
+        cells, locks = [step.cell for step in steps], self.seen.new_locks.tolist()
+        if not cells and not locks:
+            return found
+        blocks = map(self._build, cut_into_blocks(self.seen))
+        total = np.sum([block.sum_kinds(cells, locks) for block in blocks], axis=0)
+        fit, tracker = len(self.factor.scale), self.about.tracker
+        half, raw = self.factor.solve_half(total[:fit, :-1]), total[fit:-1, :-1]
+        kinds = StepKinds(
+            steps,
+            locks,
+            raw - half.T @ half,
+            total[fit:-1, -1],
+            self.about.pose.invert().translation_mm - np.array(tracker.centre_mm),
+            found.rest,
+        )
+        return replace(found, steps=tuple(kinds.name()))
+
     def _sum_blocks(
         self, starts: Int64[np.ndarray, " l"]
     ) -> tuple[list[BlockMisfit], StepSums, list[StepSums]]:
@@ -208,12 +239,14 @@ class _Examination:
 
     @property
     def _width(self) -> int:
-        return self.about.size + _DRIFT + 1
+        return self.about.size + 1 + _DRIFT + 1
 
     def _build(self, cells: slice) -> MisfitBlock:
         design = self.about.build(self.seen.select(np.r_[cells]))
         rest = design.residual - design.columns @ self.theta
-        parts = [design.columns, self._drift_columns(design), rest[:, :, None]]
+        along = np.tile(np.eye(3)[:, :1], (len(rest), 1, 1))  # of the beam
+        drift = self._drift_columns(design)
+        parts = [design.columns, along, drift, rest[:, :, None]]
         return MisfitBlock(
             cells,
             self.about,
@@ -274,7 +307,7 @@ class _Examination:
 
 def compute_step_limit(lines: int) -> float:
     """Return the gain of a step that chance seldom makes in so many lines."""
-    return float(chdtri(6, _RISK / max(lines, 1))) * _STEP_MARGIN
+    return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
 
 
 def collect_known(fit: Fit, number: int) -> Information:

@@ -6,13 +6,14 @@ of its cells and lines.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.estimation.checks.score import compute_score
-from truepath.estimation.checks.step_candidates import StepSums
+from truepath.estimation.checks.step_candidates import COLUMNS, StepSums
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.noise import NoiseModel, total_precision
 from truepath.numerics.correlated_noise import Whitener
@@ -40,7 +41,10 @@ class BlockMisfit:
 
 @dataclass(frozen=True)
 class MisfitBlock:
-    """Some whole lines of a Run, with the columns of fit, drift and residual."""
+    """Some whole lines of a Run, with their columns.
+
+    columns : of the fit, pose last, range offset, drift, residual
+    """
 
     cells: slice
     about: Linearisation
@@ -49,9 +53,9 @@ class MisfitBlock:
     columns: Float64[np.ndarray, "n 3 q"]
 
     @property
-    def pose(self) -> slice:
-        """Where the columns of the pose are."""
-        return slice(self.about.machine_model.size, self.about.size)
+    def step(self) -> slice:
+        """Where the columns of pose and range offset are."""
+        return slice(self.about.machine_model.size, self.about.size + 1)
 
     @property
     def rest(self) -> Float64[np.ndarray, "n 3"]:
@@ -61,12 +65,12 @@ class MisfitBlock:
     @property
     def drift(self) -> Float64[np.ndarray, "n 3 s"]:
         """Columns of the drift."""
-        return self.columns[:, :, self.pose.stop : -1]
+        return self.columns[:, :, self.step.stop : -1]
 
     def assess(self) -> BlockMisfit:
         """Return what the fit leaves."""
         design, rest, drift = self.design, self.rest, self.drift
-        products = self.multiply(self.columns[:, :, self.pose.stop :])
+        products = self.multiply(self.columns[:, :, self.step.stop :])
         untimed = rest - explain_timing(design, self.whitener, rest)
         timed = design.timing.shape[2] + count_untimed(design, self.about)
         lines = design.observations.lines
@@ -92,7 +96,7 @@ class MisfitBlock:
         timing = own.timing.any(axis=(0, 1))
         kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
         own = replace(own, rows=own.rows[:, :, kept])
-        first = self.pose.start
+        first = self.step.start
         P = own.columns[:, :, first : first + 3]
         weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
         F = P.reshape(-1, 3).T @ weighted
@@ -108,29 +112,50 @@ class MisfitBlock:
         return flat.T @ weighted.reshape(len(flat), -1)
 
     def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
-        """Return the sums of steps of the pose before some cells of the Run."""
+        """Return the sums of steps before some cells of the Run."""
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = (inside[:, None] >= cell)[:, None, :, None]
-        steps: Float64[np.ndarray, "n 3 l 6"] = (
-            self.columns[:, :, None, self.pose] * after
+        steps: Float64[np.ndarray, "n 3 l 7"] = (
+            self.columns[:, :, None, self.step] * after
         )
         flat = steps.reshape(len(inside), 3, -1)
         weighted = weigh(self.design, self.whitener, flat)
         rows = self.columns.reshape(-1, self.columns.shape[2])
-        sums = (rows.T @ weighted.reshape(len(rows), -1)).reshape(-1, len(cell), 6)
+        sums = rows.T @ weighted.reshape(len(rows), -1)
+        sums = sums.reshape(-1, len(cell), COLUMNS)
         each, own = (
-            c.reshape(len(rows), len(cell), 6).transpose(1, 2, 0)
+            c.reshape(len(rows), len(cell), COLUMNS).transpose(1, 2, 0)
             for c in (flat, weighted)
         )
         return StepSums(cell, sums.transpose(1, 0, 2), each @ np.swapaxes(own, 1, 2))
 
-    def share_step(self, cell: int) -> Float64[np.ndarray, "n 6 6"]:
+    def sum_kinds(
+        self, steps: Sequence[int], locks: Sequence[int]
+    ) -> Float64[np.ndarray, "q k"]:
+        """Return the products of all columns with what may be added to the fit.
+
+        That is the drift, steps before some cells of the Run, range offsets before
+        others, and the residual; all columns are those of the fit and these.
+        """
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)[:, None]
+        after = (inside >= np.array(steps, np.int64))[:, None, :, None]
+        step = self.columns[:, :, None, self.step] * after
+        late = (inside >= np.array(locks, np.int64))[:, None]
+        offsets = self.columns[:, :, self.step.stop - 1, None] * late
+        parts = [self.drift, step.reshape(len(inside), 3, -1), offsets]
+        added = np.concatenate([*parts, self.rest[:, :, None]], axis=2)
+        weighted = weigh(self.design, self.whitener, added)
+        fit = self.columns[:, :, : self.about.size]
+        flat = np.concatenate([fit, added], axis=2).reshape(3 * len(inside), -1)
+        return flat.T @ weighted.reshape(len(flat), -1)
+
+    def share_step(self, cell: int) -> Float64[np.ndarray, "n 7 7"]:
         """Return products of a step with steps before each of the block's cells."""
-        pose = self.columns[:, :, self.pose]
+        step = self.columns[:, :, self.step]
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = inside >= cell
-        weighted = weigh(self.design, self.whitener, pose * after[:, None, None])
-        each = np.swapaxes(weighted, 1, 2) @ pose
+        weighted = weigh(self.design, self.whitener, step * after[:, None, None])
+        each = np.swapaxes(weighted, 1, 2) @ step
         return np.cumsum(each[::-1], axis=0)[::-1]
 
 

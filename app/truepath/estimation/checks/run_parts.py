@@ -1,5 +1,7 @@
 """Parts of a Run: without some cells, or before and after steps of the set-up's place.
 
+A new range offset parts nothing: it is a parameter of all that comes after it.
+
 What goes is said, by line and time.
 """
 
@@ -14,7 +16,9 @@ from jaxtyping import Bool, Float64, Int64
 from truepath.alignment.observations.cell_gate import describe_cells
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.setup_steps import Step
+from truepath.estimation.checks.setup_steps import POSE, Step
+from truepath.estimation.checks.step_kinds import RANGE
+from truepath.kinematics.effects.instrument import RangeStep, name_set_up
 from truepath.numerics.rigid import RigidTransform
 
 _FEWEST_CELLS = 4  # of a line that was cut
@@ -23,19 +27,26 @@ _LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
 
 @dataclass(frozen=True, slots=True)
 class RunPart:
-    """Observations of a Run given, or of its part between two knocks."""
+    """Observations of a Run given, or of its part between two knocks.
+
+    kind : of the knock that it begins with; range_steps : that were found in the Run
+    """
 
     given: int
     seen: Observations
+    kind: str = POSE
+    range_steps: tuple[RangeStep, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Knock:
-    """A step of the place of tracker or reflector, both sides of which were solved.
+    """A step of the set-up, both sides of which were solved.
 
     run : of those given; row : on the way to which, or at which, it happened
     between_s : times of the last cell before it and the first after it
     moved_mm : of the pose, at the middle of the measured points; turned_rad : likewise
+    kind : `place` or `tilt` of the tracker, `pose` where it is neither alone, or
+        `range`: distances are longer by `moved_mm`
     """
 
     run: int
@@ -43,6 +54,7 @@ class Knock:
     between_s: tuple[float, float]
     moved_mm: float
     turned_rad: float
+    kind: str = POSE
 
     @property
     def time_s(self) -> float:
@@ -102,15 +114,37 @@ def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunP
     Where it is within a line, the cell that it may be in belongs to neither.
     edges : where the cells that were fitted begin among those of the part
     """
-    seen, joined, cell = part.seen, cell, int(edges[cell])
+    before, after, time_s = _find_gap(part.seen, cell, edges)
+    return divide(part, before, after, time_s)
+
+
+def _find_gap(
+    seen: Observations, cell: int, edges: Int64[np.ndarray, " e"]
+) -> tuple[int, int, float]:
+    """Return how many cells are before a step, the first after it, and its time."""
+    joined, cell = cell, int(edges[cell])
     within = seen.row[cell] == seen.row[cell - 1] and bool(
         seen.at.line[cell] == seen.at.line[cell - 1]
     )
     before, after = (cell, cell)
-    if within:
+    if within and cell not in seen.new_locks:
         before, after = int(edges[joined - 1]), int(edges[joined + 1])
-    time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
-    return divide(part, before, after, time_s)
+    return before, after, 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
+
+
+def _add_range_step(
+    part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]
+) -> RunPart:
+    """Return a part with a new range offset since a cell."""
+    seen = part.seen
+    before, after, time_s = _find_gap(seen, cell, edges)
+    kept = _drop_remnants(seen, np.r_[:before, after : len(seen)])
+    assert seen.at.recorded is not None  # noqa: S101 (steps have names only there)
+    step = RangeStep(
+        name_set_up(seen.at.recorded, seen.at.machine.tracker.face), time_s
+    )
+    seen = replace(kept, used=int(kept.count.sum()))
+    return replace(part, seen=seen, range_steps=(*part.range_steps, step))
 
 
 def divide(part: RunPart, before: int, after: int, time_s: float) -> list[RunPart]:
@@ -134,7 +168,7 @@ def divide(part: RunPart, before: int, after: int, time_s: float) -> list[RunPar
             if is_late == bool(number)
         )
         own = replace(some, used=count, offered=offered, left_out=said)
-        found.append(RunPart(part.given, own))
+        found.append(replace(part, seen=own))
     return found
 
 
@@ -146,14 +180,21 @@ def split_at_all(
 ) -> list[RunPart]:
     """Return what is before, between and after knocks, as Runs of their own.
 
+    A new range offset is no end of a Run.
+
     Of what tells no pose no cell is left, and that is said.
 
     off_mm : how far the cells that were fitted lie aside
     """
     found = [part]
     for step in reversed(knocks):  # the cells before it keep their numbers
-        if edges[step.cell + 1] <= len(found[0].seen):
-            found[:1] = split(found[0], step.cell, edges)
+        if edges[step.cell + 1] > len(found[0].seen):
+            continue
+        if step.kind == RANGE:
+            found[0] = _add_range_step(found[0], step.cell, edges)
+        else:
+            before, after = split(found[0], step.cell, edges)
+            found[:1] = [before, replace(after, kind=step.kind)]
     off_mm = np.repeat(off_mm, np.diff(edges))
     time_s = part.seen.at.time_s
     return [
@@ -174,7 +215,8 @@ def _leave_out_all(
     seen = part.seen
     off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
     edges = np.arange(len(seen) + 1, dtype=np.int64)
-    return RunPart(part.given, leave_out(seen, np.ones(len(seen), bool), off_mm, edges))
+    seen = leave_out(seen, np.ones(len(seen), bool), off_mm, edges)
+    return replace(part, seen=seen)
 
 
 def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
@@ -194,11 +236,11 @@ def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
 
 def _join(first: RunPart, second: RunPart) -> RunPart:
     """Return two parts as one, of which one at most has cells."""
-    kept = max(first.seen, second.seen, key=len)
+    kept = max(first, second, key=lambda part: len(part.seen))
     left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
     offered = first.seen.offered + second.seen.offered
-    seen = replace(kept, offered=offered, left_out=tuple(left_out))
-    return RunPart(first.given, seen)
+    seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
+    return replace(kept, seen=seen)
 
 
 def _tells_pose(seen: Observations) -> bool:
@@ -224,4 +266,5 @@ def measure_knock(
         (float(before.seen.at.time_s[-1]), float(after.seen.at.time_s[0])),
         float(np.linalg.norm(moved)),
         turned * float(np.sqrt(2.0)),
+        after.kind,
     )

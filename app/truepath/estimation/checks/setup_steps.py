@@ -14,6 +14,7 @@ from jaxtyping import Float64, Int64
 
 from truepath.estimation.checks.step_candidates import Prospects, Shared
 
+POSE = "pose"  # of the tracker, at once turned and shifted
 _SWEEPS = 1
 _OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
 _COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to pay for
@@ -28,12 +29,14 @@ class Step:
 
     cell : the first after it; gain : of −2 log likelihood, beside other steps
     alone : gain where there is nothing else; moved_mm : by how far, at the middle
+    kind : what it is, where that was asked
     """
 
     cell: int
     gain: float
     alone: float
     moved_mm: float
+    kind: str = POSE
 
 
 @dataclass(frozen=True)

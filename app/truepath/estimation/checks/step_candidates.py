@@ -1,6 +1,6 @@
-"""Steps of the set-up's place before some cells, beside a fit, a drift and each other.
+"""Steps of the set-up before some cells, beside a fit, a drift and each other.
 
-A step has the columns of the pose for all that comes after it.
+A step has the columns of pose and range offset for all that comes after it.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from jaxtyping import Float64, Int64
 from truepath.estimation.checks.score import ScoredColumns
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
+COLUMNS = 7  # of a step: three shifts, three turns, range offset
 _AT_ONCE = 256  # steps
 
 
 @dataclass(frozen=True)
 class StepSums:
-    """Products of the columns of steps of the pose before some cells.
+    """Products of the columns of steps before some cells.
 
-    value : with all columns: of the fit, pose last, the drift, the residual
+    value : with all columns: of the fit, pose last, range offset, drift, residual
     own : with the columns of the same step
     """
 
     cell: Int64[np.ndarray, " l"]
-    value: Float64[np.ndarray, "l q 6"]
-    own: Float64[np.ndarray, "l 6 6"]
+    value: Float64[np.ndarray, "l q 7"]
+    own: Float64[np.ndarray, "l 7 7"]
 
     def select(self, part: slice) -> StepSums:
         """Return some of the steps."""
@@ -44,8 +45,8 @@ class StepSums:
     @staticmethod
     def of_none(cell: Int64[np.ndarray, " l"], width: int) -> StepSums:
         """Return steps before some cells, with nothing after them yet."""
-        count = len(cell)
-        return StepSums(cell, np.zeros((count, width, 6)), np.zeros((count, 6, 6)))
+        value = np.zeros((len(cell), width, COLUMNS))
+        return StepSums(cell, value, np.zeros((len(cell), COLUMNS, COLUMNS)))
 
     @staticmethod
     def join(parts: Sequence[StepSums]) -> StepSums:
@@ -65,7 +66,7 @@ class Candidates(ScoredColumns):
     """
 
     cell: Int64[np.ndarray, " l"]
-    whole: Float64[np.ndarray, "l 6 6"]
+    whole: Float64[np.ndarray, "l 7 7"]
 
     def cut(self) -> Iterator[Candidates]:
         """Yield them in parts."""
@@ -73,8 +74,8 @@ class Candidates(ScoredColumns):
 
     @property
     def moved_mm(self) -> Float64[np.ndarray, " l"]:
-        """Size of each, at the middle."""
-        return np.linalg.norm(self.value[:, :3], axis=1)
+        """Size of each, at the middle, and of its range offset."""
+        return np.linalg.norm(self.value[:, [0, 1, 2, 6]], axis=1)
 
     def condition(
         self, steps: Sequence[Candidates], share: Callable[[int], Shared]
@@ -98,13 +99,13 @@ class Candidates(ScoredColumns):
 class Shared:
     """Products of a step's columns with those of steps before the cells of its block.
 
-    first : cell of the block; value : (n, 6, 6)
+    first : cell of the block; value : (n, 7, 7)
     """
 
     first: int
-    value: Float64[np.ndarray, "n 6 6"]
+    value: Float64[np.ndarray, "n 7 7"]
 
-    def look_up(self, candidates: Candidates) -> Float64[np.ndarray, "l 6 6"]:
+    def look_up(self, candidates: Candidates) -> Float64[np.ndarray, "l 7 7"]:
         """Return the products with candidates: those before the block cover it all."""
         inside = candidates.cell - self.first
         near = self.value[np.clip(inside, 0, len(self.value) - 1)]
@@ -136,7 +137,8 @@ class Prospects:
 class Drift:
     """A drift of the set-up, given the fit.
 
-    sums : products of its columns with those of the fit, the residual and its own
+    sums : products of its columns with those of fit and range offset, with its own and
+        the residual
     gain : of −2 log likelihood; size : of its parameters
     """
 
@@ -144,16 +146,17 @@ class Drift:
         self, factor: ScaledCholesky, sums: Float64[np.ndarray, "q s"]
     ) -> None:
         self._factor, self._fit = factor, slice(len(factor.scale))
-        half, raw = factor.solve_half(sums[self._fit]), sums[self._fit.stop : -1]
+        half, raw = factor.solve_half(sums[self._fit]), sums[self._fit.stop + 1 : -1]
         left, pulled = raw - half.T @ half, sums[None, -1]
         self._columns = ScoredColumns(half[None], raw[None], left[None], pulled)
         self.size = self._columns.value[0]
         self.gain = float(self._columns.gain[0])
 
     def prepare(self, steps: StepSums) -> Prospects:
-        """Return steps, beside the drift and without it, in the place of their sums."""
-        fit, known = self._fit, steps.value[:, :-1]
-        whole = known[:, fit.stop - 6 : fit.stop].copy()
+        """Return steps, beside the drift and without it."""
+        fit = self._fit
+        whole = steps.value[:, fit.stop - 6 : fit.stop + 1]
+        known = np.delete(steps.value[:, :-1], fit.stop, axis=1)
         for part in _cut(len(known)):
             self._eliminate(known[part])
         raw, half, own = steps.own, known[:, fit], known[:, fit.stop :]
@@ -161,13 +164,13 @@ class Drift:
         bare = Candidates(half, raw, left, pulled, steps.cell, whole)
         return Prospects(bare.put_beside(known, own, self._columns.score[1][0]), bare)
 
-    def _eliminate(self, sums: Float64[np.ndarray, "l m 6"]) -> None:
+    def _eliminate(self, sums: Float64[np.ndarray, "l m 7"]) -> None:
         """Turn products with fit and drift into what is shared with these."""
         columns = sums.transpose(1, 0, 2).reshape(sums.shape[1], -1)
         half = self._factor.solve_half(columns[self._fit])
         rest = columns[self._fit.stop :] - self._columns.known[0].T @ half
         own = self._columns.score[0][0].T @ rest
-        shared = np.concatenate([half, own]).reshape(-1, len(sums), 6)
+        shared = np.concatenate([half, own]).reshape(-1, len(sums), COLUMNS)
         sums[...] = shared.transpose(1, 0, 2)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Int64
 
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.sample_quality import SampleQuality, state_quality
@@ -37,6 +38,7 @@ SENSOR_KINDS = frozenset(
     }
 )
 _UNKNOWN = Refraction()
+_LOST_S = 0.1  # shorter, and the beam was hidden from single samples alone
 _MOST_SHOWN = 1000  # rows of a path in a picture
 _TOLD = frozenset(map(str, TrackerEventKind))
 
@@ -318,8 +320,7 @@ def find_interruptions(
     """Return the interruptions of a stream, with the searches that were recorded."""
     if len(tracker) < 2:
         return Interruptions(searches=searches, found=found)
-    is_bad = np.concatenate([[False], tracker.status != 0, [False]])
-    begin, end = np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T
+    begin, end = _find_broken(tracker)
     step_s = float(np.median(np.diff(tracker.device_time_s)))
     skipped = np.diff(tracker.sequence) - 1
     return Interruptions(
@@ -330,3 +331,21 @@ def find_interruptions(
         searches,
         found,
     )
+
+
+def list_locks_s(tracker: TrackerSamples) -> list[float]:
+    """Return when the tracker saw its target again after it had lost it."""
+    if len(tracker) < 2:
+        return []
+    time_s = tracker.device_time_s
+    begin, end = _find_broken(tracker)
+    last, next_ = np.maximum(begin - 1, 0), np.minimum(end, len(tracker) - 1)
+    is_lost = time_s[next_] - time_s[last] >= _LOST_S
+    is_lost &= (begin > 0) & (end < len(tracker))
+    return time_s[next_[is_lost]].tolist()
+
+
+def _find_broken(tracker: TrackerSamples) -> Int64[np.ndarray, "2 m"]:
+    """Return first and one past the last of samples that the tracker calls invalid."""
+    is_bad = np.concatenate([[False], tracker.status != 0, [False]])
+    return np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T

@@ -133,6 +133,18 @@ SENTENCES: Mapping[str, Sentence] = {
         "and solved with both places.",
         "Fasten tracker and reflector, and measure again where it matters.",
     ),
+    "tracker-tilted": Sentence(
+        "The tracker tilted by {angle_urad} at {at_s}; the Run is split there and "
+        "solved with both poses.",
+        "Fasten the tracker and its stand, let the stand settle, and measure again "
+        "where it matters.",
+    ),
+    "range-offset-changed": Sentence(
+        "The range offset of the tracker changed by {distance_um} at {at_s}, by a new "
+        "lock of its beam or another reflector; it is solved for.",
+        "Set the home distance after every loss of the beam; keep the line of sight "
+        "free.",
+    ),
     "knock-unseen": Sentence(
         "Data are left out at rows {rows}, and nothing measured before is measured "
         "again after: a knock of tracker or reflector there would look the same.",
@@ -192,6 +204,7 @@ _NAMED = 3  # reasons in one line
 _SHOWN = {
     "s": (1, " s"),
     "um": (1, " µm"),
+    "urad": (1, " µrad"),
     "mm": (2, " mm"),
     "percent": (1, " %"),
     "ratio": (2, ""),

@@ -221,6 +221,7 @@ class SetUpErrors(Effect):
     """Errors of a tracker that are others after a new set-up, lock or weather.
 
     set_up : as `name_set_up` tells it from others; any where empty
+    locks : numbers of the locks of its beam, each with a range offset
     """
 
     kind = "set-up-errors"
@@ -229,6 +230,7 @@ class SetUpErrors(Effect):
     begin_s: float
     end_s: float
     set_up: str = ""
+    locks: tuple[int, ...] = (0,)
 
     def compose_name(self, digits: str) -> str:
         """Return it with its set-up."""
@@ -243,13 +245,9 @@ class SetUpErrors(Effect):
     @property
     def _count(self) -> int:
         s = self.specification
-        sizes = (
-            s.range_offset_um,
-            self._mean_scale_ppm,
-            s.scale_drift_ppm,
-            s.bending_urad_per_m,
-        )
-        return sum(size > 0.0 for size in sizes)
+        offsets = len(self.locks) if s.range_offset_um > 0.0 else 0
+        sizes = (self._mean_scale_ppm, s.scale_drift_ppm, s.bending_urad_per_m)
+        return offsets + sum(size > 0.0 for size in sizes)
 
     @property
     def _mean_scale_ppm(self) -> float:
@@ -266,7 +264,10 @@ class SetUpErrors(Effect):
         b = _Beam.of(recorded, at.machine.tracker.face)
         r = b.distance_mm[:, None]
         when = (at.time_s - self.begin_s) / max(self.end_s - self.begin_s, 1e-9)
-        terms.add(1e-3 * s.range_offset_um, b.along)
+        lock = np.zeros(len(at)) if recorded.lock is None else recorded.lock
+        for number in self.locks:
+            on = (lock == number)[:, None]
+            terms.add(1e-3 * s.range_offset_um, on * b.along)
         terms.add(1e-6 * self._mean_scale_ppm, r * b.along)
         terms.add(1e-6 * s.scale_drift_ppm, (when - 0.5)[:, None] * r * b.along)
         bend = r**2 * (
@@ -278,6 +279,34 @@ class SetUpErrors(Effect):
     def prior(self) -> QuadraticPrior:
         """Return the standard uncertainties, 1 each."""
         return _known(self._count)
+
+
+@dataclass(frozen=True)
+class RangeStep(Effect):
+    """Another range offset from one moment on, of which nothing is known before.
+
+    set_up : as `name_set_up` tells it from others
+    """
+
+    kind = "range-step"
+    role = Role.NUISANCE
+    units = {"": "mm"}
+    set_up: str
+    time_s: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the unit beam after the moment."""
+        recorded = _find_recorded(at, (self.set_up,))
+        if recorded is None:
+            return np.zeros((len(at), 3, 1))
+        terms = _Terms()
+        late = (at.time_s >= self.time_s)[:, None]
+        terms.add(1.0, late * _Beam.of(recorded, at.machine.tracker.face).along)
+        return _turn_back(terms, recorded)
+
+    def prior(self) -> QuadraticPrior:
+        """Return a standard uncertainty of a millimetre."""
+        return _known(1)
 
 
 def name_set_up(recorded: RecordedState, face: int | None) -> str:
@@ -311,7 +340,7 @@ def _known(count: int) -> QuadraticPrior:
 
 def is_of_instrument(effect: Effect) -> bool:
     """Return whether an effect is what the tracker may be off by."""
-    return isinstance(effect, TrackerErrors | SetUpErrors)
+    return isinstance(effect, TrackerErrors | SetUpErrors | RangeStep)
 
 
 def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
@@ -331,8 +360,15 @@ def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
         effects.append(_share_errors(specification, list(set_ups.values()), own))
         for name, at in set_ups.items():
             begin, end = float(at.time_s.min()), float(at.time_s.max())
-            effects.append(SetUpErrors(specification, begin, end, name))
+            locks = _list_locks(at)
+            effects.append(SetUpErrors(specification, begin, end, name, locks))
     return tuple(effect for effect in effects if effect.parameters)
+
+
+def _list_locks(at: Conditions) -> tuple[int, ...]:
+    if at.recorded is None or at.recorded.lock is None:
+        return (0,)
+    return tuple(np.unique(at.recorded.lock).tolist())
 
 
 def _share_errors(

@@ -117,12 +117,20 @@ class LeftOutOut(BaseModel):
 
 
 class SetupStepOut(BaseModel):
-    """A knock: the set-up moved at one moment and was solved before and after it."""
+    """The set-up changed at one moment and was solved before and after it."""
 
     run: int
     row: int
+    kind: Literal["place", "tilt", "range", "pose"] = Field(
+        "pose",
+        description="place or tilt of the tracker; range: another range offset; pose: "
+        "neither place nor tilt alone, and results of earlier versions.",
+    )
     t_s: float
-    shift_um: float
+    shift_um: float = Field(
+        description="At the middle of the points; of range, how much longer distances "
+        "are since then."
+    )
     turn_urad: float
 
 

@@ -16,6 +16,7 @@ const SHOWN = {
   s: (value) => `${number(value, 1)} s`,
   um: (value) => (value < LARGE_UM ? quantity(value, "error") : quantity(value / 1000, "length")),
   mm: (value) => quantity(value, "length"),
+  urad: (value) => quantity(value, "angle"),
   percent: (value) => `${number(value, 1)} %`,
   ratio: (value) => number(value, 2),
 };
