@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 from judging import map_mm, true_map_mm, volume
 from recordings import machine_content, random_air, random_content, run_of
 from target_seats import draw_machine, remove_rigid_motion
-from truepath.kinematics.effects.tracker_specification import TrackerSpecification
 
 from truepath.alignment.align import align_all
 from truepath.estimation.solve.batch import estimate
@@ -24,6 +23,7 @@ from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.workspace import StationAreas, Workspace

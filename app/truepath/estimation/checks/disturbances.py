@@ -182,7 +182,8 @@ def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
 
 
 def _add_range_steps(models: RunModels, parts: Sequence[RunPart]) -> RunModels:
-    return models.with_effects(*(step for part in parts for step in part.range_steps))
+    steps = (step for part in parts for step in part.range_steps)
+    return models.with_effects(*dict.fromkeys(steps))  # parts of one Run share them
 
 
 def _list_names(models: RunModels, parts: Sequence[RunPart]) -> set[str]:
