@@ -111,3 +111,10 @@ def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
     )
     assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)
     assert np.log(again.ou_time_s) == pytest.approx(np.log(best.ou_time_s), abs=0.3)
+
+
+def test_what_was_taken_for_fast_is_lowered_where_nothing_shows_it(seen):
+    start = replace(guess_noise(seen, perpendicular_only=False), fast=(2.0, 2.0))
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
+    (found,) = refine_runs(model, [RunInput(seen, seen.pose, start)])
+    assert found.noise.fast == (1.0, 1.0)

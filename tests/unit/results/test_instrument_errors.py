@@ -1,6 +1,7 @@
 """What a tracker within its specification does is in what is stated."""
 
 from dataclasses import asdict, replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -83,19 +84,29 @@ def still():
 
 def disturb(recorded, across_mm):
     """Return findings, and the share inside two sigma, of directions that are off."""
-    run, made = recorded
-    points = run.tracker.position_mm
+    points = recorded[0].tracker.position_mm
     side = np.cross([0.0, 0.0, 1.0], points)
     side /= np.linalg.norm(side, axis=1)[:, None]
-    moved = replace(run.tracker, position_mm=points + across_mm[:, None] * side)
+    return analyse_moved(recorded, across_mm[:, None] * side)
+
+
+def analyse_moved(recorded, moved_mm):
+    run, made = recorded
+    moved = replace(run.tracker, position_mm=run.tracker.position_mm + moved_mm)
     found = analyse(replace(run, tracker=moved))
     return found, judge_map(found.estimate, made.truth.deviation_mm).inside
 
 
+def draw_correlated(rng, recorded, time_s, size):
+    """Draw noise of variance 1 that lasts so long, at 100 Hz."""
+    keep, lead = np.exp(-0.01 / time_s), int(500 * time_s)
+    count = lead + len(recorded[0].tracker)
+    drive = np.sqrt(1.0 - keep**2) * rng.standard_normal((count, size))
+    return lfilter([1.0], [1.0, -keep], drive, axis=0)[lead:]
+
+
 def test_noise_in_azimuth_alone_is_found_there_and_is_in_what_is_stated(still, rng):
-    count, keep = len(still[0].tracker), np.exp(-0.01 / 0.7)  # at 100 Hz, in 0.7 s
-    drive = np.sqrt(1.0 - keep**2) * rng.standard_normal(count)
-    azimuth_mm = 0.006 * lfilter([1.0], [1.0, -keep], drive)
+    azimuth_mm = 0.006 * draw_correlated(rng, still, 0.7, 1)[:, 0]
     found, inside = disturb(still, azimuth_mm)
     along, azimuth, elevation = found.estimate.runs[0].noise.ou
     assert azimuth > 2.0 * max(along, elevation)
@@ -110,3 +121,37 @@ def test_a_swing_of_some_hertz_is_no_scatter_of_samples(still):
     assert noise.fast[1] > 1.2
     assert max(noise.white) < 1.6
     assert inside > 0.85
+
+
+def test_jitter_of_the_feed_is_no_noise_across_it(still, rng):
+    points = still[0].tracker.position_mm
+    way = np.gradient(points, axis=0)
+    way /= np.maximum(np.linalg.norm(way, axis=1)[:, None], 0.01)  # mm: it drives
+    jitter_mm = np.repeat(0.008 * rng.standard_normal(len(points) // 12 + 1), 12)
+    found, inside = analyse_moved(still, jitter_mm[: len(points), None] * way)
+    noise = found.estimate.runs[0].noise
+    assert noise.along_sigma_mm > 0.003
+    assert noise.fast == (1.0, 1.0)
+    assert max(noise.shown) < 0.4
+    assert inside > 0.85
+
+
+@pytest.mark.long
+def test_correlated_noise_of_any_time_is_stated_and_costs_no_time(rng):
+    inside, spent_s = [], []
+    for seed in range(2, 10):
+        made = content() | {"tracker": content()["tracker"] | {"specification": {}}}
+        program = paths.chord_path(parse_machine(made), seed, ROWS, FEED)
+        recorded = record_run(made, program, seed)
+        lasts_s = 0.05 * 400.0 ** rng.uniform()
+        noise_mm = 0.008 * draw_correlated(rng, recorded, lasts_s, 3)
+        begin_s = [process_time()]
+        for moved_mm in (np.zeros(3), noise_mm):
+            found, share = analyse_moved(recorded, moved_mm)
+            begin_s.append(process_time())
+        spent_s.append(np.diff(begin_s))
+        inside.append(share)
+        assert found.verdict.state != "not-usable"
+    assert 0.9 < np.mean(inside) < 0.97
+    quiet_s, loud_s = np.sum(spent_s, axis=0)
+    assert loud_s < 1.5 * quiet_s

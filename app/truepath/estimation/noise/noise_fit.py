@@ -135,27 +135,33 @@ def _fit_noise(
     evidence = NoiseEvidence(design, columns, design.residual, known)
     noise = _maximise(evidence, run.noise, longest_s)
     about, seen = run.linearisation, run.observations
-    theta = evidence.solve(noise)[: design.fixed]
-    rest = about.build(seen, solved=theta).residual
-    louder = _raise_fast(seen, noise, rest)
+    left = about.build(seen, solved=evidence.solve(noise)[: design.fixed])
+    louder = _raise_fast(left, noise)
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
     if any(noise.place):
         noise = _hold_to_most(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
-    return replace(noise, shown=_find_shown(design.observations, noise, rest))
+    return replace(noise, shown=_find_shown(design, noise, rest))
 
 
-def _raise_fast(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
-) -> NoiseModel | None:
-    """Return the noise with what is fast in its cells; None where there is none of it.
+def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
+    """Return the noise with what is fast in its cells; None where that is known.
 
     Samples scatter less than their means where noise lasts for some samples: a swing of
     some hertz. Second differences of neighbours show it, which slow noise leaves small.
+    Across the travel: along it the feed has jitter of its own.
+
+    left : its residual is what a fit leaves
     """
-    time_s, before = seen.at.time_s, np.array(noise.fast)
-    sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
+    seen, time_s = left.observations, left.observations.at.time_s
+    plain = replace(noise, ramp_sigma_mm=0.0, fast=(1.0, 1.0))
+    sigma, ou = split_sigma_mm(seen, plain)
+    across = _look_across(left)
+    rest = np.einsum("nij,nj->ni", across, left.residual)
+    sigma, ou = (
+        np.sqrt(np.einsum("nij,nj->ni", across**2, each**2)) for each in (sigma, ou)
+    )
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
     k = k[~seen.is_ramp[k]]
@@ -168,10 +174,10 @@ def _raise_fast(
     times = np.median((found - _MEDIAN * slow) / (_MEDIAN * fast), axis=0)
     times = np.maximum(times, 0.0)
     raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
-    if not (raised > _FAST).any():
+    raised = np.where(raised > _FAST, raised, 1.0)
+    if np.allclose(raised, noise.fast, rtol=_FAST - 1.0):
         return None
-    along, across = (before * np.where(raised > _FAST, raised, 1.0)).tolist()
-    return replace(noise, fast=(along, across))
+    return replace(noise, fast=(float(raised[0]), float(raised[1])))
 
 
 def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
@@ -186,15 +192,25 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
     return replace(noise, place=(x, y, z))
 
 
+def _look_across(design: DesignMatrix) -> Float64[np.ndarray, "n 3 3"]:
+    """Return what takes the part along the travel off vectors of cells."""
+    travel = design.travel
+    return np.eye(3) - travel[:, :, None] * travel[:, None, :]
+
+
 def _find_shown(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
+    design: DesignMatrix, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
     """Return how large the correlated part is, by neighbours in space of other lines.
 
-    Where machine errors are alike, approached alike, but the time is another. By the
-    smaller of the differences: a step of the set-up is in many of the others.
+    Where machine errors are alike, approached alike, but the time is another. Across
+    the travel, as along it the feed has jitter of its own. By the smaller of the
+    differences: a step of the set-up is in many of the others.
     """
+    seen, across = design.observations, _look_across(design)
     white, _ = split_sigma_mm(seen, noise)
+    white = np.sqrt(np.einsum("nij,nj->ni", across**2, white**2))
+    rest = np.einsum("nij,nj->ni", across, rest)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
         :, [0, 1, 1]
     ]
