@@ -62,8 +62,8 @@ from truepath.service.api.models.base import PREFIX
 from truepath.service.api.server import (
     Server,
     bind_socket,
+    end_by_signals,
     format_address,
-    ignore_raised_signals,
 )
 from truepath.service.api.service import LEAST_FREE_BYTES, Service
 from truepath.service.page import pages
@@ -117,7 +117,7 @@ def serve(
             trusted_proxies=settings.trusted_proxies,
             ending=ending,
         )
-        with ignore_raised_signals():
+        with end_by_signals(server):
             server.run(sockets=[listener])
     log.info("service ended")
 

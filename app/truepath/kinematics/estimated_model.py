@@ -11,7 +11,10 @@ from jaxtyping import Float64
 from scipy.linalg import cho_factor, cho_solve
 
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.kinematics.effects.error_motion import (
+    ErrorMotion,
+    reference_position_mm,
+)
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import MachineModel
@@ -78,17 +81,24 @@ class EstimatedModel:
         }
 
 
+def list_lengths(model: MachineModel) -> list[ErrorMotion]:
+    """Return the error motions that are the positioning of a linear axis."""
+    return [
+        motion
+        for motion in model.error_motions
+        if is_positioning(motion.symbol) and isinstance(motion.axis, LinearAxis)
+    ]
+
+
 def find_stretch(model: MachineModel) -> Float64[np.ndarray, " p"]:
     """Return the parameters of a machine whose lengths are all too long by themselves.
 
     A wrong scale of the tracker looks like it: no residual shows it.
     """
     stretch = np.zeros(model.size)
-    for motion in model.error_motions:
-        axis = motion.axis
-        if is_positioning(motion.symbol) and isinstance(axis, LinearAxis):
-            at_mm = np.linspace(axis.low, axis.high, 2 * motion.spline.size)
-            away_mm = at_mm - reference_position_mm(axis)
-            part = model.slices[motion.name]
-            stretch[part] = np.linalg.lstsq(motion.rows(at_mm), away_mm, rcond=None)[0]
+    for motion in list_lengths(model):
+        axis, part = motion.axis, model.slices[motion.name]
+        at_mm = np.linspace(axis.low, axis.high, 2 * motion.spline.size)
+        away_mm = at_mm - reference_position_mm(axis)
+        stretch[part] = np.linalg.lstsq(motion.rows(at_mm), away_mm, rcond=None)[0]
     return stretch

@@ -215,17 +215,18 @@ def predict_with_each(
     stations = (*found.stations, *runs)
     model = _build_model(machine, found.known, stations)
     gram, size = compute_volumetric_gram(model), model.size
-    told: list[Float64[np.ndarray, "p p"]] = []
+    information: list[Float64[np.ndarray, "p p"]] = []
     for run in collect_information(stations, model):
         matrix = run.data.matrix.copy()
         pose = run.linearisation.pose_parameters
         matrix[size:, size:] += diagonal_precision(pose, _POSE)
         own = OwnParameters.of(Information.of_matrix(matrix), size)
-        told.append(own.eliminate().matrix)
+        information.append(own.eliminate().matrix)
     planned = len(found.stations)
-    prior = assumed.make_prior(model) + np.sum(told[:planned], axis=0)
+    prior = assumed.make_prior(model) + np.sum(information[:planned], axis=0)
     after = [
-        compute_posterior(Information.of_matrix(one), prior) for one in told[planned:]
+        compute_posterior(Information.of_matrix(one), prior)
+        for one in information[planned:]
     ]
     return [float(np.sum(gram * one.covariance)) ** 0.5 for one in after]
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from truepath.alignment.observations.observations import Driving
 from truepath.alignment.stream.left_out import LeftOut
+from truepath.errors import Unidentifiable
 from truepath.estimation.checks.disturbances import CheckedEstimate
 from truepath.estimation.checks.misfit import Misfit
 from truepath.estimation.checks.run_parts import Knock
@@ -30,12 +31,11 @@ from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
 from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
-from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import LinearAxis, Machine
+from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.other_chains import list_orders
-from truepath.kinematics.machine.symbols import LINEAR, is_positioning
+from truepath.kinematics.machine.symbols import LINEAR
 from truepath.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
 _FIT = 1.25, 4.0  # root of χ² over its freedom
 _RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncertainty
-_PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
+_PLACES = 1.6, 4.0  # the same: stated, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _MATERIAL = 2.0 * 11.5e-6  # of a usual machine: 2 K of steel
@@ -140,7 +140,7 @@ def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdic
 
 def judge_scale(found: EstimatedModel) -> Verdict:
     """Return whether all three linear axes are too long, or too short, by the same."""
-    motions = [m for m in found.model.error_motions if _is_length(m)]
+    motions = list_lengths(found.model)
     if len(motions) < len(LINEAR):
         return Verdict()
     slopes = np.zeros((len(motions), found.model.size))
@@ -163,10 +163,6 @@ def judge_scale(found: EstimatedModel) -> Verdict:
         "within_um": UM_PER_MM * 1000.0 * 2.0 * sigma,
     }
     return Verdict((Reason("all-axes-scaled", "doubtful", values),))
-
-
-def _is_length(motion: ErrorMotion) -> bool:
-    return is_positioning(motion.symbol) and isinstance(motion.axis, LinearAxis)
 
 
 def judge_range(
@@ -463,6 +459,8 @@ def _find_better_order(
     exact = [0.0] * len(fit.runs)
     orders = list_orders(declared, names)
     left = {m.chain: _fit_order(fit, m, exact) for m in orders}
+    if np.isinf(left[declared.chain]):  # what was measured does not tell it
+        return declared.chain, 1.0
     best = min(left, key=lambda chain: left[chain])
     offsets_mm = [0.0 if score is None else score.offset_mm for score in scores]
     if _fit_order(fit, declared, offsets_mm) <= left[best]:
@@ -471,6 +469,7 @@ def _find_better_order(
 
 
 def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> float:
+    """Return χ² of an order; infinite where the data do not determine the machine."""
     inputs: list[RunInput] = []
     for run, offset_mm in zip(fit.runs, too_long_mm, strict=True):
         seen, (white, ou) = run.observations, _NOISE
@@ -485,4 +484,7 @@ def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> floa
     offsets_mm = [each.observations.at.offset_mm for each in inputs]
     model, _ = build_identifiable_model(machine, *offsets_mm)
     data = combine_runs(collect_information(inputs, model))
-    return guess_whole_prior(model).fit(data)[1].misfit
+    try:
+        return guess_whole_prior(model).fit(data)[1].misfit
+    except Unidentifiable:
+        return np.inf

@@ -249,9 +249,34 @@ if __name__ == "__main__":
 """
 
 
+EARLY = """
+import os
+import signal
+from truepath import main
+from truepath.settings import load_settings
+
+run = main.Server.run
+
+def end_at_once(server, sockets):
+    os.kill(os.getpid(), signal.SIGTERM)
+    run(server, sockets)
+
+main.Server.run = end_at_once
+if __name__ == "__main__":
+    main.serve(load_settings())
+"""
+
+
+def test_an_end_that_comes_while_it_starts_is_not_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr(service_process, "PROGRAM", EARLY)
+    with service_process.process(tmp_path) as (running, _):
+        assert running.wait(40) == 0
+
+
 def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path, monkeypatch):
     monkeypatch.setattr(service_process, "PROGRAM", HANGING)
-    with service_process.process(tmp_path) as (running, _):
+    with service_process.process(tmp_path) as (running, client):
+        client.get("/api/v1/system")  # it has begun to answer
         children = _children(running.pid)
         running.send_signal(signal.SIGTERM)
         assert running.wait(40) == 1

@@ -91,6 +91,15 @@ def test_the_error_left_is_near_the_information_bound(validation):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(300)
+def test_an_order_of_axes_that_the_data_do_not_tell_is_no_end_of_an_analysis(
+    validation,
+):
+    """Two axes turn in its table, and its targets leave much open."""
+    assert validation("instrument_errors").judge_turning(5).inside > 0.8
+
+
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_gantries_reach_the_information_bound(validation):
     script = validation("large_machines")

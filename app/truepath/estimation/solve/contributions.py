@@ -15,6 +15,7 @@ from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.runs import combine_runs
 from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 
@@ -30,15 +31,21 @@ class Contributions:
     without_mm: tuple[float, ...]
 
 
-def find_contributions(estimate: Estimate, given: Sequence[int]) -> Contributions:
+def find_contributions(
+    estimate: Estimate, given: Sequence[int], scale: float = 0.0
+) -> Contributions:
     """Return what Runs brought to an estimate that has kept what it was solved from.
 
     given : of each Run of the estimate, the Run given that it is of
+    scale : standard uncertainty that all lengths have in common, of 1, of the air
     """
     fit = estimate.fit
     assert fit is not None  # noqa: S101 (it was asked to be kept)
     gram = compute_volumetric_gram(estimate.model)
-    sigma_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
+    own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
+    stretch = scale * find_stretch(estimate.model)
+    common_mm = float(stretch @ gram @ stretch) ** 0.5
+    sigma_mm = float(np.hypot(own_mm, common_mm))
     number = len(set(given))
     if number < 2:
         return Contributions(sigma_mm, ())
@@ -49,7 +56,8 @@ def find_contributions(estimate: Estimate, given: Sequence[int]) -> Contribution
         )
         for left_out in range(number)
     ]
-    return Contributions(sigma_mm, tuple(sigma_mm * one / every for one in without))
+    without_mm = (float(np.hypot(own_mm * one / every, common_mm)) for one in without)
+    return Contributions(sigma_mm, tuple(without_mm))
 
 
 def _predict_left_mm(fit: Fit, runs: Sequence[int]) -> float:

@@ -113,13 +113,16 @@ class Server(uvicorn.Server):
 
 
 @contextmanager
-def ignore_raised_signals() -> Iterator[None]:
-    """Let uvicorn raise the signal again without ending the process too early."""
+def end_by_signals(server: Server) -> Iterator[None]:
+    """Let a signal end the server and nothing else.
+
+    Also one that comes before uvicorn takes over, and that which it raises again.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     signals = (signal.SIGTERM, signal.SIGINT)
-    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    before = {number: signal.signal(number, server.handle_exit) for number in signals}
     try:
         yield
     finally:
