@@ -21,7 +21,8 @@ def analyse_with(record, monkeypatch, *hidden):
     monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
     found = analyse(run)
     (plain,) = before
-    added = np.diag(found.estimate.covariance - plain.covariance)
+    scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)
+    added = np.diag(found.estimate.covariance - scaled.covariance)
     sizes = {}
     for motion in plain.model.error_motions:
         rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 50))

@@ -153,10 +153,12 @@ class Drift:
         self.gain = float(self._columns.gain[0])
 
     def prepare(self, steps: StepSums) -> Prospects:
-        """Return steps, beside the drift and without it."""
+        """Return steps, beside the drift and without it, in the place of their sums."""
         fit = self._fit
-        whole = steps.value[:, fit.stop - 6 : fit.stop + 1]
-        known = np.delete(steps.value[:, :-1], fit.stop, axis=1)
+        whole = steps.value[:, fit.stop - 6 : fit.stop + 1].copy()
+        for column in range(fit.stop, steps.value.shape[1] - 2):  # held once, not twice
+            steps.value[:, column] = steps.value[:, column + 1]
+        known = steps.value[:, :-2]
         for part in _cut(len(known)):
             self._eliminate(known[part])
         raw, half, own = steps.own, known[:, fit], known[:, fit.stop :]
