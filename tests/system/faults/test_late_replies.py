@@ -24,6 +24,10 @@ HARMS = {
 }
 
 
+# The machine's own watchdog is later than what the age of a status brings about.
+PATIENT = {"watchdog_s": 2.0}
+
+
 @pytest.fixture
 def measuring(
     tmp_path,
@@ -31,9 +35,10 @@ def measuring(
     with (
         Bench(seed=12, speed=2.0, rtu=False) as bench,
         LinkProxy(bench.motion_options, seed=3) as proxy,
-        ModbusController(**bench.motion_options) as onlooker,
+        ModbusController(**bench.motion_options, **PATIENT) as onlooker,
     ):
-        config = CellConfig("streaming", bench.tracker_options, "modbus", proxy.options)
+        options = proxy.options | PATIENT
+        config = CellConfig("streaming", bench.tracker_options, "modbus", options)
         with Measuring(config, order_of(bench, tmp_path / "late.sqlite")) as begun:
             yield begun, bench, proxy, onlooker
 
