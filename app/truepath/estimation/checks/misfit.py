@@ -46,6 +46,24 @@ _LARGE_MM = 0.02  # of a step
 _STRIDE = 12  # cells from one step that is tried to the next
 _NEAR = 128  # of these, whose neighbours are kept
 _DRIFT = 36  # columns of a drift
+_UNSEEN = 1e-8  # of a column's information: the fit explains it all
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOffsetScore:
+    """What one more parameter of a Run, the range offset, would be.
+
+    A wrong home distance, or the constant of another reflector, bends the whole volume
+    about the tracker. An error of a machine repeats with the position of its axes
+    alone; this one repeats with the distance, and what no machine can do of it stays.
+
+    gain : of the fit, χ² of one degree of freedom where there is none
+    offset_mm, sigma_mm : its value, and standard uncertainty
+    """
+
+    gain: float
+    offset_mm: float
+    sigma_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +78,7 @@ class Misfit:
     steps : in the order of time; at least the best, where one can be told
     explained : gain of steps and drift; drift_left : of a drift beside the steps
     unseen : rows before which a large step would pass for errors of the machine
+    range_offset : of the whole Run; None where the data cannot tell it
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -75,6 +94,7 @@ class Misfit:
     explained: float
     drift_left: float
     unseen: frozenset[int]
+    range_offset: RangeOffsetScore | None
 
     @property
     def rest(self) -> float:
@@ -170,6 +190,7 @@ class _Examination:
             found.explained,
             found.drift_left,
             self._list_unseen(steps.bare, limit),
+            self._score_range_offset(sums),
         )
 
     def name_steps(self, found: Misfit) -> Misfit:
@@ -197,6 +218,18 @@ class _Examination:
             found.rest,
         )
         return replace(found, steps=tuple(kinds.name()))
+
+    def _score_range_offset(self, sums: StepSums) -> RangeOffsetScore | None:
+        """Return what a range offset from the first cell on would be."""
+        if self.seen.at.recorded is None:
+            return None
+        fit = len(self.factor.scale)
+        shared, pulled = sums.value[0, :fit, -1], float(sums.value[0, -1, -1])
+        raw = float(sums.own[0, -1, -1])
+        left = raw - float(shared @ self.factor.solve(shared))
+        if left < _UNSEEN * raw:
+            return None
+        return RangeOffsetScore(pulled**2 / left, pulled / left, left**-0.5)
 
     def _sum_blocks(
         self, starts: Int64[np.ndarray, " l"]
