@@ -55,6 +55,7 @@ _STRIDE = 12  # cells from one step that is tried to the next
 _NEAR = 128  # of these, whose neighbours are kept
 _DRIFT = 36  # columns of a drift
 _UNSEEN = 1e-8  # of a column's information: the fit explains it all
+_FREE = 1.0  # precision of a range offset, mm⁻²: nothing is known of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,16 +230,16 @@ class _Examination:
         return replace(found, steps=tuple(kinds.name()))
 
     def _score_range_offset(self, sums: StepSums) -> RangeOffsetScore | None:
-        """Return what a range offset from the first cell on would be."""
+        """Return what the range offset is that the fit has been given beside."""
         if self.seen.at.recorded is None:
             return None
-        fit = len(self.factor.scale)
-        shared, pulled = sums.value[0, :fit, -1], float(sums.value[0, -1, -1])
-        raw = float(sums.own[0, -1, -1])
-        left = raw - float(shared @ self.factor.solve(shared))
-        if left < _UNSEEN * raw:
+        own = self.machine - 1
+        column = np.eye(len(self.theta))[own]
+        left = 1.0 / float(self.factor.solve(column)[own]) - _FREE
+        if left < _UNSEEN * float(sums.own[0, -1, -1]):
             return None
-        return RangeOffsetScore(pulled**2 / left, pulled / left, left**-0.5)
+        offset_mm = float(self.theta[own])
+        return RangeOffsetScore(offset_mm**2 * left, offset_mm, left**-0.5)
 
     def _sum_blocks(
         self, starts: Int64[np.ndarray, " l"]
@@ -363,7 +364,7 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
     if at.recorded is None:
         return about, known
     offset = RangeStep(name_set_up(at.recorded, at.machine.tracker.face), -np.inf)
-    free = Information.of_matrix(block_diag(known.matrix, offset.prior().form))
+    free = Information.of_matrix(block_diag(known.matrix, _FREE))
     vector = np.append(known.vector, 0.0)
     model = about.machine_model.with_effects(offset)
     return replace(about, machine_model=model), replace(free, vector=vector)
