@@ -16,13 +16,8 @@ from truepath.alignment.align import align_all
 from truepath.errors import BundleError
 from truepath.estimation.checks.disturbances import CheckedEstimate, estimate_checked
 from truepath.estimation.checks.ripple import add_ripple
-from truepath.estimation.checks.tracker_score import (
-    RangeOffsetScore,
-    score_range_offset,
-)
 from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.batch import Estimate
 from truepath.estimation.solve.budget import split_uncertainty
 from truepath.estimation.solve.contributions import find_contributions
 from truepath.files.bundle.one_machine import one_machine
@@ -99,7 +94,7 @@ def analyse(
     scale = PER_PPM * provenance.state_length_scale_ppm(machine.tracker)
     brought = find_contributions(estimated, checked.given, scale)
     budget = split_uncertainty(estimated, scale)
-    scores = _score_ranges(checked.estimate)
+    scores = [misfit.range_offset for misfit in checked.misfits]
     ranges = judge_range(scores, checked.given, names)
     fit = checked.estimate.fit
     checked = replace(checked, estimate=replace(estimated, fit=None))
@@ -113,12 +108,6 @@ def analyse(
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
     verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
-
-
-def _score_ranges(estimated: Estimate) -> list[RangeOffsetScore | None]:
-    fit = estimated.fit
-    assert fit is not None  # noqa: S101 (it was asked to be kept)
-    return [score_range_offset(fit, number) for number in range(len(fit.runs))]
 
 
 def _grade_set_ups(

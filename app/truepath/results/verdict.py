@@ -18,10 +18,9 @@ from truepath.alignment.observations.observations import Driving
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.disturbances import CheckedEstimate
-from truepath.estimation.checks.misfit import Misfit
+from truepath.estimation.checks.misfit import Misfit, RangeOffsetScore
 from truepath.estimation.checks.run_parts import Knock
 from truepath.estimation.checks.step_kinds import RANGE, TILT
-from truepath.estimation.checks.tracker_score import RangeOffsetScore
 from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.prior_model import PriorModel

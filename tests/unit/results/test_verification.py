@@ -26,7 +26,7 @@ from truepath_simulators.worlds import synthetic
 
 MACHINE = 1
 POINTS = 30
-TOLERANCE_UM = 5.0
+TOLERANCE_UM = 5.5
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,9 @@ at once. Steps count only as far as slow drift of pose and size does not explain
 well, and as far as they stand out from what they do not explain: a machine that warms,
 or an effect that the model lacks, is no knock.
 
-The noise is at most what is usual here: it must not explain what it should show.
+The noise is at most what is usual here: it must not explain what it should show. And
+the range offset is free: distances that are all off by more than the specification says
+are no step, though one near the begin would explain them.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from truepath.estimation.checks.misfit_blocks import BlockMisfit, MisfitBlock
@@ -32,11 +35,16 @@ from truepath.estimation.checks.step_candidates import (
     StepSums,
 )
 from truepath.estimation.checks.step_kinds import StepKinds
-from truepath.estimation.problem.design_matrix import DesignMatrix, cut_into_blocks
+from truepath.estimation.problem.design_matrix import (
+    DesignMatrix,
+    Linearisation,
+    cut_into_blocks,
+)
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import limit_noise
 from truepath.estimation.problem.normal_equations import compute_information
+from truepath.kinematics.effects.instrument import RangeStep, name_set_up
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
@@ -46,6 +54,25 @@ _LARGE_MM = 0.02  # of a step
 _STRIDE = 12  # cells from one step that is tried to the next
 _NEAR = 128  # of these, whose neighbours are kept
 _DRIFT = 36  # columns of a drift
+_UNSEEN = 1e-8  # of a column's information: the fit explains it all
+_FREE = 1.0  # precision of a range offset, mm⁻²: nothing is known of it
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOffsetScore:
+    """What one more parameter of a Run, the range offset, would be.
+
+    A wrong home distance, or the constant of another reflector, bends the whole volume
+    about the tracker. An error of a machine repeats with the position of its axes
+    alone; this one repeats with the distance, and what no machine can do of it stays.
+
+    gain : of the fit, χ² of one degree of freedom where there is none
+    offset_mm, sigma_mm : its value, and standard uncertainty
+    """
+
+    gain: float
+    offset_mm: float
+    sigma_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +87,7 @@ class Misfit:
     steps : in the order of time; at least the best, where one can be told
     explained : gain of steps and drift; drift_left : of a drift beside the steps
     unseen : rows before which a large step would pass for errors of the machine
+    range_offset : of the whole Run; None where the data cannot tell it
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -75,6 +103,7 @@ class Misfit:
     explained: float
     drift_left: float
     unseen: frozenset[int]
+    range_offset: RangeOffsetScore | None
 
     @property
     def rest(self) -> float:
@@ -110,9 +139,10 @@ class _Examination:
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
-        self.seen, self.machine = run.observations, fit.model.size
-        self.about = replace(run.linearisation, noise=limit_noise(run.noise))
-        self._solve(collect_known(fit, number), run.weak)
+        about, known = free_range_offset(fit, number)
+        self.seen, self.machine = run.observations, about.machine_model.size
+        self.about = replace(about, noise=limit_noise(run.noise))
+        self._solve(known, run.weak)
         time_s = self.seen.at.time_s
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
         self.span_s = float(middle), max(float(half), 1e-9)
@@ -170,6 +200,7 @@ class _Examination:
             found.explained,
             found.drift_left,
             self._list_unseen(steps.bare, limit),
+            self._score_range_offset(sums),
         )
 
     def name_steps(self, found: Misfit) -> Misfit:
@@ -197,6 +228,18 @@ class _Examination:
             found.rest,
         )
         return replace(found, steps=tuple(kinds.name()))
+
+    def _score_range_offset(self, sums: StepSums) -> RangeOffsetScore | None:
+        """Return what the range offset is that the fit has been given beside."""
+        if self.seen.at.recorded is None:
+            return None
+        own = self.machine - 1
+        column = np.eye(len(self.theta))[own]
+        left = 1.0 / float(self.factor.solve(column)[own]) - _FREE
+        if left < _UNSEEN * float(sums.own[0, -1, -1]):
+            return None
+        offset_mm = float(self.theta[own])
+        return RangeOffsetScore(offset_mm**2 * left, offset_mm, left**-0.5)
 
     def _sum_blocks(
         self, starts: Int64[np.ndarray, " l"]
@@ -308,6 +351,23 @@ class _Examination:
 def compute_step_limit(lines: int) -> float:
     """Return the gain of a step that chance seldom makes in so many lines."""
     return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
+
+
+def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information]:
+    """Return the columns of a Run and what else is known of the machine.
+
+    A range offset of which nothing is known is one more, where it is known how the
+    tracker looks.
+    """
+    about, known = fit.runs[number].linearisation, collect_known(fit, number)
+    at = fit.runs[number].observations.at
+    if at.recorded is None:
+        return about, known
+    offset = RangeStep(name_set_up(at.recorded, at.machine.tracker.face), -np.inf)
+    free = Information.of_matrix(block_diag(known.matrix, _FREE))
+    vector = np.append(known.vector, 0.0)
+    model = about.machine_model.with_effects(offset)
+    return replace(about, machine_model=model), replace(free, vector=vector)
 
 
 def collect_known(fit: Fit, number: int) -> Information:

@@ -34,6 +34,7 @@ from truepath.estimation.problem.runs import (
 from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
+_FEWEST_OF_LINE = 6  # merged cells
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
@@ -216,7 +217,7 @@ def estimate_residual_noise(
 
 
 def _merge_design(observations: Observations, about: Linearisation) -> DesignMatrix:
-    return about.build(observations, merge=_count_to_merge(observations))
+    return about.build_merged(observations, _count_to_merge(observations))
 
 
 def _leave_out_ramps(observations: Observations) -> Observations:
@@ -236,11 +237,16 @@ def _select_lines(observations: Observations) -> Observations:
 
 
 def _count_to_merge(observations: Observations) -> int:
-    """Return how many cells are still short against the correlation time."""
+    """Return how many cells are still short against the correlation time.
+
+    A line has phase and speed of its own: of few cells it tells hardly more than these.
+    """
     length = (
         float(np.median(observations.count)) / observations.at.machine.tracker.rate_hz
     )
-    return max(1, round(_MERGED_S / length))
+    lines = [b - a for a, b in observations.stretches if observations.at.line[a] >= 0]
+    most = np.median(lines) / _FEWEST_OF_LINE if lines else np.inf
+    return max(1, round(min(_MERGED_S / length, most)))
 
 
 def _maximise(

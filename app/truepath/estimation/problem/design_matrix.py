@@ -133,18 +133,48 @@ class Linearisation:
         self,
         observations: Observations,
         *,
-        merge: int = 1,
         solved: Float64[np.ndarray, " p"] | None = None,
     ) -> DesignMatrix:
         """Return the rows of cells that make up whole lines or standstills.
 
-        merge : so many neighbouring cells of a line become one
         solved : all parameters, where these are known: no columns of them, and the
             residual is what they leave
         """
+        p, local, lines = self._build_local(observations, solved)
+        return self._turn(observations, p, local, lines)
+
+    def build_merged(self, observations: Observations, merge: int) -> DesignMatrix:
+        """Return the rows of all cells, up to `merge` neighbours of a line as one."""
+        merged, p = _merge_cells(observations, merge), self.size
+        lines = self._list_lines(observations)
+        local = np.zeros((len(merged), 3, p + 1 + len(TimingLaw(lines).parameters)))
+        row = column = 0
+        for cells in cut_into_blocks(observations):
+            part = observations.select(np.r_[cells])
+            own = _find_means(part, merge).of(self._build_local(part, None)[1])
+            rows, last = slice(row, row + len(own)), column + own.shape[2] - p - 1
+            local[rows, :, : p + 1] = own[:, :, : p + 1]
+            local[rows, :, p + 1 + column : p + 1 + last] = own[:, :, p + 1 :]
+            row, column = row + len(own), last
+        return self._turn(merged, p, local, lines)
+
+    def _turn(
+        self,
+        observations: Observations,
+        fixed: int,
+        local: Float64[np.ndarray, "n 3 q"],
+        lines: tuple[int, ...],
+    ) -> DesignMatrix:
+        frame = observations.beam_frame @ self.pose.rotation
+        return DesignMatrix(observations, frame, frame @ local, fixed, lines)
+
+    def _build_local(
+        self, observations: Observations, solved: Float64[np.ndarray, " p"] | None
+    ) -> tuple[int, Float64[np.ndarray, "n 3 q"], tuple[int, ...]]:
+        """Return the rows in the workpiece frame, and which lines are timed."""
         p, at = self.size if solved is None else 0, observations.at
-        lines = np.unique(at.line[at.line >= 0]) if self.has_timing else ()
-        timing = TimingLaw(tuple(int(line) for line in lines))
+        lines = self._list_lines(observations)
+        timing = TimingLaw(lines)
         local = np.empty((len(observations), 3, p + 1 + len(timing.parameters)))
         local[:, :, p] = self.pose.invert().apply(observations.tracker_mm) - at.point_mm
         if solved is None:
@@ -154,13 +184,15 @@ class Linearisation:
         else:
             whole = solved + np.pad(self.about, (0, len(solved) - len(self.about)))
             local[:, :, p] -= self.model.displacement_mm(at, whole)
-        if timing.lines:
+        if lines:
             local[:, :, p + 1 :] = timing.jacobian(at)
             local[observations.is_ramp, :, p + 1 :] = 0.0  # they are not timed
-        if merge > 1:
-            observations, local = _merge_cells(observations, local, merge)
-        frame = observations.beam_frame @ self.pose.rotation
-        return DesignMatrix(observations, frame, frame @ local, p, timing.lines)
+        return p, local, lines
+
+    def _list_lines(self, observations: Observations) -> tuple[int, ...]:
+        line = observations.at.line
+        lines = np.unique(line[line >= 0]) if self.has_timing else ()
+        return tuple(int(line) for line in lines)
 
     def split(
         self,
@@ -219,19 +251,21 @@ def middle_of(observations: Observations) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _merge_cells(
-    observations: Observations, local: Float64[np.ndarray, "n 3 q"], merge: int
-) -> tuple[Observations, Float64[np.ndarray, "m 3 q"]]:
-    """Return up to `merge` neighbouring cells of a line as one, and their rows.
+def _find_means(observations: Observations, merge: int) -> CellMeans:
+    bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
+    return CellMeans(observations.count, np.concatenate(bounds))
+
+
+def _merge_cells(observations: Observations, merge: int) -> Observations:
+    """Return up to `merge` neighbouring cells of a line as one.
 
     Averaged in the workpiece frame, where a line keeps its direction.
     """
-    bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
-    means = CellMeans(observations.count, np.concatenate(bounds))
+    means = _find_means(observations, merge)
     at, firsts = observations.at, observations.select(means.starts)
     travel = means.of(observations.direction)  # on an arc it turns on the way
     speed = np.linalg.norm(travel, axis=1, keepdims=True)
-    merged = replace(
+    return replace(
         firsts,
         at=replace(
             firsts.at,
@@ -242,4 +276,3 @@ def _merge_cells(
         count=means.count,
         direction=travel / np.maximum(speed, 1e-12),
     )
-    return merged, means.of(local)

@@ -10,6 +10,7 @@ any order of elimination, so the sums do not depend on how the cells were split.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,12 +114,27 @@ def compute_information(
         next
     Raises Unidentifiable if the timing of a line is not determined.
     """
-    sums = NormalEquations.empty(linearisation.size)
+    noises = [linearisation.noise]
+    return compute_under(observations, linearisation, noises, apart=apart)[0]
+
+
+def compute_under(
+    observations: Observations,
+    linearisation: Linearisation,
+    noises: Sequence[NoiseModel],
+    *,
+    apart: bool = False,
+) -> list[Information]:
+    """Return the information of all cells under each noise, from one pass over them.
+
+    As `compute_information`.
+    """
+    sums = [NormalEquations.empty(linearisation.size) for _ in noises]
     for design in linearisation.split(observations):
-        sums = sums.add(design, linearisation.noise)
+        sums = [s.add(design, n) for s, n in zip(sums, noises, strict=True)]
         if apart:
-            sums = sums.finish()
-    return sums.information()
+            sums = [s.finish() for s in sums]
+    return [s.information() for s in sums]
 
 
 @dataclass(frozen=True)

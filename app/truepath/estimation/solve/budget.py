@@ -29,6 +29,7 @@ from jaxtyping import Float64
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import compute_under
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_of_instrument
@@ -111,11 +112,11 @@ def _split_noise(
     total: Float64[np.ndarray, "p p"],
 ) -> list[Float64[np.ndarray, "p p"]]:
     """Return what white, correlated noise and all others bring of their total."""
-    white = _propagate(runs, C, _scale_white)
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
+        (white,) = _propagate(runs, C, [_scale_white])
         return [white, total - white, np.zeros_like(total)]
-    correlated = _propagate(runs, C, _scale_correlated)
+    white, correlated = _propagate(runs, C, [_scale_white, _scale_correlated])
     return [white, correlated, total - white - correlated]
 
 
@@ -146,12 +147,13 @@ def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:
 def _propagate(
     runs: Sequence[RunInformation],
     C: Float64[np.ndarray, "p p"],
-    scale: Callable[[NoiseModel, float], NoiseModel],
-) -> Float64[np.ndarray, "p p"]:
-    """Return −C (∂A/∂s) C of one source; 1 + s makes it exact where it is alone."""
+    scales: Sequence[Callable[[NoiseModel, float], NoiseModel]],
+) -> list[Float64[np.ndarray, "p p"]]:
+    """Return −C (∂A/∂s) C of each source; 1 + s makes it exact where it is alone."""
     size = len(C)
-    change = np.zeros_like(C)
+    change = np.zeros((len(scales), size, size))
     for run in runs:
-        louder = run.replace_noise(scale(run.noise, (1.0 + _STEP) ** 0.5))
-        change += (run.data.matrix - louder.data.matrix)[:size, :size]
-    return C @ (change * (1.0 + _STEP) / _STEP) @ C
+        louder = [scale(run.noise, (1.0 + _STEP) ** 0.5) for scale in scales]
+        found = compute_under(run.observations, run.linearisation, louder)
+        change += [(run.data.matrix - f.matrix)[:size, :size] for f in found]
+    return [C @ (each * (1.0 + _STEP) / _STEP) @ C for each in change]
