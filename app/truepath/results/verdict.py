@@ -29,7 +29,12 @@ from truepath.estimation.problem.runs import RunInput, collect_information, comb
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
-from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
+from truepath.files.environment.refraction import (
+    NOBODY,
+    Refraction,
+    find_cause,
+    state_scale_ppm,
+)
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -124,13 +129,18 @@ def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
 
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
-    """Return which Runs should have been corrected for the air, and are not."""
+    """Return which Runs are not corrected for the air, or for air nobody measured."""
     reasons: list[Reason] = []
     for one, name in zip(refractions, names, strict=True):
+        if one.by != NOBODY and not one.why:
+            continue
+        kind, why = find_cause(one)
+        values: dict[str, Value] = {"why": why, "why_kind": kind}
         if one.by == NOBODY:
-            kind, why = find_cause(one)
-            values: dict[str, Value] = {"why": why, "why_kind": kind}
             reasons.append(Reason("air-uncorrected", "doubtful", values, name))
+        else:
+            values["within_um"] = 2.0 * state_scale_ppm(one)[0]
+            reasons.append(Reason("air-assumed", "usable", values, name))
     if len(names) == 1:
         reasons = [replace(one, run="") for one in reasons]
     return Verdict(tuple(reasons))

@@ -118,7 +118,9 @@ def read_bundle(
                 environment(), machine.altitude_m
             )
         reference = files.get("reference.csv")
-        refraction, tracker = correct_refraction(refraction, tracker, temperature, air)
+        refraction, tracker = correct_refraction(
+            refraction, tracker, temperature, air, machine.altitude_m
+        )
         return Run(
             name=_choose_name(FilePath(path)),
             machine=machine,

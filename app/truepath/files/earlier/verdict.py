@@ -54,6 +54,12 @@ SENTENCES: Mapping[str, Sentence] = {
         "the tracker assumed: up to 270 µm in a metre.",
         "Measure temperature and pressure of the air, and measure again.",
     ),
+    "air-assumed": Sentence(
+        "Usual air is taken for what was not measured of it: {why}. Every length is "
+        "known to {within_um} in a metre (k = 2), as the uncertainties say.",
+        "Measure temperature and pressure of the air, state the site's altitude, or "
+        "hold a known length against the tracker.",
+    ),
     "sensor-left-out": Sentence(
         "Readings of a sensor are not believed, and not used: {what}.",
         "Look at its wires, register, order of words and unit; state the site's "

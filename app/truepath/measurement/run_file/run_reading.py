@@ -81,7 +81,7 @@ def open_run(file: str | Path) -> Run:
         | _read_channels(content.batches, header.channels)
     )
     refraction, tracker = correct_refraction(
-        header.refraction, tracker, temperature, air
+        header.refraction, tracker, temperature, air, header.machine.altitude_m
     )
     missing = [*content.problems, *_find_gaps(tracker)]
     return Run(
