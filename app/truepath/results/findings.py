@@ -16,6 +16,7 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.batch import Estimate
 from truepath.estimation.solve.budget import UncertaintyBudget
 from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
@@ -129,6 +130,7 @@ class Findings:
     both_directions : the volumetric error with lost motion, where that is determined
     length_scale_ppm : standard uncertainty that all lengths have in common, of air and
         tracker, which the covariance of the estimate contains
+    known_scale : what known lengths say of it, where there were some
     """
 
     estimate: Estimate
@@ -145,6 +147,7 @@ class Findings:
     budget: UncertaintyBudget | None = None
     both_directions: Spread | None = None
     length_scale_ppm: float = 0.0
+    known_scale: KnownScale | None = None
 
     @property
     def main(self) -> RunFindings:
@@ -176,7 +179,7 @@ def state_checked_findings(
                 own,
                 provenance.judge_model(),
                 judge_gain(found.volumetric),
-                judge_scale(found.estimate),
+                judge_scale(found.estimate, found.known_scale),
                 judge_program(found.estimate.model.machine, found.volumetric),
             ]
         ),
@@ -198,9 +201,8 @@ def state_findings(
         order, if left out
     """
     sources = range(len(estimate.runs)) if given is None else given
-    tracker = estimate.model.machine.tracker
-    length_scale_ppm = provenance.state_length_scale_ppm(tracker)
-    estimate = estimate.widen_by_scale(PER_PPM * length_scale_ppm)
+    estimate, scale, known_scale = settle_lengths(estimate, provenance, sources)
+    length_scale_ppm = scale / PER_PPM
     return Findings(
         estimate,
         provenance,
@@ -223,7 +225,24 @@ def state_findings(
         grade,
         both_directions=compute_both_directions(estimate, length_scale_ppm),
         length_scale_ppm=length_scale_ppm,
+        known_scale=known_scale,
     )
+
+
+def settle_lengths(
+    estimate: Estimate, provenance: Provenance, sources: Sequence[int]
+) -> tuple[Estimate, float, KnownScale | None]:
+    """Return an estimate with the scale of air, tracker and known lengths in it.
+
+    sources : of each Run of the estimate, which of the provenance it is of
+    """
+    tracker = estimate.model.machine.tracker
+    known = [
+        provenance.runs[source].known_lengths if source not in sources[:number] else ()
+        for number, source in enumerate(sources)
+    ]
+    scale = PER_PPM * provenance.state_length_scale_ppm(tracker)
+    return settle_scale(estimate, scale, known)
 
 
 def _number_part(sources: Sequence[int], number: int) -> int:

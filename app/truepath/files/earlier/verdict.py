@@ -79,6 +79,20 @@ SENTENCES: Mapping[str, Sentence] = {
         "Look at what the tracker takes for the air, and at the temperature of the "
         "machine; hold a known length against the tracker.",
     ),
+    "scale-known": Sentence(
+        "Known lengths ({lengths}) say that all distances of the tracker were off "
+        "by {distance_um} in a metre (within {within_um}, k = 2): the result is "
+        "without that.",
+        "Look at what the tracker takes for the air, where it is more than the air "
+        "can be.",
+    ),
+    "machine-scaled": Sentence(
+        "All linear axes are off by {distance_um} a metre alike (within "
+        "{within_um}, k = 2), by the machine: the known lengths have settled the "
+        "tracker's scale and its air.",
+        "Look at the temperature of the machine, and at the known lengths where "
+        "those say that the tracker was far off as well.",
+    ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "
         "measured, too short, or disturbed.",

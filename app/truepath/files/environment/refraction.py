@@ -163,6 +163,13 @@ def guess_scale(
     return light.assumed_index / float(index[0])
 
 
+def find_factor(refraction: Refraction) -> float:
+    """Return the mean factor that ranges as shown were multiplied by here."""
+    if refraction.light is None or refraction.index is None:
+        return 1.0
+    return refraction.light.assumed_index / refraction.index
+
+
 def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
     """Return the standard uncertainty of all ranges in ppm, and that of a K and a hPa.
 
