@@ -62,13 +62,22 @@ class Provenance:
             return Verdict()
         return self.model.judge_use()
 
-    def state_length_scale_ppm(self, tracker: TrackerNoise) -> float:
-        """Return the standard uncertainty that all lengths have in common.
+    def state_length_scale(
+        self, tracker: TrackerNoise, *, has_known: bool
+    ) -> float | None:
+        """Return the standard uncertainty that all lengths have in common, of 1.
 
         Of several Runs that which knows its air worst: one tracker measures them all.
+        None where there are none.
+
+        has_known : of Runs with known lengths, or of those without
         """
-        ppm = tracker.range_ppm
-        return max(state_length_ppm(run.refraction, ppm) for run in self.runs)
+        ppm = [
+            state_length_ppm(run.refraction, tracker.range_ppm)
+            for run in self.runs
+            if bool(run.known_lengths) == has_known
+        ]
+        return PER_PPM * max(ppm) if ppm else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +243,8 @@ def settle_lengths(
 ) -> tuple[Estimate, float, KnownScale | None]:
     """Return an estimate with the scale of air, tracker and known lengths in it.
 
+    Known lengths settle that of their own Runs alone: air of another hour is other air.
+
     sources : of each Run of the estimate, which of the provenance it is of
     """
     tracker = estimate.model.machine.tracker
@@ -241,8 +252,12 @@ def settle_lengths(
         provenance.runs[source].known_lengths if source not in sources[:number] else ()
         for number, source in enumerate(sources)
     ]
-    scale = PER_PPM * provenance.state_length_scale_ppm(tracker)
-    return settle_scale(estimate, scale, known)
+    settled = provenance.state_length_scale(tracker, has_known=True)
+    other = provenance.state_length_scale(tracker, has_known=False)
+    if settled is None or other is None:
+        return settle_scale(estimate, settled or other or 0.0, known)
+    estimate, left, found = settle_scale(estimate, settled, known)
+    return estimate.widen_by_scale(other), float(np.hypot(left, other)), found
 
 
 def _number_part(sources: Sequence[int], number: int) -> int:

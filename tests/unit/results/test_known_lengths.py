@@ -126,6 +126,17 @@ def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
     assert np.mean(off) < 0.01
 
 
+def test_a_known_length_says_nothing_of_the_air_of_another_run(estimate, provenance):
+    (run,) = (replace(one, refraction=UNCORRECTED) for one in provenance.runs)
+    told = replace(run, known_lengths=(bar(0.0),))
+    both, one, none = (
+        state_findings(estimate, replace(provenance, runs=runs)).length_scale_ppm
+        for runs in ((told, told), (told, run), (run, run))
+    )
+    assert both < 10.0
+    assert one == pytest.approx(none, rel=1e-3)
+
+
 def test_many_rows_of_one_bar_are_no_better_than_the_bar(construct):
     estimate = construct()
     rows = [bar(0.0, 0.01, d) for d in np.eye(3).tolist() * 5]
