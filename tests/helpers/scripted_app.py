@@ -246,6 +246,16 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
     def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
         return volumetric_map(state, compensation)
 
+    @app.put(f"{API}/runs/{{run_id}}/known-lengths")
+    def keep_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
+        sent = known_lengths.file.read()
+        path = f"/runs/{run_id}/known-lengths"
+        service.requests.append(("PUT", path, known_lengths.filename))
+        if not sent.startswith(b"x1_mm"):
+            said = "known_lengths.csv, row 2, column u_mm: is 0"
+            return problem(422, "bundle", "The file cannot be read", said, "Correct it")
+        return {"count": sent.count(b"\n") - 1}
+
     @app.post(f"{API}/jobs/{{job_id}}/comparisons", status_code=201)
     def compare(
         job_id: str, reference: UploadFile, reference_um: float, reference_urad: float

@@ -35,7 +35,12 @@ from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
 from truepath.files.bundle.runs_in_time import TimedRun
 from truepath.measurement.run_file.run_file import hash_file
-from truepath.measurement.run_file.run_reading import open_run, read_job_id
+from truepath.measurement.run_file.run_reading import (
+    name_known_lengths,
+    open_recorded,
+    open_run,
+    read_job_id,
+)
 from truepath.measurement.run_file.run_repair import repair_run
 
 log = structlog.get_logger(__name__)
@@ -81,6 +86,22 @@ class RunCatalogue:
     def name_run_file(self, run_id: str) -> Path:
         """Return where the cell records the Run."""
         return self._folder / f"{run_id}.sqlite"
+
+    def name_known_lengths(self, run_id: str) -> Path:
+        """Return where known lengths are that were sent after the Run."""
+        return name_known_lengths(self.name_run_file(run_id))
+
+    def keep_known_lengths(self, run_id: str, data: bytes | None) -> None:
+        """Keep a file of known lengths with a Run, or none. Raises NotFound."""
+        self.get(run_id)
+        kept = self.name_known_lengths(run_id)
+        packed = self._folder / "bundles" / f"{run_id}.zip"
+        with self._packing:
+            if data is None:
+                kept.unlink(missing_ok=True)
+            else:
+                replace_file(kept, data)
+            packed.unlink(missing_ok=True)
 
     def add_measured(self, run_id: str) -> RunRecord | None:
         """Catalogue what the cell has recorded, once; None if nothing can be read.
@@ -145,6 +166,7 @@ class RunCatalogue:
         ends = (".sqlite", ".sqlite-wal", ".sqlite-shm", ".sqlite-journal", ".zip")
         for name in (*(f"{run_id}{end}" for end in ends), f"bundles/{run_id}.zip"):
             (self._folder / name).unlink(missing_ok=True)
+        self.name_known_lengths(run_id).unlink(missing_ok=True)
         sync_to_disk(self._folder)
 
     def read_job_id(self, run_id: str) -> str:
@@ -268,13 +290,13 @@ class RunCatalogue:
     def bundle(self, run_id: str) -> Path:
         """Return the Run as a zipped measurement bundle, packed once and kept."""
         file = self.file(run_id)
-        if file.suffix == ".zip":
+        if file.suffix == ".zip" and not self.name_known_lengths(run_id).is_file():
             return file
         packed = self._folder / "bundles" / f"{run_id}.zip"
         with self._packing:
             if not packed.is_file():
                 packed.parent.mkdir(exist_ok=True)
-                replace_file(packed, zip_bundle(open_run(file)))
+                replace_file(packed, zip_bundle(open_recorded(file)))
         return packed
 
     def make_upload_file(self) -> Path:

@@ -153,8 +153,8 @@ NO_BEAM = Fault(
 AIR_UNKNOWN = Fault(
     "air-unknown",
     "the tracker does not correct for the air, and temperature and pressure of the air "
-    "are not measured: its ranges stay as they are",
-    "set thermometers with air_degC and pressure_hPa; a hall is 270 ppm from vacuum",
+    "are not measured: usual air is taken, where the tracker's light is known",
+    "set thermometers with air_degC and pressure_hPa; state the site's altitude",
 )
 NO_WATCHDOG = Fault(
     "no-watchdog",

@@ -43,6 +43,11 @@ def find_air_index(
     return 1.0 + density / at_air * dry + wet_density / at_vapour * vapour
 
 
+def find_site_pressure_hpa(altitude_m: float) -> float:
+    """Return the pressure of the standard atmosphere."""
+    return 1013.25 * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588
+
+
 def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
     """Return n - 1 of standard air and of standard vapour at a squared wave number."""
     dry = sum(

@@ -4,7 +4,8 @@ The cells that the plan would give, the noise and the prior of the estimator, an
 posterior: nothing is estimated, so the covariance is all there is. The prior's
 precisions, which an estimate finds from its data, are those of machines of usual
 errors, or those that a live estimate has found. What the tracker may be off by stands
-beside the machine's parameters, as in every estimate.
+beside the machine's parameters, as in every estimate; the scale of the air, which no
+data tell, is added to what they leave.
 """
 
 from __future__ import annotations
@@ -34,12 +35,14 @@ from truepath.estimation.problem.observability import (
 )
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends
 from truepath.kinematics.effects.instrument import (
     is_of_instrument,
     list_instrument_errors,
 )
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.estimated_model import EstimatedModel, find_stretch
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -110,7 +113,7 @@ class Step:
     """What is left once a row of the plan is reached.
 
     sigma_mm : volumetric, as of the whole plan
-    random_mm : what of it a perfect tracker would leave
+    random_mm : what of it a perfect tracker in known air would leave
     weakest_mm : what of it the error motions known least put at the tool, by name, the
         weakest first
     """
@@ -129,7 +132,7 @@ class Forecast:
     known : effects in the model, as an earlier measurement has left them
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
         of the volumetric error vector, its rigid motion left out
-    random_mm : what of it a perfect tracker would leave
+    random_mm : what of it a perfect tracker in known air would leave
     curve : the same once rows of the plan are reached, in its order
     unobservable : what the plan cannot show, in words
     stations : what is measured from each place of the tracker
@@ -215,6 +218,8 @@ def predict_with_each(
     stations = (*found.stations, *runs)
     model = _build_model(machine, found.known, stations)
     gram, size = compute_volumetric_gram(model), model.size
+    stretch = _state_length_scale(machine) * find_stretch(model)
+    by_air_mm2 = float(stretch @ gram @ stretch)
     information: list[Float64[np.ndarray, "p p"]] = []
     for run in collect_information(stations, model):
         matrix = run.data.matrix.copy()
@@ -228,7 +233,12 @@ def predict_with_each(
         compute_posterior(Information.of_matrix(one), prior)
         for one in information[planned:]
     ]
-    return [float(np.sum(gram * one.covariance)) ** 0.5 for one in after]
+    return [(float(np.sum(gram * one.covariance)) + by_air_mm2) ** 0.5 for one in after]
+
+
+def _state_length_scale(machine: Machine) -> float:
+    """Return the standard uncertainty of all lengths, of 1, as of any recording."""
+    return PER_PPM * state_length_ppm(Refraction(), machine.tracker.range_ppm)
 
 
 def _build_model(
@@ -288,22 +298,24 @@ def _trace_curve(
     of_tracker = np.zeros(model.size, bool)
     for effect in filter(is_of_instrument, model.effects):
         of_tracker[model.slices[effect.name]] = True
+    length_scale = _state_length_scale(model.machine)
     sums = RecursiveEstimator.start(linearise(cells, model, cells.pose, noise))
     steps, nothing = list[Step](), np.zeros(model.size)
-    covariance = np.zeros((model.size, model.size))
+    left = EstimatedModel(model, nothing, np.zeros((model.size, model.size)))
     ends = np.flatnonzero(np.diff(cells.row, append=cells.row[-1] + 1)) + 1
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
     for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
         sums = sums.add(cells.select(np.arange(first, last)))
         covariance = _compute_covariance(sums, prior)
+        left = replace(left, covariance=covariance).widen_by_scale(length_scale)
         sigma_mm, random_mm = (
             max(float(np.sum(gram * each)), 0.0) ** 0.5
-            for each in (covariance, _hold(covariance, of_tracker))
+            for each in (left.covariance, _hold(covariance, of_tracker))
         )
-        weakest_mm = _find_weakest_mm(EstimatedModel(model, nothing, covariance))
+        weakest_mm = _find_weakest_mm(left)
         row = int(cells.row[last - 1])
         steps.append(Step(row, sigma_mm, random_mm, weakest_mm))
-    return covariance, tuple(steps)
+    return left.covariance, tuple(steps)
 
 
 def _hold(

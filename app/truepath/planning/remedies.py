@@ -20,6 +20,7 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.machine.machine import Machine, position_unit
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Commanded, join_rows, select_rows
@@ -127,7 +128,7 @@ def find_set_up_remedies(
     here_mm : where the tracker stands; elsewhere_mm : where it may stand as well
     move_s : what moving it takes
     """
-    if found.random_mm == found.volumetric_sigma_mm:  # a perfect tracker
+    if not any(map(is_of_instrument, found.model.effects)):  # a perfect tracker
         return ()
     ways = [("second-place", machine, place, 0.0, move_s) for place in elsewhere_mm]
     ways += [("turned-base", machine, here_mm, turn, _TURN_S) for turn in _TURNS_RAD]

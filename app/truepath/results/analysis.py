@@ -24,13 +24,17 @@ from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
 from truepath.files.bundle.sample_sketch import share_samples
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
 from truepath.planning.grade import Grade, SetUp, grade_together
 from truepath.progress import Progress, ignore_progress, scale_progress
-from truepath.results.findings import Findings, Provenance, state_checked_findings
+from truepath.results.findings import (
+    Findings,
+    Provenance,
+    settle_lengths,
+    state_checked_findings,
+)
 from truepath.results.trial_results import run_trials
 from truepath.results.verdict import (
     judge_air,
@@ -91,9 +95,9 @@ def analyse(
         trials = run_trials(estimated, monte_carlo, mapper, validating)
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
-    scale = PER_PPM * provenance.state_length_scale_ppm(machine.tracker)
-    brought = find_contributions(estimated, checked.given, scale)
-    budget = split_uncertainty(estimated, scale)
+    settled, _, _ = settle_lengths(estimated, provenance, checked.given)
+    brought = find_contributions(estimated, checked.given, settled)
+    budget = split_uncertainty(estimated, settled)
     scores = [misfit.range_offset for misfit in checked.misfits]
     ranges = judge_range(scores, checked.given, names)
     fit = checked.estimate.fit

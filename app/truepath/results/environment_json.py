@@ -9,10 +9,9 @@ from truepath.files.bundle.run import RunSummary
 from truepath.files.environment.environment import ChannelFacts
 from truepath.files.environment.refraction import (
     INSTRUMENT,
+    MEASURED,
     NOBODY,
     SERVICE,
-    SIGMA_HPA,
-    SIGMA_K,
     Refraction,
     find_cause,
     refraction_to_json,
@@ -49,7 +48,8 @@ def describe_refraction(refraction: Refraction) -> str:
         kind = "group " if light is not None and light.is_group else ""
         wave = "" if light is None else f" at {light.wavelength_nm:g} nm"
         ppm = 1e6 * (refraction.index - 1.0)
-        return f"corrected here, once: mean {kind}index 1 + {ppm:.2f}·10⁻⁶{wave}"
+        told = f"corrected here, once: mean {kind}index 1 + {ppm:.2f}·10⁻⁶{wave}"
+        return f"{told}, of usual air: {refraction.why}" if refraction.why else told
     if refraction.by == NOBODY:
         return f"NOT corrected: {find_cause(refraction)[1]}"
     return "not corrected here; whether the instrument does is not known"
@@ -65,7 +65,9 @@ def describe_scale(refraction: Refraction) -> str:
     )
     if refraction.by not in _CORRECTED:
         return f"{what}, {common}"
-    at = f"{SIGMA_K:g} K and {SIGMA_HPA:g} hPa"
+    if refraction.why:
+        return f"{ppm:.1f} ppm (k = 1) of usual air: {what}, {common}"
+    at = f"{MEASURED['air_degC']:g} K and {MEASURED['pressure_hPa']:g} hPa"
     return f"{ppm:.1f} ppm (k = 1) where the air is known to {at}: {what}, {common}"
 
 

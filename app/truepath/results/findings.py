@@ -16,6 +16,7 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.batch import Estimate
 from truepath.estimation.solve.budget import UncertaintyBudget
 from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
@@ -61,13 +62,22 @@ class Provenance:
             return Verdict()
         return self.model.judge_use()
 
-    def state_length_scale_ppm(self, tracker: TrackerNoise) -> float:
-        """Return the standard uncertainty that all lengths have in common.
+    def state_length_scale(
+        self, tracker: TrackerNoise, *, has_known: bool
+    ) -> float | None:
+        """Return the standard uncertainty that all lengths have in common, of 1.
 
         Of several Runs that which knows its air worst: one tracker measures them all.
+        None where there are none.
+
+        has_known : of Runs with known lengths, or of those without
         """
-        ppm = tracker.range_ppm
-        return max(state_length_ppm(run.refraction, ppm) for run in self.runs)
+        ppm = [
+            state_length_ppm(run.refraction, tracker.range_ppm)
+            for run in self.runs
+            if bool(run.known_lengths) == has_known
+        ]
+        return PER_PPM * max(ppm) if ppm else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +139,7 @@ class Findings:
     both_directions : the volumetric error with lost motion, where that is determined
     length_scale_ppm : standard uncertainty that all lengths have in common, of air and
         tracker, which the covariance of the estimate contains
+    known_scale : what known lengths say of it, where there were some
     """
 
     estimate: Estimate
@@ -145,6 +156,7 @@ class Findings:
     budget: UncertaintyBudget | None = None
     both_directions: Spread | None = None
     length_scale_ppm: float = 0.0
+    known_scale: KnownScale | None = None
 
     @property
     def main(self) -> RunFindings:
@@ -176,7 +188,7 @@ def state_checked_findings(
                 own,
                 provenance.judge_model(),
                 judge_gain(found.volumetric),
-                judge_scale(found.estimate),
+                judge_scale(found.estimate, found.known_scale),
                 judge_program(found.estimate.model.machine, found.volumetric),
             ]
         ),
@@ -198,9 +210,8 @@ def state_findings(
         order, if left out
     """
     sources = range(len(estimate.runs)) if given is None else given
-    tracker = estimate.model.machine.tracker
-    length_scale_ppm = provenance.state_length_scale_ppm(tracker)
-    estimate = estimate.widen_by_scale(PER_PPM * length_scale_ppm)
+    estimate, scale, known_scale = settle_lengths(estimate, provenance, sources)
+    length_scale_ppm = scale / PER_PPM
     return Findings(
         estimate,
         provenance,
@@ -223,7 +234,30 @@ def state_findings(
         grade,
         both_directions=compute_both_directions(estimate, length_scale_ppm),
         length_scale_ppm=length_scale_ppm,
+        known_scale=known_scale,
     )
+
+
+def settle_lengths(
+    estimate: Estimate, provenance: Provenance, sources: Sequence[int]
+) -> tuple[Estimate, float, KnownScale | None]:
+    """Return an estimate with the scale of air, tracker and known lengths in it.
+
+    Known lengths settle that of their own Runs alone: air of another hour is other air.
+
+    sources : of each Run of the estimate, which of the provenance it is of
+    """
+    tracker = estimate.model.machine.tracker
+    known = [
+        provenance.runs[source].known_lengths if source not in sources[:number] else ()
+        for number, source in enumerate(sources)
+    ]
+    settled = provenance.state_length_scale(tracker, has_known=True)
+    other = provenance.state_length_scale(tracker, has_known=False)
+    if settled is None or other is None:
+        return settle_scale(estimate, settled or other or 0.0, known)
+    estimate, left, found = settle_scale(estimate, settled, known)
+    return estimate.widen_by_scale(other), float(np.hypot(left, other)), found
 
 
 def _number_part(sources: Sequence[int], number: int) -> int:

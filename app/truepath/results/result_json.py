@@ -17,12 +17,13 @@ from jaxtyping import Float64
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.run_parts import Knock
 from truepath.estimation.solve.budget import SOURCES, UncertaintyBudget
+from truepath.estimation.solve.known_scale import KnownScale
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import combine_digests
 from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import RESULT_SCHEMA
 from truepath.files.earlier.verdict import verdict_json
-from truepath.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.files.units import PER_PPM, UM_PER_MM, URAD_PER_RAD
 from truepath.results.environment_json import environment_json
 from truepath.results.error_table_files import observability_json, tables_json
 from truepath.results.error_tables import ErrorTables, compute_half_differences
@@ -155,8 +156,19 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "measured_s": run.measured_s,
         "length_scale_ppm": found.length_scale_ppm,
         "length_scale_in_tables": True,
+        "known_lengths": _known_scale_json(found.known_scale),
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
+    }
+
+
+def _known_scale_json(known: KnownScale | None) -> dict[str, Any] | None:
+    if known is None:
+        return None
+    return {
+        "count": known.lengths,
+        "off_ppm": known.off / PER_PPM,
+        "uncertainty_ppm": known.sigma / PER_PPM,
     }
 
 

@@ -25,10 +25,16 @@ from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.solve.known_scale import KnownScale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
-from truepath.files.environment.refraction import NOBODY, Refraction, find_cause
+from truepath.files.environment.refraction import (
+    NOBODY,
+    Refraction,
+    find_cause,
+    state_scale_ppm,
+)
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -123,23 +129,48 @@ def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
 
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
-    """Return which Runs should have been corrected for the air, and are not."""
+    """Return which Runs are not corrected for the air, or for air nobody measured."""
     reasons: list[Reason] = []
     for one, name in zip(refractions, names, strict=True):
+        if one.by != NOBODY and not one.why:
+            continue
+        kind, why = find_cause(one)
+        values: dict[str, Value] = {"why": why, "why_kind": kind}
         if one.by == NOBODY:
-            kind, why = find_cause(one)
-            values: dict[str, Value] = {"why": why, "why_kind": kind}
             reasons.append(Reason("air-uncorrected", "doubtful", values, name))
+        else:
+            values["within_um"] = 2.0 * state_scale_ppm(one)[0]
+            reasons.append(Reason("air-assumed", "usable", values, name))
     if len(names) == 1:
         reasons = [replace(one, run="") for one in reasons]
     return Verdict(tuple(reasons))
 
 
-def judge_scale(found: EstimatedModel) -> Verdict:
-    """Return whether all three linear axes are too long, or too short, by the same."""
+def judge_scale(found: EstimatedModel, known: KnownScale | None = None) -> Verdict:
+    """Return what is known of the scale of all lengths, and whether axes share one.
+
+    known : what known lengths say; the estimate is without it
+    """
+    if known is None:
+        return Verdict(tuple(_judge_common_slope(found, "all-axes-scaled", "doubtful")))
+    values: dict[str, Value] = {
+        "lengths": known.lengths,
+        "distance_um": 1e6 * known.off,
+        "within_um": 1e6 * 2.0 * known.sigma,
+    }
+    # Both wrong alike: either the bar is, or two unlikely things have happened.
+    state = "usable" if known.is_expected else "doubtful"
+    slope = _judge_common_slope(found, "machine-scaled", state)
+    return Verdict((Reason("scale-known", "usable", values), *slope))
+
+
+def _judge_common_slope(
+    found: EstimatedModel, kind: str, state: State
+) -> Iterator[Reason]:
+    """Yield a reason where all linear axes are too long, or too short, by the same."""
     motions = list_lengths(found.model)
     if len(motions) < len(LINEAR):
-        return Verdict()
+        return
     slopes = np.zeros((len(motions), found.model.size))
     for row, motion in zip(slopes, motions, strict=True):
         at_mm = np.linspace(motion.axis.low, motion.axis.high, 2 * motion.spline.size)
@@ -154,12 +185,12 @@ def judge_scale(found: EstimatedModel) -> Verdict:
     disagreement = float(apart @ np.linalg.solve(covariance, apart))
     expected = float(np.hypot(sigma, _MATERIAL))
     if disagreement > _APART or abs(common) < 2.0 * expected:
-        return Verdict()
+        return
     values: dict[str, Value] = {
         "distance_um": UM_PER_MM * 1000.0 * common,
         "within_um": UM_PER_MM * 1000.0 * 2.0 * sigma,
     }
-    return Verdict((Reason("all-axes-scaled", "doubtful", values),))
+    yield Reason(kind, state, values)
 
 
 def judge_range(

@@ -321,6 +321,25 @@ def test_records_lead_to_results_and_bundles(panel, service, tmp_path: Path):
     expect(sheet).to_be_hidden()
 
 
+def test_known_lengths_are_sent_after_a_run_and_told_in_its_row(
+    panel, service, witness
+):
+    witness.expect("422")
+    service.measured()
+    page = panel.open("#/records")
+    row = page.get_by_role("row").filter(has=page.get_by_role("link", name="Bundle"))
+
+    def send(content):
+        file = {"name": "bar.csv", "mimeType": "text/csv", "buffer": content}
+        row.locator("input[type=file]").set_input_files(file)
+
+    send(b"nonsense\n")
+    expect(page.get_by_text("row 2, column u_mm")).to_be_visible()
+    send(b"x1_mm,y1_mm\n1,2\n3,4\n")
+    expect(row.get_by_role("button", name="Known lengths: 2")).to_be_visible()
+    assert service.requests[-1] == ("PUT", "/runs/run-1/known-lengths", "bar.csv")
+
+
 def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     job = service.measured()
     page = panel.open(f"#/result/{job}")

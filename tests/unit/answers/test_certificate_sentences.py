@@ -21,6 +21,7 @@ from truepath.answers.certificate.limits import (
     say_poorly_observable,
     say_unobservable,
 )
+from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification.circles import polar_figure
 from truepath.answers.verification.circles.circle_figures import (
     SECTORS,
@@ -28,6 +29,7 @@ from truepath.answers.verification.circles.circle_figures import (
 )
 from truepath.estimation.problem import observability
 from truepath.estimation.problem.observability import PoorlyObservableShape
+from truepath.files.earlier.provenance_file import KnownLengthsFile
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 MEASURED = {
@@ -112,6 +114,20 @@ def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
     )
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
     assert "270,00 ppm" in scale
+
+
+def test_what_settles_the_scale_of_a_result_is_said_with_its_expanded_uncertainty():
+    figure = {"value_um": 5.0, "uncertainty_um": 0.2}
+    spread = dict.fromkeys(("mean", "p95", "largest"), figure)
+    known = {"count": 3, "off_ppm": -61.5, "uncertainty_ppm": 0.7}
+    volume = {"before": spread, "after_expected": spread}
+    result = SimpleNamespace(
+        length_scale_ppm=0.8, known_lengths=KnownLengthsFile(**known)
+    )
+    found = SimpleNamespace(content={"volumetric_error": volume}, result=result)
+    note = describe_brief(SimpleNamespace(found=found, left=None), GERMAN)["scale_note"]
+    assert "bekannte Längen fest (3)" in note
+    assert "um −61,50 ppm zu lang, mit U = 1,40 ppm" in note
 
 
 def test_a_line_has_one_name_in_german_a_number_a_true_minus_and_a_date_its_hyphens():

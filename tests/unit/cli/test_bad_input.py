@@ -80,6 +80,22 @@ def test_a_bad_bundle_is_one_line(spoil, line, command, bundle, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("is_beside", [False, True])
+def test_a_bad_known_length_is_one_line(is_beside, command, bundle, tmp_path):
+    file = bundle.with_name(f"{bundle.name}.known_lengths.csv")
+    file.write_text(
+        "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
+        "1000,0,0,3000,0,0,2000,0.001\n1000,0,0,3000,0,0,2000,-1\n"
+    )
+    option = []
+    if not is_beside:
+        file = file.rename(tmp_path / "bar.csv")
+        option = ["--known-length", file]
+    said = command.refuse("analyse", bundle, *option, "-o", tmp_path / "out")
+    assert said.startswith(f"{file.name}, row 3, column u_mm: is -1; state the")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_damaged_zip_or_no_bundle_is_one_line(command, bundle, tmp_path):
     archive = tmp_path / "bundle.zip"
     shutil.make_archive(str(tmp_path / "bundle"), "zip", bundle)

@@ -233,7 +233,9 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert stations["best"]["position_mm"] == tracker["position_mm"]
     assert [option["count"] for option in stations["options"]] == [1, 2, 3]
     predicted_um = document["predicted"]["volumetric_uncertainty_um"]
-    assert stations["options"][0]["random_um"] == pytest.approx(predicted_um)
+    # The scale of the air is in what the result will state, and no place takes it away.
+    random_um = stations["options"][0]["random_um"]
+    assert random_um < predicted_um < 1.2 * random_um
     assert stations["recommended"] == 1
     for statement in stations["statement"]:
         assert f"tracker: {statement}" in said

@@ -387,20 +387,28 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
         run = again
 
 
-@pytest.mark.parametrize(
-    ("channels", "light", "by", "why"),
-    [
-        (NAMES, None, "unknown", ""),
-        (("X_degC", "air_degC"), HENE, "nobody", "pressure"),
-    ],
-)
-def test_what_is_not_corrected_is_left_and_said_with_the_reason(
-    tmp_path, header, channels, light, by, why
-):
-    run = corrected(tmp_path, replace(header, channels=channels), light)
-    assert run.refraction.by == by
-    assert why in run.refraction.why
+def test_what_nobody_says_how_to_correct_is_left(tmp_path, header):
+    run = corrected(tmp_path, header, None)
+    assert run.refraction.by == "unknown"
     np.testing.assert_array_equal(run.tracker.position_mm[0], block(0).position_mm[0])
+
+
+@pytest.mark.parametrize("altitude_m", [None, 400.0])
+def test_ranges_are_corrected_by_usual_air_where_it_was_not_measured(
+    tmp_path, header, altitude_m
+):
+    machine = replace(header.machine, altitude_m=altitude_m)
+    header = replace(header, machine=machine, channels=("X_degC", "air_degC"))
+    run = corrected(tmp_path, header, HENE)
+    missing = {"pressure_hPa", "humidity_percent"}
+    assert set(run.refraction.assumed) - {"altitude_m"} == missing
+    assert ("altitude_m" in run.refraction.assumed) == (altitude_m is None)
+    assert "pressure" in run.refraction.why
+    hpa = 954.6 if altitude_m is None else 966.1
+    air = (np.array([v]) for v in (21.0, hpa, 50.0))
+    index = float(find_air_index(633.0, *air, is_group=False)[0])
+    raw_mm = block(0).position_mm[0]
+    np.testing.assert_allclose(run.tracker.position_mm[0], raw_mm / index, rtol=1e-7)
     write_bundle(run, tmp_path / "bundle")
     assert read_bundle(tmp_path / "bundle").refraction == run.refraction
 

@@ -1,6 +1,6 @@
 """What a plan is said to leave unknown, against what the estimate then states."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,8 @@ from estimating import estimate
 from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import Unidentifiable
+from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.forecast import (
@@ -22,6 +24,13 @@ from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
 
+def state_variance(made):
+    """Return the variance of the map as a result states it."""
+    ppm = state_length_ppm(Refraction(), made.model.machine.tracker.range_ppm)
+    told = made.widen_by_scale(1e-6 * ppm)
+    return np.sum(compute_volumetric_gram(told.model) * told.covariance)
+
+
 @pytest.fixture(
     scope="module",
     params=[False, pytest.param(True, marks=pytest.mark.long)],
@@ -33,7 +42,7 @@ def outcomes(record, request):
     for seed in (1, 2):
         run, truth = record(seed, rows=16)
         made = estimate(align(run), perpendicular_only=request.param)
-        variance = np.sum(compute_volumetric_gram(made.model) * made.covariance)
+        variance = state_variance(made)
         stand = truth.recording.pose.position_mm
 
         def foretold(run=run, stand=stand, **known):
@@ -65,13 +74,30 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
         for seed in range(1, 1 + places)
     ]
     result = estimate(*align_all([run for run, _ in made], ["one", "two"][:places]))
-    stated = np.sum(compute_volumetric_gram(result.model) * result.covariance) ** 0.5
+    stated = state_variance(result) ** 0.5
     found = None
     for run, truth in made:
         stand_mm = truth.pose.position_mm
         found = forecast(run.machine, run.commanded, stand_mm, before=found)
     assert found.volumetric_sigma_mm == pytest.approx(stated, rel=0.1)
     assert found.random_mm < 0.8 * stated
+
+
+def test_the_scale_of_the_air_is_foretold_as_it_is_stated(outcomes):
+    _, foretold, _ = outcomes[0]
+    mill = foretold.model.machine
+    stretch = find_stretch(foretold.model)
+    ppm = state_length_ppm(Refraction(), mill.tracker.range_ppm)
+    less = foretold.covariance - 1e-12 * ppm**2 * np.outer(stretch, stretch)
+    known = replace(foretold, covariance=less).motion_sigmas()
+    for symbol, sigma_mm in foretold.motion_sigmas().items():
+        by_air_mm = (sigma_mm**2 - known[symbol] ** 2) ** 0.5
+        if symbol in ("EXX", "EYY", "EZZ"):
+            travel_mm = mill.linear_axes["XYZ".index(symbol[1])].high
+            expected_mm = 1e-6 * ppm * travel_mm / 3.0**0.5
+            assert by_air_mm == pytest.approx(expected_mm, rel=0.1)
+        else:
+            assert by_air_mm == pytest.approx(0.0, abs=1e-9)
 
 
 def test_uncertainty_shrinks_from_row_to_row(outcomes):

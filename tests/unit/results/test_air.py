@@ -13,10 +13,13 @@ from truepath.files.bundle.run import Run, RunEvent, summarize_run
 from truepath.files.environment.refraction import (
     Refraction,
     correct_refraction,
+    refraction_from_json,
+    refraction_to_json,
     state_length_ppm,
     state_scale_ppm,
 )
 from truepath.kinematics.estimated_model import find_stretch
+from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.environment_json import (
     describe_refraction,
     describe_scale,
@@ -128,6 +131,53 @@ def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
     (reason,) = judge_air([Refraction("nobody", why="no pressure")], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
     assert "no pressure" in str(reason)
+
+
+@pytest.mark.parametrize(
+    ("assumed", "ppm"),
+    [
+        (("humidity_percent",), 0.6),
+        (("pressure_hPa",), 2.7),
+        (("air_degC",), 4.6),
+        (("air_degC", "pressure_hPa", "humidity_percent"), 5.3),
+        (("air_degC", "pressure_hPa", "humidity_percent", "altitude_m"), 10.3),
+    ],
+)
+def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(
+    assumed, ppm
+):
+    light = Light(633.0, is_group=False)
+    usual = Refraction(
+        "truepath", light, 1.00027, (20.0, 954.6, 50.0), "no sensor", assumed
+    )
+    assert state_scale_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
+    assert refraction_from_json(refraction_to_json(usual)) == usual
+
+
+def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_measured(
+    run,
+):
+    rng = np.random.default_rng(5)
+    light = Light(633.0, is_group=False)
+    off_ppm = []
+    for _ in range(200):
+        altitude_m = rng.uniform(0.0, 1000.0)
+        hpa = find_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
+        air = rng.normal(20.0, 5.0), hpa, rng.uniform(10.0, 90.0)
+        (index,) = find_air_index(
+            633.0, *(np.array([one]) for one in air), is_group=False
+        )
+        shown = replace(run.tracker, position_mm=index * run.tracker.position_mm)
+        told, samples = correct_refraction(
+            Refraction("nobody", light), shown, None, None
+        )
+        off_ppm.append(1e6 * (samples.position_mm[0, 0] - 1.0))
+    stated_ppm = state_scale_ppm(told)[0]
+    assert np.mean(np.abs(off_ppm) < 2.0 * stated_ppm) > 0.93
+    assert np.std(off_ppm) == pytest.approx(stated_ppm, rel=0.15)
+    (reason,) = judge_air([told], ["run"]).reasons
+    assert (reason.kind, reason.state) == ("air-assumed", "usable")
+    assert reason.values["within_um"] == pytest.approx(2.0 * stated_ppm)
 
 
 def test_air_and_tracker_share_the_uncertainty_of_all_lengths():

@@ -15,6 +15,7 @@ from truepath.catalogue.job import Stage
 from truepath.errors import BundleError
 from truepath.jobs.dispatch.reconciliation import reconcile
 from truepath.jobs.dispatch.retention import Retention, RetentionRules
+from truepath.measurement.run_file.run_reading import open_recorded
 from truepath.service.api.routes import runs as run_routes
 
 pytestmark = pytest.mark.database
@@ -381,3 +382,43 @@ def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
     assert not service.runs.find([loose["id"]])
     assert service.runs.find([run["id"]])  # an answer was made from it
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
+
+
+KNOWN = (
+    "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
+    "1000,0,0,3000.02,0,0,2000.01,0.001\n"
+)
+
+
+def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
+    client, service, run, is_problem
+):
+    address = run["links"]["known_lengths"]
+    is_problem(client.get(address), 404, "not-found")
+    answer = client.put(address, files={"known_lengths": ("bar.csv", KNOWN)})
+    assert answer.json() == {"count": 1}
+    assert client.get(address).text == KNOWN
+    (one,) = open_recorded(service.runs.file(run["id"])).known_lengths
+    assert one.length_mm == 2000.01
+    back = client.get(run["links"]["bundle"]).content
+    with zipfile.ZipFile(io.BytesIO(back)) as archive:
+        assert any(n.endswith("/known_lengths.csv") for n in archive.namelist())
+    assert client.delete(address).status_code == 204
+    assert not open_recorded(service.runs.file(run["id"])).known_lengths
+    client.put(address, files={"known_lengths": ("bar.csv", KNOWN)})
+    assert client.delete(f"{RUNS}/{run['id']}").status_code == 204
+    assert not list(service.runs._folder.glob("*.csv"))
+
+
+def test_a_known_length_that_cannot_be_is_refused_with_its_place(
+    client, run, is_problem
+):
+    address = run["links"]["known_lengths"]
+    bad = KNOWN.replace("2000.01", "2.00001")
+    answer = client.put(address, files={"known_lengths": ("bar.csv", bad)})
+    problem = is_problem(answer, 422, "bundle")
+    assert (problem["row"], problem["column"]) == (2, "length_mm")
+    is_problem(client.get(address), 404, "not-found")
+    unknown = f"{RUNS}/nowhere/known-lengths"
+    answer = client.put(unknown, files={"known_lengths": ("bar.csv", KNOWN)})
+    is_problem(answer, 404, "not-found")

@@ -153,6 +153,8 @@ def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
 def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
     refraction = as_object(environment.get("refraction"))
     key = _AIR.get(refraction.get("by", ""), "unknown")
+    if key == "service" and refraction.get("why"):
+        key = "assumed"
     yield language.say(f"air_{key}")
     if scale := environment.get("range_scale"):
         per_k = language.number(scale["per_K_ppm"], 2)

@@ -66,7 +66,19 @@ def _say_scale(certificate: Certificate, language: Language) -> str:
     """Return the scale that is in these uncertainties; nothing where none is."""
     sources = (certificate.found, certificate.left)
     ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
-    return language.say("length_scale", ppm=language.number(ppm, 2)) if ppm else ""
+    if not ppm:
+        return ""
+    said = language.say("length_scale", ppm=language.number(ppm, 2))
+    known = certificate.found.result.known_lengths
+    if known is None:
+        return said
+    settled = language.say(
+        "known_lengths",
+        count=language.count(known.count),
+        off=language.number(known.off_ppm, 2),
+        u=language.number(2.0 * known.uncertainty_ppm, 2),
+    )
+    return f"{said} {settled}"
 
 
 def _say_compensated(certificate: Certificate, language: Language) -> str:

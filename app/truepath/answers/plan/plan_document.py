@@ -84,7 +84,8 @@ def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
     total_um = planned.uncertainty_um
     said = [
         f"with a perfect tracker {random_um:.2f} µm would stay (k = 1); the rest of "
-        f"{total_um:.2f} µm is what the tracker may be off by, which no time averages"
+        f"{total_um:.2f} µm is what the tracker and its knowledge of the air may be "
+        "off by, which no time averages"
     ]
     return {
         "random_um": random_um,

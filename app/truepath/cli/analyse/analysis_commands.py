@@ -50,6 +50,14 @@ def analyse(
             help="Model whose effects are estimated beside the error motions.",
         ),
     ] = None,
+    known_length: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="KNOWN_LENGTHS.csv",
+            help="Lengths known otherwise, as the tracker of the first measurement "
+            "shows them.",
+        ),
+    ] = None,
     perpendicular_only: PerpendicularOnly = False,
     monte_carlo: Annotated[
         bool,
@@ -72,7 +80,12 @@ def analyse(
         render_analysis,
         write_analysis,
     )
+    from truepath.documents.whole_files import read_whole
     from truepath.estimation.problem.prior_model import read_prior_model
+    from truepath.files.bundle.known_lengths_file import (
+        add_known_lengths,
+        decode_known_lengths,
+    )
     from truepath.measurement.run_file.run_reading import open_recorded
     from truepath.numerics.adaptive_trials import TrialPlan
     from truepath.results.analysis import analyse
@@ -82,8 +95,14 @@ def analyse(
     with show_progress("analyse") as on_progress, workers as mapper:
         on_progress(0.0, "reading")
         earlier = None if model is None else read_prior_model(model)
+        first, *further = read_runs(bundles, open_recorded)
+        if known_length is not None:
+            data = read_whole(known_length)
+            lengths = decode_known_lengths(data, file=known_length.name)
+            first = add_known_lengths(first, lengths)
         findings = analyse(
-            *read_runs(bundles, open_recorded),
+            first,
+            *further,
             model=earlier,
             perpendicular_only=perpendicular_only,
             monte_carlo=TrialPlan(seed=seed, interval=interval)

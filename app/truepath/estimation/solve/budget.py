@@ -33,7 +33,7 @@ from truepath.estimation.problem.normal_equations import compute_under
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_of_instrument
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_component_grams
 
 SOURCES = (
@@ -65,10 +65,12 @@ class UncertaintyBudget:
     variance_mm2: Float64[np.ndarray, "s 3"]
 
 
-def split_uncertainty(estimate: Estimate, scale: float = 0.0) -> UncertaintyBudget:
+def split_uncertainty(
+    estimate: Estimate, settled: EstimatedModel | None = None
+) -> UncertaintyBudget:
     """Return the budget of an estimate that has kept what it was solved from.
 
-    scale : standard uncertainty that all lengths have in common, of 1, of the air
+    settled : the same with the scale that all lengths have in common
 
     Raises Unidentifiable if the data do not determine the machine.
     """
@@ -76,8 +78,8 @@ def split_uncertainty(estimate: Estimate, scale: float = 0.0) -> UncertaintyBudg
     assert fit is not None  # noqa: S101 (it was asked to be kept)
     grams = compute_component_grams(estimate.model)
     parts = _split_covariance(fit, estimate.covariance)
-    stretch = scale * find_stretch(estimate.model)
-    parts[SOURCES.index("instrument")] += np.outer(stretch, stretch)
+    if settled is not None:
+        parts[SOURCES.index("instrument")] += settled.covariance - estimate.covariance
     return UncertaintyBudget(np.einsum("spq,kpq->sk", parts, grams, optimize=True))
 
 

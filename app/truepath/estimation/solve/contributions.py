@@ -15,7 +15,7 @@ from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.runs import combine_runs
 from truepath.estimation.solve.batch import Estimate
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 
@@ -32,20 +32,20 @@ class Contributions:
 
 
 def find_contributions(
-    estimate: Estimate, given: Sequence[int], scale: float = 0.0
+    estimate: Estimate, given: Sequence[int], settled: EstimatedModel | None = None
 ) -> Contributions:
     """Return what Runs brought to an estimate that has kept what it was solved from.
 
     given : of each Run of the estimate, the Run given that it is of
-    scale : standard uncertainty that all lengths have in common, of 1, of the air
+    settled : the same with the scale that all lengths have in common
     """
     fit = estimate.fit
     assert fit is not None  # noqa: S101 (it was asked to be kept)
     gram = compute_volumetric_gram(estimate.model)
     own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
-    stretch = scale * find_stretch(estimate.model)
-    common_mm = float(stretch @ gram @ stretch) ** 0.5
-    sigma_mm = float(np.hypot(own_mm, common_mm))
+    told = (settled or estimate).covariance
+    common_mm2 = float(np.sum(gram * (told - estimate.covariance)))
+    sigma_mm = (own_mm**2 + common_mm2) ** 0.5
     number = len(set(given))
     if number < 2:
         return Contributions(sigma_mm, ())
@@ -56,7 +56,9 @@ def find_contributions(
         )
         for left_out in range(number)
     ]
-    without_mm = (float(np.hypot(own_mm * one / every, common_mm)) for one in without)
+    without_mm = (
+        max((own_mm * one / every) ** 2 + common_mm2, 0.0) ** 0.5 for one in without
+    )
     return Contributions(sigma_mm, tuple(without_mm))
 
 

@@ -59,6 +59,7 @@ class RunEstimate:
     distance_mm : mean distance of the measured points from the tracker
     measured_rows : lines of the path, or points, that it has data of
     seats : of its targets, those that are a matter of the pose left out
+    rotation : by which effects of the tracker know the set-up, as they were recorded
     """
 
     noise: NoiseModel
@@ -73,6 +74,7 @@ class RunEstimate:
     offered_samples: int
     measured_rows: frozenset[int]
     seats: tuple[SeatEstimate, ...] = ()
+    rotation: Float64[np.ndarray, "3 3"] | None = None
 
     @property
     def lines(self) -> int:
@@ -84,6 +86,7 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
     """Return what belongs to one Run. machine : what all of them tell."""
     theta, pose_covariance = run.own.restore(machine)
     observations, residuals = run.observations, compute_residuals(run, theta)
+    recorded = observations.at.recorded
     return RunEstimate(
         run.noise,
         run.linearisation.correct_pose(theta),
@@ -97,6 +100,7 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.offered,
         observations.measured_rows,
         tuple(_find_seats(run, machine)),
+        None if recorded is None else recorded.rotation,
     )
 
 

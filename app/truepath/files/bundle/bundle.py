@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path as FilePath
 from pathlib import PurePosixPath
@@ -27,6 +28,12 @@ from truepath.documents.file_model import encode_json, parse_json
 from truepath.documents.whole_files import MAX_TEXT_BYTES, write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
+from truepath.files.bundle.known_lengths_file import (
+    KNOWN_LENGTHS,
+    add_known_lengths,
+    decode_known_lengths,
+    encode_known_lengths,
+)
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.files.bundle.recorded_files import (
     decode_environment,
@@ -61,6 +68,7 @@ FILES = (
     "tracker.csv",
     "environment.csv",
     "reference.csv",
+    KNOWN_LENGTHS,
 )
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 1000
@@ -118,8 +126,11 @@ def read_bundle(
                 environment(), machine.altitude_m
             )
         reference = files.get("reference.csv")
-        refraction, tracker = correct_refraction(refraction, tracker, temperature, air)
-        return Run(
+        stated = refraction
+        refraction, tracker = correct_refraction(
+            refraction, tracker, temperature, air, machine.altitude_m
+        )
+        run = Run(
             name=_choose_name(FilePath(path)),
             machine=machine,
             commanded=commanded,
@@ -136,6 +147,12 @@ def read_bundle(
                 f"{tracker_file} sha256": hashlib.sha256(stream).hexdigest(),
             },
         )
+        if (known := files.get(KNOWN_LENGTHS)) is None:
+            return run
+        lengths = decode_known_lengths(known())
+        if refraction.by == stated.by:  # as they are, like the samples
+            return replace(run, known_lengths=lengths)
+        return add_known_lengths(run, lengths)
 
 
 def write_bundle(run: Run, folder: str | FilePath) -> None:
@@ -193,6 +210,8 @@ def _encode_files(run: Run) -> dict[str, bytes]:
         files["environment.csv"] = environment
     if run.reference:
         files["reference.csv"] = encode_reference(run.reference)
+    if run.known_lengths:
+        files[KNOWN_LENGTHS] = encode_known_lengths(run.known_lengths)
     return files
 
 

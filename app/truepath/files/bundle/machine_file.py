@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, create_model, model_validator
 
 from truepath.documents.file_model import (
     FileModel,
@@ -135,22 +135,14 @@ class TargetFile(FileModel):
     seat_sigma_mm: Positive = SEAT_SIGMA_MM
 
 
-class SpecificationFile(FileModel):
-    """What the tracker may be off by, standard uncertainties; 0 where left out."""
+_KEYS: dict[str, Any] = {
+    one.name: (NotNegative, 0.0) for one in fields(TrackerSpecification)
+}
+_Keys = create_model("_Keys", __base__=FileModel, **_KEYS)
 
-    index_urad: NotNegative = 0.0
-    eccentricity_urad: NotNegative = 0.0
-    encoder_urad: NotNegative = 0.0
-    fine_urad: NotNegative = 0.0
-    beam_offset_um: NotNegative = 0.0
-    transit_offset_um: NotNegative = 0.0
-    tilt_urad: NotNegative = 0.0
-    range_offset_um: NotNegative = 0.0
-    scale_ppm: NotNegative = 0.0
-    scale_drift_ppm: NotNegative = 0.0
-    bending_urad_per_m: NotNegative = 0.0
-    delay_us: NotNegative = 0.0
-    reflector_um: NotNegative = 0.0
+
+class SpecificationFile(_Keys):
+    """What the tracker may be off by, standard uncertainties; 0 where left out."""
 
     @model_validator(mode="before")
     @classmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Int64
@@ -76,6 +76,26 @@ class DirectMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownLength:
+    """A length known otherwise, and what the tracker made of it.
+
+    ends_mm : both ends in the tracker's frame
+    length_mm, sigma_mm : as it is known to be, with its standard uncertainty
+    """
+
+    ends_mm: tuple[tuple[float, ...], tuple[float, ...]]
+    measured_mm: float
+    length_mm: float
+    sigma_mm: float
+
+    def scale(self, factor: float) -> KnownLength:
+        """Return it with what the tracker measured multiplied."""
+        first, second = (tuple(factor * x for x in end) for end in self.ends_mm)
+        measured_mm = factor * self.measured_mm
+        return replace(self, ends_mm=(first, second), measured_mm=measured_mm)
+
+
+@dataclass(frozen=True, slots=True)
 class PointRows:
     """What is known of each sample where each is the mean of a standstill point.
 
@@ -122,6 +142,7 @@ class Run:
     temperature, air : as sensors showed them; None where there were none
     refraction : who has corrected the ranges of the tracker for the air
     points : of a tracker that measures point by point; None where it streams
+    known_lengths : measured by this tracker from the same place, in the same air
     stream_file : the one that the user sent
     """
 
@@ -135,6 +156,7 @@ class Run:
     axis_samples: AxisSamples | None = None
     points: PointRows | None = None
     reference: tuple[DirectMeasurement, ...] = ()
+    known_lengths: tuple[KnownLength, ...] = ()
     events: tuple[RunEvent, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
     stream_file: str = "tracker.parquet"
@@ -177,6 +199,7 @@ class RunSummary:
     interruptions : of the stream; driven_again : which lines were, each time
     quality : of the samples, if the tracker tells it
     commanded : what was commanded
+    known_lengths : that its tracker has measured
     """
 
     name: str
@@ -198,6 +221,7 @@ class RunSummary:
     quality: SampleQuality | None = None
     commanded: CommandedFacts = CommandedFacts()
     sketch: str = ""
+    known_lengths: tuple[KnownLength, ...] = ()
 
 
 def summarize_run(run: Run) -> RunSummary:
@@ -227,6 +251,7 @@ def summarize_run(run: Run) -> RunSummary:
         state_quality(run.tracker),
         _state_commanded(run),
         sketch_samples(run.tracker),
+        run.known_lengths,
     )
 
 
@@ -256,7 +281,9 @@ def digest_run(run: Run) -> str:
     blocks = [stream.device_time_s, stream.position_mm, stream.status]
     if run.points is not None:
         blocks = [run.points.row, run.points.count, run.points.covariance_mm2, *blocks]
-    return _hash([machine.encode(), *_encode_commanded(run), *_encode_blocks(blocks)])
+    lengths = [repr(one).encode() for one in run.known_lengths]
+    parts = [machine.encode(), *_encode_commanded(run), *_encode_blocks(blocks)]
+    return _hash([*parts, *lengths])
 
 
 def _hash(parts: Iterable[bytes]) -> str:

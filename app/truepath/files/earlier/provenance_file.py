@@ -19,12 +19,21 @@ class _RunBehind(FileModel):
     sketch: str = Field(default="", pattern=f"^{SKETCH}$")
 
 
+class KnownLengthsFile(FileModel):
+    """By how much the tracker's ranges were too long, by known lengths."""
+
+    count: int = Field(ge=1)
+    off_ppm: float
+    uncertainty_ppm: float = Field(ge=0.0)
+
+
 class _Reckoned(FileModel):
     """What is reckoned with of the provenance, where it is stated."""
 
     measured_s: float | None = Field(default=None, ge=0.0)
     length_scale_ppm: float | None = Field(default=None, ge=0.0)
     length_scale_in_tables: bool = False
+    known_lengths: KnownLengthsFile | None = None
     runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
     temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
         default_factory=dict, alias="temperature_degC"

@@ -32,7 +32,7 @@ from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import MachineFile
 from truepath.files.earlier.model_file import model_from_json
-from truepath.files.earlier.provenance_file import require_reckoned
+from truepath.files.earlier.provenance_file import KnownLengthsFile, require_reckoned
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
 from truepath.files.units import PER_PPM
 from truepath.kinematics.estimated_model import EstimatedModel
@@ -108,6 +108,12 @@ class CalibrationResult(EstimatedModel):
         """Standard uncertainty that all its lengths have in common; 0 if not stated."""
         stated = self.provenance.get("length_scale_ppm")
         return float(stated) if isinstance(stated, int | float) else 0.0
+
+    @property
+    def known_lengths(self) -> KnownLengthsFile | None:
+        """What known lengths say of that scale; None where there were none."""
+        stated = self.provenance.get("known_lengths")
+        return None if stated is None else KnownLengthsFile.model_validate(stated)
 
 
 class _Observability(FileModel):

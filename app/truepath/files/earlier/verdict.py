@@ -54,6 +54,12 @@ SENTENCES: Mapping[str, Sentence] = {
         "the tracker assumed: up to 270 µm in a metre.",
         "Measure temperature and pressure of the air, and measure again.",
     ),
+    "air-assumed": Sentence(
+        "Usual air is taken for what was not measured of it: {why}. Every length is "
+        "known to {within_um} in a metre (k = 2), as the uncertainties say.",
+        "Measure temperature and pressure of the air, state the site's altitude, or "
+        "hold a known length against the tracker.",
+    ),
     "sensor-left-out": Sentence(
         "Readings of a sensor are not believed, and not used: {what}.",
         "Look at its wires, register, order of words and unit; state the site's "
@@ -72,6 +78,20 @@ SENTENCES: Mapping[str, Sentence] = {
         "its scale, or by a machine that is warmer or colder than its scales say.",
         "Look at what the tracker takes for the air, and at the temperature of the "
         "machine; hold a known length against the tracker.",
+    ),
+    "scale-known": Sentence(
+        "Known lengths ({lengths}) say that all distances of the tracker were off "
+        "by {distance_um} in a metre (within {within_um}, k = 2): the result is "
+        "without that.",
+        "Look at what the tracker takes for the air, where it is more than the air "
+        "can be.",
+    ),
+    "machine-scaled": Sentence(
+        "All linear axes are off by {distance_um} a metre alike (within "
+        "{within_um}, k = 2), by the machine: the known lengths have settled the "
+        "tracker's scale and its air.",
+        "Look at the temperature of the machine, and at the known lengths where "
+        "those say that the tracker was far off as well.",
     ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "

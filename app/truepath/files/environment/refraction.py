@@ -2,6 +2,7 @@
 
 A tracker divides by an index of refraction. Where it takes that of the air, nothing is
 left to do. Where it takes a fixed one, r = r_shown · assumed index / index of the air.
+What of the air was not measured is taken as usual, and is as uncertain as that.
 A Run says who has done it; what is exported is never corrected again.
 """
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from truepath.errors import BadInput
 from truepath.files.environment.environment import interpolate, is_usable
-from truepath.numerics.air_index import find_air_index
+from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath_drivers.interfaces.records import (
     AirSamples,
     TemperatureSamples,
@@ -27,7 +28,6 @@ from truepath_drivers.interfaces.tracker_records import Light, TrackerCapabiliti
 
 INSTRUMENT, SERVICE = "instrument", "truepath"
 NOBODY, UNKNOWN = "nobody", "unknown"
-USUAL_HUMIDITY = 50.0  # wrong by 30 %: 0.26 ppm at 20 °C
 CAUSES = {
     "no-light": "neither tracker nor settings state its light",
     "no-temperature": "the temperature of the air was not measured",
@@ -35,13 +35,24 @@ CAUSES = {
     "pressure-gaps": "the pressure of the air is not known all the time",
     "nothing-known": "nothing is known of the air",
 }
-"""Why nothing could be done; the operator page says the same kinds in its languages."""
+"""Why ranges could not be corrected, or not by air that was measured; the operator page
+says the same kinds in its languages."""
 _BY = (INSTRUMENT, SERVICE, NOBODY, UNKNOWN)
 _AIR = "air"
-# What sensors are taken to be right to, standard uncertainty, with what the beam meets.
-SIGMA_K, SIGMA_HPA, SIGMA_PERCENT = 0.5, 1.0, 10.0
-_USUAL_AIR = (20.0, 1013.25, USUAL_HUMIDITY)
-UNCORRECTED_PPM = 270.0  # a hall from vacuum, which an instrument may have assumed
+_DEGC, _HPA, _PERCENT, _ALTITUDE = (
+    "air_degC",
+    "pressure_hPa",
+    "humidity_percent",
+    "altitude_m",
+)
+MEASURED = {_DEGC: 0.5, _HPA: 1.0, _PERCENT: 10.0}
+"""Standard uncertainties of what sensors show, as air that the beam meets."""
+ASSUMED = {_DEGC: 5.0, _HPA: 10.0, _PERCENT: 25.0, _ALTITUDE: 1000.0 / 12.0**0.5}
+"""Those of what nobody measured: a hall, the weather at a known altitude, and an
+altitude anywhere from 0 to 1000 m."""
+_USUAL_DEGC, _USUAL_PERCENT, _USUAL_ALTITUDE_M = 20.0, 50.0, 500.0
+_USUAL_AIR = (_USUAL_DEGC, 1013.25, _USUAL_PERCENT)
+UNCORRECTED_PPM = 270.0  # a hall from vacuum: nobody knows what was assumed
 _NM = 633.0
 
 
@@ -52,7 +63,8 @@ class Refraction:
     by : `instrument`; `truepath`, here; `nobody`; `unknown` where nobody says
     light : of an instrument that does not correct
     index : mean that was applied, and before that mean air in °C, hPa, %; only of ours
-    why : nothing could be done
+    why : nothing could be done, or not with measured air
+    assumed : names of `ASSUMED` that were not measured; only of ours
     """
 
     by: str = UNKNOWN
@@ -60,6 +72,7 @@ class Refraction:
     index: float | None = None
     air: tuple[float, float, float] | None = None
     why: str = ""
+    assumed: tuple[str, ...] = ()
 
 
 def choose_refraction(
@@ -94,9 +107,8 @@ def find_cause(refraction: Refraction) -> tuple[str, str]:
 
 
 def lacks_air(refraction: Refraction, channels: Collection[str]) -> bool:
-    """Tell whether ranges will stay uncorrected for want of sensors."""
-    is_open = refraction.by == NOBODY
-    return is_open and not {"air_degC", "pressure_hPa"} <= set(channels)
+    """Tell whether ranges have to be corrected, and the air is not measured."""
+    return refraction.by == NOBODY and not {_DEGC, _HPA} <= set(channels)
 
 
 def correct_refraction(
@@ -104,35 +116,58 @@ def correct_refraction(
     tracker: TrackerSamples,
     temperature: TemperatureSamples | None,
     air: AirSamples | None,
+    altitude_m: float | None = None,
 ) -> tuple[Refraction, TrackerSamples]:
     """Return the samples corrected for the air, and who has done it.
 
-    Does nothing unless nobody has yet and light and air are known.
+    Does nothing unless nobody has yet and the light is known.
+
+    altitude_m : of the site; None where it is not stated
     """
     light, time_s = refraction.light, tracker.device_time_s
     if refraction.by != NOBODY or light is None or not len(time_s):
         return refraction, tracker
-    found = _find_air(temperature, air, time_s)
-    if isinstance(found, str):
-        return replace(refraction, why=found), tracker
-    index = find_air_index(light.wavelength_nm, *found, is_group=light.is_group)
+    found, why = _find_air(temperature, air, time_s)
+    assumed = [name for name in MEASURED if name not in found]
+    if _HPA in assumed and altitude_m is None:
+        assumed.append(_ALTITUDE)
+    usual = (_USUAL_DEGC, _find_usual_hpa(altitude_m), _USUAL_PERCENT)
+    whole = [
+        found.get(name, np.full(len(time_s), value))
+        for name, value in zip(MEASURED, usual, strict=True)
+    ]
+    index = find_air_index(light.wavelength_nm, *whole, is_group=light.is_group)
     position_mm = tracker.position_mm * (light.assumed_index / index)[:, None]
-    degc, hpa, percent = (float(values.mean()) for values in found)
-    told = Refraction(SERVICE, light, float(index.mean()), (degc, hpa, percent))
+    degc, hpa, percent = (float(values.mean()) for values in whole)
+    told = Refraction(
+        SERVICE, light, float(index.mean()), (degc, hpa, percent), why, tuple(assumed)
+    )
     return told, replace(tracker, position_mm=position_mm)
 
 
-def guess_scale(refraction: Refraction, channels: Collection[str]) -> float:
+def guess_scale(
+    refraction: Refraction, channels: Collection[str], altitude_m: float | None = None
+) -> float:
     """Return the factor on ranges in usual air, for what cannot wait for its sensors.
 
     1 where nothing will be corrected: a Run and its live estimate are alike.
     """
     light = refraction.light
-    if refraction.by != NOBODY or light is None or lacks_air(refraction, channels):
+    if refraction.by != NOBODY or light is None:
         return 1.0
-    air = (np.array([value]) for value in _USUAL_AIR)
+    usual = _USUAL_AIR
+    if altitude_m is not None or _HPA not in channels:
+        usual = (_USUAL_DEGC, _find_usual_hpa(altitude_m), _USUAL_PERCENT)
+    air = (np.array([value]) for value in usual)
     index = find_air_index(light.wavelength_nm, *air, is_group=light.is_group)
     return light.assumed_index / float(index[0])
+
+
+def find_factor(refraction: Refraction) -> float:
+    """Return the mean factor that ranges as shown were multiplied by here."""
+    if refraction.light is None or refraction.index is None:
+        return 1.0
+    return refraction.light.assumed_index / refraction.index
 
 
 def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
@@ -141,13 +176,19 @@ def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
     It is common to the whole Run, and to the positioning errors of all axes.
     """
     light = refraction.light or Light(_NM, is_group=False)
-    sizes = [SIGMA_K, SIGMA_HPA, SIGMA_PERCENT]
-    at = np.tile(np.array(refraction.air or _USUAL_AIR, float), (4, 1))
-    at[1:] += np.diag(sizes)
+    sizes = [
+        (ASSUMED if name in refraction.assumed else MEASURED)[name] for name in MEASURED
+    ]
+    away = [[0.0, 0.0, 0.0], *np.diag(sizes)]
+    if _ALTITUDE in refraction.assumed:
+        higher_m = _USUAL_ALTITUDE_M + ASSUMED[_ALTITUDE]
+        less_hpa = _find_usual_hpa(None) - find_site_pressure_hpa(higher_m)
+        away.append([0.0, less_hpa, 0.0])
+    at = np.array(refraction.air or _USUAL_AIR) + np.array(away)
     index = find_air_index(light.wavelength_nm, *at.T, is_group=light.is_group)
     change = np.abs(1e6 * (index[1:] - index[0]))
     total = float(np.linalg.norm(change))
-    return total, float(change[0] / SIGMA_K), float(change[1] / SIGMA_HPA)
+    return total, float(change[0] / sizes[0]), float(change[1] / sizes[1])
 
 
 def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
@@ -157,8 +198,9 @@ def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
 
     tracker_ppm : what the tracker's ranges are uncertain by in proportion to themselves
     """
-    is_open = refraction.by == NOBODY
-    air_ppm = UNCORRECTED_PPM if is_open else state_scale_ppm(refraction)[0]
+    air_ppm = UNCORRECTED_PPM
+    if refraction.by != NOBODY:
+        air_ppm = state_scale_ppm(refraction)[0]
     return math.hypot(air_ppm, tracker_ppm)
 
 
@@ -174,12 +216,22 @@ def refraction_from_json(content: Any) -> Refraction:
     by, light = content["by"], content.get("light")
     if by not in _BY:
         raise ValueError(f"refraction: by is {by!r}, none of {', '.join(_BY)}")
+    assumed = tuple(content.get("assumed", ()))
+    if unknown := set(assumed) - set(ASSUMED):
+        raise ValueError(f"refraction: assumed names {', '.join(sorted(unknown))}")
     return Refraction(
         by,
         None if light is None else Light(**light),
         content.get("index"),
         None if content.get("air") is None else tuple(content["air"]),
         content.get("why", ""),
+        assumed,
+    )
+
+
+def _find_usual_hpa(altitude_m: float | None) -> float:
+    return find_site_pressure_hpa(
+        _USUAL_ALTITUDE_M if altitude_m is None else altitude_m
     )
 
 
@@ -187,21 +239,23 @@ def _find_air(
     temperature: TemperatureSamples | None,
     air: AirSamples | None,
     time_s: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | str:
-    """Return °C, hPa and % at times, or why they are not known."""
+) -> tuple[dict[str, NDArray[np.float64]], str]:
+    """Return what was measured of it at times, and why temperature or pressure was not.
+
+    Nobody has to say why there is no humidity: 25 % are 0.2 ppm.
+    """
     span = float(time_s.min()), float(time_s.max())
-    if temperature is None or _AIR not in temperature.names:
-        return CAUSES["no-temperature"]
-    warm = temperature.celsius[:, temperature.names.index(_AIR)]
-    if not is_usable(temperature.time_s, warm, *span):
-        return CAUSES["temperature-gaps"]
-    if air is None or not is_usable(air.time_s, air.pressure_hpa, *span):
-        return CAUSES["pressure-gaps"]
-    damp = np.full(len(time_s), USUAL_HUMIDITY)
-    if is_usable(air.time_s, air.humidity_percent, *span):
-        damp = interpolate(air.time_s, air.humidity_percent, time_s)
-    return (
-        interpolate(temperature.time_s, warm, time_s),
-        interpolate(air.time_s, air.pressure_hpa, time_s),
-        damp,
-    )
+    found: dict[str, NDArray[np.float64]] = {}
+    why = CAUSES["no-temperature"]
+    if temperature is not None and _AIR in temperature.names:
+        why = CAUSES["temperature-gaps"]
+        warm = temperature.celsius[:, temperature.names.index(_AIR)]
+        if is_usable(temperature.time_s, warm, *span):
+            found[_DEGC] = interpolate(temperature.time_s, warm, time_s)
+            why = CAUSES["pressure-gaps"]
+    if air is not None:
+        shown = {_HPA: air.pressure_hpa, _PERCENT: air.humidity_percent}
+        for name, values in shown.items():
+            if is_usable(air.time_s, values, *span):
+                found[name] = interpolate(air.time_s, values, time_s)
+    return found, "" if {_DEGC, _HPA} <= set(found) else why

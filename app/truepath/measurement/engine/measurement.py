@@ -170,7 +170,9 @@ class Measurement:
         view = LiveView(
             self._report,
             reports_blocks=order.live,
-            range_scale=guess_scale(header.refraction, header.channels),
+            range_scale=guess_scale(
+                header.refraction, header.channels, order.machine.altitude_m
+            ),
         )
         self._recorder = Recorder(
             FilePath(order.run_file),

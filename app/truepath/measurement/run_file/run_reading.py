@@ -14,8 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle
+from truepath.files.bundle.known_lengths_file import (
+    KNOWN_LENGTHS,
+    add_known_lengths,
+    decode_known_lengths,
+)
 from truepath.files.bundle.run import PointRows, Run, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
 from truepath.files.environment.environment import Series, tabulate_channels
@@ -81,7 +87,7 @@ def open_run(file: str | Path) -> Run:
         | _read_channels(content.batches, header.channels)
     )
     refraction, tracker = correct_refraction(
-        header.refraction, tracker, temperature, air
+        header.refraction, tracker, temperature, air, header.machine.altitude_m
     )
     missing = [*content.problems, *_find_gaps(tracker)]
     return Run(
@@ -130,12 +136,21 @@ def _describe_control(header: RunHeader) -> dict[str, str]:
 def open_recorded(place: str | Path) -> Run:
     """Return the Run of a Run file, or of a bundle: a folder or a .zip.
 
-    Raises BundleError.
+    With what a file of known lengths beside it says. Raises BundleError.
     """
     place = Path(place)
-    if place.suffix == ".sqlite" and not place.is_dir():
-        return open_run(place)
-    return open_run(place) if _is_sqlite(place) else read_bundle(place)
+    is_run_file = place.suffix == ".sqlite" and not place.is_dir()
+    run = open_run(place) if is_run_file or _is_sqlite(place) else read_bundle(place)
+    beside = name_known_lengths(place)
+    if not beside.is_file():
+        return run
+    lengths = decode_known_lengths(read_whole(beside), file=beside.name)
+    return add_known_lengths(run, lengths)
+
+
+def name_known_lengths(place: Path) -> Path:
+    """Return where known lengths of a Run file or bundle are that came later."""
+    return place.with_name(f"{place.stem}.{KNOWN_LENGTHS}")
 
 
 def read_job_id(file: str | Path) -> str:

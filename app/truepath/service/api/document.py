@@ -84,6 +84,7 @@ _OF_OPERATION = {
             "download_machine_temperature",
             "download_error_tables",
             "download_bundle",
+            "download_known_lengths",
             "download_compensation",
             "download_compensation_file",
             "download_nc_program",
@@ -110,12 +111,17 @@ _TEXTS = {
     "download_plan_nc_program": "0 BEGIN PGM TRUEPATH MM\n…\n9 END PGM TRUEPATH MM\n",
     "download_compensation_file": "0.0 0.0000 0.0000\n10.0 0.0012 0.0015\n",
     "download_bundle": "PK…",
+    "download_known_lengths": "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
+    "1000,0,0,3000.02,0,0,2000.01,0.001\n",
     "download_compensation": "PK…",
 }
 _FORMS = {
     "upload_bundle": {"bundle": "PK…"},
     "create_comparison": {
         "reference": "error,position_mm,direction,value,unit\nEXX,100,+,1.5,um\n"
+    },
+    "put_known_lengths": {
+        "known_lengths": _TEXTS["download_known_lengths"],
     },
 }
 

@@ -19,6 +19,10 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.catalogue.errors import DiskFull
 from truepath.catalogue.runs import RunRecord
 from truepath.errors import BundleError, NotFound
+from truepath.files.bundle.known_lengths_file import (
+    KNOWN_LENGTHS,
+    decode_known_lengths,
+)
 from truepath.service.api.models.base import Links, RunId, address
 from truepath.service.api.models.naming import Name, RunNaming
 from truepath.service.api.paging import PagingDep
@@ -33,8 +37,11 @@ uploads = APIRouter(prefix="/runs", tags=["runs"])
 
 UNPACKED_SHARE = 8
 """How many times its own size a bundle may unpack to: a stream in CSV packs 3:1."""
+_LARGEST_TABLE = 1 << 20
 _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
+
+_CSV = {"text/csv": {"schema": {"type": "string"}}}
 
 
 # Threads of their own: what is slow to read keeps nobody else waiting.
@@ -47,6 +54,7 @@ class RunLinks(Links):
 
     self: Annotated[str, "/runs/{id}"]
     bundle: Annotated[str, "/runs/{id}/bundle"]
+    known_lengths: Annotated[str, "/runs/{id}/known-lengths"]
 
 
 class RunOut(BaseModel):
@@ -154,6 +162,54 @@ def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
         media_type="application/zip",
         filename=f"run-{run_id}.zip",
     )
+
+
+class KnownLengthsOut(BaseModel):
+    """Known lengths that are kept with a Run."""
+
+    count: int = Field(examples=[3])
+
+
+@router.put("/{run_id}/known-lengths", responses=declare_problems(404, 422))
+def put_known_lengths(
+    run_id: RunId,
+    known_lengths: Annotated[
+        UploadFile, File(description="A `known_lengths.csv`, as the tracker shows it.")
+    ],
+    service: ServiceDep,
+) -> KnownLengthsOut:
+    """Keep lengths that are known otherwise with a Run, in place of earlier ones.
+
+    Analyses from now on settle the scale of all lengths by them.
+    """
+    data = known_lengths.file.read(_LARGEST_TABLE + 1)
+    if len(data) > _LARGEST_TABLE:
+        problem = f"is larger than {_LARGEST_TABLE >> 20} MB"
+        raise BundleError(problem, file=KNOWN_LENGTHS, remedy="send fewer rows")
+    lengths = decode_known_lengths(data)
+    service.runs.keep_known_lengths(run_id, data)
+    return KnownLengthsOut(count=len(lengths))
+
+
+@router.get(
+    "/{run_id}/known-lengths",
+    response_class=FileResponse,
+    responses={**declare_problems(404), 200: {"content": _CSV}},
+)
+def download_known_lengths(run_id: RunId, service: ServiceDep) -> FileResponse:
+    """Return the known lengths that were sent after a Run, as they were sent."""
+    kept = service.runs.name_known_lengths(service.runs.get(run_id).id)
+    if not kept.is_file():
+        raise NotFound(f"run {run_id} has no known lengths")
+    return FileResponse(kept, media_type="text/csv", filename=KNOWN_LENGTHS)
+
+
+@router.delete(
+    "/{run_id}/known-lengths", status_code=204, responses=declare_problems(404)
+)
+def delete_known_lengths(run_id: RunId, service: ServiceDep) -> None:
+    """Forget the known lengths that were sent after a Run."""
+    service.runs.keep_known_lengths(run_id, None)
 
 
 @uploads.post("", status_code=201, responses=declare_problems(413, 422, 507))

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    create_model,
+    model_validator,
+)
 
 from truepath.errors import BundleError
 from truepath.files.bundle.workspace_file import workspace_from_json
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.paths.commanded_rows import MAX_ROWS
 from truepath.service.api.models.base import (
     AsKept,
@@ -38,22 +47,14 @@ class Box(Area):
     """A closed box."""
 
 
-class Specification(RequestBody):
-    """What the tracker may be off by: standard uncertainties, 0 if left out."""
+_KEYS: dict[str, Any] = {
+    one.name: (_Range, 0.0) for one in fields(TrackerSpecification)
+}
+_Keys = create_model("_Keys", __base__=RequestBody, **_KEYS)
 
-    index_urad: _Range = 0.0
-    eccentricity_urad: _Range = 0.0
-    encoder_urad: _Range = 0.0
-    fine_urad: _Range = 0.0
-    beam_offset_um: _Range = 0.0
-    transit_offset_um: _Range = 0.0
-    tilt_urad: _Range = 0.0
-    range_offset_um: _Range = 0.0
-    scale_ppm: _Range = 0.0
-    scale_drift_ppm: _Range = 0.0
-    bending_urad_per_m: _Range = 0.0
-    delay_us: _Range = 0.0
-    reflector_um: _Range = 0.0
+
+class Specification(_Keys):
+    """What the tracker may be off by: standard uncertainties, 0 if left out."""
 
 
 class TrackerSite(RequestBody):

@@ -212,6 +212,14 @@ class OptionsOut(BaseModel):
     perpendicular_only: bool
 
 
+class KnownLengthsOut(BaseModel):
+    """By how much the tracker's ranges were too long, by known lengths."""
+
+    count: int
+    off_ppm: float
+    uncertainty_ppm: float = Field(description="Standard uncertainty of it.")
+
+
 class ProvenanceOut(BaseModel):
     """From what, by what and when it was made."""
 
@@ -240,6 +248,10 @@ class ProvenanceOut(BaseModel):
         False,
         description="Whether the tables' uncertainties contain it, as that of the "
         "volumetric error does. Earlier versions: no.",
+    )
+    known_lengths: KnownLengthsOut | None = Field(
+        None,
+        description="What known lengths say of that scale; the result is without it.",
     )
     feed_mm_min: list[float] | None
     temperature_degC: dict[str, tuple[float, float]] = Field(  # noqa: N815

@@ -141,6 +141,12 @@ class RefractionOut(BaseModel):
     index: float | None
     air: Vector3 | None = Field(description="Mean in °C, hPa and %.")
     why: str
+    assumed: list[str] = Field(
+        [],
+        examples=[["humidity_percent"]],
+        description="What of the air was not measured, but taken as usual; "
+        "`altitude_m` where the site's is not known and its pressure was taken.",
+    )
 
 
 class RangeScaleOut(BaseModel):

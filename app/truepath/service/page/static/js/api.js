@@ -227,6 +227,13 @@ export function upload(file) {
   return call("POST", "/runs", { form, patience_ms: 600000 });
 }
 
+/** Keep lengths that are known otherwise with a Run; answers how many. */
+export function sendKnownLengths(id, file) {
+  const form = new FormData();
+  form.append("known_lengths", file, file.name);
+  return call("PUT", `/runs/${id}/known-lengths`, { form, patience_ms: 60000 });
+}
+
 /** An address that the service states, as it is behind a proxy that the service may not know. */
 export const locate = (address) => address.replace(/^.*?\/api\/v1(?=\/)/, ROOT);
 

@@ -159,6 +159,28 @@ function took(job) {
   return duration((new Date(job.ended) - new Date(job.started ?? job.created)) / 1000);
 }
 
+/** A button that sends known lengths after a Run, and says what was kept. */
+function knownLengthsButton(run, actions) {
+  const file = h("input", { type: "file", accept: ".csv,text/csv", hidden: true, "aria-label": t("records.known_lengths") });
+  const button = h("button", { class: "button", type: "button", "data-needs": "operator", title: t("records.known_lengths_text"),
+    onclick: () => file.click() }, icon("upload"), t("records.known_lengths"));
+  file.addEventListener("change", async () => {
+    const [chosen] = file.files;
+    if (!chosen) return;
+    button.disabled = true;
+    try {
+      const { count } = await api.sendKnownLengths(run.id, chosen);
+      button.lastChild.textContent = t("records.known_lengths_kept", { count: number(count) });
+    } catch (error) {
+      actions.refuse(error);
+    } finally {
+      button.disabled = false;
+      file.value = "";
+    }
+  });
+  return [file, button];
+}
+
 function runTable({ runs, busy }, actions) {
   if (!runs.length) return h("p", { class: "empty" }, t("records.no_runs"));
   const titles = [t("records.name"), t("records.created"), t("run.samples")];
@@ -168,5 +190,6 @@ function runTable({ runs, busy }, actions) {
     h("td", {}, h("div", { class: "row-actions" },
       h("button", { class: "button", type: "button", "data-needs": "operator", disabled: Boolean(busy),
         onclick: () => actions.analyse(run.id) }, t("records.analyse")),
+      ...knownLengthsButton(run, actions),
       linkButton(api.links.bundle(run.id), "download", t("result.bundle"), { download: `${run.id}.zip` }))))));
 }

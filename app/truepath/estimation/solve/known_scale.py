@@ -1,0 +1,173 @@
+"""The scale of all lengths: what the air leaves of it, and what known lengths tell.
+
+No residual shows a wrong scale of the tracker, s: it looks like a machine whose axes
+are all too long. So s stands beside the estimate with its own variance, and a known
+length L that was measured as m is an observation of it,
+
+    m / L - 1 = s + H θ + ε,
+
+H being what the tracker's other errors make of that length, by the same terms as in the
+estimate. Updated by it (Kalman), the estimate loses s times the stretch that it looks
+like, and its covariance has what is still unknown of s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.files.bundle.run import KnownLength
+from truepath.kinematics.conditions import RecordedState, make_standstill
+from truepath.kinematics.effects.instrument import (
+    SetUpErrors,
+    is_of_instrument,
+    name_set_up,
+)
+from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.model import MachineModel
+
+_CONTRADICTED = 3.0  # standard uncertainties
+_ANY = 300e-6  # a hall from vacuum: what was taken for the air is not what it was
+
+
+@dataclass(frozen=True, slots=True)
+class KnownScale:
+    """What known lengths say of the scale of the tracker's ranges.
+
+    lengths : how many there are
+    off, sigma : by how much of 1 ranges were too long, with its standard uncertainty
+    is_expected : air and tracker explain it
+    """
+
+    lengths: int
+    off: float
+    sigma: float
+    is_expected: bool
+
+
+def settle_scale(
+    estimate: Estimate, scale: float, known: Sequence[Sequence[KnownLength]]
+) -> tuple[Estimate, float, KnownScale | None]:
+    """Return the estimate with the scale of all lengths in it, and its uncertainty.
+
+    scale : standard uncertainty of air and tracker, of 1
+    known : lengths measured in each Run of the estimate
+    """
+    count = sum(map(len, known))
+    if not count:
+        return estimate.widen_by_scale(scale), scale, None
+    told = [
+        _Told.of(lengths, run, estimate.model)
+        for lengths, run in zip(known, estimate.runs, strict=True)
+        if lengths
+    ]
+    H = np.vstack([one.rows for one in told])
+    off = np.concatenate([one.off for one in told]) - H @ estimate.theta
+    among = np.zeros((count, count))
+    first = 0
+    for one in told:
+        part = slice(first, first := first + len(one.off))
+        among[part, part] = one.covariance
+    other = H @ estimate.covariance @ H.T + among
+    common, sigma = _find_common(off, other)
+    is_expected = abs(common) <= _CONTRADICTED * float(np.hypot(sigma, scale))
+    if not is_expected:
+        scale = max(scale, _ANY)
+    at_all = other + scale**2
+    gain_theta = np.linalg.solve(at_all, H @ estimate.covariance).T
+    gain_scale = np.linalg.solve(at_all, np.full(count, scale**2))
+    theta, s = estimate.theta + gain_theta @ off, float(gain_scale @ off)
+    covariance = estimate.covariance - gain_theta @ H @ estimate.covariance
+    shared = -(scale**2) * gain_theta.sum(axis=1)
+    variance = scale**2 * (1.0 - float(gain_scale.sum()))
+    stretch = find_stretch(estimate.model)
+    apart = np.outer(shared, stretch)
+    settled = replace(
+        estimate,
+        theta=theta - s * stretch,
+        covariance=covariance + variance * np.outer(stretch, stretch) - apart - apart.T,
+    )
+    found = KnownScale(count, common, sigma, is_expected)
+    return settled, max(variance, 0.0) ** 0.5, found
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """How much too long known lengths of one Run were measured, of 1.
+
+    off : (n,), rows : (n, p) of the model, covariance : (n, n) of what else there is.
+        Rows share what their lengths are uncertain by: most often it is one bar.
+    """
+
+    off: Float64[np.ndarray, " n"]
+    rows: Float64[np.ndarray, "n p"]
+    covariance: Float64[np.ndarray, "n n"]
+
+    @staticmethod
+    def of(
+        lengths: Sequence[KnownLength], run: RunEstimate, model: MachineModel
+    ) -> _Told:
+        ends_mm = np.array([one.ends_mm for one in lengths])
+        measured, length, sigma = np.array(
+            [(one.measured_mm, one.length_mm, one.sigma_mm) for one in lengths]
+        ).T
+        along = ends_mm[:, 1] - ends_mm[:, 0]
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        distance_mm = np.linalg.norm(ends_mm, axis=2)
+        cosine = np.einsum("nei,ni->ne", ends_mm, along) / distance_mm
+        noise_mm = run.tracker.sigma_mm(distance_mm.ravel()).reshape(-1, 2, 2)
+        square = (noise_mm[..., 0] * cosine) ** 2
+        square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
+        # Before or after the measurement, whose mean scale the estimate has.
+        drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
+        common = np.hypot(sigma / length, drift)
+        return _Told(
+            measured / length - 1.0,
+            _trace_errors(ends_mm, along, run, model) / length[:, None],
+            np.outer(common, common) + np.diag(square.sum(axis=1) / length**2),
+        )
+
+
+def _trace_errors(
+    ends_mm: Float64[np.ndarray, "n 2 3"],
+    along: Float64[np.ndarray, "n 3"],
+    run: RunEstimate,
+    model: MachineModel,
+) -> Float64[np.ndarray, "n p"]:
+    """Return what errors of the tracker add to distances of ends, in mm."""
+    rows = np.zeros((len(ends_mm), model.size))
+    if run.rotation is None:
+        return rows
+    points_mm = ends_mm.reshape(-1, 3)
+    machine = replace(model.machine, tracker=run.tracker)
+    nowhere = np.zeros((len(points_mm), len(machine.axes)))
+    still, endless = np.zeros_like(nowhere), np.full_like(nowhere, np.inf)
+    recorded = RecordedState(
+        still, np.zeros(len(points_mm)), endless, points_mm, run.rotation
+    )
+    at = replace(make_standstill(machine, nowhere), recorded=recorded)
+    name = name_set_up(recorded, run.tracker.face)
+    for effect in filter(is_of_instrument, model.effects):
+        if isinstance(effect, SetUpErrors) and effect.set_up in ("", name):
+            middle_s = 0.5 * (effect.begin_s + effect.end_s)
+            at = replace(at, time_s=np.full(len(points_mm), middle_s))
+    for effect in filter(is_of_instrument, model.effects):
+        moved = np.einsum("ij,njp->nip", run.rotation, effect.jacobian(at))
+        first, second = moved[::2], moved[1::2]
+        rows[:, model.slices[effect.name]] = np.einsum(
+            "nip,ni->np", second - first, along
+        )
+    return rows
+
+
+def _find_common(
+    off: Float64[np.ndarray, " n"], covariance: Float64[np.ndarray, "n n"]
+) -> tuple[float, float]:
+    """Return what all have in common, by least squares, and its uncertainty."""
+    weight = np.linalg.solve(covariance, np.ones(len(off)))
+    return float(weight @ off / weight.sum()), float(weight.sum() ** -0.5)
