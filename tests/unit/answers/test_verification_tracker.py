@@ -1,7 +1,7 @@
 """What a tracker within its specification adds is in what a verification states."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,19 +9,24 @@ import pytest
 from recorded import load_small, record_run
 from truepath.answers.verification.places.predicted_motion import predict_displacement
 from truepath.answers.verification.verification import verify
+from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.motion.paths.circle_path import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
 SEEDS = range(1, 6)
 FEED, POINTS, LINES = 6000.0, 30, 14
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
+PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,24 @@ class World:
             program = paths.chord_path(self.machine, seed, LINES, FEED)
         tracker = self.seed if is_same_tracker else seed
         return self._record(program, seed, mode, truth, tracker)
+
+    def drive_circles(self, truth):
+        machine = machine_from_json(self.content, file="machine.json")
+        path = make_circle_path(machine)
+        arcs = tuple(
+            arc
+            and Arc(
+                tuple("XYZ".index(name) for name in arc.axes),
+                arc.centre_mm,
+                float(np.radians(arc.turn_deg)),
+            )
+            for arc in path.arc
+        )
+        program = Program(
+            path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs
+        )
+        run = self._record(program, self.seed + 700, "otf", truth, tracker=self.seed)
+        return replace(run, machine=machine, commanded=path)
 
     @property
     def compensated(self):
@@ -121,6 +144,30 @@ def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
         assert stated.value_um <= 2.0 * stated.uncertainty_um
         held.append(count_held(found, world.compensated))
     assert np.mean(held) >= 0.9
+
+
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
+    held: list[bool] = []
+    for world in worlds:
+        run = world.drive_circles(world.compensated)
+        for one in verify(world.result, run).circles.circles:
+            value, sigma = one.measured.value_um, one.measured.uncertainty_um
+            held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
+    assert np.mean(held) >= 0.9
+
+
+def test_radii_are_known_less_well_by_a_tracker_that_may_err(worlds):
+    world = worlds[0]
+    run = world.drive_circles(world.compensated)
+    perfect = replace(run.machine.tracker, specification=PERFECT)
+    clean = replace(run, machine=replace(run.machine, tracker=perfect))
+    pairs = zip(
+        *(verify(world.result, each).circles.circles for each in (run, clean)),
+        strict=True,
+    )
+    for erring, exact in pairs:
+        stated = [each.measured.uncertainty_um["F_max"] for each in (erring, exact)]
+        assert stated[0] > 1.1 * stated[1]
 
 
 def test_of_a_perfect_tracker_noise_and_scale_are_all_there_is():

@@ -71,7 +71,10 @@ from truepath.files.bundle.sample_sketch import share_samples
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm
-from truepath.kinematics.effects.instrument import list_instrument_errors
+from truepath.kinematics.effects.instrument import (
+    TrackerErrors,
+    list_instrument_errors,
+)
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
 from truepath.results.verdict import judge_air, judge_sensors
@@ -174,9 +177,13 @@ def verify(
         for summary, part, one, scale in zip(summaries, parts, found, ppm, strict=True)
     )
     predict = partial(predict_displacement, result, correction=correction)
+    moving = [
+        replace(each, is_moving=True) if isinstance(each, TrackerErrors) else each
+        for each in errors
+    ]
     circles = join_circles(
         [
-            evaluate_circles(run, part.seen, one, result, predict, first)
+            evaluate_circles(run, part.seen, one, result, predict, moving, first)
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
