@@ -34,7 +34,7 @@ def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9, scale_mm=None)
     nothing = np.zeros_like(deviation_mm)
     noise = noise_mm * rng.standard_normal((*deviation_mm.shape, 50))
     scale = nothing if scale_mm is None else scale_mm
-    measured = DrawnVectors(deviation_mm, noise, scale)
+    measured = DrawnVectors(deviation_mm, noise, scale[:, :, None])
     return evaluate_driven(places_at(machine, position), measured, nothing)
 
 
@@ -98,7 +98,8 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
     held = dict.fromkeys(true.figures_um, 0)
     for _ in range(trials):
         scatter_mm = 1e-3 * noise_um * rng.standard_normal(exact_mm.shape)
-        measured = DrawnVectors(exact_mm + scatter_mm, noise_mm, nothing)
+        seen_mm = exact_mm + scatter_mm
+        measured = DrawnVectors(seen_mm, noise_mm, nothing[:, :, None])
         (found,) = getattr(evaluate_driven(places, measured, nothing), of)
         for name, value in found.figures_um.items():
             off_um = abs(value - true.figures_um[name])

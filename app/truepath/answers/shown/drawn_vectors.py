@@ -14,7 +14,7 @@ _SEED = 3
 
 @dataclass(frozen=True, slots=True)
 class DrawnComponents:
-    """Components along given directions, µm; error_um : noise and common scale."""
+    """Components along given directions, µm; error_um : noise, and what is common."""
 
     measured_um: Float64[np.ndarray, " k"]
     noise_um: Float64[np.ndarray, "k d"]
@@ -26,17 +26,17 @@ class DrawnVectors:
     """Vectors at n places, mm.
 
     noise_mm : drawn from the noise of measured_mm
-    scale_mm : what one standard uncertainty of the scale makes of each
+    common_mm : what one standard uncertainty of each error that all places share makes
     """
 
     measured_mm: Float64[np.ndarray, "n 3"]
     noise_mm: Float64[np.ndarray, "n 3 d"]
-    scale_mm: Float64[np.ndarray, "n 3"]
+    common_mm: Float64[np.ndarray, "n 3 c"]
 
     def select(self, rows: Int64[np.ndarray, " r"]) -> DrawnVectors:
         """Return some of the places."""
         return DrawnVectors(
-            self.measured_mm[rows], self.noise_mm[rows], self.scale_mm[rows]
+            self.measured_mm[rows], self.noise_mm[rows], self.common_mm[rows]
         )
 
     def project(
@@ -45,12 +45,12 @@ class DrawnVectors:
         """Return the components of some places, each along its own direction."""
         own = self.select(rows)
         noise_um = UM_PER_MM * np.einsum("ni,nie->ne", direction, own.noise_mm)
-        scale_um = UM_PER_MM * np.einsum("ni,ni->n", direction, own.scale_mm)
-        # All places err together: one number a draw, the same wherever it is asked for.
-        draws = int(own.noise_mm.shape[2])
-        common = np.random.default_rng(_SEED).standard_normal(draws)
+        common_um = UM_PER_MM * np.einsum("ni,nic->nc", direction, own.common_mm)
+        # All places err together: the same numbers a draw wherever they are asked for.
+        size = own.common_mm.shape[2], own.noise_mm.shape[2]
+        common = np.random.default_rng(_SEED).standard_normal(size)
         return DrawnComponents(
             UM_PER_MM * np.einsum("ni,ni->n", direction, own.measured_mm),
             noise_um,
-            noise_um + scale_um[:, None] * common,
+            noise_um + common_um @ common,
         )

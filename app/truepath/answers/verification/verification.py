@@ -10,7 +10,10 @@ measured places, each component counting the same. Then, at each place,
 
 A tolerance is held against measured and against the deviation by ISO 14253-1, with the
 uncertainty of the measurement alone: the truth is compared with what was stated. It has
-the noise of each place, and the scale of air and tracker that all places share.
+the noise of each place, and what all places share: the scale of air and tracker, and
+what a tracker within its specification adds. That of the calibrating measurement is in
+the result's own uncertainty; of both nothing is taken to be the same, as if the tracker
+were another one.
 Whether the result's own uncertainty is right is another question: deviations are
 consistent if χ² = dᵀ (V + J C Jᵀ)⁻¹ d, pose and seats fitted, is what V of the
 measurement and C of the result allow.
@@ -68,6 +71,10 @@ from truepath.files.bundle.sample_sketch import share_samples
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm
+from truepath.kinematics.effects.instrument import (
+    TrackerErrors,
+    list_instrument_errors,
+)
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
 from truepath.results.verdict import judge_air, judge_sensors
@@ -151,9 +158,10 @@ def verify(
     ]
     _require_enough(places)
     ppm = [state_length_ppm(r.refraction, r.machine.tracker.range_ppm) for r in runs]
+    errors = list_instrument_errors([one.cells for one in places])
     held = HeldPlaces.join(
         [
-            HeldPlaces.of(result, one, correction, scale)
+            HeldPlaces.of(result, one, correction, errors, scale)
             for one, scale in zip(places, ppm, strict=True)
         ]
     )
@@ -169,9 +177,13 @@ def verify(
         for summary, part, one, scale in zip(summaries, parts, found, ppm, strict=True)
     )
     predict = partial(predict_displacement, result, correction=correction)
+    moving = [
+        replace(each, is_moving=True) if isinstance(each, TrackerErrors) else each
+        for each in errors
+    ]
     circles = join_circles(
         [
-            evaluate_circles(run, part.seen, one, result, predict, first)
+            evaluate_circles(run, part.seen, one, result, predict, moving, first)
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
@@ -227,6 +239,7 @@ def _state(
     predicted = held.state(held.predicted_mm, spread)
     deviation = held.state(residual - held.predicted_mm, V)
     noise = held.draw(places.noise_mm2, 1)
+    tracker = held.draw(places.noise_mm2 + held.tracker_mm @ held.tracker_mm.T, 1)
     scale_mm = places.collect(held.less_rigid @ held.scale_mm)
     consistency = judge_consistency(held, spread)
     known_by = consistency.known_by
@@ -248,9 +261,11 @@ def _state(
         deviation,
         measured.covariance_mm2 + predicted.covariance_mm2,
         {
-            "measured": state_measured(measured.vector_mm, noise, known_by, scale_mm),
+            "measured": state_measured(measured.vector_mm, tracker, known_by, scale_mm),
             "predicted": state_predicted(predicted.vector_mm, held.draw(spread, 2)),
-            "deviation": state_measured(deviation.vector_mm, noise, known_by, scale_mm),
+            "deviation": state_measured(
+                deviation.vector_mm, tracker, known_by, scale_mm
+            ),
         },
         consistency,
         find_map_scale(held, is_compensated=correction is not None),
@@ -259,7 +274,11 @@ def _state(
         correction is not None,
         evaluate_driven(
             places,
-            DrawnVectors(measured.vector_mm, noise, scale_mm),
+            DrawnVectors(
+                measured.vector_mm,
+                noise,
+                places.collect(held.less_rigid @ held.common_mm),
+            ),
             predicted.vector_mm,
         ),
         CirclesInMotion(),

@@ -10,20 +10,21 @@ each beside those before it, which may have come somewhat earlier or later.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
-from truepath.estimation.checks.score import ScoredColumns
+from truepath.estimation.checks.score import ScoredColumns, compute_score
 from truepath.estimation.checks.watch_sums import WatchSums
 from truepath.estimation.problem.information import Information
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
-LOST_MOTION = "lost-motion-changed"
+LOST_MOTION, RANGE = "lost-motion-changed", "range-offset-changed"
 LASTING = (DRIFT, GROWTH)
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST = 3  # changes that are told apart
@@ -32,6 +33,7 @@ _NEAR = 3  # lines and standstills: changes as near as that are one
 _NEWEST, _OLDER = 60, 60  # lines since which a change is looked for: all, and some
 _DRIFT_ONSETS = 4
 _SETTLES = 3.0  # times that a drift which settles falls by e
+_UNSEEN_OFFSET = 1e-8  # of its information: rounding
 _FEW = 2  # lines before a change or after it
 
 
@@ -59,6 +61,13 @@ class Trial(ScoredColumns):
     """Courses beside a fit, and beside changes that are given."""
 
     course: Course
+
+    @cached_property
+    def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
+        """As of others; of an offset the specification knows all but a little."""
+        if self.course.kind != RANGE:
+            return super().score
+        return compute_score(self.left, self.raw, self.pulled, _UNSEEN_OFFSET)
 
     def leave_out(self, onset: int) -> Trial:
         """Return it without what a change within a line leaves near it."""
@@ -153,7 +162,16 @@ class ChangeSearch:
                 Course(LOST_MOTION, axis.name, columns.lost_motion(k), steps, step)
                 for k, axis in enumerate(machine.axes)
             ),
+            *self._list_new_offsets(),
         ]
+
+    def _list_new_offsets(self) -> Iterator[Course]:
+        """Yield the range offset since lines before which the beam was lost."""
+        onset = 1 + np.flatnonzero(np.diff(self._sums.lock))
+        if len(onset):
+            step = (np.arange(len(self._sums.row)) >= onset[:, None]).astype(np.float64)
+            column = self._sums.columns.range
+            yield Course(RANGE, "", column, tuple(onset.tolist()), step)
 
     def _choose_onsets(self, lines: int) -> Int64[np.ndarray, " m"]:
         """Return the lines since which a step is looked for, never the first."""

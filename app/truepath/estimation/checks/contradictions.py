@@ -18,6 +18,7 @@ from scipy.special import chdtri
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.checks.misfit import OF_LINE, Misfit, compute_step_limit
 from truepath.estimation.checks.run_parts import (
+    LEAST_KNOCK_MM,
     RunPart,
     join_empty,
     leave_out,
@@ -28,7 +29,6 @@ from truepath.estimation.checks.step_kinds import RANGE
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
-LEAST_KNOCK_MM = 0.002  # less is the air's
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
 _NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more beside them
 MOST = 0.2  # of the cells of a Run; more are no disturbance

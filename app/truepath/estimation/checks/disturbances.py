@@ -19,21 +19,22 @@ from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.contradictions import (
-    LEAST_KNOCK_MM,
     find_knocks,
     remove_plainest,
     spread_over_cells,
 )
 from truepath.estimation.checks.misfit import Misfit, assess_misfit
 from truepath.estimation.checks.run_parts import (
+    LEAST_KNOCK_MM,
     Knock,
     RunPart,
     join_empty,
     leave_out,
+    list_new_offsets,
+    list_range_steps,
     measure_knock,
     split_at_all,
 )
-from truepath.estimation.checks.step_kinds import RANGE
 from truepath.estimation.checks.usual_machine import (
     bends_freely,
     find_shifted_stops,
@@ -133,7 +134,8 @@ class _Solved:
             for k in range(runs)
         ]
         knocks = _list_knocks(self.parts, self.found)
-        knocks += _list_new_offsets(self.parts, self.found)
+        fit = _fit_of(self.found)
+        knocks += list_new_offsets(self.parts, fit.model, fit.result.theta)
         return CheckedEstimate(
             self.found,
             tuple(part.given for part in self.parts),
@@ -182,8 +184,7 @@ def _split(solved: _Solved, misfits: Sequence[Misfit]) -> list[RunPart]:
 
 
 def _add_range_steps(models: RunModels, parts: Sequence[RunPart]) -> RunModels:
-    steps = (step for part in parts for step in part.range_steps)
-    return models.with_effects(*dict.fromkeys(steps))  # parts of one Run share them
+    return models.with_effects(*list_range_steps(parts))
 
 
 def _list_names(models: RunModels, parts: Sequence[RunPart]) -> set[str]:
@@ -296,23 +297,4 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
         if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
             knocks.append(knock)  # else what was between is left out, and all as before
-    return knocks
-
-
-def _list_new_offsets(parts: list[RunPart], found: Estimate) -> list[Knock]:
-    """Return the steps of the range offset, as large as the solve finds them."""
-    fit = _fit_of(found)
-    steps = {step: part.given for part in parts for step in part.range_steps}
-    knocks: list[Knock] = []
-    for step, given in steps.items():
-        seen = [part.seen for part in parts if part.given == given]
-        time_s = np.concatenate([each.at.time_s for each in seen])
-        row = np.concatenate([each.row for each in seen])
-        first = int(np.searchsorted(time_s, step.time_s))
-        (size_mm,) = fit.result.theta[fit.model.slices[step.name]]
-        if 0 < first < len(time_s) and abs(size_mm) > LEAST_KNOCK_MM:
-            between_s = float(time_s[first - 1]), float(time_s[first])
-            knocks.append(
-                Knock(given, int(row[first]), between_s, float(size_mm), 0.0, RANGE)
-            )
     return knocks

@@ -19,8 +19,10 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.setup_steps import POSE, Step
 from truepath.estimation.checks.step_kinds import RANGE
 from truepath.kinematics.effects.instrument import RangeStep, name_set_up
+from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
+LEAST_KNOCK_MM = 0.002  # less is the air's
 _FEWEST_CELLS = 4  # of a line that was cut
 _LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
 
@@ -108,20 +110,14 @@ def _order(each: LeftOut) -> tuple[float, int]:
     return float(np.nan_to_num(each.begin_s)), each.row
 
 
-def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunPart]:
-    """Return what is before a step at a cell, and what is after it, as two Runs.
-
-    Where it is within a line, the cell that it may be in belongs to neither.
-    edges : where the cells that were fitted begin among those of the part
-    """
-    before, after, time_s = _find_gap(part.seen, cell, edges)
-    return divide(part, before, after, time_s)
-
-
 def _find_gap(
     seen: Observations, cell: int, edges: Int64[np.ndarray, " e"]
 ) -> tuple[int, int, float]:
-    """Return how many cells are before a step, the first after it, and its time."""
+    """Return how many cells are before a step, the first after it, and its time.
+
+    Where it is within a line, the cell that it may be in is neither.
+    edges : where the cells that were fitted begin among those seen
+    """
     joined, cell = cell, int(edges[cell])
     within = seen.row[cell] == seen.row[cell - 1] and bool(
         seen.at.line[cell] == seen.at.line[cell - 1]
@@ -132,12 +128,12 @@ def _find_gap(
     return before, after, 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
 
 
-def _add_range_step(
-    part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]
-) -> RunPart:
-    """Return a part with a new range offset since a cell."""
+def add_range_step(part: RunPart, before: int, after: int, time_s: float) -> RunPart:
+    """Return a part with a new range offset since a time.
+
+    before : so many cells; after : the first of those after it
+    """
     seen = part.seen
-    before, after, time_s = _find_gap(seen, cell, edges)
     kept = _drop_remnants(seen, np.r_[:before, after : len(seen)])
     assert seen.at.recorded is not None  # noqa: S101 (steps have names only there)
     step = RangeStep(
@@ -190,10 +186,11 @@ def split_at_all(
     for step in reversed(knocks):  # the cells before it keep their numbers
         if edges[step.cell + 1] > len(found[0].seen):
             continue
+        gap = _find_gap(found[0].seen, step.cell, edges)
         if step.kind == RANGE:
-            found[0] = _add_range_step(found[0], step.cell, edges)
+            found[0] = add_range_step(found[0], *gap)
         else:
-            before, after = split(found[0], step.cell, edges)
+            before, after = divide(found[0], *gap)
             found[:1] = [before, replace(after, kind=step.kind)]
     off_mm = np.repeat(off_mm, np.diff(edges))
     time_s = part.seen.at.time_s
@@ -268,3 +265,28 @@ def measure_knock(
         turned * float(np.sqrt(2.0)),
         after.kind,
     )
+
+
+def list_range_steps(parts: Sequence[RunPart]) -> tuple[RangeStep, ...]:
+    """Return the new range offsets of parts; those of one Run share them."""
+    return tuple(dict.fromkeys(s for part in parts for s in part.range_steps))
+
+
+def list_new_offsets(
+    parts: Sequence[RunPart], model: MachineModel, theta: Float64[np.ndarray, " p"]
+) -> list[Knock]:
+    """Return the steps of the range offset, as large as a solve finds them."""
+    knocks: list[Knock] = []
+    steps = {step: part.given for part in parts for step in part.range_steps}
+    for step, given in steps.items():
+        seen = [part.seen for part in parts if part.given == given]
+        time_s = np.concatenate([each.at.time_s for each in seen])
+        row = np.concatenate([each.row for each in seen])
+        first = int(np.searchsorted(time_s, step.time_s))
+        (size_mm,) = theta[model.slices[step.name]]
+        if 0 < first < len(time_s) and abs(size_mm) > LEAST_KNOCK_MM:
+            between_s = float(time_s[first - 1]), float(time_s[first])
+            knocks.append(
+                Knock(given, int(row[first]), between_s, float(size_mm), 0.0, RANGE)
+            )
+    return knocks

@@ -21,16 +21,18 @@ def compute_score(
     left: Float64[np.ndarray, "l k k"],
     raw: Float64[np.ndarray, "l k k"],
     pulled: Float64[np.ndarray, "l k"],
+    unseen: float = _UNSEEN,
 ) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
     """Return R and Rᵀ pulled, RRᵀ the inverse of the information that is left.
 
-    raw : that before; directions of which the fit explains all have none
+    raw : that before; directions of which no more than a share `unseen` is left have
+        none: the fit explains all
     """
     own = np.einsum("lii->li", raw)
     scale = np.where(own > 0.0, own, np.inf) ** -0.5
     scaled = left * scale[:, :, None] * scale[:, None, :]
     value, vector = np.linalg.eigh(scaled)
-    seen = value > _UNSEEN
+    seen = value > unseen
     size = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
     root = scale[:, :, None] * vector * size[:, None, :]
     return root, np.einsum("lij,li->lj", root, pulled)

@@ -7,11 +7,12 @@ them, any course over the lines is tested without another look at the cells.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.checks.misfit_blocks import count_untimed, weigh
@@ -31,7 +32,7 @@ class WatchedColumns:
     """What may change: pose of the set-up, growth and lost motion of axes.
 
     Their columns come one after the other: six of the pose, one in mm/m a linear axis,
-    half the lost motion of each axis.
+    half the lost motion of each axis, the range offset.
     """
 
     machine: Machine
@@ -51,6 +52,12 @@ class WatchedColumns:
         begin = self.growth.stop + axis
         return slice(begin, begin + 1)
 
+    @property
+    def range(self) -> slice:
+        """Column of the range offset, the last."""
+        begin = self.lost_motion(len(self.machine.axes)).start
+        return slice(begin, begin + 1)
+
     def build_extra(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 e"]:
         """Return the columns beside those of the pose."""
         at = design.observations.at
@@ -64,7 +71,9 @@ class WatchedColumns:
             make_half_width(f"E{axis.name}{axis.name}", axis).jacobian(at)[:, :, 0]
             for axis in self.machine.axes
         ]
-        return design.frame @ np.stack(columns, axis=2)
+        along = np.tile(np.eye(3)[:, :1], (len(at), 1, 1))  # of the beam
+        turned = design.frame @ np.stack(columns, axis=2)
+        return np.concatenate([turned, along], axis=2)
 
 
 @dataclass(frozen=True)
@@ -72,6 +81,7 @@ class WatchSums:
     """Sums of lines one by one, and of all that a fit of them takes.
 
     row, time_s : of each line, its middle on the tracker's clock; cells : of each
+    lock : how often the beam was lost before each
     coupling : of the watched columns with those of the fit; own : with each other
     pulled : with measured minus nominal; gram : of the columns, nothing weighed
     data : on machine and pose; freedom : of its squares, the fit's own not counted
@@ -82,6 +92,7 @@ class WatchSums:
     row: tuple[int, ...]
     time_s: Float64[np.ndarray, " l"]
     cells: Float64[np.ndarray, " l"]
+    lock: Int64[np.ndarray, " l"]
     coupling: Float64[np.ndarray, "l p c"]
     own: Float64[np.ndarray, "l c c"]
     pulled: Float64[np.ndarray, "l c"]
@@ -96,13 +107,14 @@ class WatchSums:
         Lines by themselves do not tell how loud slow noise is: it is as is usual.
         """
         columns, p = WatchedColumns(about.machine_model.machine), about.size
-        c = columns.lost_motion(len(columns.machine.axes) - 1).stop
+        c = columns.range.stop
         empty = WatchSums(
             replace(about, noise=raise_noise(about.noise)),
             columns,
             (),
             np.zeros(0),
             np.zeros(0),
+            np.zeros(0, np.int64),
             np.zeros((0, p, c)),
             np.zeros((0, c, c)),
             np.zeros((0, c)),
@@ -113,11 +125,14 @@ class WatchSums:
         return empty.add(seen)
 
     def add(self, seen: Sequence[Observations]) -> WatchSums:
-        """Return the sums with further lines or standstills."""
+        """Return the sums with further lines or standstills.
+
+        One on which the beam was lost counts as two.
+        """
         lines = [
             self._sum_line(each.select(np.arange(first, last)))
             for each in seen
-            for first, last in each.lines
+            for first, last in _cut_at_locks(each)
             if last > first
         ]
         return self if not lines else _join([self, *lines])
@@ -136,11 +151,13 @@ class WatchSums:
             :, np.r_[p - _POSE : p, p + 1 : fit.shape[1]]
         ]
         freedom = 3.0 * len(line) - design.timing.shape[2]
+        lock = line.at.recorded and line.at.recorded.lock
         return replace(
             self,
             row=(int(line.row[0]),),
             time_s=np.array([0.5 * (line.at.time_s[0] + line.at.time_s[-1])]),
             cells=np.array([float(len(line))]),
+            lock=np.zeros(1, np.int64) if lock is None else lock[-1:],
             coupling=(fit[:, :p].T @ heavy)[None],
             own=(flat.T @ heavy)[None],
             pulled=(fit[:, p] @ heavy)[None],
@@ -148,6 +165,12 @@ class WatchSums:
             data=Information.from_total(total, 0.0),
             freedom=freedom - count_untimed(design, about),
         )
+
+
+def _cut_at_locks(seen: Observations) -> Iterator[tuple[int, int]]:
+    """Return first cell and one past the last of lines and standstills."""
+    ends = np.union1d([last for _, last in seen.lines], seen.new_locks)
+    return pairwise([0, *ends.astype(np.int64).tolist()])
 
 
 def _join(parts: Sequence[WatchSums]) -> WatchSums:
@@ -161,6 +184,7 @@ def _join(parts: Sequence[WatchSums]) -> WatchSums:
         row=tuple(row for part in parts for row in part.row),
         time_s=stack("time_s"),
         cells=stack("cells"),
+        lock=stack("lock"),
         coupling=stack("coupling"),
         own=stack("own"),
         pulled=stack("pulled"),

@@ -19,7 +19,16 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.contradictions import remove_plainest
 from truepath.estimation.checks.misfit import Misfit, assess_misfit
-from truepath.estimation.checks.run_parts import Knock, RunPart, divide, measure_knock
+from truepath.estimation.checks.run_parts import (
+    Knock,
+    RunPart,
+    add_range_step,
+    divide,
+    list_new_offsets,
+    list_range_steps,
+    measure_knock,
+)
+from truepath.estimation.checks.step_kinds import RANGE
 from truepath.estimation.live.live_gate import LineGate, LiveCheck
 from truepath.estimation.noise.noise_fit import estimate_residual_noise
 from truepath.estimation.problem.direction import Fit
@@ -39,6 +48,7 @@ from truepath.estimation.problem.runs import (
     combine_runs,
 )
 from truepath.kinematics.effects.base import QuadraticPrior
+from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
@@ -73,14 +83,17 @@ class CheckedParts:
     def _list_knocks(self) -> tuple[Knock, ...]:
         poses = [self.find_pose(k) for k in range(len(self.parts))]
         centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
-        return tuple(
+        knocks = [
             measure_knock(
                 (self.parts[k - 1], self.parts[k]),
                 (poses[k - 1], poses[k]),
                 0.5 * (centres[k - 1] + centres[k]),
             )
             for k in range(1, len(self.parts))
-        )
+        ]
+        model = self.runs[0].linearisation.machine_model
+        knocks += list_new_offsets(self.parts, model, self.result.theta)
+        return tuple(sorted(knocks, key=lambda knock: knock.time_s))
 
     def estimate_noise(self, start: NoiseModel) -> NoiseModel:
         """Return the noise that the residuals show, where there are most."""
@@ -156,13 +169,14 @@ def check_parts(
     noise = raise_noise(noise)
 
     def solve(parts: Sequence[RunPart]) -> CheckedParts:
-        model = prior.model
+        charged = _charge(prior, list_range_steps(parts))
+        model = charged.model
         inputs = [RunInput(part.seen, pose, noise) for part in parts]
         runs = collect_parts(inputs, model, weak)
         data = known.add_to(combine_runs(runs), model)
-        result = compute_posterior(data, prior.precision_matrix(model.size))
-        fit = Fit("constant", model, runs, runs, known, prior, result, 0.0)
-        misfits = tuple(assess_misfit(fit, k) for k in range(len(runs)))
+        result = compute_posterior(data, charged.precision_matrix(model.size))
+        fit = Fit("constant", model, runs, runs, known, charged, result, 0.0)
+        misfits = tuple(assess_misfit(fit, k, names=True) for k in range(len(runs)))
         return CheckedParts(tuple(parts), runs, result, misfits)
 
     found = solve(split_at(seen, knocks))
@@ -177,6 +191,16 @@ def check_parts(
         except Unidentifiable:
             break  # too little would be left
     return found
+
+
+def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
+    """Return the prior with that of new range offsets."""
+    return replace(
+        prior,
+        model=prior.model.with_effects(*steps),
+        charges={**prior.charges, **{step.name: step.prior() for step in steps}},
+        precision={**prior.precision, **{step.name: 1.0 for step in steps}},
+    )
 
 
 def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
@@ -208,8 +232,13 @@ def split_at(seen: Observations, knocks: Sequence[Knock]) -> list[RunPart]:
         time_s = parts[-1].seen.at.time_s
         before = int(np.searchsorted(time_s, knock.between_s[0], side="right"))
         after = int(np.searchsorted(time_s, knock.between_s[1]))
-        if 0 < before <= after < len(time_s):
-            parts[-1:] = divide(parts[-1], before, after, knock.time_s)
+        if not 0 < before <= after < len(time_s):
+            continue
+        if knock.kind == RANGE:
+            parts[-1] = add_range_step(parts[-1], before, after, knock.time_s)
+        else:
+            first, second = divide(parts[-1], before, after, knock.time_s)
+            parts[-1:] = [first, replace(second, kind=knock.kind)]
     return parts
 
 

@@ -24,6 +24,7 @@ from truepath.estimation.problem.noise import raise_noise
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.run import Run
 from truepath.kinematics.coarse_model import build_coarse_model
+from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Commanded, select_rows
 
@@ -55,37 +56,30 @@ def align_earlier(runs: Sequence[Run]) -> tuple[EarlierRun, ...]:
 
 
 def sum_up_runs(
-    runs: Sequence[EarlierRun],
-    model: MachineModel,
-    known: KnownEffects,
-    weak: Float64[np.ndarray, "6"],
-    *,
-    perpendicular_only: bool,
+    inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
 ) -> Information:
     """Return what Runs tell of a model, their poses left out.
 
     weak : precision of a pose before it is measured
     """
-    inputs = [
-        _refine(run.seen, model, known, perpendicular_only=perpendicular_only)
-        for run in runs
-    ]
     nothing = Information.of_matrix(np.zeros((model.size, model.size)))
     found = collect_parts(inputs, model, weak)
     return add_information([nothing, *(run.own.eliminate() for run in found)])
 
 
-def _refine(
+def refine_run(
     seen: Observations,
     model: MachineModel,
     known: KnownEffects,
     *,
     perpendicular_only: bool,
 ) -> RunInput:
+    """Return a Run in the cells of a model, with its pose and noise."""
     (cells,) = join_cells([seen], model)
     guess = guess_noise(cells, perpendicular_only=perpendicular_only)
     start = RunInput(cells, cells.pose, guess)
-    coarse = build_coarse_model(cells.at.machine, [cells.at.offset_mm], known.effects)
+    at, errors = cells.at, list_instrument_errors([cells.at])
+    coarse = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
     try:
         return refine_runs(coarse, (start,), known)[0]
     except Unidentifiable:  # too few lines to tell: as loud as is usual

@@ -14,7 +14,7 @@ A weak prior keeps tables finite before the lines determine them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,17 +27,21 @@ from truepath.alignment.point_alignment import PointAlignment
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.notices import ChangeWatch, Notice
-from truepath.estimation.checks.run_parts import RunPart
+from truepath.estimation.checks.run_parts import RunPart, list_range_steps
 from truepath.estimation.live.checked_parts import (
     check_parts,
     list_at_knocks,
     weaken_prior,
 )
-from truepath.estimation.live.earlier_runs import EarlierRun, sum_up_runs
+from truepath.estimation.live.earlier_runs import (
+    EarlierRun,
+    refine_run,
+    sum_up_runs,
+)
 from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
 from truepath.estimation.live.live_gate import LineGate, LiveCheck
+from truepath.estimation.live.live_model import LiveModel, list_live_errors
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.confounded_prior import WholePrior
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.information import (
     Information,
@@ -50,21 +54,11 @@ from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import RecursiveEstimator
 from truepath.estimation.problem.prior import widen_by_unknown_precision
 from truepath.estimation.problem.runs import RunInput
-from truepath.files.bundle.run import PointBlock
-from truepath.kinematics.coarse_model import (
-    add_bends,
-    add_half_widths,
-    build_coarse_model,
-)
-from truepath.kinematics.effects.base import Effect, Parameter, Role
-from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.identifiable import (
-    build_identifiable_model,
-    list_partly_told_effects,
-    list_untold_effects,
-)
+from truepath.files.bundle.run import PointBlock, list_locks_s
+from truepath.kinematics.coarse_model import build_coarse_model
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
@@ -96,32 +90,24 @@ class LiveEstimator:
         self._alignment: StreamingAlignment | PointAlignment
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
-        targets = [machine.target(name) for name in commanded.target or ("",)]
-        offsets = np.array([target.offset_mm for target in targets], np.float64)
-        model, _ = build_identifiable_model(machine, offsets)
-        partly = list_partly_told_effects(machine, offsets)
-        model = model.with_effects(*self._known.effects).with_confounded(partly)
-        told = add_half_widths(model)
-        if isinstance(commanded, Path):
-            told = add_bends(told)
-        self._prior = WholePrior.guess(told, list_untold_effects(machine, offsets))
-        self._model = self._prior.whole.model
-        self._gram = compute_volumetric_gram(self._model)
-        self._tracker = TrackerPose(_middle_of_travel(machine))
-        effects = (*self._model.effects, self._tracker)
-        self._weak = list_weak_precisions(effects)
+        self._model = LiveModel.start(machine, commanded, self._known)
+        self._prior = self._model.guess_prior()
+        self._earlier = self._runs = self._model.nothing
         self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
-        self._earlier = Information.of_matrix(np.zeros((self._model.size,) * 2))
-        self._runs = sum_up_runs(
-            earlier,
-            self._model,
-            self._known,
-            self._weak[-6:],
-            perpendicular_only=perpendicular_only,
-        )
+        self._inputs = [
+            refine_run(
+                each.seen,
+                self._model.whole,
+                self._known,
+                perpendicular_only=perpendicular_only,
+            )
+            for each in earlier
+        ]
+        self._tail, self._locks_s = TrackerSamples.empty(), list[float]()
+        self._pose: RigidTransform | None = None  # of the tracker, when last looked at
         self._foretold: Posterior | None = None  # of machine and pose, about the sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
@@ -142,7 +128,9 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        precision = self._prior.told.precision
+        told, tracker = self._prior.told, filter(is_of_instrument, self._model.beside)
+        names = told.precision.keys() - {effect.name for effect in tracker}
+        precision = {name: told.precision[name] for name in names}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
@@ -165,13 +153,22 @@ class LiveEstimator:
         Or whether the target has stood at a further place that is none of its own. All
         blocks of a measurement are of one kind.
         """
-        if isinstance(block, TrackerSamples):
+        is_stream = isinstance(block, TrackerSamples)
+        self._watch_beam(block if is_stream else block.samples)
+        if is_stream:
             assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
             return self._add(self._alignment.add(block)) or self._goes_astray()
         if not isinstance(self._alignment, PointAlignment):
             self._alignment = PointAlignment(self._machine, self._commanded)
             self._seats = self._alignment.seats
         return self._add(self._alignment.add(block)) or self._goes_astray()
+
+    def _watch_beam(self, samples: TrackerSamples) -> None:
+        """Note when the beam was found again after it was lost."""
+        tail = TrackerSamples.join([self._tail, samples])
+        self._locks_s += list_locks_s(tail)
+        seen = np.flatnonzero(tail.status == 0)
+        self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
 
     def finish(self) -> bool:
         """Nothing follows: look at pose and noise with all there is."""
@@ -185,16 +182,17 @@ class LiveEstimator:
         """Return what is known so far, None before the pose is."""
         if self._sums is None:
             return None
-        size = self._model.size
+        model = self._model.whole
+        size = model.size
         data = self._add_known(self._sums.information())
         self._prior, result = self._prior.fit(data)
         prior = self._prior.whole
         widened = widen_by_unknown_precision(prior, result)
-        hidden = add_hidden_variance(widened, self._model, prior.precision)
+        hidden = add_hidden_variance(widened, model, prior.precision)
         self._foretold, covariance = hidden, hidden.covariance[:size, :size]
-        mean_square = float(np.sum(self._gram * covariance))
+        mean_square = float(np.sum(self._model.gram * covariance))
         return LiveEstimate(
-            self._model,
+            model,
             result.theta[:size],
             covariance,
             float(np.sqrt(max(mean_square, 0.0))),
@@ -219,8 +217,10 @@ class LiveEstimator:
         """Return what has been noticed to change while it was measured."""
         if self._sums is None:
             return ()
-        prior = self._prior.precision_matrix(len(self._weak)) + np.diag(self._weak)
-        known = self._known.add_to(Information.of_matrix(prior), self._model)
+        model, weak = self._model, self._model.weak
+        prior = self._prior.precision_matrix(len(weak)) + np.diag(weak)
+        known = self._known.add_to(Information.of_matrix(prior), model.whole)
+        known = known.select(self._sums.linearisation.select_columns(model.watched))
         time_s = float(self._parts[-1].cells.time_s[-1])
         return self._watch.list_notices(known, time_s)
 
@@ -238,6 +238,7 @@ class LiveEstimator:
             return False
         self._parts += parts
         held, moved = len(self._gate.held), self._seats is not self._alignment.seats
+        moved = moved or len(self._locks_s) > self._model.most_locks
         if self._sums is None or moved or len(self._parts) >= self._next_look:
             self._look_again()
         else:
@@ -275,27 +276,40 @@ class LiveEstimator:
 
     def _observations(self, parts: list[CellBlock]) -> Observations:
         seen = self._alignment.observations(parts)
-        (cells,) = join_cells([add_surroundings(seen, self._commanded)], self._model)
+        seen = replace(seen, pose=self._pose or seen.pose)
+        seen = add_surroundings(seen, self._commanded, locks_s=self._locks_s)
+        (cells,) = join_cells([seen], self._model.whole)
         return cells
+
+    def _know(self, *beside: Effect) -> None:
+        """Solve for what the tracker may be off by, too, as it is known now."""
+        self._model = self._model.know(*beside)
+        self._prior = self._model.guess_prior(self._prior)
+        self._earlier = self._model.nothing
+        whole, weak = self._model.whole, self._model.weak
+        self._runs = sum_up_runs(self._inputs, whole, weak[-6:])
 
     def _add_known(self, data: Information) -> Information:
         """Return what the newest part tells, and all that is known beside it."""
-        size, weak = self._model.size, self._weak
+        size, weak = self._model.whole.size, self._model.weak
         matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
         before = add_information([self._earlier, self._runs])
         matrix[:size, :size] += before.matrix
         vector[:size] += before.vector
         square = data.square + before.square
         data = replace(data, matrix=matrix, vector=vector, square=square)
-        return self._known.add_to(data, self._model)
+        return self._known.add_to(data, self._model.whole)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
         """Take the newest pose and noise, and add all cells anew.
 
         thoroughly : judge the noise as the batch does, which takes its time
         """
-        self._seats = self._alignment.seats
+        self._seats, self._pose = self._alignment.seats, self._alignment.pose
         seen = self._observations(self._parts)
+        others = [each.observations.at for each in self._inputs]
+        errors = [*list_live_errors(seen.at, others)]
+        self._know(*errors)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
         known = self._check.knocks
         parts, pose = [RunPart(0, seen)], seen.pose
@@ -303,25 +317,31 @@ class LiveEstimator:
         if len(self._parts) >= _FIRST_LOOK:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
-            prior, weak = weaken_prior(self._prior.told, self._weak), self._weak[-6:]
+            prior = weaken_prior(self._prior.told, self._model.weak)
+            weak = self._model.weak[-6:]
             found = check_parts(seen, known, pose, noise, prior, self._known, weak)
             parts, noise = [*found.parts], found.estimate_noise(noise)
+            if steps := list_range_steps(parts):
+                errors += steps
+                self._know(*errors)
             if thoroughly:
                 main = found.parts[found.main].seen
                 own = found.find_pose(found.main)
-                noise = _refine_noise(main, own, noise, self._known)
+                noise = _refine_noise(main, own, noise, self._known, errors)
             pose = found.find_pose(len(parts) - 1)
             check, self._gate = found.state(noise), found.start_gate(seen)
             said = list_at_knocks(self._check.left_out, check)
             check = replace(check, left_out=(*check.left_out, *said))
-            self._earlier = found.sum_up_earlier(self._model, noise, weak)
+            self._earlier = found.sum_up_earlier(self._model.whole, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)
             self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
-        about = Linearisation(self._model, self._tracker, pose, noise)
+        model = self._model
+        about = Linearisation(model.whole, model.tracker, pose, noise)
         self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
         held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
-        self._watch.start_again(about, [*(part.seen for part in parts), held_back])
+        watched = about.restrict(model.watched)
+        self._watch.start_again(watched, [*(part.seen for part in parts), held_back])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
         self._foretold = None  # the pose that it was about is another now
         self._check = replace(
@@ -342,38 +362,11 @@ def _refine_noise(
     pose: RigidTransform,
     noise: NoiseModel,
     known: KnownEffects,
+    errors: Sequence[Effect],
 ) -> NoiseModel:
     run, at = RunInput(observations, pose, noise), observations.at
-    model = build_coarse_model(at.machine, [at.offset_mm], known.effects)
+    model = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
     try:
         return refine_runs(model, (run,), known)[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
-
-
-def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
-    middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
-    x, y, z = (*middle, 0.0, 0.0)[:3]
-    return x, y, z
-
-
-# A hundred times what errors are known to at the end.
-_WEAK = {"mm": 0.1, "rad": 1e-3}
-# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
-# that it drowns in the rounding of what is known.
-_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
-_WEAK_SPEED = 10.0
-
-
-def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
-    """Return the precision of each parameter, in the order of the effects.
-
-    1/mm², 1/rad² and so on, in the unit of the parameter.
-    """
-    return np.array([_find_sigma(e, p) ** -2 for e in effects for p in e.parameters])
-
-
-def _find_sigma(effect: Effect, parameter: Parameter) -> float:
-    if effect.role is Role.NUISANCE:
-        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
-    return _WEAK.get(parameter.unit, 1.0)

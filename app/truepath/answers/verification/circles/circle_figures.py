@@ -12,7 +12,8 @@ the centre of the circle of least squares of both senses,
 Noise enlarges a range. By how much is told by adding noise to the shape that stands
 clear of it, the harmonics above the universal threshold (Donoho and Johnstone 1994):
 the figures are stated less that, and most of it is part of their uncertainty. The scale
-of air and tracker is in F alone: it makes a circle larger, and leaves it one.
+of air and tracker is in F alone: it makes a circle larger, and leaves it one. Other
+errors of the tracker bend both senses alike and count as noise that these share.
 """
 
 from __future__ import annotations
@@ -193,19 +194,27 @@ class StatedFigures:
 def state_figures(
     radial_mm: dict[str, Sectors],
     covariance_mm2: dict[str, Float64[np.ndarray, "s s"]],
+    common_mm: dict[str, Float64[np.ndarray, "s c"]] | None = None,
     scale_mm: float = 0.0,
 ) -> StatedFigures:
-    """Return the figures of a measurement less what its noise adds to them.
+    """Return the figures of a measurement less what its errors add to them.
 
+    common_mm : what one standard uncertainty of each error of the tracker, the same in
+        both senses, makes of the radii
     scale_mm : standard uncertainty of the radius by the scale of all lengths
     """
     rng = np.random.default_rng(1)
     noise = {sense: draw(rng, one) for sense, one in covariance_mm2.items()}
-    shape = _find_shape(radial_mm, noise)
+    error = noise
+    if common_mm:
+        count = next(iter(common_mm.values())).shape[1]
+        shared = rng.standard_normal((count, _DRAWS))
+        error = {s: one + common_mm[s] @ shared for s, one in noise.items()}
+    shape = _find_shape(radial_mm, error)
     raw = compute_figures({sense: one[:, None] for sense, one in radial_mm.items()})
     clear = compute_figures({sense: one[:, None] for sense, one in shape.items()})
     more = compute_figures(
-        {sense: shape[sense][:, None] + noise[sense] for sense in shape}
+        {sense: shape[sense][:, None] + error[sense] for sense in shape}
     )
     own = compute_figures(noise)
     value: dict[str, float] = {}

@@ -32,6 +32,8 @@ from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.environment.refraction import state_length_ppm
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions, observe_targets
+from truepath.kinematics.effects.base import Effect
+from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.arcs import measure_radius_mm, turn_about
 from truepath_drivers.interfaces.records import Path
 
@@ -99,11 +101,13 @@ def evaluate_circles(
     fitted: RunInput,
     result: CalibrationResult,
     displace: Displace,
+    errors: Sequence[Effect],
     first_row: int,
 ) -> CirclesInMotion:
     """Return the circles of a Run; the latest drive of one that was driven again.
 
-    fitted : tells pose and noise; first_row : of the plan, that the Run begins with
+    fitted : tells pose and noise; errors : what the tracker may be off by
+    first_row : of the plan, that the Run begins with
     """
     path = run.commanded
     if not isinstance(path, Path) or not any(path.arc):
@@ -123,7 +127,7 @@ def evaluate_circles(
             groups.setdefault(_key(commanded), {})[commanded.sense] = driven
     missing = _list_missing(run, path, groups)
     found = [
-        _evaluate(senses, run, path, observations, result, displace)
+        _evaluate(senses, run, path, observations, fitted, result, displace, errors)
         for senses in groups.values()
     ]
     return CirclesInMotion(
@@ -199,24 +203,30 @@ def _evaluate(
     run: Run,
     path: Path,
     observations: Observations,
+    fitted: RunInput,
     result: CalibrationResult,
     displace: Displace,
+    errors: Sequence[Effect],
 ) -> CircleInMotion:
     senses = dict(sorted(senses.items(), reverse=True))  # counterclockwise first
     radius_mm = next(iter(senses.values())).commanded.radius_mm
+    expected: dict[str, Float64[np.ndarray, " s"]] = {}
+    columns: dict[str, Float64[np.ndarray, "s p"]] = {}
+    common: dict[str, Float64[np.ndarray, "s c"]] = {}
+    for sense, one in senses.items():
+        at = _find_conditions(one, run, path, observations, fitted.pose)
+        out = one.commanded.outwards(list_sector_angles())
+        turned = [np.zeros((len(at), 3, 0)), *(e.jacobian(at) for e in errors)]
+        common[sense] = np.einsum("si,sip->sp", out, np.concatenate(turned, axis=2))
+        expected[sense] = np.einsum("si,si->s", out, displace(at))
+        columns[sense] = np.einsum("si,sip->sp", out, result.model.jacobian(at))
     ppm = state_length_ppm(run.refraction, run.machine.tracker.range_ppm)
     measured = state_figures(
         {sense: one.radial_mm for sense, one in senses.items()},
         {sense: one.covariance_mm2 for sense, one in senses.items()},
+        common,
         PER_PPM * ppm * radius_mm,
     )
-    expected: dict[str, Float64[np.ndarray, " s"]] = {}
-    columns: dict[str, Float64[np.ndarray, "s p"]] = {}
-    for sense, one in senses.items():
-        at = _find_conditions(one, run, path, observations)
-        out = one.commanded.outwards(list_sector_angles())
-        expected[sense] = np.einsum("si,si->s", out, displace(at))
-        columns[sense] = np.einsum("si,sip->sp", out, result.model.jacobian(at))
     parameters = draw(np.random.default_rng(2), result.covariance)
     spread = compute_figures(
         {s: expected[s][:, None] + columns[s] @ parameters for s in senses}
@@ -235,7 +245,11 @@ def _evaluate(
 
 
 def _find_conditions(
-    driven: DrivenCircle, run: Run, path: Path, observations: Observations
+    driven: DrivenCircle,
+    run: Run,
+    path: Path,
+    observations: Observations,
+    pose: RigidTransform,
 ) -> Conditions:
     """Return the conditions in the middle of each sector, as it was driven.
 
@@ -267,7 +281,11 @@ def _find_conditions(
     recorded = at.recorded
     if recorded is not None:
         recorded = replace(
-            recorded, rate=rate, span_s=driven.span_s, since_reversal=gone
+            recorded,
+            rate=rate,
+            span_s=driven.span_s,
+            since_reversal=gone,
+            tracker_mm=pose.apply(commanded.place_mm(angle_deg)),
         )
     return replace(
         at,

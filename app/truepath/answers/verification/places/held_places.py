@@ -27,6 +27,7 @@ from truepath.estimation.solve.extrapolation import (
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.error_motion import find_arm, find_usual_size
 from truepath.results.lost_motion import list_lost_departures_mm
 
@@ -100,6 +101,7 @@ class HeldPlaces:
     """Measurement and prediction at places, in their m components, mm.
 
     scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
+    tracker_mm : (m, i) by one of each error of a tracker within its specification
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
     lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
     change_mm : (m, c) by what usually changes of an axis
@@ -111,6 +113,7 @@ class HeldPlaces:
     as_found_mm: Float64[np.ndarray, " m"]
     predicted_mm: Float64[np.ndarray, " m"]
     scale_mm: Float64[np.ndarray, " m"]
+    tracker_mm: Float64[np.ndarray, "m i"]
     columns: Float64[np.ndarray, "m p"]
     bend_mm2: Float64[np.ndarray, " m"]
     lost_mm: Float64[np.ndarray, "m s"]
@@ -122,10 +125,12 @@ class HeldPlaces:
         result: CalibrationResult,
         places: MeasuredPlaces,
         correction: Correction | None,
+        errors: Sequence[Effect],
         scale_ppm: float = 0.0,
     ) -> HeldPlaces:
         """Return the places of one Run with what a result says of them.
 
+        errors : of the trackers of all Runs, their parameters in standard uncertainties
         scale_ppm : standard uncertainty that all lengths of the Run have in common
         """
         model, at = result.model, places.cells
@@ -141,6 +146,7 @@ class HeldPlaces:
         bend = beyond_travel_variance_mm2(places.at, told.model, known)
         size = len(places.owner)
         N = places.nuisance
+        turned = [effect.jacobian(at) for effect in errors]
         # From where is no matter: a shift of all places goes with the pose.
         away_mm = places.project(at.point_mm - at.point_mm.mean(axis=0))
         return HeldPlaces(
@@ -149,6 +155,7 @@ class HeldPlaces:
             as_found,
             predicted,
             PER_PPM * scale_ppm * away_mm,
+            np.hstack([np.zeros((size, 0)), *map(places.project, turned)]),
             places.project(model.jacobian(at)),
             np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
             places.project(list_lost_departures_mm(result, at)),
@@ -167,6 +174,7 @@ class HeldPlaces:
             np.concatenate([part.as_found_mm for part in parts]),
             np.concatenate([part.predicted_mm for part in parts]),
             np.concatenate([part.scale_mm for part in parts]),
+            np.concatenate([part.tracker_mm for part in parts]),
             np.concatenate([part.columns for part in parts]),
             np.concatenate([part.bend_mm2 for part in parts]),
             np.concatenate([part.lost_mm for part in parts]),
@@ -176,8 +184,13 @@ class HeldPlaces:
 
     @property
     def covariance_mm2(self) -> Float64[np.ndarray, "m m"]:
-        """Covariance of the measurement: its noise, and the scale it has in common."""
-        return self.places.noise_mm2 + np.outer(self.scale_mm, self.scale_mm)
+        """Covariance of the measurement: its noise, and what all have in common."""
+        return self.places.noise_mm2 + self.common_mm @ self.common_mm.T
+
+    @property
+    def common_mm(self) -> Float64[np.ndarray, "m c"]:
+        """Scale, then errors of the tracker: what all places share."""
+        return np.column_stack([self.scale_mm, self.tracker_mm])
 
     def state(
         self, value: Float64[np.ndarray, " m"], covariance: Float64[np.ndarray, "m m"]
@@ -264,7 +277,9 @@ def judge_consistency(
     """
     chi_square, freedom = held.compute_chi_square(spread)
     free = held.free_covariance()
-    _, noise_freedom = held.match_chi_square(free, np.zeros_like(free))
+    # What is known of the tracker is no matter of the Run.
+    tracker = held.tracker_mm @ held.tracker_mm.T
+    _, noise_freedom = held.match_chi_square(free, -tracker)
     known_by = max(noise_freedom, _FEWEST)
     rest, _ = held.compute_chi_square(free)
     scale, rest_freedom = held.match_chi_square(free, spread)

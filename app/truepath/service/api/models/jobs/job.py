@@ -146,7 +146,7 @@ class NoticeOut(BaseModel):
     kind: str = Field(
         examples=["set-up-moved"],
         description="set-up-moved, set-up-drifts, axes-grow, lost-motion-changed, "
-        "line-off; something-changed where no name holds.",
+        "range-offset-changed, line-off; something-changed where no name holds.",
     )
     grade: Literal["certain", "likely", "possible"]
     axis: str = Field(description="Of a lost motion; empty else.")

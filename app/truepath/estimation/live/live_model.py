@@ -1,0 +1,164 @@
+"""What a measurement under way is solved for: the machine, the tracker, its pose.
+
+What the tracker may be off by depends on where it looks, how long, and how often its
+beam was lost: it is taken anew whenever all lines are looked at together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.estimation.problem.confounded_prior import WholePrior
+from truepath.estimation.problem.information import Information
+from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.kinematics.coarse_model import add_bends, add_half_widths
+from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect, Parameter, Role
+from truepath.kinematics.effects.instrument import (
+    RangeStep,
+    SetUpErrors,
+    list_instrument_errors,
+    name_set_up,
+)
+from truepath.kinematics.effects.pose_timing_seats import TrackerPose
+from truepath.kinematics.identifiable import (
+    build_identifiable_model,
+    list_partly_told_effects,
+    list_untold_effects,
+)
+from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import MachineModel
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.motion.configurations import Commanded
+from truepath_drivers.interfaces.records import Path
+
+_LOCKS_AHEAD = 4  # of the beam, at the least: as many as before where that is more
+
+
+@dataclass(frozen=True)
+class LiveModel:
+    """The parameters of a measurement under way.
+
+    machine : effects that the targets tell; untold : that they do not
+    beside : what the tracker may be off by, and new range offsets
+    """
+
+    machine: MachineModel
+    untold: tuple[Effect, ...]
+    tracker: TrackerPose
+    beside: tuple[Effect, ...] = ()
+
+    @staticmethod
+    def start(machine: Machine, commanded: Commanded, known: KnownEffects) -> LiveModel:
+        """Return the parameters before anything is measured."""
+        targets = [machine.target(name) for name in commanded.target or ("",)]
+        offsets = np.array([target.offset_mm for target in targets], np.float64)
+        model, _ = build_identifiable_model(machine, offsets)
+        partly = list_partly_told_effects(machine, offsets)
+        model = model.with_effects(*known.effects).with_confounded(partly)
+        told = add_half_widths(model)
+        if isinstance(commanded, Path):
+            told = add_bends(told)
+        untold = tuple(list_untold_effects(machine, offsets))
+        return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)))
+
+    def know(self, *beside: Effect) -> LiveModel:
+        """Return it with what the tracker may be off by, as it is known now."""
+        return replace(self, beside=beside)
+
+    @cached_property
+    def whole(self) -> MachineModel:
+        """All but the pose."""
+        told = self.machine.with_effects(*self.beside)
+        return told.with_confounded(self.untold)
+
+    @cached_property
+    def gram(self) -> Float64[np.ndarray, "p p"]:
+        """Return that of the volumetric error."""
+        return compute_volumetric_gram(self.whole)
+
+    @cached_property
+    def weak(self) -> Float64[np.ndarray, " q"]:
+        """Precision that keeps each parameter finite, the pose last."""
+        return list_weak_precisions((*self.whole.effects, self.tracker))
+
+    @property
+    def nothing(self) -> Information:
+        """Nothing that is known of all but the pose."""
+        return Information.of_matrix(np.zeros((self.whole.size,) * 2))
+
+    @property
+    def watched(self) -> list[Effect]:
+        """All but what hides a change that was found."""
+        return [e for e in self.whole.effects if not isinstance(e, RangeStep)]
+
+    @property
+    def most_locks(self) -> int:
+        """How often the beam may be lost before this has to be made anew."""
+        found = (e.locks for e in self.beside if isinstance(e, SetUpErrors))
+        return max((lock for locks in found for lock in locks), default=0)
+
+    def guess_prior(self, before: WholePrior | None = None) -> WholePrior:
+        """Return a prior, as precise as an earlier one has become."""
+        told = self.machine.with_effects(*self.beside)
+        prior = WholePrior.guess(told, self.untold)
+        if before is None:
+            return prior
+        return WholePrior(
+            _learn(prior.told, before.told), _learn(prior.whole, before.whole)
+        )
+
+
+def _learn(prior: BendingPrior, before: BendingPrior) -> BendingPrior:
+    learnt = {n: v for n, v in before.precision.items() if n in prior.precision}
+    return replace(prior, precision={**prior.precision, **learnt})
+
+
+def list_live_errors(at: Conditions, earlier: Sequence[Conditions]) -> Iterator[Effect]:
+    """Yield what trackers may be off by, with range offsets for locks to come.
+
+    at : of the Run under way; earlier : of others
+    """
+    assert at.recorded is not None  # noqa: S101 (a live Run knows its surroundings)
+    own = name_set_up(at.recorded, at.machine.tracker.face)
+    for each in list_instrument_errors([at, *earlier]):
+        if isinstance(each, SetUpErrors) and each.set_up == own:
+            first = each.locks[-1] + 1
+            ahead = range(first, first + max(_LOCKS_AHEAD, len(each.locks)))
+            yield replace(each, locks=(*each.locks, *ahead))
+        else:
+            yield each
+
+
+def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
+    middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
+    x, y, z = (*middle, 0.0, 0.0)[:3]
+    return x, y, z
+
+
+# A hundred times what errors are known to at the end.
+_WEAK = {"mm": 0.1, "rad": 1e-3}
+# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
+# that it drowns in the rounding of what is known.
+_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
+_WEAK_SPEED = 10.0
+
+
+def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
+    """Return the precision of each parameter, in the order of the effects.
+
+    1/mm², 1/rad² and so on, in the unit of the parameter.
+    """
+    return np.array([_find_sigma(e, p) ** -2 for e in effects for p in e.parameters])
+
+
+def _find_sigma(effect: Effect, parameter: Parameter) -> float:
+    if effect.role is Role.NUISANCE:
+        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
+    return _WEAK.get(parameter.unit, 1.0)

@@ -1,0 +1,184 @@
+"""What a tracker within its specification adds is in what a verification states."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+import pytest
+
+from recorded import load_small, record_run
+from truepath.answers.verification.places.predicted_motion import predict_displacement
+from truepath.answers.verification.verification import verify
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import result_from_json
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.motion.paths.circle_path import make_circle_path
+from truepath.results.analysis import analyse
+from truepath.results.result_json import result_json
+from truepath_simulators.machine.random_machine import random_machine
+from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.program import Program
+from truepath_simulators.worlds.synthetic import Setting
+
+SEEDS = range(1, 6)
+FEED, POINTS, LINES = 6000.0, 30, 14
+TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
+PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
+
+
+@dataclass(frozen=True)
+class Compensated(TruthMachine):
+    """A machine whose controller takes off all that it errs by."""
+
+    as_found: TruthMachine | None = None
+
+    def point_mm(self, q, reflector, frame="workpiece", carry=None):
+        right = q - self.as_found.deviation_mm(q)
+        return TruthMachine.point_mm(self, right, reflector, frame, carry)
+
+
+def draw_specification(seed):
+    """Return a specification of half to twice what is typical."""
+    rng = np.random.default_rng([seed, 3])
+    usual = asdict(TrackerSpecification())
+    return {key: size * 2.0 ** rng.uniform(-1.0, 1.0) for key, size in usual.items()}
+
+
+class World:
+    """A machine, its result by a tracker, and verifying measurements from elsewhere."""
+
+    def __init__(self, seed, specification=None):
+        self.seed, self.content = seed, load_small("demo", 0.5)
+        stated = draw_specification(seed) if specification is None else specification
+        self.content["tracker"]["specification"] = stated
+        self.machine = parse_machine(self.content)
+        self.truth = random_machine(self.machine, seed)
+        program = paths.chord_path(self.machine, seed, 24, FEED)
+        run = self._record(program, seed, "otf", self.truth, tracker=seed)
+        read = json.loads(json.dumps(result_json(analyse(run))))
+        self.result = result_from_json(read)
+
+    def _record(self, program, seed, mode, truth, tracker):
+        setting = Setting(machine_seed=tracker, truth=truth)
+        return record_run(self.content, program, seed, mode, setting)[0]
+
+    def measure(self, mode, truth, *, is_same_tracker):
+        seed = self.seed + 500
+        if mode == "standstill":
+            program = paths.standstill_points(self.machine, seed, POINTS, dwell_s=0.5)
+        else:
+            program = paths.chord_path(self.machine, seed, LINES, FEED)
+        tracker = self.seed if is_same_tracker else seed
+        return self._record(program, seed, mode, truth, tracker)
+
+    def drive_circles(self, truth):
+        machine = machine_from_json(self.content, file="machine.json")
+        path = make_circle_path(machine)
+        arcs = tuple(
+            arc
+            and Arc(
+                tuple("XYZ".index(name) for name in arc.axes),
+                arc.centre_mm,
+                float(np.radians(arc.turn_deg)),
+            )
+            for arc in path.arc
+        )
+        program = Program(
+            path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs
+        )
+        run = self._record(program, self.seed + 700, "otf", truth, tracker=self.seed)
+        return replace(run, machine=machine, commanded=path)
+
+    @property
+    def compensated(self):
+        truth = self.truth
+        return Compensated(truth.machine, truth.joints, truth.squareness_rad, truth)
+
+
+def count_held(found, truth):
+    """Return the share of components whose true value is within U as stated."""
+    places, N = found.places, found.places.nuisance
+    true = places.project(truth.deviation_mm(places.cells.position_mm))
+    true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))
+    off_um, sigma_um = 1e3 * (found.measured.vector_mm - true), found.measured.sigma_um
+    return float(np.mean(np.abs(off_um) <= 2.0 * sigma_um + 1e-6))
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    return [World(seed) for seed in SEEDS]
+
+
+@pytest.mark.parametrize(
+    ("mode", "is_same_tracker"),
+    [("standstill", True), ("standstill", False), ("otf", False)],
+)
+def test_a_verification_is_not_failed_by_its_tracker(worlds, mode, is_same_tracker):
+    held: list[float] = []
+    for world in worlds:
+        run = world.measure(mode, world.truth, is_same_tracker=is_same_tracker)
+        found = verify(world.result, run, tolerance_um=WIDE_UM)
+        assert found.consistency.is_consistent
+        assert found.conformity["deviation"].conformity != "outside"
+        held.append(count_held(found, world.truth))
+    assert np.mean(held) >= 0.9
+
+
+@pytest.mark.parametrize("mode", ["standstill", "otf"])
+def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
+    held: list[float] = []
+    for world in worlds:
+        run = world.measure(mode, world.compensated, is_same_tracker=True)
+        result = world.result
+
+        def take_off(at, result=result):
+            return -predict_displacement(result, at)
+
+        found = verify(result, run, tolerance_um=TIGHT_UM, correction=take_off)
+        assert found.consistency.is_consistent
+        assert {one.conformity for one in found.conformity.values()} == {"undecided"}
+        stated = found.statistics["measured"]["mean"]
+        assert stated.value_um <= 2.0 * stated.uncertainty_um
+        held.append(count_held(found, world.compensated))
+    assert np.mean(held) >= 0.9
+
+
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
+    held: list[bool] = []
+    for world in worlds:
+        run = world.drive_circles(world.compensated)
+        for one in verify(world.result, run).circles.circles:
+            value, sigma = one.measured.value_um, one.measured.uncertainty_um
+            held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
+    assert np.mean(held) >= 0.9
+
+
+def test_radii_are_known_less_well_by_a_tracker_that_may_err(worlds):
+    world = worlds[0]
+    run = world.drive_circles(world.compensated)
+    perfect = replace(run.machine.tracker, specification=PERFECT)
+    clean = replace(run, machine=replace(run.machine, tracker=perfect))
+    pairs = zip(
+        *(verify(world.result, each).circles.circles for each in (run, clean)),
+        strict=True,
+    )
+    for erring, exact in pairs:
+        stated = [each.measured.uncertainty_um["F_max"] for each in (erring, exact)]
+        assert stated[0] > 1.1 * stated[1]
+
+
+def test_of_a_perfect_tracker_noise_and_scale_are_all_there_is():
+    world = World(1, specification={})
+    run = world.measure("standstill", world.truth, is_same_tracker=True)
+    found = verify(world.result, run)
+    places, N = found.places, found.places.nuisance
+    M = np.eye(len(N)) - N @ np.linalg.pinv(N, rcond=1e-12)
+    point = places.cells.point_mm
+    away = places.project(point - point.mean(axis=0))
+    scaled = 1e-6 * found.runs[0].scale_ppm * away
+    covariance = M @ (places.noise_mm2 + np.outer(scaled, scaled)) @ M
+    expected = places.collect_covariance(covariance)
+    np.testing.assert_allclose(found.deviation.covariance_mm2, expected, atol=1e-12)

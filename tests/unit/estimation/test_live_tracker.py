@@ -1,0 +1,120 @@
+"""The live estimate knows what the tracker may be off by, as the batch does."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from estimating import judge_map
+from following import follow, list_blocks
+from recorded import load_small, record_run
+from truepath.estimation.checks.change_search import KNOCK, RANGE
+from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.results.analysis import analyse
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
+from truepath_simulators.worlds.synthetic import Setting
+
+ROWS, POINTS, FEED = 24, 50, 6000.0
+LOST_S = 0.4
+
+
+def measure(seed, mode="otf", specification=None):
+    """Return the Run of a tracker that errs within its specification, and the truth."""
+    content = load_small("demo", 0.5)
+    stated = asdict(TrackerSpecification()) if specification is None else specification
+    content["tracker"]["specification"] = stated
+    machine = parse_machine(content)
+    if mode == "otf":
+        program = paths.chord_path(machine, seed, ROWS, FEED)
+    else:
+        program = paths.standstill_points(machine, seed, POINTS, dwell_s=0.5)
+    setting = Setting(machine_seed=seed)
+    run, made = record_run(content, program, seed, mode, setting)
+    return run, made.truth
+
+
+def lose_beam(run, off_mm, share=0.6):
+    """Return a Run whose samples are off by off_mm(their places) after a new lock."""
+    tracker = run.tracker
+    time_s = tracker.device_time_s
+    lost_s = time_s[0] + share * (time_s[-1] - time_s[0])
+    late = time_s >= lost_s
+    status = np.where(late & (time_s < lost_s + LOST_S), 1, tracker.status)
+    moved = tracker.position_mm + late[:, None] * off_mm(tracker.position_mm)
+    return replace(run, tracker=replace(tracker, position_mm=moved, status=status))
+
+
+def lengthen(by_mm):
+    return lambda place: by_mm * place / np.linalg.norm(place, axis=1)[:, None]
+
+
+def follow_lines(run):
+    return follow(run, blocks=list_blocks(run, 100), with_notices=True)
+
+
+@pytest.mark.parametrize("mode", ["otf", "standstill"])
+def test_the_live_uncertainty_ends_as_that_of_the_analysis_and_holds_the_truth(mode):
+    inside = []
+    for seed in (11, 12, 13):
+        run, truth = measure(seed, mode)
+        followed, batch = follow_lines(run), analyse(run).estimate
+        gram = compute_volumetric_gram(batch.model)
+        stated_mm = float(np.sqrt(np.sum(gram * batch.covariance)))
+        last = followed.last
+        assert last.volumetric_sigma_mm == pytest.approx(stated_mm, rel=0.1)
+        inside.append(judge_map(last, truth.deviation_mm).inside)
+        assert not any(notices for _, notices in followed.noticed)
+        assert not last.check.knocks
+    assert np.mean(inside) > 0.86
+
+
+def test_a_perfect_tracker_has_no_errors_in_the_live_estimate():
+    run, _ = measure(11, specification={})
+    typical, _ = measure(11)
+    one, other = (follow(each).last for each in (run, typical))
+    assert not any(is_of_instrument(effect) for effect in one.model.effects)
+    assert one.volumetric_sigma_mm < 0.8 * other.volumetric_sigma_mm
+
+
+@pytest.mark.parametrize("mode", ["otf", "standstill"])
+def test_a_range_offset_after_a_new_lock_is_told_as_such(mode):
+    run, truth = measure(12, mode)
+    followed = follow_lines(lose_beam(run, lengthen(0.08)))
+    (knock,) = followed.last.check.knocks
+    assert knock.kind == "range"
+    assert knock.moved_mm == pytest.approx(0.08, abs=0.004)
+    (notice,) = followed.noticed[-1][1]
+    assert (notice.kind, notice.is_over) == (RANGE, False)
+    assert notice.size_mm == pytest.approx(0.08, abs=4.0 * notice.sigma_mm)
+    told = {n.kind for _, notices in followed.noticed for n in notices}
+    assert KNOCK not in told
+    assert judge_map(followed.last, truth.deviation_mm).inside > 0.86
+
+
+def test_a_knock_after_a_new_lock_is_a_knock():
+    run, _ = measure(12)
+    followed = follow_lines(lose_beam(run, lambda _: np.array([0.03, -0.03, 0.03])))
+    (notice,) = followed.noticed[-1][1]
+    assert notice.kind == KNOCK
+    (knock,) = followed.last.check.knocks
+    assert knock.kind == "place"
+
+
+def test_an_offset_as_specified_after_a_new_lock_is_not_told():
+    run, _ = measure(12)
+    followed = follow_lines(lose_beam(run, lengthen(0.004)))
+    assert not any(notices for _, notices in followed.noticed)
+    assert not followed.last.check.knocks
+    assert not followed.last.check.held
+
+
+def test_more_new_locks_than_were_foreseen_leave_the_estimate_as_it_is():
+    run, truth = measure(13, "standstill")
+    for share in np.linspace(0.3, 0.9, 9):
+        run = lose_beam(run, lengthen(0.003), share)
+    last = follow_lines(run).last
+    assert not last.check.held
+    assert judge_map(last, truth.deviation_mm).inside > 0.8
