@@ -364,7 +364,7 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
     if at.recorded is None:
         return about, known
     offset = RangeStep(name_set_up(at.recorded, at.machine.tracker.face), -np.inf)
-    free = Information.of_matrix(block_diag(known.matrix, _FREE))
+    free = Information.of_matrix(block_diag(known.matrix, np.array([[_FREE]])))
     vector = np.append(known.vector, 0.0)
     model = about.machine_model.with_effects(offset)
     return replace(about, machine_model=model), replace(free, vector=vector)
