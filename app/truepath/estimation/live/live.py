@@ -190,7 +190,7 @@ class LiveEstimator:
         widened = widen_by_unknown_precision(prior, result)
         hidden = add_hidden_variance(widened, model, prior.precision)
         self._foretold, covariance = hidden, hidden.covariance[:size, :size]
-        mean_square = float(np.sum(self._model.gram * covariance))
+        mean_square = self._model.mean_square_mm2(covariance)
         return LiveEstimate(
             model,
             result.theta[:size],

@@ -46,12 +46,14 @@ class LiveModel:
     """The parameters of a measurement under way.
 
     machine : effects that the targets tell; untold : that they do not
+    gram : of the volumetric error, in both
     beside : what the tracker may be off by, and new range offsets
     """
 
     machine: MachineModel
     untold: tuple[Effect, ...]
     tracker: TrackerPose
+    gram: Float64[np.ndarray, "m m"]
     beside: tuple[Effect, ...] = ()
 
     @staticmethod
@@ -66,7 +68,8 @@ class LiveModel:
         if isinstance(commanded, Path):
             told = add_bends(told)
         untold = tuple(list_untold_effects(machine, offsets))
-        return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)))
+        gram = compute_volumetric_gram(told.with_confounded(untold))
+        return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)), gram)
 
     def know(self, *beside: Effect) -> LiveModel:
         """Return it with what the tracker may be off by, as it is known now."""
@@ -78,10 +81,12 @@ class LiveModel:
         told = self.machine.with_effects(*self.beside)
         return told.with_confounded(self.untold)
 
-    @cached_property
-    def gram(self) -> Float64[np.ndarray, "p p"]:
-        """Return that of the volumetric error."""
-        return compute_volumetric_gram(self.whole)
+    def mean_square_mm2(self, covariance: Float64[np.ndarray, "p p"]) -> float:
+        """Return that of the volumetric error over the travel, by a covariance."""
+        first = self.machine.size
+        beside = sum(len(effect.parameters) for effect in self.beside)
+        own = np.delete(np.arange(len(covariance)), np.s_[first : first + beside])
+        return float(np.sum(self.gram * covariance[np.ix_(own, own)]))
 
     @cached_property
     def weak(self) -> Float64[np.ndarray, " q"]:
