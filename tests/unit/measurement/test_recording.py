@@ -108,6 +108,7 @@ def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
     assert [(e.kind, e.text) for e in run.events] == [("start", "cycle start")]
     assert run.provenance["outcome"] == "finished"
     assert run.provenance["motion"] == "Us C 2 0.2"
+    assert run.provenance["tracker_plugin"] == "t of ours 1.2, interface 1"
     assert run.tracker.quality is None, "it was never told"
     assert summarize_run(run).quality is None
 

@@ -11,7 +11,7 @@ from truepath_drivers.cnc.grbl import driver, motion
 from truepath_drivers.cnc.grbl.program import Block, write_blocks
 from truepath_drivers.cnc.grbl.protocol import parse_report, parse_settings
 from truepath_drivers.cnc.grbl.stream import Stream
-from truepath_drivers.conformance.motion import MOTION_CHECKS
+from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
@@ -62,6 +62,22 @@ def look_for(grbl, seconds, each_s=0.05):
 @pytest.mark.parametrize("check", MOTION_CHECKS)
 def test_it_keeps_what_the_interface_promises(grbl, check):
     check(lambda: driver.GrblController(port=""))
+
+
+TROUBLES = {
+    "an_alarm_ends_the_motion": lambda device: device.trip(1),
+    "an_open_door_ends_the_motion": lambda device: device.open_door(True),
+    "an_unhomed_machine_does_not_move": lambda device: device.restart(),
+    "a_lost_reply_moves_nothing_twice": lambda device: setattr(device, "drops", 1),
+    "a_blocked_device_is_told_in_time": lambda device: setattr(device, "is_mute", True),
+}
+
+
+@pytest.mark.parametrize("check", PROVOKED_CHECKS)
+def test_it_keeps_in_trouble_what_the_interface_promises(grbl, device, check):
+    provoke = TROUBLES[check.__name__]
+    check(lambda: driver.GrblController(port=""), lambda: provoke(device))
+    device.is_mute = False
 
 
 def test_never_more_than_128_bytes_are_unread_and_every_line_is_sent_once(grbl, device):
