@@ -109,6 +109,26 @@ def test_motion_controllers_conform(motion_bench, name, peer, check):
     check(lambda: factory(**options))
 
 
+# What brings each trouble about on the bench; lost replies are in faults/.
+TROUBLES = {
+    motion.an_alarm_ends_the_motion: "cnc:alarm+15s",
+    motion.an_open_door_ends_the_motion: "cnc:door+15s",
+    motion.an_unhomed_machine_does_not_move: "cnc:unhomed+15s",
+    motion.a_blocked_device_is_told_in_time: "cnc:silence+15s",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("check", TROUBLES)
+def test_modbus_keeps_in_trouble_what_it_promises(check):
+    with Bench(speed=5.0, rtu=False) as bench:
+        factory = CONTROLLERS["modbus"].load()
+        check(
+            lambda: factory(**bench.motion_options),
+            lambda: bench.inject(TROUBLES[check]),
+        )
+
+
 @pytest.mark.parametrize("name", ABSENT)
 def test_absent_devices_are_device_errors(name):
     factory = {**TRACKERS, **CONTROLLERS}[name].load()
