@@ -111,7 +111,7 @@ class GrblSession:
         """Have lines sent, from now on and whenever the machine is looked at."""
         size = self.settings.buffer_bytes if self.settings else 0
         self.stream, self.error, self.is_homing = Stream(blocks, size), "", homes
-        self._feed()
+        self._link.send(self.stream.take(), end=b"")
 
     def look(self) -> Report:
         """Ask for the state, take the replies that have come, send what fits now.
@@ -140,7 +140,7 @@ class GrblSession:
         """Have one line done; return what GRBL says to it. Raises Refused."""
         self._told, self.error = [], ""
         self.stream = Stream([Block(f"{text}\n".encode())], 128)
-        self._feed()
+        self._link.send(self.stream.take(), end=b"")
         deadline_s = host_clock.now_s() + self._reply_s
         while not self.stream.is_done:
             if not self._take_one(deadline_s):

@@ -20,7 +20,7 @@ import os, sys, time
 from truepath_drivers.cnc.grbl.driver import GrblController
 grbl = GrblController(port=sys.argv[1])
 grbl.connect()
-grbl.move_to([-280.0, -1.0, -1.0], 3000.0)
+grbl.move_to([-280.0, -1.0, -1.0], 600.0)
 for _ in range(10):
     grbl.status()
     time.sleep(0.05)

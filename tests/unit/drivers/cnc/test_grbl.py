@@ -164,6 +164,13 @@ def test_an_alarm_has_its_name_and_needs_homing_after_its_reset(grbl, device):
     assert grbl.status().state is MotionState.UNHOMED
 
 
+def test_homing_ends_an_alarm_as_well(grbl, device):
+    device.trip(3)
+    assert grbl.status().state is MotionState.ALARM
+    grbl.home(10.0)
+    assert grbl.status().referenced is True
+
+
 def test_a_machine_without_homing_is_unlocked_and_never_referenced(port, device):
     device.settings[22], device.state = 0.0, "Idle"
     with driver.GrblController(port="") as grbl:
