@@ -17,7 +17,13 @@ from typing import Annotated, Any, TypeVar, cast
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from truepath.plugins import REMEDY, describe_plugin, word_error
+from truepath.plugins import (
+    REMEDY,
+    PluginOrigin,
+    describe_plugin,
+    find_origin,
+    word_error,
+)
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.device import Device
@@ -118,6 +124,12 @@ def find_stuck(*devices: object) -> str:
     return next((call for one in borders for call in one.list_stuck()), "")
 
 
+def list_origins(**devices: object) -> dict[str, PluginOrigin]:
+    """Return the plug-ins of guarded devices, by the names given to them."""
+    borders = ((word, one) for word, one in devices.items() if type(one) is _Border)
+    return {word: one.origin for word, one in borders}
+
+
 class _Border:
     """A device whose calls are watched. As the device, for any thread."""
 
@@ -125,6 +137,7 @@ class _Border:
         self, device: Device, point: EntryPoint, limits_s: Mapping[str, float]
     ) -> None:
         self._device, self._who = device, describe_plugin(point)
+        self.origin = find_origin(point, device)
         self._limits_s = _LIMITS_S | dict(limits_s)
         self._overdue: dict[str, Call] = {}
         self._known: dict[str, Any] = {}  # of properties, the newest

@@ -10,6 +10,7 @@ import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, distributions, entry_points
 from typing import Any, TypeVar
 
@@ -22,6 +23,19 @@ REMEDY = "update, replace or remove that package"
 PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 left_out = set[str]()
 """Why plug-ins were left out of lists, those of this process so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class PluginOrigin:
+    """Which plug-in something is of.
+
+    interface_version : of the interface that it keeps, 0 where it does not tell
+    """
+
+    name: str
+    distribution: str
+    version: str
+    interface_version: int
 
 
 class PluginFailed(BadInput):
@@ -104,6 +118,17 @@ def describe_plugin(point: EntryPoint) -> str:
     """Return which plug-in it is, of which distribution in which version."""
     by = f" of {point.dist.name} {point.dist.version}" if point.dist else ""
     return f"{point.group.removeprefix('truepath.')} plug-in {point.name!r}{by}"
+
+
+def find_origin(point: EntryPoint, made: object) -> PluginOrigin:
+    """Return the origin of a plug-in. made : by it, or its factory."""
+    stated = getattr(made, "interface_version", 0)
+    return PluginOrigin(
+        point.name,
+        point.dist.name if point.dist else "",
+        point.dist.version if point.dist else "",
+        stated if isinstance(stated, int) else 0,
+    )
 
 
 def word_error(error: BaseException) -> str:

@@ -418,7 +418,7 @@ def add_motion(app: FastAPI, service: ScriptedService) -> None:
 
     def stopped(jobs: list[dict[str, Any]]) -> Any:
         known = service.user or not service.log_in_required
-        machines = [{"machine": "default", "stopped": service.stopped}]
+        machines = [{"machine": "default", "stopped": service.stopped, "says": ""}]
         return {"jobs": jobs if known else [], "machines": machines}
 
     @app.websocket(f"{API}/events")

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from truepath.cli.terminal import say, show_progress
+from truepath.driver_border import list_origins
 from truepath.files.environment.refraction import choose_refraction
 from truepath.measurement.faults import Fault
 from truepath.measurement.messages import RunClosed
@@ -58,6 +59,7 @@ def record_run(
         header = replace(
             header,
             devices=who,
+            plugins=list_origins(tracker=tracker, thermometers=thermometers),
             channels=name_channels(groups),
             refraction=choose_refraction(tracker.capabilities, light),
         )

@@ -134,6 +134,7 @@ class CompensationFormat(ABC):
     by_axis : those of them that may be stated axis by axis, as `X=1,Y=2`
     """
 
+    interface_version: ClassVar[int] = 1
     control: str
     suffix: ClassVar[str]
     most_points: int

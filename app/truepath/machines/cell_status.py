@@ -16,6 +16,8 @@ MOVING = frozenset(
 FRESH_S = 2.5  # a reading of the controller at rest, made once a second
 _GOES_ON = frozenset({MotionState.RUNNING, MotionState.HELD})
 
+NOT_READ = "its controller has not been read since; ask again"
+
 Devices = Mapping[str, Mapping[str, str]]
 
 
@@ -62,3 +64,17 @@ class ControllerLevels:
         if self.status is None or host_clock.now_s() - self.read_s > FRESH_S:
             return None
         return self.status.state not in _GOES_ON
+
+    def word_standstill(self) -> str:
+        """Say what `is_still` means."""
+        still = self.is_still
+        if self.status is None or still is None:
+            return NOT_READ
+        if still:
+            return f"it has stopped ({self.status.state})"
+        if self.status.state is MotionState.HELD:
+            return (
+                f"it stands by a feed hold alone ({self.status.hold_reason or 'held'}) "
+                "and its program could go on; end that at the machine"
+            )
+        return "it moves; stop it at the machine if it does not come to a stand"

@@ -21,7 +21,13 @@ import structlog
 from truepath.catalogue.errors import CellDown, DeviceSettings
 from truepath.errors import MeasurementFailed, TruepathError
 from truepath.machines.cell_counters import CellCounters
-from truepath.machines.cell_status import MOVING, CellStatus, ControllerLevels, Devices
+from truepath.machines.cell_status import (
+    MOVING,
+    NOT_READ,
+    CellStatus,
+    ControllerLevels,
+    Devices,
+)
 from truepath.machines.conditions.stream_watch import StreamWatch
 from truepath.machines.sample_feed import SampleFeed
 from truepath.measurement.messages import (
@@ -94,8 +100,14 @@ class CellSupervisor:
         One that only holds has not: its program goes on when somebody lets it. None if
         unknown: while a measurement is under way only its end says so. Asks no device.
         """
+        return self.tell_standstill()[0]
+
+    def tell_standstill(self) -> tuple[bool | None, str]:
+        """Return what `read_standstill` tells, and what that means in words."""
         read = self.controller
-        return None if self.status.state in MOVING or read is None else read.is_still
+        if self.status.state in MOVING or read is None:
+            return None, NOT_READ
+        return read.is_still, read.word_standstill()
 
     def start(self) -> None:
         """Start the first cell."""

@@ -50,9 +50,9 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
     (WrongDevice, "wrong-device", "check the port in the settings", False),
     (BeamLost, "beam-lost", "lock the beam on the reflector, then go on", True),
     (MotionFault, "motion-alarm", "clear the alarm at the machine", True),
-    (ConnectionLost, "link-lost", "check cable and power, then connect again", True),
+    (ConnectionLost, "link-lost", "put that right, then connect again", True),
     (DeviceBusy, "control-busy", "see what keeps it busy, then connect again", True),
-    (DeviceTimeout, "no-answer", "check cable and power, then connect again", True),
+    (DeviceTimeout, "no-answer", "put that right, then connect again", True),
     (DriverFault, "driver", "connect again; if it comes back, replace it", True),
     (DeviceError, "device", "look at the device, then connect again", True),
 )

@@ -27,7 +27,6 @@ from truepath_drivers.interfaces.records import Identity
 from truepath_drivers.interfaces.thermometers import ReadingTry
 
 _PORT_OPTIONS = ("port", "serial_port")
-_LINK = "check power and cable, and the port in the settings"
 
 
 def look_at_devices(settings: Settings, running: RunningService) -> Iterator[Finding]:
@@ -120,7 +119,7 @@ def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Fin
     try:
         yield _describe(word, device.connect())
     except DeviceError as error:
-        yield Finding(word, Grade.WRONG, f"{name}: {error}", _LINK)
+        yield _word(word, Grade.WRONG, f"{name}: {error}")
     finally:
         with suppress(DeviceError):
             device.close()
@@ -156,4 +155,10 @@ def read_cell(running: RunningService) -> Finding:
     text = f"held by the service, {cell['state']}"
     if cell["connected"] or not cell["text"]:
         return Finding("devices", Grade.OK, text)
-    return Finding("devices", Grade.WARNING, f"{text}: {cell['text']}", _LINK)
+    return _word("devices", Grade.WARNING, f"{text}: {cell['text']}")
+
+
+def _word(subject: str, grade: Grade, said: str) -> Finding:
+    """Return what a driver says, its remedy as that of the finding."""
+    text, _, remedy = said.rpartition("; ")
+    return Finding(subject, grade, text or remedy, remedy if text else "")

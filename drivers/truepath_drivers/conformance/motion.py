@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from truepath_drivers import host_clock
-from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
+from truepath_drivers.conformance.checking import (
+    TERMS,
+    expect,
+    require,
+    running,
+    soon,
+)
 from truepath_drivers.conformance.device import DEVICE_CHECKS
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceError,
     DeviceTimeout,
+    MotionFault,
     OutOfTravel,
     Refused,
 )
@@ -22,7 +31,11 @@ REACH = 2.0
 FEED_MM_MIN = 600.0
 STAND = 1e-3  # how far an axis that stands may move, mm or deg
 
+_UNASKED_SHARE = 0.6  # of the silence, in which it may still drive
+_BLOCKED_S = 3.0  # the service waits no longer
+
 MakeController = Callable[[], MotionController]
+Provoke = Callable[[], None]
 
 
 def axes_and_travel_are_known(make: MakeController) -> None:
@@ -205,6 +218,75 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
     require(bool(status.hold_reason), "a hold by the watchdog has no reason")
 
 
+def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
+    """What is fed piece by piece stands soon where nobody asks or beats any more."""
+    with make() as controller:
+        if not controller.connect().stops_unasked:
+            return
+        feed, unasked_s = _slow(), TERMS.get().watchdog_s
+        controller.move_to(_near(controller), feed)
+        before = controller.axis_positions()
+        host_clock.sleep_s(unasked_s)
+        after = controller.axis_positions()
+        controller.abort()
+    gone = float(np.linalg.norm(np.subtract(after, before)))
+    most = feed / 60.0 * _UNASKED_SHARE * unasked_s
+    require(
+        gone <= most, f"nobody asked for {unasked_s:g} s, and it went {gone:.3f} on"
+    )
+
+
+def an_alarm_ends_the_motion(make: MakeController, provoke: Provoke) -> None:
+    """An alarm is told with its text, and moves nothing until it is cleared."""
+    _require_hindrance(make, provoke, MotionState.ALARM)
+
+
+def an_open_door_ends_the_motion(make: MakeController, provoke: Provoke) -> None:
+    """An open door is told, and nothing moves meanwhile."""
+    _require_hindrance(make, provoke, MotionState.DOOR)
+
+
+def an_unhomed_machine_does_not_move(make: MakeController, provoke: Provoke) -> None:
+    """A machine that has lost its reference says so, and moves nothing."""
+    _require_hindrance(make, provoke, MotionState.UNHOMED)
+
+
+def a_lost_reply_moves_nothing_twice(make: MakeController, provoke: Provoke) -> None:
+    """A path whose reply is lost runs once, or not at all and with an error."""
+    with make() as controller:
+        here = list(controller.axis_positions())
+        controller.load(_path(controller, [here, _near(controller), here]))
+        provoke()
+        lines: list[int] = []
+        try:
+            controller.start()
+            status = controller.status()
+            while status.state is MotionState.RUNNING:
+                lines.append(status.line)
+                controller.send_heartbeat()
+                host_clock.sleep_s(0.05)
+                status = controller.status()
+        except DeviceError:
+            return
+        host_clock.sleep_s(1.0)
+        later = controller.status()
+    require(lines == sorted(lines), f"the rows were driven as {lines}")
+    same = (status.state, status.position) == (later.state, later.position)
+    require(same, f"what had ended in {status} went on to {later}")
+
+
+def a_blocked_device_is_told_in_time(make: MakeController, provoke: Provoke) -> None:
+    """A device that answers no more is a DeviceError, soon, from every verb."""
+    with make() as controller:
+        provoke()
+        with soon("status of a blocked device", _BLOCKED_S):
+            expect(DeviceError, controller.status)
+        for stop in (controller.hold, controller.abort):
+            doing = f"{stop.__name__} of a blocked device"
+            with soon(doing, _BLOCKED_S), suppress(DeviceError):
+                stop()
+
+
 def close_stops_the_motion(make: MakeController) -> None:
     """`close` during a motion leaves a machine that comes to a stand."""
     controller = make()
@@ -243,9 +325,39 @@ MOTION_CHECKS: tuple[Callable[[MakeController], None], ...] = (
     abort_from_another_thread_ends_the_motion,
     wait_ends_in_time,
     a_claimed_watchdog_holds_the_feed,
+    a_motion_that_nobody_asks_for_ends,
     close_stops_the_motion,
     a_closed_controller_moves_nothing,
 )
+
+
+PROVOKED_CHECKS: tuple[Callable[[MakeController, Provoke], None], ...] = (
+    an_alarm_ends_the_motion,
+    an_open_door_ends_the_motion,
+    an_unhomed_machine_does_not_move,
+    a_lost_reply_moves_nothing_twice,
+    a_blocked_device_is_told_in_time,
+)
+"""Each takes as well what brings its trouble about, at the machine or on the link."""
+
+
+def _require_hindrance(
+    make: MakeController, provoke: Provoke, state: MotionState
+) -> None:
+    with make() as controller:
+        there = _near(controller)
+        controller.move_to(there, _slow())
+        provoke()
+        expect(MotionFault, lambda: controller.wait(TERMS.get().motion_s))
+        told = controller.status()
+        require(told.state is state, f"{state} was provoked, {told} is told")
+        require(bool(told.alarm), f"{state} has no text")
+        expect(MotionFault, lambda: controller.move_to(there, FEED_MM_MIN))
+        host_clock.sleep_s(0.5)
+        later = controller.status()
+    moved = np.abs(np.subtract(later.position, told.position)).max()
+    require(later.state is state, f"{state} went by itself to {later.state}")
+    require(bool(moved <= REACH / 4), f"in {state} it went on by {moved:.3f}")
 
 
 def _near(controller: MotionController) -> list[float]:

@@ -18,6 +18,7 @@ from truepath_drivers.interfaces.tracker import Tracker
 
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
 _HIDDEN = 0.005  # share of the steps; a link that loses so few tells nothing
+_REPEATED = 0.3  # share; the resolution of a text may let some be alike
 LEAST = 50  # samples over which rate and times are looked at, for a second
 
 MakeTracker = Callable[[], Tracker]
@@ -101,9 +102,22 @@ def a_target_at_rest_is_valid_and_in_mm(make: MakeTracker) -> None:
         samples = _read(tracker, 100)
     valid = samples.status == 0
     require(float(valid.mean()) > 0.5, "of a target in the beam no status is valid")
-    distance_mm = float(np.median(np.linalg.norm(samples.position_mm[valid], axis=1)))
-    near = NEAREST_MM <= distance_mm <= FARTHEST_MM
-    require(near, f"the target is {distance_mm:g} mm away: is that mm?")
+    distances_mm = np.linalg.norm(samples.position_mm[valid], axis=1)
+    for distance_mm in (float(distances_mm.min()), float(distances_mm.max())):
+        near = NEAREST_MM <= distance_mm <= FARTHEST_MM
+        require(near, f"a valid sample is {distance_mm:g} mm away: is that mm?")
+
+
+def each_sample_is_measured_anew(make: MakeTracker) -> None:
+    """No coordinates stay as they were: not one number is frozen, none said twice."""
+    with make() as tracker:
+        tracker.start(TERMS.get().rate_hz)
+        samples = _read(tracker, 100)
+    place = samples.position_mm[samples.status == 0]
+    require(len(place) > 1, "of a target in the beam no status is valid")
+    again = float((np.diff(place, axis=0) == 0.0).all(axis=1).mean())
+    said = f"{100 * again:.0f} % of the samples repeat the one before: frozen, doubled?"
+    require(again <= _REPEATED, said)
 
 
 def health_counts_what_has_come(make: MakeTracker) -> None:
@@ -180,6 +194,7 @@ TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
     samples_have_rising_numbers_and_times,
     times_are_those_of_the_samples,
     a_target_at_rest_is_valid_and_in_mm,
+    each_sample_is_measured_anew,
     health_counts_what_has_come,
     start_twice_is_one_stream,
     numbers_go_on_after_a_pause,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 from truepath_drivers.interfaces.device import Device
 from truepath_drivers.interfaces.errors import Refused
@@ -12,6 +13,8 @@ from truepath_drivers.interfaces.records import MotionStatus, Path
 
 class MotionController(Device):
     """Moves axes. The controller keeps time: nobody feeds setpoints against a clock."""
+
+    interface_version: ClassVar[int] = 1
 
     @property
     @abstractmethod

@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import ClassVar
 
 from truepath_drivers.interfaces.device import Device
 
@@ -120,6 +121,7 @@ class Thermometers(Device):
     tries : what `connect`, even Refused, has seen by all the ways that it tried
     """
 
+    interface_version: ClassVar[int] = 1
     tries: tuple[ReadingTry, ...] = ()
 
     @property

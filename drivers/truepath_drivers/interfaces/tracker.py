@@ -7,6 +7,7 @@ below that its instrument can do as well. Who uses one asks with `isinstance`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from truepath_drivers.interfaces.device import Device
 from truepath_drivers.interfaces.records import LinkHealth, TrackerSamples
@@ -20,6 +21,8 @@ from truepath_drivers.interfaces.tracker_records import (
 
 class Tracker(Device):
     """Streams samples stamped by its own counter and clock."""
+
+    interface_version: ClassVar[int] = 1
 
     @property
     def capabilities(self) -> TrackerCapabilities:
@@ -54,6 +57,8 @@ class Tracker(Device):
 
 class PolledTracker(Device):
     """Measures a target that stands still, each time it is asked to."""
+
+    interface_version: ClassVar[int] = 1
 
     @property
     @abstractmethod

@@ -41,6 +41,10 @@ OTHERS = """
         def propose(self, at):
             raise RuntimeError("no machine like this")
 
+    class Newer(BacklashFamily):
+        name = "newer"
+        interface_version = 7
+
     class Wordless(BacklashFamily):
         words = None
 
@@ -62,6 +66,7 @@ POINTS = {
 POINTS["trackers"] |= {"streaming": "broken:X", "../up": "broken:X"}
 POINTS["compensation_formats"] |= {"mute": "formats_here:Mute"}
 POINTS["effects"] |= {"hostile": "others:Effect", "wordless": "others:Wordless"}
+POINTS["effects"] |= {"newer": "others:Newer"}
 POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
 
 
@@ -102,6 +107,37 @@ def test_the_doctor_names_each_with_its_distribution_and_reason(capsys, tmp_path
             assert NAME in said[0]["text"]
             assert said[0]["remedy"]
     assert any("the licence has run out" in one["text"] for one in told)
+
+
+def list_plugins(capsys, *words):
+    status = run(["plugins", "--json", *words])
+    told = json.loads(capsys.readouterr().out)
+    return status, told, {(p["group"], p["name"]): p for p in told["plugins"]}
+
+
+def test_the_list_of_plug_ins_has_all_the_broken_ones_with_why(capsys):
+    status, told, found = list_plugins(capsys)
+    assert status == 1
+    broken = found["effects", "broken"]
+    assert f"{broken['distribution']} {broken['version']}" == NAME
+    assert "the licence has run out" in broken["fault"]
+    ours = found["motion_controllers", "grbl"]
+    assert (ours["distribution"], ours["interface_version"]) == ("truepath", 1)
+    assert not ours["fault"]
+    assert any("'../up'" in why for why in told["left_out"])
+    assert "version 7 of an interface" in found["effects", "newer"]["fault"]
+
+
+@pytest.mark.long
+def test_the_check_of_plug_ins_names_what_is_not_kept(capsys):
+    status, _, found = list_plugins(capsys, "--check")
+    assert status == 1
+    assert found["effects", "backlash"]["was_checked"]
+    assert not found["effects", "backlash"]["failures"]
+    assert "no machine like this" in found["effects", "hostile"]["failures"][0]
+    assert "no control like this" in found["nc_dialects", "hostile"]["failures"][0]
+    assert not found["nc_dialects", "linuxcnc"]["failures"]
+    assert not found["trackers", "geocom"]["was_checked"], "that needs a device"
 
 
 def test_a_list_of_plug_ins_that_is_broken_hides_nobody_elses(tmp_path, command):

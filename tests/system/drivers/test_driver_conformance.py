@@ -24,6 +24,7 @@ ELSEWHERE = {"text-line"}  # behind a relay, in tracker/test_text_line.py
 CONTROLLER_PEERS = {
     "modbus": ["motion_options", "motion_options_rtu"],
     "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
+    "grbl": [],  # a process of its own, in test_grbl_on_a_pty.py
 }
 ABSENT = {
     "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
@@ -32,6 +33,7 @@ ABSENT = {
     "t2sa": {"host": "127.0.0.1", "port": 9},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
     "linuxcnc": {"host": "127.0.0.1", "port": 9},
+    "grbl": {"port": "/dev/truepath-no-such-port"},
 }
 
 
@@ -105,6 +107,26 @@ def test_motion_controllers_conform(motion_bench, name, peer, check):
     factory = CONTROLLERS[name].load()
     options = getattr(motion_bench, peer)
     check(lambda: factory(**options))
+
+
+# What brings each trouble about on the bench; lost replies are in faults/.
+TROUBLES = {
+    motion.an_alarm_ends_the_motion: "cnc:alarm+15s",
+    motion.an_open_door_ends_the_motion: "cnc:door+15s",
+    motion.an_unhomed_machine_does_not_move: "cnc:unhomed+15s",
+    motion.a_blocked_device_is_told_in_time: "cnc:silence+15s",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("check", TROUBLES)
+def test_modbus_keeps_in_trouble_what_it_promises(check):
+    with Bench(speed=5.0, rtu=False) as bench:
+        factory = CONTROLLERS["modbus"].load()
+        check(
+            lambda: factory(**bench.motion_options),
+            lambda: bench.inject(TROUBLES[check]),
+        )
 
 
 @pytest.mark.parametrize("name", ABSENT)

@@ -14,6 +14,7 @@ from websockets.sync.client import connect
 from described_answers import read_document
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
+from truepath.machines.cell_status import NOT_READ
 from truepath.users.roles import Role
 
 API = "/api/v1"
@@ -42,7 +43,9 @@ def test_every_message_of_the_open_channel_is_a_stop(live, service, headers, wor
         channel.send("check")
         assert json.loads(channel.recv(timeout=10)) == {
             "jobs": [],
-            "machines": [{"machine": "default", "stopped": "unknown"}],
+            "machines": [
+                {"machine": "default", "stopped": "unknown", "says": NOT_READ}
+            ],
         }
         assert service.store.get(running.id).state == "queued"
         channel.send(word)

@@ -14,11 +14,13 @@ from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
+    MotionFault,
     OutOfTravel,
     Refused,
 )
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import (
+    UNABLE,
     Identity,
     LinkHealth,
     MotionState,
@@ -65,9 +67,12 @@ class GoodTracker(Tracker):
         return TrackerSamples(
             number,
             self.stamp(number),
-            np.full((10, 3), self.place),
+            self.place + self.measure(number),
             np.full(10, self.status, np.int64),
         )
+
+    def measure(self, number):
+        return 1e-3 * np.random.default_rng(int(number[0])).normal(size=(10, 3))
 
     def stamp(self, number):
         return number * 2e-3
@@ -90,6 +95,8 @@ class GoodController(MotionController):
     first_line = 0
     counts_lines = True
     names = ("X",)
+    feeds = blocked = False  # piece by piece
+    ends = True
 
     def __init__(self) -> None:
         self.connected = False
@@ -101,7 +108,14 @@ class GoodController(MotionController):
 
     def connect(self) -> Identity:
         self.connected = True
-        return Identity("maker", "model", "1", "0", has_watchdog=True)
+        return Identity(
+            "maker",
+            "model",
+            "1",
+            "0",
+            has_watchdog=not self.feeds,
+            stops_unasked=self.feeds,
+        )
 
     def close(self) -> None:
         if self.at.state is MotionState.RUNNING:
@@ -114,13 +128,19 @@ class GoodController(MotionController):
         if self.at.state is MotionState.HELD:
             moved = tuple(x + self.brakes for x in self.at.position)
             self.at = replace(self.at, position=moved)
+        if self.blocked:
+            raise DeviceTimeout("no answer")
         running = self.at.state is MotionState.RUNNING
+        if running and self.feeds and host_clock.now_s() > self.fed_s + 1.0:
+            driven_s = 1.0 if self.ends else host_clock.now_s() - self.fed_s
+            gone = driven_s * self.feed / 60.0
+            self.at = replace(self.at, position=(self.at.position[0] + gone,))
         if running and self.watches and host_clock.now_s() > self.fed_s + 0.1:
             self.at = replace(self.at, state=MotionState.HELD, hold_reason="watchdog")
         return self.at
 
     def move_to(self, position, feed_mm_min) -> None:
-        self.status()
+        self.need_able()
         self.check(np.atleast_2d(position))
         self.target, self.feed = tuple(position), feed_mm_min
         self.fed_s, self.beats = host_clock.now_s(), 0
@@ -145,7 +165,12 @@ class GoodController(MotionController):
             raise Refused("no path")
         self.move_to(self.path.position[-1], self.path.feed_mm_min[-1])
 
+    def need_able(self) -> None:
+        if self.status().state in UNABLE:
+            raise MotionFault(self.at.alarm)
+
     def wait(self, timeout_s) -> MotionStatus:
+        self.need_able()
         if self.at.state is MotionState.RUNNING:
             if timeout_s < 1:
                 raise DeviceTimeout("still runs")
@@ -213,6 +238,18 @@ def begin_clock_anew(self, timeout_s):
     return replace(block, device_time_s=block.device_time_s % 0.02)
 
 
+def turn_round(self, timeout_s):
+    return GoodTracker.read(self, timeout_s).select(slice(None, None, -1))
+
+
+def say_twice(self, timeout_s):
+    return GoodTracker.read(self, timeout_s).select(np.repeat(np.arange(10), 2))
+
+
+def double(self, number):
+    return np.repeat(GoodTracker.measure(self, number)[::2], 2, axis=0)
+
+
 def forget_what_waits(self):
     self.number += int(500 * (host_clock.now_s() - self.read_s))
 
@@ -250,6 +287,12 @@ FAULTY_TRACKERS = [
     (TIMES, "stamp", lambda self, n: 2e-3 * (n + n // 49)),
     (tracker.a_target_at_rest_is_valid_and_in_mm, "place", 1.5),
     (tracker.a_target_at_rest_is_valid_and_in_mm, "status", 4),
+    (tracker.a_target_at_rest_is_valid_and_in_mm, "place", 0.0),
+    (tracker.samples_have_rising_numbers_and_times, "place", math.nan),
+    (tracker.samples_have_rising_numbers_and_times, "read", turn_round),
+    (tracker.samples_have_rising_numbers_and_times, "read", say_twice),
+    (tracker.each_sample_is_measured_anew, "measure", does(np.zeros((10, 3)))),
+    (tracker.each_sample_is_measured_anew, "measure", double),
     (COUNTS, "health", always(LinkHealth())),
     (COUNTS, "health", property(lambda self: LinkHealth(self.number, 5))),
     (tracker.impossible_rates_are_refused, "start", does()),
@@ -281,6 +324,73 @@ FAULTY_CONTROLLERS = [
 ]
 
 
+def bring(state):
+    def provoke(machine):
+        machine.at = replace(machine.at, state=MotionState(state), alarm="as provoked")
+
+    return provoke
+
+
+def block(machine):
+    machine.blocked = True
+
+
+TROUBLES = dict(
+    zip(
+        motion.PROVOKED_CHECKS,
+        (bring("alarm"), bring("door"), bring("unhomed"), does(), block),
+        strict=True,
+    )
+)
+ALARM, DOOR, UNHOMED, LOST, BLOCKED = motion.PROVOKED_CHECKS
+
+
+def run_again(self):
+    """Send the start again, since its reply was lost."""
+    status = GoodController.status(self)
+    if status.state is MotionState.FINISHED and self.path is not None:
+        self.at = replace(status, position=(status.position[0] + 0.1,))
+    return status
+
+
+def fall_back(self):
+    status = GoodController.status(self)
+    running = status.state is MotionState.RUNNING
+    return replace(status, line=-self.beats) if running else status
+
+
+def hide(self):
+    return replace(GoodController.status(self), state=MotionState.IDLE)
+
+
+def mistake(self):
+    status = GoodController.status(self)
+    door = status.state is MotionState.DOOR
+    return replace(status, state=MotionState.ALARM) if door else status
+
+
+def be_silent(self):
+    return replace(GoodController.status(self), alarm="")
+
+
+def take_time(self):
+    host_clock.sleep_s(10.0)
+    return GoodController.status(self)
+
+
+FAULTY_IN_TROUBLE = [
+    (ALARM, "status", hide),
+    (ALARM, "status", be_silent),
+    (ALARM, "need_able", does()),
+    (DOOR, "status", mistake),
+    (UNHOMED, "need_able", does()),
+    (LOST, "status", run_again),
+    (LOST, "status", fall_back),
+    (BLOCKED, "status", lambda self: self.at),
+    (BLOCKED, "status", take_time),
+]
+
+
 def with_fault(base, name, fault):
     return type("Faulty", (base,), {name: fault})
 
@@ -289,6 +399,34 @@ def with_fault(base, name, fault):
 def test_a_faulty_tracker_is_caught(clock, check, name, fault):
     with pytest.raises(NotConforming):
         check(with_fault(GoodTracker, name, fault))
+
+
+def in_trouble(check, kind):
+    """Run a check on one machine that gets into its trouble."""
+    make = share_machine(kind)
+    check(make, lambda: TROUBLES[check](make()))
+
+
+@pytest.mark.parametrize("check", motion.PROVOKED_CHECKS)
+def test_a_good_controller_in_trouble_passes(clock, check):
+    in_trouble(check, GoodController)
+
+
+@pytest.mark.parametrize(("check", "name", "fault"), FAULTY_IN_TROUBLE)
+def test_a_controller_that_is_faulty_in_trouble_is_caught(clock, check, name, fault):
+    with pytest.raises(NotConforming):
+        in_trouble(check, with_fault(GoodController, name, fault))
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_motion_that_goes_on_unasked_is_caught(clock, ends):
+    kind = type("Fed", (GoodController,), {"feeds": True, "watches": False})
+    make = share_machine(with_fault(kind, "ends", ends))
+    if ends:
+        motion.a_motion_that_nobody_asks_for_ends(make)
+        return
+    with pytest.raises(NotConforming, match="nobody asked"):
+        motion.a_motion_that_nobody_asks_for_ends(make)
 
 
 @pytest.mark.parametrize(("check", "name", "fault"), FAULTY_CONTROLLERS)

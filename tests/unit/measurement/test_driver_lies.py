@@ -9,6 +9,8 @@ import pytest
 from hostile_drivers import POINTS
 from plugin_site import NAME, install
 from truepath.device_options import make_device
+from truepath.driver_border import list_origins
+from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
 from truepath_drivers.interfaces.records import MotionStatus
 
@@ -54,3 +56,10 @@ def test_what_is_of_the_drivers_own_class_arrives_as_what_everybody_knows():
     with pytest.raises(ConnectionLost, match="the cable is out") as caught:
         lost.connect()
     assert caught.type is ConnectionLost
+
+
+def test_a_guarded_device_tells_which_plug_in_it_is_of():
+    made = make_device("motion", "hostile", {"verb": "status", "fault": "own-class"})
+    found = list_origins(motion=made, thermometers=None, tracker=object())
+    name, version = NAME.split()
+    assert found == {"motion": PluginOrigin("hostile", name, version, 1)}

@@ -21,8 +21,10 @@ from truepath.measurement.run_file.run_file import RunHeader, hash_file
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.run_file.run_repair import repair_run
 from truepath.motion.configurations import Configurations
+from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
+PLUGINS = {"tracker": PluginOrigin("t", "ours", "1.2", 1)}
 DEVICES = {
     "tracker": Identity("Us", "T", "1", "0.1"),
     "motion": Identity("Us", "C", "2", "0.2"),
@@ -31,7 +33,8 @@ DEVICES = {
 
 @pytest.fixture
 def header(mill, square) -> RunHeader:
-    return RunHeader("monday", mill, square, 500.0, DEVICES, ("X", "Y", "Z"))
+    axes = ("X", "Y", "Z")
+    return RunHeader("monday", mill, square, 500.0, DEVICES, axes, plugins=PLUGINS)
 
 
 @pytest.fixture
@@ -105,6 +108,7 @@ def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
     assert [(e.kind, e.text) for e in run.events] == [("start", "cycle start")]
     assert run.provenance["outcome"] == "finished"
     assert run.provenance["motion"] == "Us C 2 0.2"
+    assert run.provenance["tracker_plugin"] == "t of ours 1.2, interface 1"
     assert run.tracker.quality is None, "it was never told"
     assert summarize_run(run).quality is None
 

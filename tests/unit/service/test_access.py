@@ -17,6 +17,7 @@ from starlette.testclient import TestClient
 from arming import arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
+from truepath.machines.cell_status import NOT_READ
 from truepath.measurement.messages import ControllerRead
 from truepath.service.api.application import create_application
 from truepath.service.api.models.jobs.job_request import JobRequest
@@ -294,13 +295,17 @@ def test_a_stop_says_what_the_controller_says_once_it_was_read_after_it(
         return client.post(f"{API}/stop").json()["machines"]
 
     name = stop()[0]["machine"]
-    assert stop() == [{"machine": name, "stopped": "unknown"}]
+    assert stop() == [{"machine": name, "stopped": "unknown", "says": NOT_READ}]
     cell = make_cell.cell
-    for state, level in (("running", "false"), ("idle", "true")):
+    for state, level, words in (
+        ("running", "false", "it moves"),
+        ("held", "false", "it stands by a feed hold alone (held)"),
+        ("idle", "true", "it has stopped (idle)"),
+    ):
         read = ControllerRead(MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0))
         cell.say(read)
-        said = [{"machine": name, "stopped": level}]
-        wait_until(lambda said=said: stop() == said, level)
+        wait_until(lambda level=level: stop()[0]["stopped"] == level, level)
+        wait_until(lambda words=words: stop()[0]["says"].startswith(words), words)
 
 
 def test_a_program_arms_only_where_that_is_set(reached, tokens, access):

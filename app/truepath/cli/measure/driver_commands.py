@@ -1,13 +1,18 @@
-"""The commands on what is installed: `drivers`, `formats`."""
+"""The commands on what is installed: `drivers`, `formats`, `plugins`."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from truepath.cli.terminal import Json, collect_seldom, print_json
+import typer
+
+from truepath.cli.terminal import Config, DataDir, Json, collect_seldom, print_json
+from truepath.errors import BadInput
 
 if TYPE_CHECKING:
     from truepath.device_options import DriverOption
+    from truepath.machine_settings import MachineSettings
+    from truepath.operation.plugin_list import PluginEntry
 
 
 def drivers(json: Json = False) -> None:
@@ -64,3 +69,72 @@ def formats(json: Json = False) -> None:
                 f", or X={words[0]},Y={words[-1]}" if key in one["by_axis"] else ""
             )
             print(f"  --{key.replace('_', '-')}  {', '.join(words)}{by_axis}")
+
+
+def plugins(
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Hold each against its interface."),
+    ] = False,
+    device: Annotated[
+        str,
+        typer.Option(
+            metavar="WORD",
+            help="With --check: the driver of tracker, motion or thermometer of the "
+            "settings, at its device. motion MOVES the axes by 2 mm: clear them first.",
+        ),
+    ] = "",
+    config: Config = None,
+    data_dir: DataDir = None,
+    json: Json = False,
+) -> int:
+    """Every plug-in: drivers, effects, dialects, formats; whose they are.
+
+    The exit status is 1 where one cannot be used, or does not keep its interface.
+    """
+    collect_seldom()
+    from dataclasses import asdict
+
+    from truepath.operation.plugin_list import (
+        check_device,
+        list_left_out,
+        list_plugins,
+    )
+
+    if device and not check:
+        raise BadInput("--device needs --check as well")
+    if device:
+        found = [check_device(device, _find_machine(config, data_dir))]
+    else:
+        found = list(list_plugins(checks=check))
+    left_out = list_left_out()
+    if json:
+        print_json({"plugins": [asdict(one) for one in found], "left_out": left_out})
+    else:
+        for one in found:
+            _print_plugin(one)
+        for why in left_out:
+            print(f"left out: {why}")
+    return int(bool(left_out) or not all(one.is_well for one in found))
+
+
+def _find_machine(config: Config, data_dir: DataDir) -> MachineSettings:
+    from truepath.operation.running_service import find_service
+    from truepath.settings import load_settings
+
+    settings = load_settings(config, data_dir=data_dir)
+    if find_service(settings).is_there:
+        raise BadInput("the service holds the devices; end it, then check them")
+    machines = list(settings.list_machines().values())
+    if len(machines) != 1:
+        raise BadInput(f"the settings have {len(machines)} machines, 1 can be checked")
+    return machines[0]
+
+
+def _print_plugin(one: PluginEntry) -> None:
+    whose = f"{one.distribution} {one.version}"
+    said = "WRONG" if not one.is_well else "checked" if one.was_checked else ""
+    version = f"interface {one.interface_version}" if one.interface_version else ""
+    print(f"{one.group:21} {one.name:20} {whose:24} {version:12} {said}".rstrip())
+    for why in (*([one.fault] if one.fault else []), *one.failures):
+        print(f"{'':21} -> {why}")

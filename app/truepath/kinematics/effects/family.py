@@ -158,6 +158,7 @@ class Family(ABC):
     sentence : that describes structure; braces hold a key, or a number of a file
     """
 
+    interface_version: ClassVar[int] = 1
     name: ClassVar[str]
     words: ClassVar[Mapping[str, Words]]
     role: ClassVar[Role] = Role.MACHINE

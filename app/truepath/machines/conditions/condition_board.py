@@ -175,8 +175,7 @@ def _read_controller(
         )
         return Finding(Level.FALSE, "late", text), None
     if read.status is None:
-        text = f"{read.text}; check cable and power, then connect again"
-        return Finding(Level.FALSE, "no-answer", text), None
+        return Finding(Level.FALSE, "no-answer", read.text), None
     return YES, read.status
 
 
@@ -294,8 +293,7 @@ def _find_beam(stream: StreamLevels) -> Finding:
 
 def _find_stream(stream: StreamLevels) -> Finding:
     if stream.failure:
-        text = f"{stream.failure}; check power and cable of the tracker"
-        return Finding(Level.FALSE, "stream-silent", text)
+        return Finding(Level.FALSE, "stream-silent", stream.failure)
     share = stream.rate_share
     if share is not None and abs(share - 1.0) > RATE_TOLERANCE:
         text = (

@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from truepath.driver_border import find_stuck
+from truepath.driver_border import find_stuck, list_origins
 from truepath.errors import MeasurementFailed
 from truepath.files.environment.refraction import (
     choose_refraction,
@@ -95,6 +95,9 @@ class Measurement:
         self._environment: EnvironmentReader | None = None
         self._order, self._tracker, self._motion = order, tracker, motion
         self._devices, self._report, self._settings = dict(devices), report, settings
+        self._plugins = list_origins(
+            tracker=tracker, motion=motion, thermometers=thermometers
+        )
         self._state = MeasurementState(self._report_state)
         self._monitor: MeasurementMonitor | None = None
         self._steps: MeasurementSteps | None = None
@@ -252,6 +255,7 @@ class Measurement:
             order.machine_version,
             status.compensation,
             order.active_tables,
+            self._plugins,
         )
 
     def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:

@@ -44,6 +44,7 @@ from truepath.files.environment.refraction import (
 )
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
+from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 from truepath_drivers.interfaces.tracker_records import Air, PointMeasurement
 
@@ -113,6 +114,7 @@ class RunHeader:
         empty without a service
     control_compensation : whether the control corrected its axes by error tables of
         its own as the Run began; None where it did not tell
+    plugins : of the devices, by the same names; none of devices without one
     active_tables : SHA-256 by name of the files that it had, where the service knows
     """
 
@@ -129,6 +131,7 @@ class RunHeader:
     machine_version: int = 0
     control_compensation: bool | None = None
     active_tables: Mapping[str, str] = field(default_factory=dict[str, str])
+    plugins: Mapping[str, PluginOrigin] = field(default_factory=dict[str, PluginOrigin])
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
@@ -144,6 +147,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "commanded": _encode_commanded(header.commanded),
         "rate_hz": header.rate_hz,
         "devices": {name: asdict(who) for name, who in header.devices.items()},
+        "plugins": {name: asdict(which) for name, which in header.plugins.items()},
         "axes": list(header.axes),
         "channels": list(header.channels),
         "refraction": refraction_to_json(header.refraction),
@@ -199,6 +203,10 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
         machine_version=content.get("machine_version", 0),
         control_compensation=content.get("control_compensation"),
         active_tables=content.get("active_tables", {}),
+        plugins={
+            key: PluginOrigin(**which)
+            for key, which in content.get("plugins", {}).items()
+        },
     )
 
 

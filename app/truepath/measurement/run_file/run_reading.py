@@ -112,6 +112,11 @@ def open_run(file: str | Path) -> Run:
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
                 for name, who in header.devices.items()
             },
+            **{
+                f"{name}_plugin": f"{which.name} of {which.distribution} "
+                f"{which.version}, interface {which.interface_version}"
+                for name, which in header.plugins.items()
+            },
         },
     )
 

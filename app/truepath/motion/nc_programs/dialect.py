@@ -60,6 +60,7 @@ class Dialect(ABC):
     frame : how the program ensures machine coordinates, for the header
     """
 
+    interface_version: ClassVar[int] = 1
     control: ClassVar[str]
     suffix: ClassVar[str]
     decimals: ClassVar[int] = 4

@@ -14,6 +14,7 @@ from typing import Any
 
 from truepath.catalogue.job import Job, JobKind, Progress, Stage
 from truepath.catalogue.transitions import State
+from truepath.machines.cell_status import NOT_READ
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.base import JOB_ID, OTHER_ID, PREFIX
 from truepath.service.api.problems import BY_STATUS, MEDIA_TYPE, PROBLEM_KINDS, problem
@@ -95,8 +96,12 @@ _OF_OPERATION = {
 }
 _OF_STATUS = {401: ("WWW-Authenticate",), 429: ("Retry-After",), 503: ("Retry-After",)}
 
-_STANDING = {"machine": "bench-2", "stopped": "true"}
-_ENDING = {"machine": "default", "stopped": "unknown"}
+_STANDING = {
+    "machine": "bench-2",
+    "stopped": "true",
+    "says": "it has stopped (aborted)",
+}
+_ENDING = {"machine": "default", "stopped": "unknown", "says": NOT_READ}
 _TEXTS = {
     "download_error_tables": "error,position_mm,value,uncertainty,unit,extrapolated,"
     "verdict\nEXX,0.0000,0.00000,0.00000,um,0,usable\n",

@@ -13,6 +13,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from truepath.catalogue.job import Job
 from truepath.errors import TruepathError
+from truepath.machines.cell_status import NOT_READ
 from truepath.machines.conditions.conditions import Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.service.api.job_description import describe_job
@@ -144,13 +145,13 @@ def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stop
     """
     ending = {job.machine for job in jobs}
     stands = {
-        one.id: None if one.id in ending else one.cell.read_standstill()
+        one.id: (None, NOT_READ) if one.id in ending else one.cell.tell_standstill()
         for one in machines
     }
     return Stopped(
         jobs=[describe_job(job) for job in jobs],
         machines=[
-            MachineStop(machine=name, stopped=_LEVELS[known])
-            for name, known in stands.items()
+            MachineStop(machine=name, stopped=_LEVELS[known], says=said)
+            for name, (known, said) in stands.items()
         ],
     )

@@ -254,6 +254,10 @@ class MachineStop(BaseModel):
         "stopped, `false` where it says that it moves or only holds; `unknown` until "
         "then. Ask again."
     )
+    says: str = Field(
+        description="What that means, in words: what moves, holds or stands.",
+        examples=["it has stopped"],
+    )
 
 
 class Stopped(BaseModel):
