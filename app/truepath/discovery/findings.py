@@ -40,6 +40,7 @@ class Finding:
     """One effect with its parameters, its evidence, and what else it may be.
 
     rivals : terms that would explain the Runs as well
+    is_imitated : so might the tracker, off by more than is stated
     grade : `certain`, `likely`, or `possible` where free forms do as well
     """
 
@@ -50,6 +51,7 @@ class Finding:
     evidence: Evidence
     rivals: tuple[CandidateTerm, ...]
     grade: str
+    is_imitated: bool = False
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
@@ -121,6 +123,7 @@ def _state(
         Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
         rivals,
         tried.grade(term, log_bayes, rivals),
+        tried.is_imitated(term),
     )
 
 

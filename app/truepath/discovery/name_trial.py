@@ -77,6 +77,11 @@ class TriedNames:
     lead: dict[str, float]
     doubted: dict[str, Support]
 
+    def is_imitated(self, term: CandidateTerm) -> bool:
+        """Tell whether the tracker may do what a name says, off by more than stated."""
+        doubted = self.doubted.get(term.label)
+        return doubted is not None and doubted.evidence < LEAST_EVIDENCE
+
     def grade(
         self, term: CandidateTerm, evidence: float, rivals: tuple[CandidateTerm, ...]
     ) -> str:
@@ -111,18 +116,19 @@ class NameTrial:
             return self._doubt(best, names)
         lead = {n.label: self._measure_lead(best, [n]) for n in names}
         doubted = self._doubt_tracker(best, names)
+        weighed = TriedNames(best, best, (), lead, doubted)
         doubtful = [
             n
             for n in names
-            if self._fails(best, n, lead[n.label])
-            or (n.label in doubted and doubted[n.label].evidence < LEAST_EVIDENCE)
+            if weighed.is_imitated(n) or self._fails(best, n, lead[n.label])
         ]
         if len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD:
             doubtful = names
-        tried = replace(self._doubt(best, doubtful), lead=lead, doubted=doubted)
+        fit = self._replace(best, doubtful, self._free) if doubtful else best
+        tried = replace(weighed, fit=fit, doubtful=tuple(doubtful))
         kept = [term for term in names if term not in doubtful]
-        if doubtful and kept and self._need_more(tried.fit, kept):
-            return self._doubt(best, names)
+        if doubtful and kept and self._need_more(fit, kept):
+            return replace(self._doubt(best, names), doubted=doubted)
         return tried
 
     def _doubt(self, best: TermFit, names: Sequence[CandidateTerm]) -> TriedNames:

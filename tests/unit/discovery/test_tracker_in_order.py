@@ -2,12 +2,15 @@
 
 from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 
 from recorded import load_small, record_run
+from truepath.answers.discovery.discovery_json import discovery_json, explain
 from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import discover
 from truepath.discovery.name_trial import CERTAIN
+from truepath.discovery.open_questions import design_discrimination
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.machine_file import parse_machine
@@ -36,6 +39,27 @@ TYPICAL = asdict(TrackerSpecification())
 def worn():
     """Play of one axis, seen by a typical tracker."""
     return discover([measure(TYPICAL, Backlash("Y", WIDTH_UM))])
+
+
+def test_what_a_tracker_beyond_its_specification_may_do_is_asked_not_named():
+    stated = TrackerSpecification(delay_us=8.0)
+    found = discover([measure({"delay_us": 90.0}, stated=stated)])
+    content = discovery_json(found)
+    assert content["effects"] == []
+    (possible,) = content["possible"]
+    assert {"name": "tracker-errors"} in possible["indistinguishable_from"]
+    assert "an error of the tracker" in explain(design_discrimination(found))
+
+
+def test_what_is_counted_as_noise_beyond_the_stated_is_described():
+    run = measure(TYPICAL)
+    point_mm = run.tracker.position_mm
+    distance_mm = np.linalg.norm(point_mm, axis=1)[:, None]
+    cyclic_mm = 0.01 * np.sin(2.0 * np.pi * distance_mm / 30.0)
+    moved = point_mm * (1.0 + cyclic_mm / distance_mm)
+    found = discover([replace(run, tracker=replace(run.tracker, position_mm=moved))])
+    said = [one["description"] for one in discovery_json(found)["unnamed"]]
+    assert any("along the beam" in text and "as noise" in text for text in said)
 
 
 @pytest.mark.parametrize(
