@@ -7,9 +7,9 @@ Runs are compared with a baseline (`estimation.noise.baseline`): the rigid-body 
 fitted to them, or a reference model. Each further effect is a term that is linear in
 its parameters; leads, time constants and event times are scanned, then refined.
 
-Evidence. Machine, poses and the timing of each line are integrated out first, so that a
-displacement that a smooth error motion can absorb is no evidence. A term of information
-S, data r and prior covariance D then has the log Bayes factor
+Evidence. Machine, poses, the timing of each line and what the tracker may be off by are
+integrated out first, so that a displacement that these can absorb is no evidence. A
+term of information S, data r and prior covariance D then has the log Bayes factor
 ½ rᵀ (S + D⁻¹)⁻¹ r − ½ log det (I + D S) (Kass & Raftery 1995), less the log of the
 number of alternatives that were tried.
 

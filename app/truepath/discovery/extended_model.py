@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from truepath.discovery.discover import Discovery, Finding
 from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel, restore_effect
 
@@ -36,7 +37,7 @@ def extend_model(found: Discovery) -> ExtendedModel:
     base, fit = found.baseline.model, found.fit
     covariance = fit.posterior.covariance.copy()
     added: list[tuple[Finding, Effect]] = []
-    columns = [(effect, base.slices[effect.name]) for effect in base.effects]
+    columns = _list_columns(base)
     for number, term in enumerate(fit.terms):
         finding = next(f for f in found.findings if f.term is term)
         part = fit.part(number)
@@ -61,10 +62,18 @@ def extend_model(found: Discovery) -> ExtendedModel:
 
 def baseline_model(found: Discovery) -> ExtendedModel:
     """Return the model of a discovery as it is estimated without the findings."""
-    model, fit = found.baseline.model, found.baseline_fit.posterior
-    part = slice(0, model.size)
-    theta = found.baseline.theta + fit.theta[part]
-    return ExtendedModel(model, theta, fit.covariance[part, part], ())
+    base, fit = found.baseline.model, found.baseline_fit.posterior
+    columns = _list_columns(base)
+    keep = np.concatenate([np.r_[part] for _, part in columns])
+    model = replace(base, effects=tuple(effect for effect, _ in columns))
+    theta = found.baseline.theta[keep] + fit.theta[keep]
+    return ExtendedModel(model, theta, fit.covariance[np.ix_(keep, keep)], ())
+
+
+def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
+    """Return the effects of the machine, and where their parameters are."""
+    of_machine = [e for e in base.effects if not is_of_instrument(e)]
+    return [(effect, base.slices[effect.name]) for effect in of_machine]
 
 
 def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:

@@ -10,7 +10,6 @@ from jaxtyping import Float64
 
 from truepath.discovery.name_trial import TriedNames
 from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.term_search import EQUIVALENT
 from truepath.discovery.terms.line_blocks import RunData
 from truepath.estimation.problem.noise import floor_mm
 from truepath.kinematics.effects.candidate_term import CandidateTerm
@@ -41,6 +40,7 @@ class Finding:
     """One effect with its parameters, its evidence, and what else it may be.
 
     rivals : terms that would explain the Runs as well
+    is_imitated : so might the tracker, off by more than is stated
     grade : `certain`, `likely`, or `possible` where free forms do as well
     """
 
@@ -51,6 +51,7 @@ class Finding:
     evidence: Evidence
     rivals: tuple[CandidateTerm, ...]
     grade: str
+    is_imitated: bool = False
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
@@ -111,7 +112,7 @@ def _state(
     if term.covariance is not None:
         covariance = term.covariance
     lost = without.misfit - best.misfit
-    rivals = _find_rivals(fitter, without, term, log_bayes)
+    rivals = fitter.find_rivals(without, term, log_bayes)
     return Finding(
         term,
         term.family.state(
@@ -121,7 +122,8 @@ def _state(
         covariance,
         Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
         rivals,
-        tried.grade(term, log_bayes, len(rivals)),
+        tried.grade(term, log_bayes, rivals),
+        tried.is_imitated(term),
     )
 
 
@@ -137,19 +139,6 @@ def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
     uncertain = float(best.held_out.unknown.sum())
     gap = max(before + departure - uncertain, lost, 1e-12)
     return lost / gap
-
-
-def _find_rivals(
-    fitter: TermFitter, without: TermFit, term: CandidateTerm, evidence: float
-) -> tuple[CandidateTerm, ...]:
-    """Return the terms with a cause that would explain the Runs as well."""
-    return tuple(
-        r.term
-        for r in fitter.rank_promising(without)
-        if r.term.label != term.label
-        and r.evidence > evidence - EQUIVALENT
-        and r.term.has_cause
-    )
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,25 @@ functions of time, place, side of approach, speed and direction of the beam.
     gap     what names alone leave on held-out lines above what a complete model leaves,
             of what there was, where the whole explanation leaves some
 
-A name that fails stays possible, and the structure is described instead.
+A name that fails stays possible, and the structure is described instead. So does one
+that the tracker could imitate: which loses its evidence where all that the tracker may
+be off by is free at three times what is stated. Certain is what stays so there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truepath.discovery.evidence import HeldOutMisfit
-from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
+from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
+from truepath.discovery.term_search import (
+    LEAST_EVIDENCE,
+    LEAST_PURITY,
+    TermSearch,
+)
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
@@ -36,28 +42,56 @@ _MOST_FREE = 4  # free forms in the place of a name
 
 
 @dataclass(frozen=True)
+class Support:
+    """What speaks for a name.
+
+    evidence : log Bayes factor given the others, less the cost of the search
+    lead : log evidence over free forms; rivals : other names that do as well
+    """
+
+    evidence: float
+    lead: float
+    rivals: tuple[CandidateTerm, ...]
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether nothing else may do as well."""
+        far = self.lead >= _CERTAIN_LEAD
+        return far and self.evidence >= _CERTAIN_EVIDENCE and not self.rivals
+
+
+@dataclass(frozen=True)
 class TriedNames:
     """What is left of an explanation once its names have been tried.
 
     fit : with the names that hold, and structure
     named : the fit with all names; doubtful : those of its terms that do not hold
     lead : log evidence of each name that holds over free forms, by label
+    doubted : what speaks for each name, by label, where the tracker may be off by far
+        more than is stated; none of a perfect one
     """
 
     fit: TermFit
     named: TermFit
     doubtful: tuple[CandidateTerm, ...]
     lead: dict[str, float]
+    doubted: dict[str, Support]
 
-    def grade(self, term: CandidateTerm, log_bayes: float, rivals: int) -> str:
-        """Return how sure a name is; rivals : other names that do as well."""
+    def is_imitated(self, term: CandidateTerm) -> bool:
+        """Tell whether the tracker may do what a name says, off by more than stated."""
+        doubted = self.doubted.get(term.label)
+        return doubted is not None and doubted.evidence < LEAST_EVIDENCE
+
+    def grade(
+        self, term: CandidateTerm, evidence: float, rivals: tuple[CandidateTerm, ...]
+    ) -> str:
+        """Return how sure a name is; evidence, rivals : as of its support."""
         if term in self.doubtful:
             return POSSIBLE
+        own = Support(evidence, self.lead.get(term.label, 0.0), rivals)
+        is_clear = own.is_clear and self.doubted.get(term.label, own).is_clear
         alone = all(other.has_cause for other in self.fit.terms)
-        far = self.lead.get(term.label, 0.0) >= _CERTAIN_LEAD
-        clear = log_bayes >= _CERTAIN_EVIDENCE and not rivals
-        closed = not is_open(self.fit)
-        return CERTAIN if alone and far and clear and closed else LIKELY
+        return CERTAIN if alone and is_clear and not is_open(self.fit) else LIKELY
 
 
 def is_open(fit: TermFit) -> bool:
@@ -79,22 +113,44 @@ class NameTrial:
         """Return the names that hold, and those that do not."""
         names = [term for term in best.terms if term.has_cause]
         if not names or self._need_more(best, names):
-            return self._doubt(best, names, {})
+            return self._doubt(best, names)
         lead = {n.label: self._measure_lead(best, [n]) for n in names}
-        doubtful = [n for n in names if self._fails(best, n, lead[n.label])]
+        doubted = self._doubt_tracker(best, names)
+        weighed = TriedNames(best, best, (), lead, doubted)
+        doubtful = [
+            n
+            for n in names
+            if weighed.is_imitated(n) or self._fails(best, n, lead[n.label])
+        ]
         if len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD:
             doubtful = names
-        tried = self._doubt(best, doubtful, lead)
+        fit = self._replace(best, doubtful, self._free) if doubtful else best
+        tried = replace(weighed, fit=fit, doubtful=tuple(doubtful))
         kept = [term for term in names if term not in doubtful]
-        if doubtful and kept and self._need_more(tried.fit, kept):
-            return self._doubt(best, names, {})
+        if doubtful and kept and self._need_more(fit, kept):
+            return replace(self._doubt(best, names), doubted=doubted)
         return tried
 
-    def _doubt(
-        self, best: TermFit, names: Sequence[CandidateTerm], lead: dict[str, float]
-    ) -> TriedNames:
+    def _doubt(self, best: TermFit, names: Sequence[CandidateTerm]) -> TriedNames:
         fit = self._replace(best, names, self._free) if names else best
-        return TriedNames(fit, best, tuple(names), lead)
+        return TriedNames(fit, best, tuple(names), {}, {})
+
+    def _doubt_tracker(
+        self, best: TermFit, names: Sequence[CandidateTerm]
+    ) -> dict[str, Support]:
+        """Return what speaks for names where the tracker may be off by far more."""
+        if not self._fitter.has_tracker_errors:
+            return {}
+        fitter = self._fitter.doubt_tracker()
+        trial = NameTrial(fitter, TermSearch(fitter))
+        whole = fitter.fit(best.terms, refine=False)
+        return {name.label: trial._support(whole, name) for name in names}
+
+    def _support(self, best: TermFit, name: CandidateTerm) -> Support:
+        without = self._fitter.fit(best.other_terms(name), refine=False)
+        evidence = self._fitter.rank(without, [name])[0].evidence
+        rivals = self._fitter.find_rivals(without, name, evidence)
+        return Support(evidence, self._measure_lead(best, [name]), rivals)
 
     def _replace(
         self,

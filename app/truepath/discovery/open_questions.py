@@ -29,11 +29,14 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 from truepath.kinematics.effects.family import USUAL_MM
+from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN
 from truepath_drivers.interfaces.records import Path
 
 FREE_FORM = "a free form"  # that explains the Runs as well as a possible name
+TRACKER = "an error of the tracker"  # beyond its specification, that imitates it
 _THIN = LEAST_EVIDENCE + 3.0
 _NEARLY = 0.5 * LEAST_EVIDENCE
 _MOST_QUESTIONS = 3
@@ -103,7 +106,7 @@ def design_discrimination(
 
     The same seed gives the same lines.
     """
-    gram = compute_volumetric_gram(found.baseline.model)
+    gram = _weigh_displacements(found.baseline.model)
     questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
     if not questions:
         return None
@@ -111,6 +114,18 @@ def design_discrimination(
     feed = _highest_feed_mm_min([aligned.run for aligned in found.aligned])
     rng = np.random.default_rng(seed)
     return LineChoice(run.machine, base, questions, feed, rng).choose()
+
+
+def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
+    """Return G with θᵀGθ the mean square of displacements over the volume, mm².
+
+    Errors of the tracker, sized 1 each, show at its targets alone: as usual effects.
+    """
+    gram = compute_volumetric_gram(model)
+    for effect in filter(is_of_instrument, model.effects):
+        part = model.slices[effect.name]
+        gram[part, part] += USUAL_MM**2 * np.eye(part.stop - part.start)
+    return gram
 
 
 def _list_questions(
@@ -121,9 +136,17 @@ def _list_questions(
     Evidence is thin for one effect less or more.
     """
     best, fitter = found.fit, found.fitter
+    named = found.tried.named
     for finding in found.possible:
-        named = found.tried.named
-        yield _form_question(found, gram, finding.term, FREE_FORM, named, best)
+        if finding.is_imitated:
+            doubting = fitter.doubt_tracker()
+            fits = (
+                doubting.fit(terms, refine=False)
+                for terms in (named.terms, named.other_terms(finding.term))
+            )
+            yield _form_question(found, gram, finding.term, TRACKER, *fits)
+        else:
+            yield _form_question(found, gram, finding.term, FREE_FORM, named, best)
     for finding in (f for f in found.findings if f.structure is None):
         others = best.other_terms(finding.term)
         for rival in finding.rivals:

@@ -23,10 +23,13 @@ from truepath.discovery.value_refinement import refine_values
 from truepath.estimation.noise.baseline import MachinePrior
 from truepath.estimation.problem.information import Posterior, compute_posterior
 from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.instrument import is_of_instrument
 
+EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 _REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
 _HOPELESS = -4.0  # evidence that no finer scan raises enough
+_DOUBT = 3.0  # times what a tracker is stated to be off by: few are
 _MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
 
 
@@ -113,6 +116,16 @@ class TermFitter:
         fitter._promising |= self._promising
         return fitter
 
+    @property
+    def has_tracker_errors(self) -> bool:
+        """Whether the tracker may be off at all."""
+        model = self.run_data[0].base.machine_model
+        return any(map(is_of_instrument, model.effects))
+
+    def doubt_tracker(self) -> TermFitter:
+        """Return a fitter that allows the tracker to be off by far more than stated."""
+        return self.use_lines(self._lines, self._prior.widen_tracker(_DOUBT))
+
     def fit(self, terms: Sequence[CandidateTerm], *, refine: bool = True) -> TermFit:
         """Return the fit of terms.
 
@@ -185,6 +198,21 @@ class TermFitter:
         """Return those terms alone that ever were among the best of a ranking."""
         among = self.catalogue if among is None else among
         return self.rank_catalogue(fit, self.choose_promising(among))
+
+    def find_rivals(
+        self, without: TermFit, term: CandidateTerm, evidence: float
+    ) -> tuple[CandidateTerm, ...]:
+        """Return the terms with a cause that would explain the Runs as well as one.
+
+        without : the fit without it; evidence : that it adds
+        """
+        return tuple(
+            r.term
+            for r in self.rank_promising(without)
+            if r.term.label != term.label
+            and r.evidence > evidence - EQUIVALENT
+            and r.term.has_cause
+        )
 
     def choose_promising(self, among: Sequence[CandidateTerm]) -> list[CandidateTerm]:
         """Return those terms that ever were among the best of a ranking."""

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from truepath.discovery.term_fitter import TermFit, TermFitter
+from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 
 # Log Bayes factor, cost paid. Noise and bends are estimated from the same lines, which
 # makes evidence out of nothing: clean Runs bring 5 to 8 in one of fifty.
 LEAST_EVIDENCE = 8.0
-EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_TERMS = 6
 _MOST_LARGE, _CLOSED = 3, 1.03  # terms, or gap over that of a complete model
 _MOST_FREE = 3  # without a cause: more describe nothing better

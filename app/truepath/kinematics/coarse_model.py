@@ -128,14 +128,20 @@ def build_baseline_models(
 ) -> tuple[NestedModels, MachineModel]:
     """Return the model that Runs are compared with, and the coarse one for their noise.
 
+    Both have what the tracker may be off by.
+
     conditions : of each Run
     reference : the model; all that the Runs can identify of a rigid body if None
     """
     offsets_mm = [at.offset_mm for at in conditions]
     slow = [shift for at in conditions for shift in _list_slow_shifts(at)]
-    nested = NestedModels(reference) if reference else _nest(machine, offsets_mm)
+    instrument = list_instrument_errors(conditions)
+    if reference is None:
+        nested = _nest(machine, offsets_mm, instrument)
+    else:
+        nested = NestedModels(reference.with_effects(*instrument))
     model = nested.alone
-    beside = (*slow, *model.catalogue_effects)
+    beside = (*slow, *instrument, *model.catalogue_effects)
     return nested, build_coarse_model(model.machine, offsets_mm, (), beside)
 
 

@@ -26,6 +26,7 @@ class RecordedState:
     rotation : (3, 3) frame of the workpiece, or base, to that of the tracker
     temperature_degc : (n, sensors) of the named sensors
     lock : (n,) how often the beam was lost and found before; never where left out
+    set_up : of the tracker, as `name_set_up` tells it from others
     """
 
     rate: Float64[np.ndarray, "n a"]
@@ -36,6 +37,7 @@ class RecordedState:
     sensors: tuple[str, ...] = ()
     temperature_degc: Float64[np.ndarray, "n s"] | None = None
     lock: Int64[np.ndarray, " n"] | None = None
+    set_up: str = ""
 
     def select(self, rows: Int64[np.ndarray, " m"]) -> RecordedState:
         """Return those of some of the moments."""

@@ -151,7 +151,9 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "model": provenance.model
         and {
             **prior_model_json(provenance.model),
-            "taken": describe_use(repeats_model=provenance.repeats_model),
+            "taken": describe_use(
+                provenance.model, repeats_model=provenance.repeats_model
+            ),
         },
         "measured_s": run.measured_s,
         "length_scale_ppm": found.length_scale_ppm,

@@ -115,15 +115,23 @@ def prior_model_json(model: PriorModel) -> dict[str, Any]:
     return {"source": model.source, "version": model.version, "sha256": model.sha256}
 
 
-def describe_use(*, repeats_model: bool) -> str:
-    """Say what an analysis has taken from a model."""
+def describe_use(model: PriorModel, *, repeats_model: bool) -> str:
+    """Say what an analysis has taken from a model, and what not."""
     if repeats_model:
-        return (
+        taken = (
             "the effects of the machine; their numbers are estimated from this "
             "measurement alone, for the model was made from it; so are the error "
             "motions"
         )
+    else:
+        taken = (
+            "the effects of the machine, their numbers with their covariance as prior "
+            "knowledge; the error motions are measured anew"
+        )
+    ended = model.result.ended
+    if not ended:
+        return taken
     return (
-        "the effects of the machine, their numbers with their covariance as prior "
-        "knowledge; the error motions are measured anew"
+        f"{taken}. Left out: {', '.join(ended)}, which ended with the measurement that "
+        "showed it; what the tracker may be off by is estimated anew"
     )

@@ -10,6 +10,8 @@ from truepath.answers.discovery.discovery_report import (
     render_discovery_report,
     write_discovery,
 )
+from truepath.estimation.problem.prior_model import read_prior_model
+from truepath.results.updated_effects import describe_use
 from truepath_simulators.hidden.setup import SetupStep
 from truepath_simulators.worlds.synthetic import Setting
 
@@ -60,3 +62,9 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_p
     write_discovery(knocked, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"discovery.json", "model.json", "report.html"}
+
+
+def test_an_analysis_says_what_of_a_model_ended_with_its_run(knocked, tmp_path):
+    write_discovery(knocked, tmp_path)
+    earlier = read_prior_model(tmp_path / "model.json")
+    assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)

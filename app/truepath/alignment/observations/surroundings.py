@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from truepath.alignment.observations.observations import Observations
 from truepath.files.environment.environment import interpolate, is_usable
 from truepath.kinematics.conditions import RecordedState
+from truepath.kinematics.effects.instrument import name_set_up
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.records import Path, TemperatureSamples
@@ -28,14 +29,16 @@ def add_surroundings(
     number : which of several Runs it is
     locks_s : when the beam was found again after it was lost
     """
+    tracker = observations.at.machine.tracker
     recorded = RecordedState(
         _rates(observations),
-        observations.count / observations.at.machine.tracker.rate_hz,
+        observations.count / tracker.rate_hz,
         _since_reversal(commanded, observations),
         observations.tracker_mm,
         observations.pose.rotation,
         *_temperatures(temperature, observations.at.time_s),
         np.searchsorted(np.array(locks_s), observations.at.time_s, side="right"),
+        name_set_up(observations.pose.rotation, tracker.face),
     )
     return replace(
         observations, at=replace(observations.at, run=number, recorded=recorded)

@@ -108,10 +108,11 @@ def describe_volume(findings: Findings) -> View:
 
 def describe_effects(findings: Findings) -> View:
     """Return the effects of a given model, before and with this measurement."""
-    estimate, repeats_model = findings.estimate, findings.provenance.repeats_model
+    estimate, model = findings.estimate, findings.provenance.model
+    repeats_model = findings.provenance.repeats_model
     effects = list_updated_effects(estimate.known, estimate, estimate.chances)
     return {
-        "use": describe_use(repeats_model=repeats_model),
+        "use": model and describe_use(model, repeats_model=repeats_model),
         "rows": [
             (
                 one.title,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,12 +19,16 @@ from truepath.discovery.terms.discrimination import (
     DiscriminationDesign,
     Question,
 )
+from truepath.estimation.problem.noise import split_sigma_mm
+from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.commanded_file import list_columns
 from truepath.kinematics.effects.family import Candidate, Family, find_family
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"
+TRACKER = "tracker-errors"  # what names it where an effect cannot be told from it
+_NOISY = 1.5  # times what the tracker states: to be described
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
 
@@ -40,7 +45,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
                 for f in found.findings
                 if f.structure is not None
             ),
-            *_list_unexplained(found),
+            *list_unexplained(found),
         ],
         "gap": {
             "unit": "um",
@@ -75,20 +80,41 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
     }
 
 
-def _list_unexplained(found: Discovery) -> list[dict[str, Any]]:
-    """Return what neither effects nor free forms explain, if anything is left."""
-    if not found.leaves_gap:
-        return []
-    left_um = float(np.sqrt(found.gap.after_um**2 - found.gap.expected_um**2))
-    by = next(iter(found.residuals[0].after.shares), "line")
-    return [
-        {
-            "depends_on": [by],
-            "description": f"a displacement of {left_um:.2g} µm (root mean square on "
-            f"held-out lines) in no shape that was tried; it shows most by {by}",
-            "rms_um": left_um,
-        }
-    ]
+def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
+    """Return what neither effects nor free forms explain, if anything is left.
+
+    In the gap, or counted as noise beyond what the tracker is stated to have.
+    """
+    gap, left = found.gap, list[dict[str, Any]]()
+    if found.leaves_gap:
+        left_um = float(np.sqrt(gap.after_um**2 - gap.expected_um**2))
+        by = next(iter(found.residuals[0].after.shares), "line")
+        text = (
+            f"a displacement of {left_um:.2g} µm (root mean square on held-out lines) "
+            f"in no shape that was tried; it shows most by {by}"
+        )
+        left.append({"depends_on": [by], "description": text, "rms_um": left_um})
+    ratio = gap.noise_floor_um / gap.usual_um
+    if ratio > _NOISY:
+        left_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
+        where = "along" if _is_noisy_along(found.baseline.runs) else "across"
+        text = (
+            f"deviations of {left_um:.2g} µm in no shape that was tried, most {where} "
+            f"the beam: they are counted as noise, {ratio:.2g} times what the tracker "
+            "is stated to have"
+        )
+        left.append({"depends_on": ["t"], "description": text, "rms_um": left_um})
+    return left
+
+
+def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
+    """Tell whether noise beyond what is stated is along the beam rather than across."""
+    more = np.zeros(3)
+    for run in runs:
+        for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
+            white, ou = split_sigma_mm(run.observations, noise)
+            more += sign * (white**2 + ou**2).sum(axis=0)
+    return bool(more[0] > more[1:].mean())
 
 
 def effect_json(finding: Finding) -> dict[str, Any]:
@@ -103,7 +129,10 @@ def effect_json(finding: Finding) -> dict[str, Any]:
             "held_out_log_score": finding.evidence.held_out,
             "share_of_gap": finding.evidence.share,
         },
-        "indistinguishable_from": [_key(c) for c in finding.alternatives],
+        "indistinguishable_from": [
+            *map(_key, finding.alternatives),
+            *([{"name": TRACKER}] if finding.is_imitated else []),
+        ],
         "cause": words.cause,
         "looks_like": words.looks_like,
         "remedy": words.remedy,
@@ -188,10 +217,15 @@ def write_title(candidate: Candidate) -> str:
 
 def describe_alternatives(finding: Finding) -> str:
     """Say what else a finding may be."""
-    if not finding.alternatives:
+    names = [write_title(c) for c in finding.alternatives]
+    if finding.is_imitated:
+        names.append(
+            "errors of the tracker beyond its specification, which another place or "
+            "the other face of it, or other feeds, would show"
+        )
+    if not names:
         return "no other effect of the catalogue explains the measurement as well"
-    names = "; ".join(write_title(c) for c in finding.alternatives)
-    return f"this measurement cannot tell it from: {names}"
+    return f"this measurement cannot tell it from: {'; '.join(names)}"
 
 
 def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:

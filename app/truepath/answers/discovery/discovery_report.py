@@ -22,6 +22,7 @@ from truepath.answers.discovery.discovery import ASK, Discovered
 from truepath.answers.discovery.discovery_json import (
     describe_alternatives,
     explain,
+    list_unexplained,
     write_title,
 )
 from truepath.answers.discovery.model_file import NextModel
@@ -91,7 +92,7 @@ def render_discovery_report(
             "possible": [
                 _describe_finding(f, discovery, model) for f in discovery.possible
             ],
-            "unnamed": _describe_unnamed(discovery.findings),
+            "unnamed": _describe_unnamed(discovery),
             "compared": discovery.compared,
             "ask": None if design is None else describe_ask(design, ask_file),
             "gap": _describe_gap(discovery),
@@ -151,16 +152,18 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
     }
 
 
-def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
-    return [
+def _describe_unnamed(discovery: Discovery) -> list[View]:
+    described = [
         {
             "text": f.structure.describe(f.candidate, f.parameters),
             "share": format_number(100 * f.evidence.share, 0),
             "words": f.structure.words["en"],
         }
-        for f in findings
+        for f in discovery.findings
         if f.structure is not None
     ]
+    left = [{"text": one["description"]} for one in list_unexplained(discovery)]
+    return [*described, *left]
 
 
 def _describe_gap(discovery: Discovery) -> View:

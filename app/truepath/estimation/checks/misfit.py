@@ -44,7 +44,7 @@ from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import limit_noise
 from truepath.estimation.problem.normal_equations import compute_information
-from truepath.kinematics.effects.instrument import RangeStep, name_set_up
+from truepath.kinematics.effects.instrument import RangeStep
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
@@ -363,7 +363,7 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
     at = fit.runs[number].observations.at
     if at.recorded is None:
         return about, known
-    offset = RangeStep(name_set_up(at.recorded, at.machine.tracker.face), -np.inf)
+    offset = RangeStep(at.recorded.set_up, -np.inf)
     free = Information.of_matrix(block_diag(known.matrix, np.array([[_FREE]])))
     vector = np.append(known.vector, 0.0)
     model = about.machine_model.with_effects(offset)

@@ -18,7 +18,7 @@ from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.setup_steps import POSE, Step
 from truepath.estimation.checks.step_kinds import RANGE
-from truepath.kinematics.effects.instrument import RangeStep, name_set_up
+from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
@@ -136,9 +136,7 @@ def add_range_step(part: RunPart, before: int, after: int, time_s: float) -> Run
     seen = part.seen
     kept = _drop_remnants(seen, np.r_[:before, after : len(seen)])
     assert seen.at.recorded is not None  # noqa: S101 (steps have names only there)
-    step = RangeStep(
-        name_set_up(seen.at.recorded, seen.at.machine.tracker.face), time_s
-    )
+    step = RangeStep(seen.at.recorded.set_up, time_s)
     seen = replace(kept, used=int(kept.count.sum()))
     return replace(part, seen=seen, range_steps=(*part.range_steps, step))
 

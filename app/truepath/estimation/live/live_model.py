@@ -24,7 +24,6 @@ from truepath.kinematics.effects.instrument import (
     RangeStep,
     SetUpErrors,
     list_instrument_errors,
-    name_set_up,
 )
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.identifiable import (
@@ -131,7 +130,7 @@ def list_live_errors(at: Conditions, earlier: Sequence[Conditions]) -> Iterator[
     at : of the Run under way; earlier : of others
     """
     assert at.recorded is not None  # noqa: S101 (a live Run knows its surroundings)
-    own = name_set_up(at.recorded, at.machine.tracker.face)
+    own = at.recorded.set_up
     for each in list_instrument_errors([at, *earlier]):
         if isinstance(each, SetUpErrors) and each.set_up == own:
             first = each.locks[-1] + 1

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import block_diag
 
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import Unidentifiable
@@ -35,6 +36,7 @@ from truepath.kinematics.coarse_model import (
     add_effects,
 )
 from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
@@ -46,6 +48,10 @@ class MachinePrior(Protocol):
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision; parameters after the machine's have none."""
+        ...
+
+    def widen_tracker(self, times: float) -> MachinePrior:
+        """Return it with a tracker that may be off by so many times as much."""
         ...
 
     def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
@@ -61,6 +67,7 @@ class MachinePrior(Protocol):
 class KnownMachine:
     """Parameters of a reference model, as well as it knows them."""
 
+    model: MachineModel
     covariance: Float64[np.ndarray, "m m"]
 
     @cached_property
@@ -71,6 +78,13 @@ class KnownMachine:
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the precision; parameters after the machine's have none."""
         return np.pad(self.precision, (0, size - len(self.covariance)))
+
+    def widen_tracker(self, times: float) -> KnownMachine:
+        """Return it with a tracker that may be off by so many times as much."""
+        scale = np.ones(len(self.covariance))
+        for effect in filter(is_of_instrument, self.model.effects):
+            scale[self.model.slices[effect.name]] = times
+        return replace(self, covariance=scale[:, None] * self.covariance * scale)
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
         """Return itself, which has nothing to fit, and the posterior."""
@@ -120,7 +134,8 @@ def fit_baseline(
     """Return prior, poses and noise of Runs of one machine.
 
     observations : of each Run, in coarse cells with their surroundings
-    reference : what is known of the model; it is fitted to the Runs if None
+    reference : what is known of the model; it is fitted to the Runs if None. What the
+        tracker may be off by follows it in the model, known to 1 each
 
     Raises Unidentifiable if the lines do not determine the noise.
     """
@@ -131,7 +146,11 @@ def fit_baseline(
         prior: MachinePrior = WholePrior.guess(nested.alone, nested.confounded)
         theta = np.zeros(nested.whole.size)
     else:
-        theta, prior = reference.theta, KnownMachine(reference.covariance)
+        more = nested.alone.size - len(reference.theta)
+        theta = np.pad(reference.theta, (0, more))
+        prior = KnownMachine(
+            nested.alone, block_diag(reference.covariance, np.eye(more))
+        )
     return Baseline(nested.whole, theta, prior, runs, noise_model)
 
 

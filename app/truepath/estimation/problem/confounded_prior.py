@@ -104,6 +104,12 @@ class WholePrior:
         whole, result = fit_confounded(told, result, self.whole.model, data)
         return WholePrior(told, whole), result
 
+    def widen_tracker(self, times: float) -> WholePrior:
+        """Return it with a tracker that may be off by so many times as much."""
+        return WholePrior(
+            self.told.widen_tracker(times), self.whole.widen_tracker(times)
+        )
+
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
         """Return 0: nothing was measured before."""
         del theta

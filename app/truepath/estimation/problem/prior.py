@@ -27,6 +27,7 @@ from truepath.estimation.problem.information import (
     compute_posterior,
 )
 from truepath.kinematics.effects.base import Parameter, QuadraticPrior
+from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.model import MachineModel
 
 USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
@@ -62,6 +63,15 @@ class BendingPrior:
             charge.rank * float(np.log(self.precision[name]))
             for name, charge in self.charges.items()
         )
+
+    def widen_tracker(self, times: float) -> BendingPrior:
+        """Return it with a tracker that may be off by so many times as much."""
+        tracker = {e.name for e in self.model.effects if is_of_instrument(e)}
+        wider = {
+            name: value / times**2 if name in tracker else value
+            for name, value in self.precision.items()
+        }
+        return replace(self, precision=wider)
 
     def fit(self, data: Information) -> tuple[BendingPrior, Posterior]:
         """Return the prior whose precisions fit the data, and the posterior."""

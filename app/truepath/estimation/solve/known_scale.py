@@ -26,7 +26,6 @@ from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.instrument import (
     SetUpErrors,
     is_of_instrument,
-    name_set_up,
 )
 from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.model import MachineModel
@@ -148,12 +147,16 @@ def _trace_errors(
     nowhere = np.zeros((len(points_mm), len(machine.axes)))
     still, endless = np.zeros_like(nowhere), np.full_like(nowhere, np.inf)
     recorded = RecordedState(
-        still, np.zeros(len(points_mm)), endless, points_mm, run.rotation
+        still,
+        np.zeros(len(points_mm)),
+        endless,
+        points_mm,
+        run.rotation,
+        set_up=run.set_up,
     )
     at = replace(make_standstill(machine, nowhere), recorded=recorded)
-    name = name_set_up(recorded, run.tracker.face)
     for effect in filter(is_of_instrument, model.effects):
-        if isinstance(effect, SetUpErrors) and effect.set_up in ("", name):
+        if isinstance(effect, SetUpErrors) and effect.set_up in ("", run.set_up):
             middle_s = 0.5 * (effect.begin_s + effect.end_s)
             at = replace(at, time_s=np.full(len(points_mm), middle_s))
     for effect in filter(is_of_instrument, model.effects):

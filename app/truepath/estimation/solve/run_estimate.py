@@ -59,7 +59,7 @@ class RunEstimate:
     distance_mm : mean distance of the measured points from the tracker
     measured_rows : lines of the path, or points, that it has data of
     seats : of its targets, those that are a matter of the pose left out
-    rotation : by which effects of the tracker know the set-up, as they were recorded
+    rotation, set_up : of the tracker, as recorded
     """
 
     noise: NoiseModel
@@ -75,6 +75,7 @@ class RunEstimate:
     measured_rows: frozenset[int]
     seats: tuple[SeatEstimate, ...] = ()
     rotation: Float64[np.ndarray, "3 3"] | None = None
+    set_up: str = ""
 
     @property
     def lines(self) -> int:
@@ -101,6 +102,7 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.measured_rows,
         tuple(_find_seats(run, machine)),
         None if recorded is None else recorded.rotation,
+        "" if recorded is None else recorded.set_up,
     )
 
 

@@ -73,6 +73,7 @@ class CalibrationResult(EstimatedModel):
         symbol, over mm or deg, in µm or µrad
     states_direction : whether the file says what the direction of travel does, be it
         nothing
+    ended : names of effects that a model's Runs showed and that ended with them
     """
 
     mode: str = "otf"
@@ -97,6 +98,7 @@ class CalibrationResult(EstimatedModel):
         default_factory=dict[str, Any]
     )
     states_direction: bool = True
+    ended: tuple[str, ...] = ()
 
     @property
     def machine(self) -> Machine:
@@ -293,10 +295,21 @@ class ResultDocument(_Document):
     residuals: Any
 
 
+class _FoundEffect(FileModel):
+    name: Text
+    part_of: Text = "machine"
+
+
 class ModelDocument(_Document):
     """A model file."""
 
     version: Annotated[float, Field(ge=1.0)]
+    effects: list[_FoundEffect] = Field(default_factory=list[_FoundEffect])
+
+    def list_ended(self) -> tuple[str, ...]:
+        """Return the names of what was part of the measurement alone."""
+        ended = [each.name for each in self.effects if each.part_of == "measurement"]
+        return tuple(dict.fromkeys(ended))
 
     @model_validator(mode="after")
     def _require_whole_version(self) -> ModelDocument:
@@ -352,6 +365,7 @@ def result_from_json(
         document.read_verdict(),
         *direction.read_across(),
         document.direction is not None,
+        document.list_ended() if isinstance(document, ModelDocument) else (),
     )
     if result.provenance.get("length_scale_in_tables"):
         return result

@@ -132,7 +132,7 @@ class _Terms:
 class TrackerErrors(Effect):
     """Errors that the tracker takes along from place to place; θ in their sizes.
 
-    set_ups : of this tracker, as `name_set_up` tells them apart; all where empty
+    set_ups : of this tracker; all where empty
     """
 
     kind = "tracker-errors"
@@ -220,7 +220,7 @@ class TrackerErrors(Effect):
 class SetUpErrors(Effect):
     """Errors of a tracker that are others after a new set-up, lock or weather.
 
-    set_up : as `name_set_up` tells it from others; any where empty
+    set_up : that it belongs to; any where empty
     locks : numbers of the locks of its beam, each with a range offset
     """
 
@@ -285,7 +285,7 @@ class SetUpErrors(Effect):
 class RangeStep(Effect):
     """Another range offset from one moment on, of which nothing is known before.
 
-    set_up : as `name_set_up` tells it from others
+    set_up : that it belongs to
     """
 
     kind = "range-step"
@@ -309,13 +309,13 @@ class RangeStep(Effect):
         return _known(1)
 
 
-def name_set_up(recorded: RecordedState, face: int | None) -> str:
-    """Return what tells a set-up from others: how the tracker stands, to the last bit.
+def name_set_up(rotation: Float64[np.ndarray, "3 3"], face: int | None) -> str:
+    """Return what tells a set-up from others: how the tracker was found to stand.
 
-    Runs that are solved together may have no numbers, or the same clock. A change of
-    face is a new lock.
+    To the last bit: Runs that are solved together may have no numbers, or the same
+    clock. A change of face is a new lock.
     """
-    return format(zlib.crc32(recorded.rotation.tobytes(), face or 1), "08x")
+    return format(zlib.crc32(rotation.tobytes(), face or 1), "08x")
 
 
 def _find_recorded(at: Conditions, set_ups: Sequence[str]) -> RecordedState | None:
@@ -323,8 +323,7 @@ def _find_recorded(at: Conditions, set_ups: Sequence[str]) -> RecordedState | No
     recorded = at.recorded
     if recorded is None or not set_ups:
         return recorded
-    name = name_set_up(recorded, at.machine.tracker.face)
-    return recorded if name in set_ups else None
+    return recorded if recorded.set_up in set_ups else None
 
 
 def _turn_back(terms: _Terms, recorded: RecordedState) -> Float64[np.ndarray, "n 3 p"]:
@@ -351,9 +350,8 @@ def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
     trackers: dict[TrackerSpecification, dict[str, Conditions]] = {}
     for at in runs:
         if at.recorded is not None:
-            tracker = at.machine.tracker
-            set_ups = trackers.setdefault(tracker.systematic, {})
-            set_ups[name_set_up(at.recorded, tracker.face)] = at
+            set_ups = trackers.setdefault(at.machine.tracker.systematic, {})
+            set_ups[at.recorded.set_up] = at
     effects: list[Effect] = []
     for specification, set_ups in trackers.items():
         own = () if len(trackers) == 1 else tuple(set_ups)
