@@ -190,7 +190,7 @@ def _describe_run(residual: RunResidual) -> View:
 
 def _state_segment(segment: Segment) -> tuple[str, ...]:
     return (
-        str(segment.row),
+        str(segment.row + 1),
         f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
         segment.region,
         format_number(segment.time_s),
@@ -292,7 +292,7 @@ def draw_along_run(residual: RunResidual) -> Markup:
 def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
     """Draw the root mean square on every line, before and after."""
     frame = Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)
-    rows = np.array([s.row for s in before], float)
+    rows = np.array([s.row + 1 for s in before], float)
     high = 1.05 * max(s.rms_um for s in (*before, *after))
     x = frame.make_x(float(rows.min()), float(rows.max()), margin=0.02)
     y = frame.make_y(0.0, high, margin=0.0)
@@ -302,7 +302,7 @@ def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
         frame.draw_axes(x, y, "row of the path", "rms, µm", upright=False),
     ]
     for states, colour in ((before, Colour.MUTED), (after, Colour.ACCENT)):
-        at = x.place(np.array([s.row for s in states], float))
+        at = x.place(np.array([s.row + 1 for s in states], float))
         rms = y.place(np.array([s.rms_um for s in states]))
         foot = np.full(len(at), frame.bottom)
         ends = np.column_stack([at, foot]), np.column_stack([at, rms])

@@ -214,7 +214,7 @@ class ApproachFile(FileModel):
     """How an NC program goes to its first row."""
 
     clearance_mm: dict[str, Mm] | None = None
-    order: list[str] = []
+    order: list[str] = Field(default_factory=list)
     feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Approach().feed_mm_min
 
     def require_axes(self, axes: tuple[Axis, ...]) -> None:

@@ -7,7 +7,8 @@ in `G54`, and the control itself checks before it moves that no work offset is i
 way: it compares the machine position (#5021 …) of each axis with the work position
 (#5041 …) and raises an alarm where they differ; this takes custom macro B. `G61` stops
 exactly. `G5.1 Q0` switches AI contour control off; a control without that option skips
-the block by its switch for `/`. F is the feed of all axes together, a degree counted as a millimetre.
+the block by its switch for `/`. F is the feed of all axes together, a degree counted as
+a millimetre.
 Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61;
 feed per minute with rotary axes; system variables of the current position).
 """

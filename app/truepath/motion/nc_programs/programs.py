@@ -307,8 +307,8 @@ def _compare_approach(
     ]
     if wanted != [(dict(m.ends), m.feed_mm_min) for m in motion.approach]:
         raise PlanningError(
-            f"the {kind.control} program does not read back as the way to row 1; do not "
-            "run it, and report the machine file"
+            f"the {kind.control} program does not read back as the way to row 1; do "
+            "not run it, and report the machine file"
         )
 
 

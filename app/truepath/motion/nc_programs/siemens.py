@@ -3,8 +3,9 @@
 `SUPA` suppresses every frame in its block, so positions are machine coordinates
 whatever work offset is set; `D0` takes the tool away. `G60 G601` stops exactly, in the
 fine window, and `COMPOF` joins no lines; after the last row `G64` is set, and `M30`
-sets what the machine begins with. `FGROUP` says whose feed F is: of the linear axes, or of the rotary axes
-where they turn alone; a degree counts as a millimetre (`FGREF` as it is by default).
+sets what the machine begins with. `FGROUP` says whose feed F is: of the linear axes, or
+of the rotary axes where they turn alone; a degree counts as a millimetre (`FGREF` as it
+is by default).
 Source: SINUMERIK 840D sl programming manual, fundamentals (frames; feed control).
 """
 
