@@ -16,7 +16,10 @@ from truepath_drivers.interfaces.records import Path
 
 AXES = "XYZABC"
 _LINEAR = "XYZ"
-_ROW = re.compile(r"[;(]\s*ROW (\d+)\b", re.IGNORECASE)
+# The row in the comment of a motion: other comments may hold the same words.
+_ROW = re.compile(
+    r"^[^;(]*[XYZABC]\s*[-+]?\.?\d[^;(]*[;(]\s*ROW (\d+)\b", re.IGNORECASE
+)
 _CHECKSUM = re.compile(r"PATH CHECKSUM ([0-9A-F]{12})\b")
 _DIGITS = 12  # of a checksum: short enough to compare by eye
 
