@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,6 +26,7 @@ from truepath.answers.discovery.discovery_json import (
     write_title,
 )
 from truepath.answers.discovery.model_file import NextModel
+from truepath.answers.plan.plan_report import encode_with_programs
 from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
 from truepath.answers.shown.number_format import format_number
 from truepath.answers.shown.svg import (
@@ -54,7 +56,6 @@ from truepath.discovery.terms.discrimination import (
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
-from truepath.files.bundle.commanded_file import encode_commanded
 
 CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _WORST = 8
@@ -227,10 +228,11 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     found, asked = discovered.found, discovered.asked
     report = render_discovery_report(found, discovered.model, asked, ASK)
     files = {REPORT: report.encode()}
-    if asked is None:
-        (Path(folder) / ASK).unlink(missing_ok=True)  # that of an earlier discovery
-    else:
-        files[ASK] = encode_commanded(asked.path)
+    place = Path(ASK).parent
+    rmtree(Path(folder) / place, ignore_errors=True)  # that of an earlier discovery
+    if asked is not None:
+        rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
+        files |= {str(place / name): content for name, content in rows.items()}
     # The discovery last: where it stands, the others stand as well.
     files[MODEL] = encode_json(discovered.model.content)
     files[DISCOVERY] = encode_json(discovered.content)

@@ -153,11 +153,14 @@ def write_plan(
 
 def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
     feed = plan.order.feeds(plan.machine)[0]
-    return _encode_commanded(plan.commanded, plan.machine, controls, feed)
+    return encode_with_programs(plan.commanded, plan.machine, controls, feed)
 
 
-def _encode_commanded(
-    commanded: Commanded, machine: Machine, controls: Sequence[str], feed: float
+def encode_with_programs(
+    commanded: Commanded,
+    machine: Machine,
+    controls: Sequence[str] = (),
+    feed: float = DEFAULT_FEED_MM_MIN,
 ) -> dict[str, bytes]:
     """Return the rows, and their program for each control, as files.
 
@@ -189,7 +192,7 @@ def write_verification_plan(
     """
     points = make_verification_rows(machine, kinds, seed)
     feed = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
-    files = _encode_commanded(points, machine, controls, feed)
+    files = encode_with_programs(points, machine, controls, feed)
     row_s = row_times_s(points, feed, machine.motion)
     document = {
         "schema": "verification-plan/1",
