@@ -12,8 +12,8 @@ Source: LinuxCNC documentation, G-code reference (G53, G61.1, G94), and its inte
 """
 
 SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
-MOTION = "N{row.number} G53 G1 {ends} F{row.feed:.3f}"
-ARC = "N{row.number} {plane} G91 G91.1 {verb} {ends} {centre} P{turns} F{row.feed:.3f}"
+MOTION = "G53 G1 {ends} F{row.feed:.3f}"
+ARC = "{plane} G91 G91.1 {verb} {ends} {centre} P{turns} F{row.feed:.3f}"
 AFTER_ARC = "G90 G17"
 DWELL = "G4 P{:.3f}"
 END = "M2"

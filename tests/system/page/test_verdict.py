@@ -82,7 +82,7 @@ def test_a_usable_result_says_quietly_what_was_left_out_of_it(panel, service):
     band = turn_to(page, service, LEFT_OUT)
     expect(band).to_have_attribute("role", "note")
     expect(band).to_contain_text("The result may be used.")
-    expect(band.locator("li")).to_contain_text("42 samples of line 7")
+    expect(band.locator("li")).to_contain_text("42 samples of line 8")
     go(page, "#/records")
     expect(page.locator(".job-state")).to_have_count(1)
     expect(page.locator(".verdict-mark")).to_have_count(0)

@@ -2,7 +2,9 @@
 
 import html
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from truepath.answers.discovery.discovery import ASK, discover_runs
@@ -10,7 +12,9 @@ from truepath.answers.discovery.discovery_report import (
     render_discovery_report,
     write_discovery,
 )
+from truepath.discovery.terms.discrimination import DiscriminationDesign, Question
 from truepath.estimation.problem.prior_model import read_prior_model
+from truepath.motion.nc_programs.programs import list_dialects, read_program
 from truepath.results.updated_effects import describe_use
 from truepath_simulators.hidden.setup import SetupStep
 from truepath_simulators.worlds.synthetic import Setting
@@ -68,3 +72,18 @@ def test_an_analysis_says_what_of_a_model_ended_with_its_run(knocked, tmp_path):
     write_discovery(knocked, tmp_path)
     earlier = read_prior_model(tmp_path / "model.json")
     assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)
+
+
+def test_lines_to_drive_next_come_with_programs_until_nothing_is_asked(
+    knocked, record, tmp_path
+):
+    path = record(11, rows=5, travel_mm=150.0)[0].commanded
+    question = Question("backlash", "a lag", (1, 1), np.zeros)
+    asked = DiscriminationDesign((question,), path, (9.0,))
+    write_discovery(replace(knocked, asked=asked), tmp_path)
+    for control in list_dialects():
+        (program,) = (tmp_path / "ask" / control).iterdir()
+        motion = read_program(program.read_text(), control)
+        np.testing.assert_allclose(motion.position, path.position, atol=6e-4)
+    write_discovery(knocked, tmp_path)
+    assert not (tmp_path / "ask").exists()

@@ -267,3 +267,39 @@ def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
         assert len(read_rows(rows, machine)) == station["rows"]
         assert f"station-{number}/linuxcnc" in "".join(document["files"])
         assert f"station-{number}: tracker at (" in said
+
+
+VERIFY = ("--verify", "diagonals", "--verify", "random-points")
+
+
+def test_a_verification_has_a_program_for_every_control(
+    command, machine_file, machine, tmp_path
+):
+    said = command.json("plan", machine_file, "-o", tmp_path / "out", *VERIFY)
+    points = read_rows(tmp_path / "out" / "points.csv", machine)
+    files = [tmp_path / "out" / name for name in said["files"]]
+    for control in list_dialects():
+        (program,) = (file for file in files if file.parent.name == control)
+        motion = read_program(program.read_text(), control)
+        np.testing.assert_allclose(motion.position, points.position, atol=6e-4)
+        np.testing.assert_allclose(motion.dwell_s, points.dwell_s)
+
+
+def test_a_verification_has_the_program_of_the_one_control_that_is_named(
+    command, machine_file, tmp_path
+):
+    words = ["plan", machine_file, "-o", tmp_path / "out", *VERIFY, *LINUXCNC]
+    folders = {(tmp_path / name).parent.name for name in command.json(*words)["files"]}
+    assert folders == {"out", "linuxcnc"}
+
+
+def test_circles_in_motion_have_no_program_and_who_asks_for_one_is_told(
+    command, machine_file, tmp_path
+):
+    words = ["plan", machine_file, "--verify", "circles-in-motion", "-o"]
+    said = command.json(*words, tmp_path / "out")
+    names = [file.rpartition("/")[2] for file in said["files"]]
+    assert names == ["path.csv", "plan.json"]
+    refused = command.refuse(*words, tmp_path / "no", *LINUXCNC)
+    assert "the path has arcs" in refused
+    assert "plan circles in place" in refused

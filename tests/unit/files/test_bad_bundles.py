@@ -15,7 +15,11 @@ import pytest
 from truepath.errors import BundleError
 from truepath.files import tables
 from truepath.files.bundle.bundle import read_bundle
-from truepath.files.bundle.machine_file import decode_machine, read_machine
+from truepath.files.bundle.machine_file import (
+    decode_machine,
+    encode_machine,
+    read_machine,
+)
 
 Edit = Callable[[Path], None]
 
@@ -159,6 +163,14 @@ KEYS: list[tuple[str, object, str]] = [
     ("kinematic_chain", "w-b-X-Y-t", "but the axes are X, Y, Z"),
     ("kinematic_chain", "w-X-b-X-Y-Z-t", "name every axis once"),
     ("tool_offset_mm", None, "tool_offset_mm is missing"),
+    (
+        "approach",
+        {"clearance_mm": {"Z": 900}},
+        "clearance_mm.Z is 900; it must be from",
+    ),
+    ("approach", {"clearance_mm": {"C": 0}}, "approach.clearance_mm.C is no linear"),
+    ("approach", {"order": ["Z", "X"]}, "approach.order is"),
+    ("approach", {"feed_mm_min": 0}, "approach.feed_mm_min is 0"),
     ("tool_offset_mm", [1, 2], "is [1, 2]; write three num"),
     ("tool_offset_mm", [1, "2", 3], 'offset_mm[1] is "2"'),
     ("targets", {"T1": {}}, "tool_offset_mm stands beside"),
@@ -344,6 +356,23 @@ def test_a_machine_file_is_read_from_disk(bundle):
     assert read_machine(bundle / "machine.json") == read_bundle(bundle).machine
     with pytest.raises(BundleError, match=r"none\.json: cannot be read"):
         read_machine(bundle / "none.json")
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"order": ["Z", "Y", "X"]},
+        {"clearance_mm": {}, "feed_mm_min": 300.0},
+        {"clearance_mm": {"Y": 0.0, "Z": 0.0}},
+    ],
+)
+def test_how_an_nc_program_begins_survives_the_machine_file(bundle, stated):
+    file = bundle / "machine.json"
+    content = json.loads(file.read_text()) | {"approach": stated}
+    machine = decode_machine(json.dumps(content).encode())
+    written = json.loads(encode_machine(machine))
+    assert written["approach"].items() >= stated.items()
+    assert decode_machine(json.dumps(written).encode()) == machine
 
 
 def test_a_long_value_is_shortened_in_the_error():

@@ -25,7 +25,7 @@ BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 
 
 def test_a_reason_is_a_sentence_with_its_numbers_and_units():
     assert str(LEFT_OUT) == (
-        "42 samples of line 7, from 61.2 s to 61.3 s on the tracker's clock, are left "
+        "42 samples of line 8, from 61.2 s to 61.3 s on the tracker's clock, are left "
         "out: they lie 5012.0 µm aside from the others."
     )
     assert "3.50 times that of noise; up to 1.30" in str(BEYOND)
@@ -112,3 +112,11 @@ def test_every_kind_is_a_sentence_with_numbers_and_a_remedy(kind):
     assert names
     assert text.endswith(".") or kind == "stated"
     assert not remedy or remedy.endswith(".")
+
+
+def test_sentences_count_rows_from_1_as_programs_do():
+    stated = {"lines-without-data": {"lines": "0, 9, …"}}
+    stated["path-not-whole"] = {"first": 1, "last": 23, "lines": 29}
+    said = [str(Reason(kind, "usable", values)) for kind, values in stated.items()]
+    assert "on lines 1, 10, …:" in said[0]
+    assert said[1].endswith("shows lines 2 to 24; the last of the path is 30.")

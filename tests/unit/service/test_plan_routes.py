@@ -150,6 +150,28 @@ def test_a_plan_is_driven_as_it_is_shown_and_given_as_a_program(
     np.testing.assert_allclose(motion.position, stops)
 
 
+def test_each_station_of_a_plan_has_its_program(
+    planned, plans_made, short_plan, client, is_problem
+):
+    names = {"kind", "axes", "position", "feed_mm_min", "dwell_s"}
+    whole = {name: short_plan[name] for name in names}
+    by_row = ("position", "feed_mm_min", "dwell_s")
+    less = {**whole, **{name: whole[name][:-1] for name in by_row}}
+    order = {**SHORT, "seed": 9}
+    at = {"position_mm": [0.0, -1200.0, 0.0], "duration_s": 30.0, "target": []}
+    stations = [{**at, **whole}, {**at, **less}]
+    plans_made[name_plan(order)] = {**short_plan, "stations": stations}
+    address = planned(order)["links"]["nc_program"]
+
+    def give(**more):
+        return client.get(address, params={"dialect": "fanuc", **more})
+
+    lengths = [len(read_program(give(station=n).text, "fanuc")) for n in (1, 2)]
+    assert lengths == [len(whole["position"]), len(less["position"])]
+    told = is_problem(give(station=3), 404, "not-found")["detail"]
+    assert "2 stations, not 3" in told
+
+
 @pytest.mark.long
 def test_points_are_planned_and_driven_as_points(planned, client, take):
     made = planned({"mode": "standstill", "minutes": 0.3})

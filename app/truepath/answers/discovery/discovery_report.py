@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 from jaxtyping import Float64
@@ -26,6 +27,7 @@ from truepath.answers.discovery.discovery_json import (
     write_title,
 )
 from truepath.answers.discovery.model_file import NextModel
+from truepath.answers.plan.plan_report import encode_with_programs
 from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
 from truepath.answers.shown.number_format import format_number
 from truepath.answers.shown.svg import (
@@ -55,7 +57,6 @@ from truepath.discovery.terms.discrimination import (
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
-from truepath.files.bundle.commanded_file import encode_commanded
 
 CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _WORST = 8
@@ -193,7 +194,7 @@ def _describe_run(residual: RunResidual) -> View:
 
 def _state_segment(segment: Segment) -> tuple[str, ...]:
     return (
-        str(segment.row),
+        str(segment.row + 1),
         f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
         segment.region,
         format_number(segment.time_s),
@@ -230,10 +231,11 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     found, asked = discovered.found, discovered.asked
     report = render_discovery_report(found, discovered.model, asked, ASK)
     files = {REPORT: report.encode()}
-    if asked is None:
-        (Path(folder) / ASK).unlink(missing_ok=True)  # that of an earlier discovery
-    else:
-        files[ASK] = encode_commanded(asked.path)
+    place = Path(ASK).parent
+    rmtree(Path(folder) / place, ignore_errors=True)  # that of an earlier discovery
+    if asked is not None:
+        rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
+        files |= {str(place / name): content for name, content in rows.items()}
     # The discovery last: where it stands, the others stand as well.
     files[MODEL] = encode_json(discovered.model.content)
     files[DISCOVERY] = encode_json(discovered.content)
@@ -295,7 +297,7 @@ def draw_along_run(residual: RunResidual) -> Markup:
 def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
     """Draw the root mean square on every line, before and after."""
     frame = Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)
-    rows = np.array([s.row for s in before], float)
+    rows = np.array([s.row + 1 for s in before], float)
     high = 1.05 * max(s.rms_um for s in (*before, *after))
     x = frame.make_x(float(rows.min()), float(rows.max()), margin=0.02)
     y = frame.make_y(0.0, high, margin=0.0)
@@ -305,7 +307,7 @@ def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
         frame.draw_axes(x, y, "row of the path", "rms, µm", upright=False),
     ]
     for states, colour in ((before, Colour.MUTED), (after, Colour.ACCENT)):
-        at = x.place(np.array([s.row for s in states], float))
+        at = x.place(np.array([s.row + 1 for s in states], float))
         rms = y.place(np.array([s.rms_um for s in states]))
         foot = np.full(len(at), frame.bottom)
         ends = np.column_stack([at, foot]), np.column_stack([at, rms])

@@ -31,6 +31,7 @@ from truepath.files.bundle.commanded_file import encode_commanded
 from truepath.files.earlier.verdict import verdict_from_json
 from truepath.kinematics.effects.family import find_family
 from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from truepath.motion.nc_programs.programs import (
     list_dialects,
@@ -151,11 +152,25 @@ def write_plan(
 
 
 def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
-    commanded, machine = plan.commanded, plan.machine
-    rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
-    files = {rows: encode_commanded(commanded)}
-    feed = plan.order.feeds(machine)[0]
-    for control in controls or list_dialects():
+    feed = plan.order.feeds(plan.machine)[0]
+    return encode_with_programs(plan.commanded, plan.machine, controls, feed)
+
+
+def encode_with_programs(
+    commanded: Commanded,
+    machine: Machine,
+    controls: Sequence[str] = (),
+    feed: float = DEFAULT_FEED_MM_MIN,
+) -> dict[str, bytes]:
+    """Return the rows, and their program for each control, as files.
+
+    No control drives arcs by a program: a path with some has none unless it is asked
+    for, and then it is refused.
+    """
+    is_path = isinstance(commanded, Path)
+    files = {PATH if is_path else POINTS: encode_commanded(commanded)}
+    drives = () if is_path and any(commanded.arc) else list_dialects()
+    for control in controls or drives:
         # One that was not asked for is left out where it fails.
         with nullcontext() if controls else suppress(PluginFailed):
             text = write_program(commanded, machine, control, feed_mm_min=feed)
@@ -164,15 +179,21 @@ def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
 
 
 def write_verification_plan(
-    machine: Machine, kinds: Sequence[VerificationKind], seed: int, folder: FilePath
+    machine: Machine,
+    kinds: Sequence[VerificationKind],
+    seed: int,
+    folder: FilePath,
+    controls: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Write the rows and `plan.json`; return the content of the second.
+    """Write rows, programs and `plan.json`; return the content of the last.
 
     The rows are `points.csv`, of circles in motion `path.csv`.
+    controls : whose NC programs are written; of all where left out
     """
     points = make_verification_rows(machine, kinds, seed)
-    rows = PATH if isinstance(points, Path) else POINTS
-    row_s = row_times_s(points, DEFAULT_FEED_MM_MIN, machine.motion)
+    feed = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
+    files = encode_with_programs(points, machine, controls, feed)
+    row_s = row_times_s(points, feed, machine.motion)
     document = {
         "schema": "verification-plan/1",
         "machine": machine.name,
@@ -180,8 +201,7 @@ def write_verification_plan(
         "seed": seed,
         "rows": len(points),
         "duration_s": float(row_s.sum()),
-        "files": [rows, PLAN],
+        "files": [*files, PLAN],
     }
-    files = {rows: encode_commanded(points), PLAN: encode_json(document)}
-    write_files(folder, files)
+    write_files(folder, {**files, PLAN: encode_json(document)})
     return document

@@ -101,7 +101,7 @@ def _draw_level(
 def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
     lines, floor = run.by_line, UM_PER_MM * run.estimate.residuals.floor_mm
     otf = run.summary.mode == "otf"
-    row = lines.row.astype(np.float64)
+    row = lines.row.astype(np.float64) + 1.0
     x = frame.make_x(float(row.min()), float(row.max()), margin=0.03)
     y = frame.make_y(0.0, 1.05 * max(float(lines.rms_um.max()), floor), margin=0.0)
     at = x.place(row)

@@ -126,7 +126,7 @@ def plan(
     """The measurement that tells most in its time, and what it will leave unknown."""
     collect_seldom()
     if verify:
-        _plan_verification(machine, output, verify, seed, json=json)
+        _plan_verification(machine, output, verify, seed, control or (), json=json)
         return
     from truepath.answers.plan.plan_report import write_plan
     from truepath.estimation.problem.prior_model import read_prior_model
@@ -170,6 +170,7 @@ def _plan_verification(
     output: Path,
     kinds: Sequence[VerificationKind],
     seed: int,
+    controls: Sequence[str],
     *,
     json: bool,
 ) -> None:
@@ -177,7 +178,8 @@ def _plan_verification(
     from truepath.files.bundle.machine_file import read_machine
 
     require_folder(output, "the plan")
-    document = write_verification_plan(read_machine(machine), kinds, seed, output)
+    planned = read_machine(machine), kinds, seed, output, controls
+    document = write_verification_plan(*planned)
     files = [output / name for name in document["files"]]
     if json:
         print_json({**document, "files": files})

@@ -24,6 +24,7 @@ from truepath.documents.file_model import (
 from truepath.documents.whole_files import read_whole
 from truepath.kinematics.machine.machine import (
     SEAT_SIGMA_MM,
+    Approach,
     Axis,
     LinearAxis,
     Machine,
@@ -201,6 +202,36 @@ class MotionFile(FileModel):
         return MotionLimits(**stated, assumed=assumed)
 
 
+class ApproachFile(FileModel):
+    """How an NC program goes to its first row."""
+
+    clearance_mm: dict[str, Mm] | None = None
+    order: list[str] = Field(default_factory=list)
+    feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Approach().feed_mm_min
+
+    def require_axes(self, axes: tuple[Axis, ...]) -> None:
+        """Refuse what the axes cannot do."""
+        linear = {axis.name: axis for axis in axes if isinstance(axis, LinearAxis)}
+        for name, value in (self.clearance_mm or {}).items():
+            place = "approach", "clearance_mm", name
+            if name not in linear:
+                raise refuse("is no linear axis", "name X, Y or Z", *place)
+            axis = linear[name]
+            if not axis.low <= value <= axis.high:
+                remedy = f"it must be from {axis.low:g} to {axis.high:g}"
+                raise refuse(f"is {value:g}", remedy, *place)
+        names = [axis.name for axis in axes]
+        if self.order and sorted(self.order) != sorted(names):
+            remedy = f"name every axis once: {', '.join(names)}"
+            raise refuse(f"is {quote(self.order)}", remedy, "approach", "order")
+
+    def approach(self) -> Approach:
+        """Return the approach."""
+        stated = self.clearance_mm
+        clearance_mm = None if stated is None else tuple(stated.items())
+        return Approach(clearance_mm, tuple(self.order), self.feed_mm_min)
+
+
 class SiteFile(FileModel):
     """Where the machine stands; its altitude tells which pressures there can be."""
 
@@ -218,6 +249,7 @@ class MachineFile(FileModel):
     targets: dict[str, TargetFile] | None = None
     tracker: TrackerFile = TrackerFile()
     motion: MotionFile | None = None
+    approach: ApproachFile = ApproachFile()
     site: SiteFile = SiteFile()
 
     @model_validator(mode="before")
@@ -255,6 +287,11 @@ class MachineFile(FileModel):
             )
         return self
 
+    @model_validator(mode="after")
+    def _require_approach_of_axes(self) -> MachineFile:
+        self.approach.require_axes(self.axes.axes())
+        return self
+
     def sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Split `w-…-b-…-t` at the base."""
         parts = self.kinematic_chain.split("-")
@@ -278,9 +315,15 @@ class MachineFile(FileModel):
         noise = self.tracker.tracker()
         motion = (self.motion or MotionFile()).limits()
         axes = self.axes.axes()
-        altitude_m = self.site.altitude_m
         return Machine(
-            self.name, *self.sides(), axes, targets, noise, motion, altitude_m
+            self.name,
+            *self.sides(),
+            axes,
+            targets,
+            noise,
+            motion,
+            self.site.altitude_m,
+            self.approach.approach(),
         )
 
 
@@ -310,6 +353,7 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
         **_targets_json(machine.targets),
         "tracker": _tracker_json(noise),
         **_motion_json(machine.motion),
+        **_approach_json(machine.approach),
         **({} if site is None else {"site": {"altitude_m": site}}),
     }
 
@@ -345,6 +389,15 @@ def _axis_json(axis: Axis) -> dict[str, Any]:
 def _motion_json(motion: MotionLimits) -> dict[str, Any]:
     names = [name for name in MotionFile.model_fields if name not in motion.assumed]
     return {"motion": {n: getattr(motion, n) for n in names}} if names else {}
+
+
+def _approach_json(approach: Approach) -> dict[str, Any]:
+    if approach == Approach():
+        return {}
+    stated = approach.clearance_mm
+    clearance = {} if stated is None else {"clearance_mm": dict(stated)}
+    rest = {"order": list(approach.order), "feed_mm_min": approach.feed_mm_min}
+    return {"approach": {**clearance, **rest}}
 
 
 def _targets_json(targets: tuple[Target, ...]) -> dict[str, Any]:

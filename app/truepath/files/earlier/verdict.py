@@ -6,6 +6,7 @@ language. The unit of a value stands in its name, as everywhere in files.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -104,7 +105,7 @@ SENTENCES: Mapping[str, Sentence] = {
         "Look at what happened at these points; measure them again.",
     ),
     "path-not-whole": Sentence(
-        "The recording shows lines {first} to {last} of the {lines} lines of the path.",
+        "The recording shows lines {first} to {last}; the last of the path is {lines}.",
         "Let the program run to its end, and record from before its start until after.",
     ),
     "path-cut-short": Sentence(
@@ -221,6 +222,8 @@ SENTENCES: Mapping[str, Sentence] = {
 _NAMED = 3  # reasons in one line
 
 # Decimals and sign of a value by the last word of its name.
+# Rows, and the lines that lead to them: values count them from 0, sentences from 1.
+_COUNTED = frozenset({"line", "lines", "points", "rows", "first", "last"})
 _SHOWN = {
     "s": (1, " s"),
     "um": (1, " µm"),
@@ -363,6 +366,8 @@ def _say(reason: Reason) -> str | None:
 
 
 def _show(name: str, value: Value) -> str:
+    if name in _COUNTED:
+        return re.sub(r"\d+", lambda number: str(int(number[0]) + 1), str(value))
     if isinstance(value, str):
         return value
     usual = 0 if isinstance(value, int) else 2

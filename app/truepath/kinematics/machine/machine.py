@@ -82,6 +82,21 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class Approach:
+    """How an NC program goes to its first row: one axis after another.
+
+    clearance_mm : linear axes that are driven first, and where to; None is Z to near
+        the upper end of its travel
+    order : in which all axes are then driven to the row; empty is that of the machine,
+        those of the clearance last
+    """
+
+    clearance_mm: tuple[tuple[str, float], ...] | None = None
+    order: tuple[str, ...] = ()
+    feed_mm_min: float = 2000.0
+
+
+@dataclass(frozen=True, slots=True)
 class Machine:
     """Nominal machine. The chain runs from workpiece to tool around the base `b`.
 
@@ -98,6 +113,7 @@ class Machine:
     tracker: TrackerNoise
     motion: MotionLimits = MotionLimits()
     altitude_m: float | None = None
+    approach: Approach = Approach()
 
     @property
     def chain(self) -> str:

@@ -9,17 +9,17 @@ from typing import ClassVar
 
 from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
 
-_CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
+_CHECK_WAY = "THE AXES GO TO ROW 1 ONE BY ONE. WAY FREE - CYCLE START"
 _START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
 _STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramRow:
-    """One row of the path.
+    """One motion: to a row of the path, or on the way to the first.
 
-    number : from 1
-    position : rounded to what is printed, mm and deg
+    number : of the row, from 1; 0 on the way to the first
+    axes, position : that the block states, rounded to what is printed, mm and deg
     rotary_only : only rotary axes move
     feed : of the linear axes, mm/min; of the rotary axes, deg/min, where only they move
     path_feed : of all axes together, a degree counted as a millimetre
@@ -27,23 +27,34 @@ class ProgramRow:
     """
 
     number: int
+    axes: tuple[str, ...]
     position: tuple[float, ...]
     rotary_only: bool
     feed: float
     path_feed: float
     dwell_s: float
-    target_change: str
+    target_change: str = ""
+
+    @property
+    def label(self) -> str:
+        """What the comment of the block says."""
+        return f"ROW {self.number}" if self.number else "APPROACH"
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramContent:
-    """A whole program: its name, its header in ASCII capitals, its rows."""
+    """A whole program.
+
+    header : in ASCII capitals
+    approach : motions of single axes, in order, which end at the first row
+    """
 
     name: str
     axes: tuple[str, ...]
     linear: tuple[str, ...]
     rotary: tuple[str, ...]
     header: tuple[str, ...]
+    approach: tuple[ProgramRow, ...]
     rows: tuple[ProgramRow, ...]
 
 
@@ -53,7 +64,7 @@ class Dialect(ABC):
     control : its name for people
     suffix : of program files
     decimals : of positions, the finest that every control of this kind takes
-    most_rows : as many rows as block numbers can count
+    most_rows : as many rows as block numbers can count, three blocks each
     least_dwell_s, longest_dwell_s : of a row; shorter dwells are prolonged
     counts_degrees : the feed is that of linear and rotary axes together, a degree being
         counted as a millimetre; else it is that of the linear axes where one moves
@@ -64,7 +75,7 @@ class Dialect(ABC):
     control: ClassVar[str]
     suffix: ClassVar[str]
     decimals: ClassVar[int] = 4
-    most_rows: ClassVar[int] = 99_999
+    most_rows: ClassVar[int] = 33_000
     least_dwell_s: ClassVar[float] = 0.0
     longest_dwell_s: ClassVar[float] = 3600.0
     counts_degrees: ClassVar[bool] = False
@@ -120,18 +131,23 @@ class BlockForms:
         write_before : blocks before the motion of a row
         """
         yield from self._write_stop(_CHECK_WAY)
-        for row in content.rows:
+        for row in (*content.approach, *content.rows):
             if row.target_change:
                 yield from self._write_stop(row.target_change)
             yield from write_before(row)
-            words = zip(content.axes, row.position, strict=True)
+            words = zip(row.axes, row.position, strict=True)
             ends = " ".join(f"{axis}{value:{self.number}}" for axis, value in words)
             yield self.motion.format(row=row, ends=ends)
             if row.number == 1:
                 yield from self._write_stop(_START_RECORDING)
             if row.dwell_s > 0:
                 yield from (form.format(row.dwell_s) for form in self.dwell)
-        yield self.message.format(_STOP_RECORDING)
+        yield from self._write_stop(_STOP_RECORDING)
 
     def _write_stop(self, message: str) -> tuple[str, str]:
         return self.message.format(message), self.stop
+
+
+def number_blocks(blocks: Iterable[str]) -> Iterator[str]:
+    """Yield blocks of G-code with their numbers, from 1."""
+    return (f"N{number} {block}" for number, block in enumerate(blocks, 1))

@@ -6,7 +6,9 @@ what increment system IS-B takes. `G53` moves at rapid traverse only, so positio
 in `G54`, and the control itself checks before it moves that no work offset is in the
 way: it compares the machine position (#5021 …) of each axis with the work position
 (#5041 …) and raises an alarm where they differ; this takes custom macro B. `G61` stops
-exactly. F is the feed of all axes together, a degree counted as a millimetre.
+exactly. `G5.1 Q0` switches AI contour control off; a control without that option skips
+the block by its switch for `/`. F is the feed of all axes together, a degree counted as
+a millimetre.
 Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61;
 feed per minute with rotary axes; system variables of the current position).
 """
@@ -17,16 +19,22 @@ import re
 from collections.abc import Mapping
 from typing import ClassVar
 
-from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.dialect import (
+    BlockForms,
+    Dialect,
+    ProgramContent,
+    number_blocks,
+)
 from truepath.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
 from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     line_error,
 )
 
-_SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")
+_SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "/G5.1 Q0", "G61")
+_CONTINUOUS = "G64"
 _FORMS = BlockForms(
-    motion="N{row.number} G1 {ends} F{row.path_feed:.3f}",
+    motion="G1 {ends} F{row.path_feed:.3f} ({row.label})",
     dwell=("G4 X{:.3f}",),
     message="({})",
     number=".3f",
@@ -41,7 +49,6 @@ class Fanuc(Dialect):
     control = "Fanuc"
     suffix = ".nc"
     decimals = 3
-    most_rows = 9999
     longest_dwell_s = 9999.0
     counts_degrees = True
     frame = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
@@ -55,8 +62,8 @@ class Fanuc(Dialect):
         check_way, stop, *rows = _FORMS.write_rows(content)
         guards = [_write_guard(*axis) for axis in enumerate(content.axes)]
         head = ["%", f"{content.name} (TRUEPATH)", *(f"({s})" for s in content.header)]
-        head += [*_SAFE_START, check_way, stop, *guards]
-        return "\n".join([*head, *rows, "M30", "%", ""])
+        blocks = [*_SAFE_START, check_way, stop, *guards, *rows, _CONTINUOUS, "M30"]
+        return "\n".join([*head, *number_blocks(blocks), "%", ""])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -84,7 +91,10 @@ def _write_guard(index: int, name: str) -> str:
 
 _COMMENT = re.compile(r"\([^()]*\)")
 _NUMBER = re.compile(r"O(\d{1,8})")
-_GUARD = re.compile(r"IF\s*\[ABS\[#(\d+)-#(\d+)\]\s*GT\s*0?\.\d+\]\s*THEN\s*#3000=\d+")
+_NO_CONTOUR_CONTROL = re.compile(r"(?:N\d+ )?/?G0?5\.1\s*Q0")
+_GUARD = re.compile(
+    r"(?:N\d+ )?IF\s*\[ABS\[#(\d+)-#(\d+)\]\s*GT\s*0?\.\d+\]\s*THEN\s*#3000=\d+"
+)
 _INCREMENT = 0.001  # mm or deg; of a dwell in X, s
 
 
@@ -107,6 +117,8 @@ class _Reader(GCodeReader):
         self._checked: set[int] = set()  # axes, from 0, whose offset was checked
 
     def read_block(self, line: int, block: str) -> None:
+        if _NO_CONTOUR_CONTROL.fullmatch(block):
+            return
         guard = _GUARD.fullmatch(block)
         if guard:
             self._note_guard(line, int(guard.group(1)), int(guard.group(2)))

@@ -99,8 +99,7 @@ class GCodeReader:
             self.check_motion(line, codes)
             self.check_ends(line, ends)
             exact_stop = self._active.get("the path mode") == self.path_modes[0]
-            row = int(words["N"].value) if "N" in words else 0
-            self.control.move(line, ends, self.feed, exact_stop=exact_stop, row=row)
+            self.control.move(line, ends, self.feed, exact_stop=exact_stop)
 
     def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
         """Take the word of a dwell from the words of its block."""

@@ -3,9 +3,10 @@
 `M91` holds in its block: positions count from the machine datum, and the tool's length
 is left out; `R0` leaves its radius out. A TNC has no exact-stop mode, and it smooths
 transitions between lines, so each row has a dwell (cycle 9), a short one where the path
-has none: a dwell makes the axes stand. Rotary axes move at deg/min; on a line with both
+has none: a dwell makes the axes stand. Cycle 32 bounds the smoothing; without a value
+it is again that of the machine. Rotary axes move at deg/min; on a line with both
 kinds a degree counts as a millimetre.
-Source: iTNC 530 and TNC 640 user's manuals (M91; cycle 9; M116 for the feed).
+Source: iTNC 530 and TNC 640 user's manuals (M91; cycles 9 and 32; M116 for the feed).
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ from truepath.motion.nc_programs.programmed_motion import (
 )
 
 _FORMS = BlockForms(
-    motion="L {ends} R0 F{row.path_feed:.3f} M91 ; ROW {row.number}",
+    motion="L {ends} R0 F{row.path_feed:.3f} M91 ; {row.label}",
     dwell=("CYCL DEF 9.0 DWELL TIME", "CYCL DEF 9.1 DWELL {:.3f}"),
     message="; {}",
     stop="STOP",
     number="+.4f",
 )
+_NO_SMOOTHING = ("CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1 T0.002")  # mm
+_MACHINES_SMOOTHING = ("CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1")
 
 
 class Heidenhain(Dialect):
@@ -43,7 +46,9 @@ class Heidenhain(Dialect):
         blocks = [
             f"BEGIN PGM {content.name} MM",
             *(f"; {line}" for line in content.header),
+            *_NO_SMOOTHING,
             *_FORMS.write_rows(content),
+            *_MACHINES_SMOOTHING,
             "M30",
             f"END PGM {content.name} MM",
         ]
@@ -58,7 +63,9 @@ _BLOCK = re.compile(r"(\d+) (.+)")
 _PROGRAM = re.compile(r"(BEGIN|END) PGM (\w+) (MM|INCH)")
 _LINE = re.compile(r"L((?: [A-Z][-+]\d+\.\d*)+) R0(?: F(\d+\.?\d*))? M91")
 _END = re.compile(r"([A-Z])([-+]\d+\.\d*)")
-_ROW = re.compile(r"ROW (\d+)")
+_PASSIVE = re.compile(
+    r"|M30|CYCL DEF 9\.0 DWELL TIME|CYCL DEF 32\.0 TOLERANCE|CYCL DEF 32\.1( T[\d.]+)?"
+)
 _DWELL = re.compile(r"CYCL DEF 9\.1 DWELL (\d+\.?\d*)")
 
 
@@ -73,15 +80,14 @@ class _Reader:
                 raise line_error(
                     number, f"does not begin with block number {number - 1}"
                 )
-            block, _, comment = numbered.group(2).partition(";")
-            self._read_block(number, block.strip(), comment)
+            self._read_block(number, numbered.group(2).partition(";")[0].strip())
 
     def finish(self) -> ProgrammedMotion:
         if not self._ended:
             raise line_error(0, "it has no END PGM")
         return self._control.finish()
 
-    def _read_block(self, line: int, block: str, comment: str) -> None:
+    def _read_block(self, line: int, block: str) -> None:
         straight, dwell = _LINE.fullmatch(block), _DWELL.fullmatch(block)
         program = _PROGRAM.fullmatch(block)
         if self._ended:
@@ -91,7 +97,7 @@ class _Reader:
         elif not self._control.name:
             raise line_error(line, "it does not begin with BEGIN PGM")
         elif straight:
-            self._drive(line, straight, comment)
+            self._drive(line, straight)
         elif dwell:
             self._control.dwell(line, float(dwell.group(1)))
         elif block == "STOP":
@@ -100,7 +106,7 @@ class _Reader:
             raise line_error(
                 line, "a straight line needs signed positions with a point, R0, M91"
             )
-        elif block not in ("", "M30", "CYCL DEF 9.0 DWELL TIME"):
+        elif not _PASSIVE.fullmatch(block):
             raise line_error(line, f"{block!r} has no place in a measuring path")
 
     def _read_frame(self, line: int, word: str, name: str, unit: str) -> None:
@@ -115,13 +121,11 @@ class _Reader:
             )
         self._control.name, self._ended = name, not begins
 
-    def _drive(self, line: int, straight: re.Match[str], comment: str) -> None:
+    def _drive(self, line: int, straight: re.Match[str]) -> None:
         ends = {name: float(value) for name, value in _END.findall(straight.group(1))}
         odd = [name for name in ends if name not in AXES]
         if odd:
             raise line_error(line, f"{odd[0]} is no axis")
         if straight.group(2):
             self._feed = float(straight.group(2))
-        row = _ROW.search(comment)
-        number = int(row.group(1)) if row else 0
-        self._control.move(line, ends, self._feed, exact_stop=False, row=number)
+        self._control.move(line, ends, self._feed, exact_stop=False)

@@ -5,17 +5,23 @@ from __future__ import annotations
 import re
 from typing import ClassVar
 
-from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.dialect import (
+    BlockForms,
+    Dialect,
+    ProgramContent,
+    number_blocks,
+)
 from truepath.motion.nc_programs.gcode import GCodeReader, Groups, find_name
 from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
 from truepath_drivers.interfaces import rs274
 
 _FORMS = BlockForms(
-    motion=rs274.MOTION,
+    motion=f"{rs274.MOTION} ({{row.label}})",
     dwell=(rs274.DWELL,),
     message="(MSG, {})",
     number=f".{rs274.DECIMALS}f",
 )
+_KEEP_MODES, _RESTORE_MODES = "M70", "M72"
 
 
 class LinuxCnc(Dialect):
@@ -28,8 +34,9 @@ class LinuxCnc(Dialect):
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
         lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
-        blocks = [*rs274.SAFE_START, *_FORMS.write_rows(content), rs274.END, ""]
-        return "\n".join([*lines, *blocks])
+        rows = _FORMS.write_rows(content)
+        blocks = [_KEEP_MODES, *rs274.SAFE_START, *rows, _RESTORE_MODES, rs274.END]
+        return "\n".join([*lines, *number_blocks(blocks), ""])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -56,6 +63,6 @@ class _Reader(GCodeReader):
     }
     path_modes = ("G61.1", "G61", "G64")
     frame = ("G53",)
-    passive = ("G1", "G4")
+    passive = ("G1", "G4", _KEEP_MODES, _RESTORE_MODES)
     dwell_letter = "P"
     end = rs274.END

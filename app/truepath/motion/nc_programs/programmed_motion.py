@@ -16,8 +16,20 @@ from truepath_drivers.interfaces.records import Path
 
 AXES = "XYZABC"
 _LINEAR = "XYZ"
+# The row in the comment of a motion: other comments may hold the same words.
+_ROW = re.compile(
+    r"^[^;(]*[XYZABC]\s*[-+]?\.?\d[^;(]*[;(]\s*ROW (\d+)\b", re.IGNORECASE
+)
 _CHECKSUM = re.compile(r"PATH CHECKSUM ([0-9A-F]{12})\b")
 _DIGITS = 12  # of a checksum: short enough to compare by eye
+
+
+@dataclass(frozen=True, slots=True)
+class ApproachMotion:
+    """A motion of the axes that it names, on the way to the first row."""
+
+    ends: Mapping[str, float]
+    feed_mm_min: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +43,7 @@ class ProgrammedMotion:
     exact_stop : (n,) whether the axes come to a stand at the end of the motion
     row : (n,) row of the path, from 1; 0 where the program states none
     stated_checksum : of the path that the program was made from, empty if unstated
+    approach : motions before the first row that is stated
     """
 
     name: str
@@ -41,6 +54,7 @@ class ProgrammedMotion:
     exact_stop: Bool[np.ndarray, " n"]
     row: Int64[np.ndarray, " n"]
     stated_checksum: str = ""
+    approach: tuple[ApproachMotion, ...] = ()
 
     def __len__(self) -> int:
         return len(self.position)
@@ -68,7 +82,10 @@ def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) 
 
 
 class SimulatedControl:
-    """Records motions and dwells in order. The first motion names every axis.
+    """Records motions and dwells in order. The first row names every axis.
+
+    The comment of a motion states its row. Where some do, motions before the first of
+    them are the approach.
 
     counts_degrees : the rule of the control for the feed of all axes together
     """
@@ -79,6 +96,10 @@ class SimulatedControl:
         self._counts_degrees = counts_degrees
         stated = _CHECKSUM.search(text)
         self._stated = stated.group(1) if stated else ""
+        found = ((n, _ROW.search(s)) for n, s in enumerate(text.splitlines(), 1))
+        self._row_in = {n: int(row.group(1)) for n, row in found if row}
+        self._approach: list[ApproachMotion] = []
+        self._here: dict[str, float] = {}
         self._axes: tuple[str, ...] = ()
         self._rows: list[tuple[float, ...]] = []
         self._feed: list[float] = []
@@ -94,17 +115,20 @@ class SimulatedControl:
         feed: float | None,
         *,
         exact_stop: bool,
-        row: int,
     ) -> None:
         """Drive to `words`; axes that are not named stand still."""
         if feed is None or not feed > 0:
             raise line_error(line, "a motion without a feed; state F")
+        self._here |= words
+        if line < min(self._row_in, default=0):
+            self._approach.append(ApproachMotion(words, feed))
+            return
         if not self._axes:
             self._axes = tuple(name for name in AXES if name in words)
         unknown = [name for name in words if name not in self._axes]
         if unknown:
             raise line_error(
-                line, f"{unknown[0]} moves first here; the first motion names all axes"
+                line, f"{unknown[0]} moves first here; the first row names all axes"
             )
         before = self._rows[-1] if self._rows else None
         values = before or (0.0,) * len(self._axes)
@@ -113,7 +137,7 @@ class SimulatedControl:
         self._rows.append(end)
         self._dwell_s.append(0.0)
         self._exact.append(exact_stop)
-        self._row.append(row)
+        self._row.append(self._row_in.get(line, 0))
 
     def dwell(self, line: int, seconds: float) -> None:
         """Dwell after the last motion; ignored before the first."""
@@ -141,13 +165,13 @@ class SimulatedControl:
             np.array(self._exact),
             np.array(self._row, np.int64),
             self._stated,
+            tuple(self._approach),
         )
 
     def moves_rotary_only(self, words: Mapping[str, float]) -> bool:
         """Return whether a motion to `words` leaves every linear axis in place."""
-        here = dict(zip(self._axes, self._rows[-1], strict=True)) if self._rows else {}
-        moving = {n for n, v in words.items() if here.get(n) != v}
-        return bool(here and moving) and not any(n in _LINEAR for n in moving)
+        moving = {n for n, v in words.items() if self._here.get(n) != v}
+        return bool(moving) and not any(n in _LINEAR for n in moving)
 
     def _divide_linear_by_whole(
         self, before: tuple[float, ...] | None, end: tuple[float, ...]

@@ -22,7 +22,7 @@ from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     compute_checksum,
 )
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace.travel import check_travel, inner_travel
 from truepath.plugins import (
     PLAIN_NAME,
     Guarded,
@@ -86,7 +86,9 @@ def write_program(
     _check_limits(kind, planned)
     path = _round_path(planned, kind)
     text = kind.write(_compose(kind, path, planned, machine, name))
-    _compare(kind.read(text), path, machine, kind)
+    motion = kind.read(text)
+    _compare(motion, path, machine, kind)
+    _compare_approach(motion, path, machine, kind)
     return text
 
 
@@ -139,6 +141,7 @@ def _compose(
         linear=tuple(n for n in path.axes if n not in rotary),
         rotary=tuple(n for n in path.axes if n in rotary),
         header=_write_header(kind, path, planned, machine, wanted),
+        approach=_list_approach(kind, path, machine),
         rows=_list_rows(path),
     )
 
@@ -147,7 +150,7 @@ def _check_limits(kind: Dialect, path: Path) -> None:
     if any(path.arc):
         raise PlanningError(
             "the path has arcs, and measuring programs have straight lines; let the "
-            "service drive it"
+            "service drive it, or plan circles in place of circles-in-motion"
         )
     if len(path) > kind.most_rows:
         raise PlanningError(
@@ -217,6 +220,7 @@ def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
     return tuple(
         ProgramRow(
             number=index + 1,
+            axes=path.axes,
             position=tuple(float(v) for v in path.position[index]),
             rotary_only=rotary_only[index],
             feed=float(path.feed_mm_min[index]),
@@ -248,6 +252,7 @@ def _write_header(
         f"PATH CHECKSUM {compute_checksum(path.axes, path.position)}",
         f"POSITIONS ARE MACHINE COORDINATES, MM AND DEG, {kind.frame}",
         "NO TOOL LENGTH, NO TOOL RADIUS, NO ROTATION, NO TILTED PLANE",
+        _describe_approach(_list_approach(kind, path, machine)),
         "EACH MOTION STATES ITS ROW OF THE PATH, FROM 1",
     ]
     if rounded > 1e-9:
@@ -255,6 +260,56 @@ def _write_header(
     return tuple(
         line for fact in facts for line in wrap(_clean_comment(fact), _COLUMNS)
     )
+
+
+def _list_approach(
+    kind: Dialect, path: Path, machine: Machine
+) -> tuple[ProgramRow, ...]:
+    """Return the motions to row 1, one axis each: to clearance, then to the row."""
+    stated, rotary = machine.approach, {axis.name for axis in machine.rotary_axes}
+    feed = min(stated.feed_mm_min, machine.motion.max_feed_mm_min)
+    clearance = stated.clearance_mm
+    if clearance is None:
+        top = dict(zip(machine.axis_names, inner_travel(machine)[1], strict=True))
+        clearance = (("Z", float(top["Z"])),)
+    last = [name for name, _ in reversed(clearance)]
+    order = stated.order or (*(n for n in path.axes if n not in last), *last)
+    first = dict(zip(path.axes, path.position[0].tolist(), strict=True))
+    ends = [*clearance, *((name, first[name]) for name in order if name in first)]
+    return tuple(
+        ProgramRow(
+            number=0,
+            axes=(name,),
+            position=(round(value, kind.decimals),),
+            rotary_only=name in rotary,
+            feed=feed,
+            path_feed=feed,
+            dwell_s=0.0,
+        )
+        for name, value in ends
+        if name in path.axes
+    )
+
+
+def _describe_approach(approach: tuple[ProgramRow, ...]) -> str:
+    ends = ", ".join(
+        f"{row.axes[0]} TO {_format_number(row.position[0])}" for row in approach
+    )
+    return f"TO ROW 1 BY {ends} AT {approach[0].feed:.0f} MM/MIN OR DEG/MIN"
+
+
+def _compare_approach(
+    motion: ProgrammedMotion, path: Path, machine: Machine, kind: Dialect
+) -> None:
+    wanted = [
+        (dict(zip(row.axes, row.position, strict=True)), round(row.feed, 3))
+        for row in _list_approach(kind, path, machine)
+    ]
+    if wanted != [(dict(m.ends), m.feed_mm_min) for m in motion.approach]:
+        raise PlanningError(
+            f"the {kind.control} program does not read back as the way to row 1; do "
+            "not run it, and report the machine file"
+        )
 
 
 def _clean_comment(text: str) -> str:

@@ -2,8 +2,10 @@
 
 `SUPA` suppresses every frame in its block, so positions are machine coordinates
 whatever work offset is set; `D0` takes the tool away. `G60 G601` stops exactly, in the
-fine window. `FGROUP` says whose feed F is: of the linear axes, or of the rotary axes
-where they turn alone; a degree counts as a millimetre (`FGREF` as it is by default).
+fine window, and `COMPOF` joins no lines; after the last row `G64` is set, and `M30`
+sets what the machine begins with. `FGROUP` says whose feed F is: of the linear axes, or
+of the rotary axes where they turn alone; a degree counts as a millimetre (`FGREF` as it
+is by default).
 Source: SINUMERIK 840D sl programming manual, fundamentals (frames; feed control).
 """
 
@@ -18,6 +20,7 @@ from truepath.motion.nc_programs.dialect import (
     Dialect,
     ProgramContent,
     ProgramRow,
+    number_blocks,
 )
 from truepath.motion.nc_programs.gcode import GCodeReader, Groups, find_name
 from truepath.motion.nc_programs.programmed_motion import (
@@ -25,9 +28,18 @@ from truepath.motion.nc_programs.programmed_motion import (
     line_error,
 )
 
-_SAFE_START = ("G17 G40 G90 G94", "G710", "G500 D0", "TRAFOOF", "TRANS", "G60 G601")
+_SAFE_START = (
+    "G17 G40 G90 G94",
+    "G710",
+    "G500 D0",
+    "TRAFOOF",
+    "TRANS",
+    "COMPOF",
+    "G60 G601",
+)
+_CONTINUOUS = "G64"
 _FORMS = BlockForms(
-    motion="N{row.number} G1 SUPA {ends} F{row.feed:.3f}",
+    motion="G1 SUPA {ends} F{row.feed:.3f} ; {row.label}",
     dwell=("G4 F{:.3f}",),
     message='MSG("{}")',
 )
@@ -42,7 +54,8 @@ class Siemens(Dialect):
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
-        return "\n".join(_write_blocks(content)) + "\n"
+        header = [f"; {s}" for s in (f"PROGRAM {content.name}", *content.header)]
+        return "\n".join([*header, *number_blocks(_write_blocks(content)), ""])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -65,11 +78,10 @@ def _write_blocks(content: ProgramContent) -> Iterator[str]:
             group = wanted
             yield _write_feed_group(group)
 
-    yield f"; PROGRAM {content.name}"
-    yield from (f"; {line}" for line in content.header)
     yield from _SAFE_START
     yield _write_feed_group(group)
     yield from _FORMS.write_rows(content, write_group)
+    yield _CONTINUOUS
     yield "M30"
 
 
@@ -79,7 +91,7 @@ def _write_feed_group(axes: tuple[str, ...]) -> str:
 
 _NAME = re.compile(r"^; PROGRAM (\w+)$", re.MULTILINE)
 _MESSAGE = re.compile(r'MSG\s*\(("[^"]*")?\)')
-_FEED_GROUP = re.compile(r"FGROUP\(([A-Z](?:,[A-Z])*)\)")
+_FEED_GROUP = re.compile(r"(?:N\d+ )?FGROUP\(([A-Z](?:,[A-Z])*)\)")
 
 
 class _Reader(GCodeReader):
@@ -96,11 +108,11 @@ class _Reader(GCodeReader):
     }
     path_modes = ("G60", "G64", "G641", "G642")
     frame = ("SUPA", "G153")
-    passive = ("G1", "G4", "G601", "G602", "G603")
+    passive = ("G1", "G4", "G601", "G602", "G603", "COMPOF")
     dwell_letter = "F"
     end = "M30"
     modal = "GMD"
-    keywords = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS)\b")
+    keywords = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS|COMP[A-Z]+)\b")
     feed_group = ""
 
     def read_block(self, line: int, block: str) -> None:

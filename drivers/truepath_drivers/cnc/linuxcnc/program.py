@@ -20,9 +20,8 @@ _MODES = "G21 G90 G94 G61.1 G40 G49 G80"
 
 @dataclass(frozen=True, slots=True)
 class ProgramRow:
-    """What a block says of a row: its number, from 1, and its feed."""
+    """What a block says of a row: its feed."""
 
-    number: int
     feed: float
 
 
@@ -52,12 +51,13 @@ def write_program(path: Path, prologue: Sequence[str]) -> Program:
     blocks = [*rs274.SAFE_START, *prologue]
     lines: list[int] = []
     for row, position in enumerate(path.position):
-        number = ProgramRow(row + 1, float(path.feed_mm_min[row]))
+        stated = ProgramRow(float(path.feed_mm_min[row]))
         arc = path.arc[row] if path.arc else None
         if arc is None:
-            blocks.append(_write_motion(path.axes, position, number))
+            block = _write_motion(path.axes, position, stated)
         else:
-            blocks.append(_write_arc(path, row, arc, number))
+            block = _write_arc(path, row, arc, stated)
+        blocks.append(f"N{row + 1} {block}")
         lines.append(len(blocks))
         if arc is not None:
             blocks.append(rs274.AFTER_ARC)
@@ -73,9 +73,10 @@ def write_move(
     axes: Sequence[str], position: np.ndarray, feed_mm_min: float
 ) -> Program:
     """Return the one block of a move for MDI; it has no lines."""
-    block = _write_motion(axes, position, ProgramRow(1, feed_mm_min))
-    text = f"{_MODES} {block.split(' ', 1)[1]}"
-    return Program("", text, (), tuple(float(value) for value in position))
+    block = _write_motion(axes, position, ProgramRow(feed_mm_min))
+    return Program(
+        "", f"{_MODES} {block}", (), tuple(float(value) for value in position)
+    )
 
 
 def _write_motion(axes: Sequence[str], position: np.ndarray, row: ProgramRow) -> str:
@@ -84,7 +85,7 @@ def _write_motion(axes: Sequence[str], position: np.ndarray, row: ProgramRow) ->
     return rs274.MOTION.format(row=row, ends=ends)
 
 
-def _write_arc(path: Path, row: int, arc: Arc, number: ProgramRow) -> str:
+def _write_arc(path: Path, row: int, arc: Arc, stated: ProgramRow) -> str:
     columns = [path.axes.index(name) for name in arc.axes]
     begin, end = path.position[row - 1][columns], path.position[row][columns]
     plane, letters = _PLANES[arc.axes]
@@ -94,7 +95,7 @@ def _write_arc(path: Path, row: int, arc: Arc, number: ProgramRow) -> str:
         return " ".join(f"{name}{value:.{rs274.DECIMALS}f}" for name, value in words)
 
     return rs274.ARC.format(
-        row=number,
+        row=stated,
         plane=plane,
         verb="G3" if arc.turn_deg > 0.0 else "G2",
         ends=write(arc.axes, end - begin),

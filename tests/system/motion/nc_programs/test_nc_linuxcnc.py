@@ -99,21 +99,31 @@ def test_the_interpreter_drives_the_path_with_exact_stops_once_the_operator_lets
     path = default_path(mill, 2500.0, lines=6)
     calls = rs274(write_program(path, mill, "linuxcnc"))
     position, feed, dwell_s, modes = driven(calls)
+    approach, position, feed = position[:4, :3], position[4:], feed[4:]
+    x, y, z = path.position[0]
+    # Z to clearance, X, Y, Z: each goes alone, from wherever the others stand.
+    assert approach[0, 2] == -6.0
+    np.testing.assert_allclose(approach[1:, 0], x)
+    np.testing.assert_allclose(approach[2:, 1], y)
+    np.testing.assert_allclose(approach[:, 2], [-6.0, -6.0, -6.0, z])
+    dwell_s = dwell_s[4:]
     np.testing.assert_allclose(position[:, :3], path.position, atol=1e-9)
     np.testing.assert_allclose(feed, path.feed_mm_min)
     np.testing.assert_allclose(dwell_s, path.dwell_s, atol=1e-4)
     assert set(modes) == {"CANON_EXACT_STOP"}
+    modes_set = [m for name, m in calls if name == "SET_MOTION_CONTROL_MODE"]
+    assert modes_set[-1] != "CANON_EXACT_STOP"  # what was set before is set again
     waits = {"PROGRAM_STOP", "STRAIGHT_FEED", "PROGRAM_END"}
     order = [name for name, _ in calls if name in waits]
     lines = ["STRAIGHT_FEED"] * (len(path) - 1)
-    stopped = ["PROGRAM_STOP", "STRAIGHT_FEED", "PROGRAM_STOP"]
-    assert order == [*stopped, *lines, "PROGRAM_END"]
+    stopped = ["PROGRAM_STOP", *["STRAIGHT_FEED"] * 5, "PROGRAM_STOP"]
+    assert order == [*stopped, *lines, "PROGRAM_STOP", "PROGRAM_END"]
 
 
 def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
     points = default_points(trunnion, count=15)
     calls = rs274(write_program(points, trunnion, "linuxcnc"))
-    position, _, dwell_s, _ = driven(calls)
+    position, _, dwell_s, _ = (values[6:] for values in driven(calls))
     np.testing.assert_allclose(position[:, [0, 1, 2, 3, 5]], points.position, atol=1e-9)
     np.testing.assert_allclose(dwell_s, points.dwell_s)
     asked = [text for name, text in calls if name == "MESSAGE"]
@@ -123,10 +133,10 @@ def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
 def test_work_offsets_that_are_set_do_not_move_the_path(rs274, mill):
     path = default_path(mill, 2500.0, lines=3)
     text = write_program(path, mill, "linuxcnc")
-    position, *_ = driven(rs274(text, {**G54, 5210: 1, **G92}))
+    position = driven(rs274(text, {**G54, 5210: 1, **G92}))[0][4:]
     np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
     without = text.replace("G53 ", "")
-    position, *_ = driven(rs274(without, {**G54, 5210: 1, **G92}))
+    position = driven(rs274(without, {**G54, 5210: 1, **G92}))[0][4:]
     shift = position[:, :3] - path.position
     np.testing.assert_allclose(shift, np.tile(shift[0], (4, 1)), atol=2e-4)
     assert np.abs(shift).min() > 8.0

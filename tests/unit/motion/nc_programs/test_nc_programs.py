@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from truepath import plugins
 from truepath.errors import BadInput, OutOfTravel, PlanningError
+from truepath.kinematics.machine.machine import Approach
 from truepath.motion.configurations import Configurations
 from truepath.motion.nc_programs.fanuc import Fanuc
 from truepath.motion.nc_programs.linuxcnc import LinuxCnc
@@ -141,7 +142,70 @@ def test_the_axes_stand_before_a_target_is_changed(dialect, trunnion):
     assert second < asked < third
     assert lines[asked + 1].split()[-1] == stop
     halts = [line for line in lines if line.split()[-1] == stop]
-    assert len(halts) == 3  # way free, recording, target
+    assert len(halts) == 4  # way free, recording, target, end
+
+
+def drive_to_first_row(text, dialect):
+    return [
+        (dict(motion.ends), motion.feed_mm_min)
+        for motion in read_program(text, dialect).approach
+    ]
+
+
+@every_dialect
+def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear(dialect, trunnion):
+    rows = (10, 20, -290, -30, 90), (20, 20, -290, -30, 90)
+    path = path_of(*rows, axes=trunnion.axis_names)
+    text = write_program(path, trunnion, dialect, "P")
+    ends = {"Z": -6.0}, {"X": 10}, {"Y": 20}, {"A": -30}, {"C": 90}, {"Z": -290}
+    assert drive_to_first_row(text, dialect) == [(end, 2000.0) for end in ends]
+    np.testing.assert_array_equal(read_program(text, dialect).position, rows)
+    said = " ".join(re.sub(r"^[\d ]*[;(] ?|\)$", "", s) for s in text.splitlines())
+    assert "BY Z TO -6, X TO 10, Y TO 20, A TO -30, C TO 90, Z TO -290 AT 2000" in said
+
+
+@every_dialect
+def test_the_machine_states_order_clearance_and_feed_of_the_approach(dialect, mill):
+    side = Approach((("Y", 390.0), ("Z", -1.0)), ("Z", "X", "Y"), 500.0)
+    text = write_program(L_SHAPE, replace(mill, approach=side), dialect, "P")
+    ends = {"Y": 390}, {"Z": -1}, {"Z": -10}, {"X": 10}, {"Y": 10}
+    assert drive_to_first_row(text, dialect) == [(end, 500.0) for end in ends]
+
+
+SMOOTHING = {
+    "fanuc": (["/G5.1 Q0", "G61"], ["G64", "M30"]),
+    "heidenhain": (
+        ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1 T0.002"],
+        ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1", "M30"],
+    ),
+    "linuxcnc": (["M70", "G61.1"], ["M72", "M2"]),
+    "siemens-840d": (["COMPOF", "G60 G601"], ["G64", "M30"]),
+}
+
+
+@every_dialect
+def test_nothing_is_smoothed_from_before_the_first_motion_until_the_end(dialect, mill):
+    lines = write_program(L_SHAPE, mill, dialect, "P").splitlines()
+    blocks = [re.sub(r"^N?\d+ ", "", line) for line in lines]
+    begin, end = SMOOTHING[dialect]
+    moves = [n for n, s in enumerate(blocks) if re.search(r"[XYZ][+-]?\d+\.\d", s)]
+    assert set(begin) <= set(blocks[: moves[0]])
+    # The operator ends the recording before the modes change.
+    last = blocks.index(end[-1])
+    stop = "STOP" if dialect == "heidenhain" else "M0"
+    assert blocks[last - len(end) : last + 1] == [stop, *end]
+    assert moves[-1] < last - len(end)
+
+
+@every_dialect
+def test_every_block_has_a_number_and_every_motion_its_row(dialect, mill):
+    lines = write_program(L_SHAPE, mill, dialect, "P").splitlines()
+    if dialect != "heidenhain":
+        lines = [s for s in lines if not re.match(r"[;(%O]", s)]
+    numbers = [int(re.match(r"N?(\d+) ", line).group(1)) for line in lines]
+    assert numbers == list(range(numbers[0], numbers[0] + len(lines)))
+    rows = [re.search(r"ROW (\d)\)?$", s) for s in lines if "400.5" in s and "F" in s]
+    assert [int(row.group(1)) for row in rows if row] == [2, 3]
 
 
 FILES = {
@@ -238,7 +302,7 @@ def test_no_name_can_bring_a_block_into_the_program(dialect, mill, name, machine
     # `BEGIN PGM MA MM` names a program; MA is no M word there.
     nameless = text.replace(f" PGM {motion.name} ", " PGM ")
     blocks = [comment.sub("", line).strip() for line in nameless.splitlines()]
-    assert not [b for b in blocks if re.search(r"\bM(?!0$|2$|30$|91$|M$)", b)]
+    assert not [b for b in blocks if re.search(r"\bM(?!0$|2$|30$|91$|70$|72$|M$)", b)]
 
 
 @every_dialect
@@ -271,9 +335,9 @@ def test_what_no_program_can_say_is_refused_by_row(dialect, mill, change, messag
 
 
 def test_what_a_machine_a_control_or_an_installation_lacks_is_named(mill):
-    long = path_of(*np.tile(L_SHAPE.position, (3334, 1))[:10_000])
+    long = path_of(*np.tile(L_SHAPE.position, (11_001, 1)))
     with pytest.raises(
-        PlanningError, match=r"10000 rows; a Fanuc program numbers 9999"
+        PlanningError, match=r"33003 rows; a Fanuc program numbers 33000"
     ):
         write_program(long, mill, "fanuc", "P")
     points = Configurations(("X", "Y", "Z", "B"), np.zeros((1, 4)), np.ones(1))
@@ -288,9 +352,9 @@ def test_what_a_machine_a_control_or_an_installation_lacks_is_named(mill):
 
 def test_every_number_of_a_fanuc_program_that_means_a_size_has_a_point(trunnion):
     text = write_program(default_points(trunnion, count=20), trunnion, "fanuc", "P")
-    blocks = [s for s in text.splitlines() if s.startswith(("N", "G4"))]
+    blocks = [s for s in text.splitlines() if re.match(r"N\d+ G[14] ", s)]
     sizes = [size for s in blocks for size in re.findall(r"[XYZABCF][-+.\d]+", s)]
-    assert len(sizes) == 20 * 7
+    assert len(sizes) == 20 * 7 + 6 * 2  # and the approach: Z, then five axes
     assert all(re.fullmatch(r"[A-Z]-?\d+\.\d{3}", size) for size in sizes)
 
 

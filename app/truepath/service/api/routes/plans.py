@@ -12,7 +12,7 @@ from truepath.catalogue.job import Job, JobKind
 from truepath.errors import NotFound
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.jobs.kinds.requested_job import RequestedJob
-from truepath.jobs.running.plan_orders import check_rows
+from truepath.jobs.running.plan_orders import check_rows, list_station_rows
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
 from truepath.motion.nc_programs.programs import (
@@ -49,6 +49,10 @@ Dialect = Annotated[
         description="A `name` of `GET /api/v1/nc-dialects`.",
         examples=["heidenhain"],
     ),
+]
+Station = Annotated[
+    int | None,
+    Query(ge=1, description="Of several stations whose rows; the first without it."),
 ]
 _PROGRAM = {
     **declare_problems(404, 422),
@@ -136,11 +140,11 @@ def get_plan_curve(plan_id: PlanId, service: ServiceDep) -> PlanCurve:
     "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
 )
 def download_plan_nc_program(
-    plan_id: PlanId, dialect: Dialect, service: ServiceDep
+    plan_id: PlanId, dialect: Dialect, service: ServiceDep, station: Station = None
 ) -> PlainTextResponse:
     """Return a plan as a program of a control, read back before it is given out."""
     job = _require_plan_job(plan_id, service)
-    return _send_program(_read_set_up(job, service, "has no rows"), dialect)
+    return _send_program(_read_set_up(job, service, "has no rows", station), dialect)
 
 
 @router.post(":validate", responses=declare_problems(404, 409, 422))
@@ -191,7 +195,7 @@ def list_nc_dialects() -> DialectList:
     "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
 )
 def download_nc_program(
-    job_id: JobId, dialect: Dialect, service: ServiceDep
+    job_id: JobId, dialect: Dialect, service: ServiceDep, station: Station = None
 ) -> PlainTextResponse:
     """Return what a measuring job commands as a program of a control.
 
@@ -200,11 +204,13 @@ def download_nc_program(
     at the control, record the tracker's stream, send both in as a bundle.
     """
     job = service.store.get(job_id)
-    set_up = _read_set_up(job, service, "commands no path of its own")
+    set_up = _read_set_up(job, service, "commands no path of its own", station)
     return _send_program(set_up, dialect)
 
 
-def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Commanded]:
+def _read_set_up(
+    job: Job, service: Service, missing: str, station: int | None = None
+) -> tuple[Machine, Commanded]:
     """Return the machine and what the job commands; NotFound says what is missing."""
     plan = service.store.read_plan(job.id)
     if plan is None:
@@ -212,7 +218,12 @@ def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Com
     if service.machines.first is None:
         raise NotFound("the service has no machine file to check the plan against")
     machine = service.machines.choose(job.machine).machine
-    return machine, decode_commanded_json(plan)
+    if station is None:
+        return machine, decode_commanded_json(plan)
+    rows = list_station_rows(plan)
+    if station > len(rows):
+        raise NotFound(f"job {job.id} has rows of {len(rows)} stations, not {station}")
+    return machine, rows[station - 1]
 
 
 def _send_program(set_up: tuple[Machine, Commanded], dialect: str) -> PlainTextResponse:

@@ -65,6 +65,16 @@ class MotionLimitsOut(BaseModel):
     jerk_mm_s3: float | None = None
 
 
+class ApproachOut(BaseModel):
+    """How an NC program goes to its first row, one axis after another."""
+
+    clearance_mm: dict[str, float] | None = Field(
+        None, description="Axes that go first, and where to."
+    )
+    order: list[str] = Field(description="Then all axes, to the row; empty: as usual.")
+    feed_mm_min: float
+
+
 class MachineCoreOut(BaseModel):
     """Name, chain, axes and targets of a machine."""
 
@@ -88,3 +98,6 @@ class MachineFileOut(MachineCoreOut):
     schema_: Literal["machine/1"] = Field(alias="schema")
     tracker: TrackerNoiseOut
     motion: MotionLimitsOut | None = None
+    approach: ApproachOut | None = Field(
+        None, description="Of NC programs to their first row, where its file says it."
+    )

@@ -36,7 +36,7 @@ export function residualCard(result) {
     key.replaceChildren(...scene.key);
     field.hidden = view !== "along";
     if (view === "along") {
-      const name = t("residual.line_number", { row: number(lines[line].row) });
+      const name = t("residual.line_number", { row: number(lines[line].row + 1) });
       write(read, name);
       mark(pick, "aria-valuetext", name);
     }
@@ -62,7 +62,7 @@ function byLine(rows, floor_um, unit) {
   const top = 1.12 * Math.max(...heights, floor ?? 0);
   const worst = rows.reduce((best, row) => (row.rms_um > best.rms_um ? row : best));
   // Rows of several Runs repeat: they are counted instead.
-  const places = rows.every((row) => row.run === rows[0].run) ? rows.map((row) => row.row) : rows.map((_, i) => i + 1);
+  const places = rows.every((row) => row.run === rows[0].run) ? rows.map((row) => row.row + 1) : rows.map((_, i) => i + 1);
   const [first, last] = [places[0], places.at(-1)];
   return {
     x: [first - 0.6, last + 0.6], y: [0, top], names: [unit, t("residual.rms_axis", { unit: unitOf("gap") })], xTicks: thinned(first, last),
@@ -70,8 +70,8 @@ function byLine(rows, floor_um, unit) {
       ...heights.map((v, i) => s("rect", { class: "column", x: x(places[i] - 0.35), width: Math.max(1, x(1.7) - x(1)), y: y(v), height: bottom - y(v) })),
       floor !== null && s("line", { class: "level", x1: left, x2: right, y1: y(floor), y2: y(floor) })],
     key: [entry("column", t("residual.rms")), floor !== null && entry("level", t("residual.floor"))].filter(Boolean),
-    note: t("residual.worst", { row: number(worst.row), rms: quantity(worst.rms_um, "gap") }),
-    spoken: t("residual.worst", { row: number(worst.row), rms: quantity(worst.rms_um, "gap") }),
+    note: t("residual.worst", { row: number(worst.row + 1), rms: quantity(worst.rms_um, "gap") }),
+    spoken: t("residual.worst", { row: number(worst.row + 1), rms: quantity(worst.rms_um, "gap") }),
   };
 }
 
@@ -91,7 +91,7 @@ function along(lines, index) {
     marks: ({ x, y }) => PARTS.map(([part, tone]) => s("path", { class: `trace is-${tone}`,
       d: `M${values(line, part).map((v, i) => `${x(way[i])} ${y(v)}`).join("L")}` })),
     key: PARTS.map(([part, tone]) => entry(tone, t(`residual.${part}`))),
-    note: t("residual.same_scale"), spoken: t("residual.line_number", { row: number(line.row) }),
+    note: t("residual.same_scale"), spoken: t("residual.line_number", { row: number(line.row + 1) }),
   };
 }
 

@@ -21,7 +21,11 @@ const SHOWN = {
   ratio: (value) => number(value, 2),
 };
 
+/** Numbers of rows, and of the lines that lead to them: the service counts them from 0, people from 1. */
+const COUNTED = new Set(["line", "lines", "points", "rows", "first", "last"]);
+
 function shown(name, value) {
+  if (COUNTED.has(name)) return String(value).replace(/\d+/g, (row) => number(Number(row) + 1));
   if (typeof value === "string") return value.replace(FIGURE, (figure) => number(Number(figure), figure.split(".")[1].length));
   const show = SHOWN[name.split("_").at(-1)];
   return show ? show(value) : number(value, Number.isInteger(value) ? 0 : 2);
