@@ -17,6 +17,8 @@ NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eEdD][+-]?\d+)?$")
 CLOCK = re.compile(r"\d+:\d\d")
 _NONE = re.compile(r"^([+-]?(nan|inf|1\.#\w+)(\(\w+\))?|n/?a|#n/?a|null|none|-+|\*+)?$")
 _COMMENT = ("#", "//", "%", "!")
+_COMMENT_MARKS = frozenset("".join(_COMMENT))
+_DIGITS = frozenset("0123456789.")  # that a number ends with
 _LEAST_NUMBERS = 3
 _SHARE = 0.5  # of the lines that a delimiter must make rows of
 _SAMPLE = 2000  # lines that show how a file is made
@@ -117,7 +119,7 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
         tuple(head) if any(head) else (),
         tuple(below) if any(below) else (),
         tuple(columns),
-        [n - ahead for n in row_of],
+        [n - ahead for n in row_of] if ahead else row_of,
         tuple(notes),
     )
 
@@ -138,9 +140,7 @@ def _decode(data: bytes, file: str) -> str:
             text = data.decode("cp1252", "replace")
     if "\0" in text:
         raise BundleError("is no text", file=file, remedy="export it as text or CSV")
-    for mark, plain in _ALIKE.items():
-        text = text.replace(mark, plain)
-    return text
+    return text if text.isascii() else text.translate(str.maketrans(_ALIKE))
 
 
 def _find_delimiter(sample: Sequence[str], file: str) -> str:
@@ -241,36 +241,60 @@ def _is_units(cells: Sequence[str]) -> bool:
 
 def _gather(
     split: Sequence[list[str]], first: int, shape: _Shape, head: list[str], file: str
-) -> tuple[list[list[str]], list[int], list[str]]:
+) -> tuple[list[list[str]], Sequence[int], list[str]]:
     """Return rows, their lines from 1, and notes on what was left out."""
-    rows: list[list[str]] = []
-    row_of: list[int] = []
+    body = split[first:]
+    plain = _find_plain(body, shape[1])
+    if all(plain):
+        return body, range(first + 1, len(split) + 1), []
+    kept: list[int] = []
     left = Counter[str]()
-    odd: list[int] = []  # since the last row: refused if another follows
-    for n, cells in enumerate(split[first:], first):
-        if cells in ([], [""]):
+    odd: list[int] = []  # refused if a row follows
+    for n, (cells, is_plain) in enumerate(zip(body, plain, strict=True)):
+        if is_plain:
+            kept.append(n)
+        elif cells in ([], [""]):
             continue
-        if _is_comment(cells[0]):
+        elif _is_comment(cells[0]):
             left["comment"] += 1
         elif cells == head:
             left["header once more"] += 1
         elif not _fits(cells, shape):
             odd.append(n)
-        elif odd:
-            raise BundleError(
-                f"is no row of {shape[0]} cells: {' '.join(split[odd[0]])[:40]!r}",
-                file=file,
-                row=odd[0] + 1,
-                remedy="remove the line, or export the recording again",
-            )
         else:
-            rows.append(_pad(cells, shape[1]))
-            row_of.append(n + 1)
+            kept.append(n)
+            body[n] = _pad(cells, shape[1])
+    shown = " ".join(body[odd[0]])[:40] if odd else ""
+    if odd and odd[0] < kept[-1]:
+        raise BundleError(
+            f"is no row of {shape[0]} cells: {shown!r}",
+            file=file,
+            row=first + odd[0] + 1,
+            remedy="remove the line, or export the recording again",
+        )
     notes = [f"{count} x {what} left out" for what, count in left.items()]
     if odd:
-        shown = " ".join(split[odd[0]])[:40]
         notes.append(f"{len(odd)} lines at the end left out: {shown!r}")
-    return rows, row_of, notes
+    return [body[n] for n in kept], [first + n + 1 for n in kept], notes
+
+
+def _find_plain(body: Sequence[list[str]], width: int) -> list[bool]:
+    """Tell which lines are rows for certain; looking at each cell of all is slow.
+
+    They have all cells, and what may be numbers where the first row has the first ones.
+    """
+    numbers = [k for k, cell in enumerate(body[0]) if NUMBER.match(cell)]
+    if len(body[0]) != width or len(numbers) < _LEAST_NUMBERS:
+        return [False] * len(body)
+    a, b, c = numbers[:_LEAST_NUMBERS]
+    return [
+        len(row) == width
+        and row[a][-1:] in _DIGITS
+        and row[b][-1:] in _DIGITS
+        and row[c][-1:] in _DIGITS
+        and row[0][:1] not in _COMMENT_MARKS
+        for row in body
+    ]
 
 
 def _fits(cells: list[str], shape: _Shape) -> bool:

@@ -20,7 +20,7 @@ from truepath.files.imports.numbers import find_decimal, read_numbers
 from truepath.files.imports.options import TextOptions
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-_DAY_S = 86400.0
+_DAY_S, _MINUTE_S = 86400.0, 60.0
 _OF_DAY = re.compile(
     r"(?<![\d:])(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
     r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
@@ -154,28 +154,52 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
 
 
 def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
+    """Return seconds since midnight; what many rows share is read once."""
     texts = cells.columns[time.index]
-    found = [_OF_DAY.search(text) for text in texts]
+    parts = [text.removesuffix("Z").rpartition(":") for text in texts]
+    minutes = [part[0] for part in parts]
+    is_plain = not any(":" in m.rpartition(":")[0] for m in {*minutes})
+    try:
+        second_s = np.array("\n".join([part[2] for part in parts]).split("\n"), float)
+    except ValueError:
+        is_plain = False
+    if not is_plain or second_s.max() >= _MINUTE_S + 1.0 or second_s.min() < 0.0:
+        return _read_words(cells, time, texts)
+    return second_s + _read_words(cells, time, [f"{m}:00" for m in minutes])
+
+
+def _read_words(
+    cells: Cells, time: Column, texts: Sequence[str]
+) -> NDArray[np.float64]:
+    words = list(dict.fromkeys(texts))
+    found = [_OF_DAY.search(word) for word in words]
     if None in found:
-        row = found.index(None)
-        shown = f"is {texts[row][:40]!r}, no time"
+        row = texts.index(words[found.index(None)])
+        shown = f"is {cells.columns[time.index][row][:40]!r}, no time"
         remedy = "a time is HH:MM:SS.fff, with or without a date before it"
         raise cells.error(shown, row, time.index, remedy)
     read = [match.groups() for match in found if match]
-    hour, minute, second, half, sign, zone_hours, zone_minutes = zip(*read, strict=True)
-    hours, minutes = np.array(hour, float), np.array(minute, float)
-    joined = "\n".join(second).replace(",", ".").replace(":", ".")
-    seconds = np.array(joined.split("\n"), float)
-    if any(half):
-        is_pm = np.array([(word or "a")[0].lower() == "p" for word in half])
-        hours = np.where([bool(w) for w in half], hours % 12, hours) + 12.0 * is_pm
-    time_s = 3600.0 * hours + 60.0 * minutes + seconds
-    if any(sign):  # ahead of UTC; summer time may begin within a recording
-        ahead = [
-            float(f"{s}1") * (60 * int(h) + int(m)) if s else 0.0
-            for s, h, m in zip(sign, zone_hours, zone_minutes, strict=True)
-        ]
-        time_s -= 60.0 * np.array(ahead)
+    second_of = dict(zip(words, (_add_up(*each) for each in read), strict=True))
+    return np.array([second_of[text] for text in texts])
+
+
+def _add_up(
+    hour: str,
+    minute: str,
+    second: str,
+    half: str | None,
+    sign: str | None,
+    zone_hours: str,
+    zone_minutes: str,
+) -> float:
+    hours = int(hour)
+    if half:
+        hours = hours % 12 + (12 if half[0] in "pP" else 0)
+    seconds = float(second.replace(",", ".").replace(":", "."))
+    time_s = 3600.0 * hours + _MINUTE_S * int(minute) + seconds
+    if sign:  # ahead of UTC; summer time may begin within a recording
+        ahead = 60 * int(zone_hours) + int(zone_minutes)
+        time_s -= _MINUTE_S * (ahead if sign == "+" else -ahead)
     return time_s
 
 
@@ -195,7 +219,11 @@ def _read_days(
     cells: Cells, texts: Sequence[str], options: TextOptions
 ) -> NDArray[np.float64]:
     """Return the day of each row; the order of day and month must not matter."""
-    short = [found[0] if (found := DATE.search(text)) else text for text in texts]
+    first = [text.replace("T", " ").partition(" ")[0] for text in texts]
+    short_of = {
+        text: found[0] if (found := DATE.search(text)) else text for text in {*first}
+    }
+    short = [short_of[text] for text in first]
     words = list(dict.fromkeys(short))
     orders = [options.date_order] if options.date_order else ["dmy", "mdy"]
     readings = [_order_days(words, order) for order in orders]
