@@ -156,6 +156,8 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
 def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
     """Return seconds since midnight; what many rows share is read once."""
     texts = cells.columns[time.index]
+    if 2 * len({*texts}) < len(texts):
+        return _read_words(cells, time, texts)
     parts = [text.removesuffix("Z").rpartition(":") for text in texts]
     minutes = [part[0] for part in parts]
     is_plain = not any(":" in m.rpartition(":")[0] for m in {*minutes})
@@ -219,7 +221,7 @@ def _read_days(
     cells: Cells, texts: Sequence[str], options: TextOptions
 ) -> NDArray[np.float64]:
     """Return the day of each row; the order of day and month must not matter."""
-    first = [text.replace("T", " ").partition(" ")[0] for text in texts]
+    first = [text.partition("T")[0].partition(" ")[0] for text in texts]
     short_of = {
         text: found[0] if (found := DATE.search(text)) else text for text in {*first}
     }

@@ -58,6 +58,7 @@ DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
 _RISING = 0.995  # of its steps: so a time goes on, maybe with a wrap
 _KINDS = 200  # rows that show what a column without a name holds
+_STRETCHES = 50  # of so many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +201,8 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     roles = {column.role for column in columns}
     names = cells.names or ("",) * len(columns)
     blank = [c.index for c in columns if not c.role and not names[c.index]]
-    kind = {k: _tell_kind(cells, k) for k in blank}
+    some = _take_some(cells)
+    kind = {k: _tell_kind(some, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
     has_clock = "time" in roles or "time" in kind.values()
@@ -224,6 +226,18 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
         own = unit if role in "xyz" else ""
         columns[k] = replace(columns[k], role=role, unit=own or columns[k].unit)
     return columns
+
+
+def _take_some(cells: Cells) -> Cells:
+    """Return some stretches of rows, which show what goes on from row to row."""
+    stride = max(len(cells) // _STRETCHES, _KINDS)
+    begins = range(0, len(cells), stride)
+    columns = tuple(
+        [cell for k in begins for cell in column[k : k + _KINDS]]
+        for column in cells.columns
+    )
+    rows = [row for k in begins for row in cells.row_of[k : k + _KINDS]]
+    return replace(cells, columns=columns, row_of=rows)
 
 
 def _tell_kind(cells: Cells, index: int) -> str:
