@@ -35,7 +35,10 @@ def spots(record):
 
 def read(text, commanded, **options):
     data = text if isinstance(text, bytes) else text.encode()
-    return read_recording(data, "export.txt", commanded, TextOptions(**options))
+    got = read_recording(data, "export.txt", commanded, TextOptions(**options))
+    for problem in got.problems:
+        raise problem
+    return got
 
 
 def lines_of(run, form, first=None):

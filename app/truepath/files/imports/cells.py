@@ -49,6 +49,7 @@ class Cells:
     preamble : lines before the header; names, units : empty where the file has none
     row_of : line in the file of each data row, from 1
     notes : what was left out, in words
+    problems : lines that are no rows, if there are any
     """
 
     file: str
@@ -59,6 +60,7 @@ class Cells:
     columns: tuple[Sequence[str], ...]
     row_of: Sequence[int]
     notes: tuple[str, ...]
+    problems: tuple[BundleError, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row_of)
@@ -104,7 +106,9 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     first = next(n for n in filled if _is_data(split[n]) and _fits(split[n], shape))
     header, units = _find_header(split, first, shape)
     head = [] if header is None else split[header]
-    rows, row_of, notes = _gather(split, first, shape, head, file)
+    if header is None and first and _is_comment(lines[first - 1]):
+        head = _read_names(split[first - 1], width)
+    rows, row_of, notes, problems = _gather(split, first, shape, head, file)
     columns = [*zip(*rows, strict=True)]
     head = _pad(head, width)
     below = _pad([] if units is None else split[units], width)
@@ -121,6 +125,7 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
         tuple(columns),
         [n - ahead for n in row_of] if ahead else row_of,
         tuple(notes),
+        tuple(problems),
     )
 
 
@@ -233,6 +238,14 @@ def _find_header(
     return header, units
 
 
+def _read_names(comment: list[str], width: int) -> list[str]:
+    """Return names of columns that stand in a comment, if they do."""
+    first = comment[0].lstrip("".join(_COMMENT)).strip()
+    names = [first, *comment[1:]] if first else comment[1:]
+    begins = {name[:1].lower() for name in names}
+    return names if len(names) == width and begins >= set("xyz") else []
+
+
 def _is_units(cells: Sequence[str]) -> bool:
     bare = [cell.strip("[]()") for cell in cells]
     known = (not c or c in "%-" or c.lower() == "hpa" or find_unit(c) for c in bare)
@@ -241,12 +254,12 @@ def _is_units(cells: Sequence[str]) -> bool:
 
 def _gather(
     split: Sequence[list[str]], first: int, shape: _Shape, head: list[str], file: str
-) -> tuple[list[list[str]], Sequence[int], list[str]]:
-    """Return rows, their lines from 1, and notes on what was left out."""
+) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
+    """Return rows, their lines from 1, notes on what was left out, and problems."""
     body = split[first:]
     plain = _find_plain(body, shape[1])
     if all(plain):
-        return body, range(first + 1, len(split) + 1), []
+        return body, range(first + 1, len(split) + 1), [], []
     kept: list[int] = []
     left = Counter[str]()
     odd: list[int] = []  # refused if a row follows
@@ -264,18 +277,21 @@ def _gather(
         else:
             kept.append(n)
             body[n] = _pad(cells, shape[1])
-    shown = " ".join(body[odd[0]])[:40] if odd else ""
-    if odd and odd[0] < kept[-1]:
-        raise BundleError(
-            f"is no row of {shape[0]} cells: {shown!r}",
-            file=file,
-            row=first + odd[0] + 1,
-            remedy="remove the line, or export the recording again",
-        )
     notes = [f"{count} x {what} left out" for what, count in left.items()]
-    if odd:
+    problems: list[BundleError] = []
+    within = [n for n in odd if n < kept[-1]]
+    if within:
+        shown = " ".join(body[within[0]])[:40]
+        more = f", and {len(within) - 1} such lines more" if len(within) > 1 else ""
+        remedy = "remove the line, or export the recording again"
+        problem = f"is no row of {shape[0]} cells: {shown!r}{more}"
+        row = first + within[0] + 1
+        problems.append(BundleError(problem, file=file, row=row, remedy=remedy))
+    elif odd:
+        shown = " ".join(body[odd[0]])[:40]
         notes.append(f"{len(odd)} lines at the end left out: {shown!r}")
-    return [body[n] for n in kept], [first + n + 1 for n in kept], notes
+    row_of = [first + n + 1 for n in kept]
+    return [body[n] for n in kept], row_of, notes, problems
 
 
 def _find_plain(body: Sequence[list[str]], width: int) -> list[bool]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import date
 from itertools import pairwise
 
@@ -33,7 +34,8 @@ _COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
 _WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
 _SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
 _AT_ONCE = 0.2  # of the mean step
-_LONG = (3.0, 1.5)  # times the usual way between stamps: a gap; the second if need be
+_FEW_ROWS, _SCATTER = 2.5, 9.0  # rows; times their usual scatter: more are missing
+_BESIDE = 5  # stamps that show whether what comes late stays late
 _LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
 _LATE_S = 0.02  # and of a computer that was busy
 _ROUND = 0.005  # of a rate: so far it may be off a whole number of rows a second
@@ -66,39 +68,86 @@ def read_clock(
     return time_s - time_s[0], how
 
 
-def even_out(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Return times of rows that come evenly between gaps, and words on it, or neither.
+@dataclass(frozen=True, slots=True)
+class EvenTimes:
+    """Times of rows that come evenly between the places where rows are missing.
 
-    The words are empty where the stamps are not of that kind, or rows are missing.
+    unknown : rows whose place beside missing ones nothing tells
+    missing : first row after each place, and how many are missing there
+    """
+
+    time_s: NDArray[np.float64]
+    words: str
+    unknown: NDArray[np.bool_]
+    missing: tuple[tuple[int, int], ...]
+
+
+def even_out(
+    time_s: NDArray[np.float64], number: NDArray[np.float64]
+) -> EvenTimes | None:
+    """Return even times for stamps that are rounded or come in bursts, else nothing.
+
+    number : of the rows, as their software counted them
     """
     step = np.diff(time_s)
     if len(step) < _LEAST or (step < 0).any() or not (step > 0).any():
-        return time_s, ""
+        return None
     mean = float(step[step <= np.percentile(step, 99.9)].mean())
     tied = bool((step == 0).any())
     if not tied and (step < _AT_ONCE * mean).mean() < _SHARE:
-        return time_s, ""
+        return None
     heads = np.flatnonzero(step > (0.0 if tied else mean)) + 1
     if len(heads) < 3:
-        return time_s, ""
-    way = float(np.median(np.diff(time_s[heads])))
-    for long in _LONG:
-        part = np.append(0, np.cumsum(step > long * way))
-        begin, count = np.unique(part, return_index=True, return_counts=True)[1:]
-        row = np.arange(len(time_s), dtype=float)
-        row -= (np.bincount(part, row) / count)[part]
-        middle = (np.bincount(part, time_s) / count)[part]
-        usual = float(row @ (time_s - middle) / (row @ row))
-        whole = np.rint(1.0 / usual)
-        choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
-        for each in (*choices, usual):
-            even = middle + each * row
-            late = time_s - even
-            spread = np.maximum.reduceat(late, begin) - np.minimum.reduceat(late, begin)
-            if spread.max() < _LATE * way + max(_LATE_S, 2.0 * each):
-                words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
-                return even - even[0], words + f"rows come at {1 / each:.6g} Hz"
-    return time_s, ""
+        return None
+    head_s, head_n = time_s[heads], number[heads]
+    way_s, rows = np.diff(head_s), np.diff(head_n)
+    usual = float(np.median(way_s / rows))
+    lacks = way_s / usual - rows
+    holes = _find_holes(head_s - usual * head_n, lacks, usual)
+    # Heads of one part are a whole number of rows apart.
+    part = np.append(0, np.cumsum(np.isin(np.arange(len(lacks)), holes)))
+    count = np.bincount(part)
+    away_n = head_n - (np.bincount(part, head_n) / count)[part]
+    if away_n.any():
+        usual = float(away_n @ head_s / (away_n @ away_n))
+    whole = np.rint(1.0 / usual)
+    choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
+    way = float(np.median(way_s))
+    row = np.arange(len(time_s))
+    of_row = np.searchsorted(heads[holes + 1], row, side="right")
+    full = way / usual
+    for each in (*choices, usual):
+        begin_s = np.bincount(part, head_s - each * head_n) / count
+        even = begin_s[of_row] + each * number
+        unknown = np.zeros(len(row), bool)
+        for k in holes.tolist():
+            if rows[k] < full - _FEW_ROWS:
+                inside = slice(int(heads[k]), int(heads[k + 1]))
+                ends = even[[inside.start, inside.stop]]
+                even[inside] = np.linspace(*ends, int(rows[k]), endpoint=False)
+                unknown[inside] = True
+        late = np.where(unknown, np.nan, time_s - even)
+        spread = [np.ptp(late[(of_row == p) & ~unknown]) for p in range(len(count))]
+        if max(spread) < _LATE * way + max(_LATE_S, 2.0 * each):
+            words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
+            words += f"rows come at {1 / each:.6g} Hz"
+            lost = [(int(heads[k + 1]), round(float(lacks[k]))) for k in holes.tolist()]
+            return EvenTimes(even - even[0], words, unknown, tuple(lost))
+    return None
+
+
+def _find_holes(
+    late_s: NDArray[np.float64], lacks: NDArray[np.float64], usual_s: float
+) -> NDArray[np.int64]:
+    """Return between which heads rows are missing: from there on all are later."""
+    scatter = float(np.median(np.abs(lacks - np.median(lacks))))
+    least = max(_FEW_ROWS, _SCATTER * scatter)
+    found: list[int] = []
+    for k in np.flatnonzero(lacks > least).tolist():
+        before, after = late_s[max(k - _BESIDE, 0) : k + 1], late_s[k + 1 :][:_BESIDE]
+        if float(np.median(after) - np.median(before)) > least * usual_s:
+            found.append(k)
+    return np.array(found, np.int64)
 
 
 def _read_counted(
@@ -236,6 +285,9 @@ def _read_days(
             file=cells.file,
             remedy="export dates as YYYY-MM-DD, or say --date-order dmy or mdy",
         )
+    if len(fitting) > 1:  # no recording pauses for a month
+        on = [d for d in fitting if all(0 <= b - a <= 1 for a, b in pairwise(d))]
+        fitting = on or fitting
     steps = {tuple(b - a for a, b in pairwise(days)) for days in fitting}
     if len(steps) > 1:
         raise BundleError(
