@@ -34,7 +34,7 @@ _COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
 _WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
 _SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
 _AT_ONCE = 0.2  # of the mean step
-_FEW_ROWS, _SCATTER = 2.5, 9.0  # rows; times their usual scatter: more are missing
+_FEW_ROWS, _SCATTER = 3.0, 9.0  # rows; times their scatter beyond rounding, one row
 _BESIDE = 5  # stamps that show whether what comes late stays late
 _LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
 _LATE_S = 0.02  # and of a computer that was busy
@@ -127,7 +127,8 @@ def even_out(
                 even[inside] = np.linspace(*ends, int(rows[k]), endpoint=False)
                 unknown[inside] = True
         late = np.where(unknown, np.nan, time_s - even)
-        spread = [np.ptp(late[(of_row == p) & ~unknown]) for p in range(len(count))]
+        parts = (x[~np.isnan(x)] for x in np.split(late, heads[holes + 1]))
+        spread = [float(np.ptp(x)) for x in parts if len(x)]
         if max(spread) < _LATE * way + max(_LATE_S, 2.0 * each):
             words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
             words += f"rows come at {1 / each:.6g} Hz"
@@ -141,7 +142,7 @@ def _find_holes(
 ) -> NDArray[np.int64]:
     """Return between which heads rows are missing: from there on all are later."""
     scatter = float(np.median(np.abs(lacks - np.median(lacks))))
-    least = max(_FEW_ROWS, _SCATTER * scatter)
+    least = max(_FEW_ROWS, _SCATTER * (scatter - 1.0))
     found: list[int] = []
     for k in np.flatnonzero(lacks > least).tolist():
         before, after = late_s[max(k - _BESIDE, 0) : k + 1], late_s[k + 1 :][:_BESIDE]
