@@ -253,7 +253,7 @@ def _is_units(cells: Sequence[str]) -> bool:
 
 
 def _gather(
-    split: Sequence[list[str]], first: int, shape: _Shape, head: list[str], file: str
+    split: list[list[str]], first: int, shape: _Shape, head: list[str], file: str
 ) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
     """Return rows, their lines from 1, notes on what was left out, and problems."""
     body = split[first:]

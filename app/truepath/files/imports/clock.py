@@ -104,7 +104,6 @@ def even_out(
     usual = float(np.median(way_s / rows))
     lacks = way_s / usual - rows
     holes = _find_holes(head_s - usual * head_n, lacks, usual)
-    # Heads of one part are a whole number of rows apart.
     part = np.append(0, np.cumsum(np.isin(np.arange(len(lacks)), holes)))
     count = np.bincount(part)
     away_n = head_n - (np.bincount(part, head_n) / count)[part]
@@ -122,14 +121,14 @@ def even_out(
         unknown = np.zeros(len(row), bool)
         for k in holes.tolist():
             if rows[k] < full - _FEW_ROWS:
-                inside = slice(int(heads[k]), int(heads[k + 1]))
-                ends = even[[inside.start, inside.stop]]
-                even[inside] = np.linspace(*ends, int(rows[k]), endpoint=False)
-                unknown[inside] = True
+                first, end = int(heads[k]), int(heads[k + 1])
+                share = np.arange(end - first) / (end - first)
+                even[first:end] = even[first] + share * (even[end] - even[first])
+                unknown[first:end] = True
         late = np.where(unknown, np.nan, time_s - even)
         parts = (x[~np.isnan(x)] for x in np.split(late, heads[holes + 1]))
         spread = [float(np.ptp(x)) for x in parts if len(x)]
-        if max(spread) < _LATE * way + max(_LATE_S, 2.0 * each):
+        if spread and max(spread) < _LATE * way + max(_LATE_S, 2.0 * each):
             words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
             words += f"rows come at {1 / each:.6g} Hz"
             lost = [(int(heads[k + 1]), round(float(lacks[k]))) for k in holes.tolist()]
@@ -210,12 +209,13 @@ def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
         return _read_words(cells, time, texts)
     parts = [text.removesuffix("Z").rpartition(":") for text in texts]
     minutes = [part[0] for part in parts]
-    is_plain = not any(":" in m.rpartition(":")[0] for m in {*minutes})
+    if any(":" in m.rpartition(":")[0] for m in {*minutes}):
+        return _read_words(cells, time, texts)
     try:
         second_s = np.array("\n".join([part[2] for part in parts]).split("\n"), float)
     except ValueError:
-        is_plain = False
-    if not is_plain or second_s.max() >= _MINUTE_S + 1.0 or second_s.min() < 0.0:
+        return _read_words(cells, time, texts)
+    if second_s.max() >= _MINUTE_S + 1.0 or second_s.min() < 0.0:
         return _read_words(cells, time, texts)
     return second_s + _read_words(cells, time, [f"{m}:00" for m in minutes])
 

@@ -134,7 +134,8 @@ def read_recording(
     position_mm = LENGTH_MM.get(unit, 1.0) * _turn_axes(position, options.axes)
     if isinstance(commanded, Path) and _are_shots(cells, commanded):
         commanded = _list_stops(commanded)
-    guess_s = np.arange(len(cells)) * _guess_step_s(cells, commanded)
+    guess_s = np.arange(len(cells), dtype=np.float64)
+    guess_s *= _guess_step_s(cells, commanded)
     time_s, clock, beside = attempt(
         lambda: _read_times(cells, columns, commanded, options, decimal),
         (guess_s, "not known", ()),
