@@ -31,9 +31,9 @@ class Commands:
         """Both streams of one that succeeds."""
         return self._call(words, 0)
 
-    def json(self, *words):
+    def json(self, *words, status=0):
         """The object that it prints with `--json`, alone on standard output."""
-        return json.loads(self.run(*words, "--json").out)
+        return json.loads(self._call([*words, "--json"], status).out)
 
     def refuse(self, *words, status=2, shows=False):
         """The one line that a failure costs; before it, some show what they read."""
@@ -42,6 +42,12 @@ class Commands:
         assert shows or said.out == ""
         assert sum(line.startswith("truepath: ") for line in lines) == 1
         return lines[-1].removeprefix("truepath: ")
+
+    def list_problems(self, *words):
+        """The lines of a failure that has several reasons."""
+        lines = self._call(words, 2).err.splitlines()
+        mark = "problem: "
+        return [x.removeprefix(mark) for x in lines if x.startswith(mark)]
 
     def _call(self, words, status):
         self._capsys.readouterr()

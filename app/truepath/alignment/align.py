@@ -50,7 +50,7 @@ from truepath.alignment.stream.nominal_path import (
 )
 from truepath.alignment.stream.seating import find_seating, seat_targets
 from truepath.alignment.stream.sequence import Matching, match_stops, require_targets
-from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY
+from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, match_places
 from truepath.alignment.stream.stops import StopSequence, find_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows, Run, list_locks_s
@@ -67,6 +67,9 @@ _DECIMALS = 6  # mm or deg
 _OTHER_FEED = 0.03  # of the commanded one; controllers keep it far better
 _STEADY_S = 0.5  # at least: a short line may not come to its feed
 _HOLD_S = 0.3  # shorter standstills are no hold
+_GAP = 5.0  # times the usual step; the beam is lost for single samples as well
+_TELLING_S = 0.2  # of dwell: a ramp is short beside it
+_CLOCK = 0.25  # of the logarithm: less may be the ramps beside a standstill
 _FROM_ENDS_MM = 1.0  # nearer to a waypoint it is the waypoint
 
 
@@ -113,7 +116,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     stream = Stream(time_s, tracker_mm, matching.pose, matching.reach_mm)
     left_out = describe_unusable(run.tracker, usable)
     left_out += _list_astray(stream, stops, matching, nominal)
-    left_out += _list_beyond(time_s, stops, matching)
+    left_out += _list_beyond(time_s, stops, matching, nominal)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
@@ -137,7 +140,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     left_out += _list_lines_without_pass(nominal, passes)
     left_out += _list_broken_arcs(nominal, arcs)
     seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
-    driving = _describe_driving(stream, stops, matching, nominal, passes)
+    driving = _describe_driving(run, stream, stops, matching, nominal, passes)
     driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
     return replace(seen, driving=driving, arcs=tuple(driven))
 
@@ -154,7 +157,7 @@ def _align_points(run: Run, points: PointRows) -> Observations:
     nominal, stops, matching = _match_or_explain(run, time_s, tracker_mm)
     parts, left_out = reduce_points(run, points, valid, matching, nominal)
     left_out += _list_points_without_stop(run, parts)
-    left_out += _list_beyond(time_s, stops, matching)
+    left_out += _list_beyond(time_s, stops, matching, nominal)
     seen = join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     return replace(seen, offered=int(points.count.sum()))
 
@@ -214,18 +217,31 @@ def _match(
 
 
 def _list_beyond(
-    time_s: Float64[np.ndarray, " n"], stops: StopSequence, matching: Matching
+    time_s: Float64[np.ndarray, " n"],
+    stops: StopSequence,
+    matching: Matching,
+    nominal: NominalPath,
 ) -> list[LeftOut]:
-    """Return how often the target stands still before the path and after it."""
+    """Return how often the target stands still before the path and after it.
+
+    Where that is the path once more, return how many samples it has.
+    """
     found: list[LeftOut] = []
+    expected = matching.pose.apply(nominal.place_mm)
     sides: tuple[tuple[Cause, int, int], ...] = (
         ("before", 0, int(matching.stop[0])),
         ("after", int(matching.stop[-1]) + 1, len(stops)),
     )
     for cause, first, end in sides:
         if end - first >= FEWEST_ASTRAY:
-            begin_s, end_s = time_s[[stops.first[first], stops.last[end - 1] - 1]]
-            found.append(LeftOut(cause, -1, begin_s, end_s, end - first, 0.0))
+            begin, last = int(stops.first[first]), int(stops.last[end - 1]) - 1
+            span_s = float(time_s[begin]), float(time_s[last])
+            beside = stops.position_mm[first:end]
+            same, _ = match_places(beside, expected, matching.reach_mm)
+            if 2 * len(same) > len(expected):
+                found.append(LeftOut("again", -1, *span_s, last - begin, 0.0))
+            else:
+                found.append(LeftOut(cause, -1, *span_s, end - first, 0.0))
     return found
 
 
@@ -360,6 +376,7 @@ def _describe_row(run: Run, row: int) -> tuple[object, ...]:
 
 
 def _describe_driving(
+    run: Run,
     stream: Stream,
     stops: StopSequence,
     matching: Matching,
@@ -368,13 +385,53 @@ def _describe_driving(
 ) -> Driving:
     # A measurement rests on none of it, but who ran the program should know.
     place = matching.waypoint
+    feeds = _find_other_feeds(stream, nominal, passes)
+    clock = _find_clock(run, stream, stops, matching, nominal, feeds, len(passes))
+    step_s = np.diff(run.tracker.device_time_s)
+    usual_s = float(np.median(step_s))
+    gaps_s = step_s[step_s > _GAP * usual_s]
     return Driving(
         min(int(nominal.first[place[0]]), passes[0].row),
         max(int(nominal.last[place[-1]]), passes[-1].row),
         len(nominal.end_mm),
-        _find_other_feeds(stream, nominal, passes),
+        feeds if clock == 1.0 else {},
         _find_holds(stream, stops, matching, nominal),
+        clock,
+        tuple(gaps_s.tolist()),
+        int((np.rint(gaps_s / usual_s) - 1).sum()),
     )
+
+
+def _find_clock(
+    run: Run,
+    stream: Stream,
+    stops: StopSequence,
+    matching: Matching,
+    nominal: NominalPath,
+    feeds: dict[int, float],
+    lines: int,
+) -> float:
+    """Return how much longer all took than it should, 1 where that is not certain.
+
+    An override changes the lines alone, a wrong rate the standstills as well.
+    """
+    if 2 * len(feeds) < lines or not feeds:
+        return 1.0
+    share = np.array([*feeds.values()])
+    clock = 1.0 / float(np.median(share))
+    if np.abs(share * clock - 1.0).max() > _OTHER_FEED:
+        return 1.0
+    rows = nominal.last[matching.waypoint]
+    inner = (rows > 0) & (rows < len(run.commanded) - 1)
+    dwell_s = run.commanded.dwell_s[rows]
+    first, last = stops.first[matching.stop], stops.last[matching.stop] - 1
+    stood_s = stream.time_s[last] - stream.time_s[first]
+    told = inner & (dwell_s >= _TELLING_S)
+    if not told.any():
+        return 1.0
+    stood = float(np.median(stood_s[told] / dwell_s[told]))
+    off, limit = abs(np.log(stood / clock)), abs(np.log(clock))
+    return clock if limit > _CLOCK and 2.0 * off < limit else 1.0
 
 
 def _find_other_feeds(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truepath.alignment.observations.observations import Driving
+from truepath.alignment.observations.observations import Driving, Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.disturbances import CheckedEstimate
@@ -102,17 +102,25 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 
 
 def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> Verdict:
-    """Return what to know of how the machines drove; a result may be used all the same.
+    """Return what to know of how the machines drove, and were recorded.
 
     drivings : of the Runs given; none of standstill points
     """
     reasons = [
-        Reason(kind, "usable", values, name if len(names) > 1 else "")
+        Reason(kind, state, values, name if len(names) > 1 else "")
         for driving, name in zip(drivings, names, strict=True)
         if driving is not None
-        for kind, values in _describe_driving(driving)
+        for kind, state, values in _describe_driving(driving)
     ]
     return Verdict(tuple(reasons))
+
+
+def judge_recording(seen: Observations) -> Verdict:
+    """Return what there is to know of a recording before anything is estimated."""
+    left_out = _judge_left_out(seen.left_out, len(seen.measured_rows), seen.used)
+    return Verdict.merge(
+        [Verdict(tuple(left_out)), judge_driving([seen.driving], [""])]
+    )
 
 
 def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
@@ -304,7 +312,7 @@ def _judge_left_out(
 
     measured : lines with data; used : samples
     """
-    silent = ("spikes", "astray", *_BESIDE, *_WITHOUT_DATA)
+    silent = ("spikes", "astray", "again", *_BESIDE, *_WITHOUT_DATA)
     lost = [each for each in left_out if each.cause not in silent]
     worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
     for each in sorted(worst, key=lambda each: each.begin_s):
@@ -325,6 +333,15 @@ def _judge_left_out(
                 "distance_um": UM_PER_MM * each.off_mm,
             }
             yield Reason("stream-astray", "doubtful", values)
+    for each in left_out:
+        if each.cause == "again":
+            values = {
+                "samples": each.samples,
+                "used_samples": used,
+                "from_s": each.begin_s,
+                "to_s": each.end_s,
+            }
+            yield Reason("recorded-again", "usable", values)
     beside = {each.cause: each.samples for each in left_out if each.cause in _BESIDE}
     if beside:
         yield Reason("path-cut-short", "usable", dict.fromkeys(_BESIDE, 0) | beside)
@@ -341,10 +358,9 @@ def _judge_left_out(
         if rows:
             state = _grade(len(rows) / (measured + len(rows)), _LINES)
             yield Reason(kind, state, {kind.split("-")[0]: _list_lines(rows)})
+    apart = ("astray", "again", *_BESIDE)
     # What is astray is judged by the lines that it leaves without data.
-    share = sum(
-        each.samples for each in left_out if each.cause not in ("astray", *_BESIDE)
-    )
+    share = sum(each.samples for each in left_out if each.cause not in apart)
     share /= max(share + used, 1)
     if share > _LEFT_OUT[0]:
         yield Reason(
@@ -357,10 +373,13 @@ def _judge_left_out(
         )
 
 
-def _describe_driving(driving: Driving) -> Iterator[tuple[str, dict[str, Value]]]:
+def _describe_driving(
+    driving: Driving,
+) -> Iterator[tuple[str, State, dict[str, Value]]]:
     if not driving.is_whole:
         yield (
             "path-not-whole",
+            "usable",
             {
                 "first": max(driving.first, 1),
                 "last": driving.last,
@@ -370,6 +389,7 @@ def _describe_driving(driving: Driving) -> Iterator[tuple[str, dict[str, Value]]
     if driving.feed:
         yield (
             "other-feed",
+            "usable",
             {
                 "lines": _list_lines(sorted(driving.feed)),
                 "lowest_percent": 100.0 * min(driving.feed.values()),
@@ -379,10 +399,24 @@ def _describe_driving(driving: Driving) -> Iterator[tuple[str, dict[str, Value]]
     if driving.holds:
         yield (
             "held-on-the-way",
+            "usable",
             {
                 "times": len(driving.holds),
                 "lines": _list_lines([row for row, _, _ in driving.holds]),
                 "longest_s": max(stood_s for _, _, stood_s in driving.holds),
+            },
+        )
+
+    if driving.clock != 1.0:
+        yield "clock-off", "doubtful", {"took_percent": 100.0 * driving.clock}
+    if driving.missing:
+        yield (
+            "samples-missing",
+            "usable",
+            {
+                "samples": driving.missing,
+                "times": len(driving.gaps_s),
+                "longest_s": max(driving.gaps_s),
             },
         )
 

@@ -16,6 +16,7 @@ from exports_of_makers import (
 )
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.motion.nc_programs.programs import write_program
+from truepath_drivers.interfaces.records import Path
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +140,6 @@ def test_a_list_of_points_is_a_bundle_of_points(bring, record, tmp_path):
     np.testing.assert_allclose(points.covariance_mm2, 2e-6, rtol=1e-3)
 
 
-def missing(data):
-    lines = data.split(b"\n")
-    return b"\n".join(lines[:602] + lines[610:1202] + lines[1210:])
-
-
 def beside(data, head, cell):
     """Put a column beside the others."""
     first, *rows = data.split(b"\n")
@@ -163,9 +159,9 @@ AMBIGUOUS = {
         "--column time=1 --column x=2 --column y=3 --column z=4",
     ),
     "two columns of x": (
-        lambda w: w(head="x measured,x_mm,y_mm,z_mm"),
-        "'x measured' (1)",
-        "--column x=2 --column time=1 --time-unit s",
+        lambda w: beside(w(), b"x measured", b"4.0"),
+        "'x measured' (5)",
+        "--column x=2",
     ),
     "left-handed": (lambda w: w((1, -1, 1)), "--axes", "--axes x,-y,z"),
     "midnight": (
@@ -174,11 +170,6 @@ AMBIGUOUS = {
         ),
         "--across-midnight",
         "--across-midnight",
-    ),
-    "times that are rounded": (
-        lambda w: missing(w(stamp="{:.1f}".format)),
-        "--rate",
-        "--rate 100",
     ),
     "a status nobody knows": (
         lambda w: beside(w(), b"Status", b"4"),
@@ -264,3 +255,145 @@ def test_a_long_gap_and_a_position_that_stays_are_noted_with_their_rows(
     said = command.run(*words(b"\n".join(lines), "--dry-run")).err
     assert "a gap of 3600.01 s before row" in said
     assert "rows 802 to 901 repeat one position" in said
+
+
+def test_rows_that_rounded_times_miss_are_said_and_leave_the_others_in_time(
+    bring, written, truth
+):
+    lines = written(stamp="{:.1f}".format).split(b"\n")
+    cut = [*range(602, 610), *range(1202, 1210)]
+    read, said = bring(b"\n".join(x for k, x in enumerate(lines) if k not in cut))
+    assert "rows are missing by their times" in said.err
+    expected_s = np.delete(truth.tracker.device_time_s, [k - 1 for k in cut])
+    late_s = read.tracker.device_time_s - expected_s
+    used = read.tracker.status == 0
+    assert np.ptp(late_s[used]) < 1e-3
+    assert 0 < (~used).sum() < 50
+
+
+def test_all_that_is_wrong_is_told_at_once_with_what_settles_it(
+    command, words, written, tmp_path
+):
+    data = beside(written((1, -1, 1), head="t,x,y,z"), b"Status", b"4")
+    data = data.replace(b"\n", b"\nnot a row\n", 3)
+    told = command.list_problems(*words(data))
+    assert len(told) == 3
+    for problem, remedy in zip(
+        told, ("remove the line", "--valid", "--axes"), strict=True
+    ):
+        assert remedy in problem
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_problems_and_what_was_recognised_are_in_the_summary_for_programs(
+    command, words, written
+):
+    data = beside(written(), b"Status", b"4")
+    found = command.json(*words(data), status=2)
+    assert ["--valid" in problem for problem in found["problems"]] == [True]
+    assert found["unit"] == "mm"
+    assert found["rows"] == str(len(data.splitlines()) - 1)
+
+
+def test_a_program_recorded_twice_is_said_with_what_is_used(bring, written, truth):
+    once = written().split(b"\n")
+    time_s = truth.tracker.device_time_s
+    later = time_s[-1] - time_s[0] + 0.01
+    again = written(stamp=lambda t: f"{t + later:.6f}").split(b"\n")[1:]
+    said = bring(b"\n".join([*once, *again]))[1].err
+    assert "The program was recorded more than once: " in said
+
+
+def test_a_rate_against_times_and_drive_is_said_and_not_taken_for_the_feed(
+    bring, written
+):
+    said = bring(written(), "--rate", "200")[1].err
+    assert "--rate 200 contradicts the times of the file: 100 Hz" in said
+    assert "took 50.0 % of the time" in said
+    assert "of the feed of the path" not in said
+
+
+@pytest.fixture
+def shots(record, tmp_path):
+    """Points of a program, and where a tracker that stands turned sees them."""
+    run = record(2, "standstill", rows=30)[0]
+    write_bundle(run, tmp_path / "points")
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    seen = run.commanded.position @ turn.T + [3000.0, 100.0, -50.0]
+    return run, seen, tmp_path / "points" / "points.csv"
+
+
+def list_shots(seen, rows, names=None):
+    """Write shots as SpatialAnalyzer does, its names or none."""
+    head = "// Points\n// AXES = CARTESIAN: X,  Y,  Z (mm)\n//\n"
+    lines = []
+    for k, row in enumerate(rows):
+        x, y, z = seen[row] + 1e-3 * (k % 2)
+        name = f"A, run, P{names[k]}, " if names else ""
+        lines.append(f"{name}{x:.4f}, {y:.4f}, {z:.4f}")
+    return (head + "\n".join(lines)).encode()
+
+
+def test_shots_without_names_are_at_their_points_though_some_are_missing_or_doubled(
+    bring, shots
+):
+    _, seen, path = shots
+    rows = [0, 1, 2, 2, 3, 6, *range(7, 20), 19, 19, *range(21, len(seen))]
+    read, said = bring(list_shots(seen, rows), path=path)
+    assert read.points.row.tolist() == sorted({*rows})
+    assert read.points.count[2] == 2
+    assert "points without a shot: 5, 6, 21\n" in said.err
+
+
+def test_names_that_slipped_are_said_to_be_shifted_and_points_are_taken_by_place(
+    bring, shots
+):
+    _, seen, path = shots
+    names = [k + 1 + (k >= 12) for k in range(len(seen))]
+    read, said = bring(list_shots(seen, range(len(seen)), names), path=path)
+    assert "names are shifted by +1 from row 16 on" in said.err
+    assert read.points.row.tolist() == list(range(len(seen)))
+
+
+def test_points_of_an_nc_program_are_its_stops(bring, shots, tmp_path):
+    run, seen, _ = shots
+    program = tmp_path / "program.h"
+    path = Path(
+        run.commanded.axes,
+        run.commanded.position,
+        np.full(len(seen), 3000.0),
+        np.full(len(seen), 2.0),
+    )
+    program.write_text(write_program(path, run.machine, "heidenhain"))
+    read, _ = bring(list_shots(seen, range(len(seen))), path=program)
+    assert read.points.row.tolist() == list(range(len(seen)))
+    np.testing.assert_allclose(read.commanded.position, path.position, atol=1e-3)
+
+
+def test_names_of_columns_and_the_rate_may_stand_in_comments(bring, written, truth):
+    rows = written().split(b"\n")[1:]
+    body = b"\n".join(row.partition(b",")[2] for row in rows)
+    head = b"# Tracker log\n# Rate: 100 Hz\n# x [mm], y [mm], z [mm]\n"
+    read, _ = bring(head + body)
+    assert_times(read, truth)
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_row_numbers_tell_where_rows_are_missing(numbered, bring, truth):
+    """Whole seconds tell the rate, and how many rows a second lacks."""
+    gone = range(1010, 1030)
+    text = ["// AXES = CARTESIAN: X,  Y,  Z (mm)"]
+    time_s = truth.tracker.device_time_s - truth.tracker.device_time_s[0]
+    for k, (t, p) in enumerate(zip(time_s, truth.tracker.position_mm, strict=True)):
+        stamp = clock(float(int(t)), "02:00:00", "%m/%d/%Y %I:%M:%S %p")
+        if k not in gone:
+            number = k + 1 if numbered else k + 1 - 20 * (k > 1010)
+            text.append(
+                f"A, run, {number}, {p[0]:.4f}, {p[1]:.4f}, {p[2]:.4f}, {stamp}"
+            )
+    read, said = bring("\n".join(text).encode())
+    used = read.tracker.status == 0
+    late_s = read.tracker.device_time_s - np.delete(time_s, gone)
+    assert np.ptp(late_s[used]) < 1e-3
+    assert used.all() == numbered
+    assert "20 rows are missing" in said.err or "20 samples are missing" in said.err

@@ -70,6 +70,10 @@ class Driving:
         Runs of it that are aligned beside, and how many there are
     feed : share of the commanded feed on each line that was driven at another, by row
     holds : row, begin and duration in s of standstills in the middle of a line
+    clock : time on the tracker's clock that lines and standstills alike took, of what
+        they should; 1 where they do not tell
+    gaps_s : times from sample to sample between which samples are missing
+    missing : samples that are
     """
 
     first: int
@@ -77,6 +81,9 @@ class Driving:
     rows: int
     feed: dict[int, float]
     holds: tuple[tuple[int, float, float], ...]
+    clock: float = 1.0
+    gaps_s: tuple[float, ...] = ()
+    missing: int = 0
 
     @property
     def is_whole(self) -> bool:

@@ -30,6 +30,7 @@ Cause = Literal[
     "astray",
     "before",
     "after",
+    "again",
 ]
 NOT_MEASURED = frozenset(("no-pass", "no-stop"))
 _LONGEST_SPIKE = 3  # samples; more in a row are a burst
@@ -47,7 +48,8 @@ class LeftOut:
         the machine does on all other lines), `line` (all of a line), `no-pass` (a line
         without a stretch at constant feed), `no-stop` (a point without a standstill),
         `astray` (a part whose standstills are those of no place, from this row on),
-        `before`, `after` (what is beside the path, `samples` counting its standstills)
+        `before`, `after` (what is beside the path, `samples` counting its standstills),
+        `again` (beside it as well, but the same program, run once more)
     row : of the commanded path or points; −1 where it is no one's
     begin_s, end_s : on the tracker's clock; NaN where there is no data
     off_mm : how far off, at the most

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -89,6 +91,7 @@ def import_recording(
     json: Json = False,
 ) -> None:
     """A recording of any tracker's software, as a bundle for `analyse`."""
+    from truepath.alignment.point_order import order_shots
     from truepath.documents.whole_files import read_whole
     from truepath.files.bundle.bundle import write_bundle
     from truepath.files.bundle.commanded_file import read_point_names
@@ -114,27 +117,39 @@ def import_recording(
     known, commanded, source = _read_commanded(machine, path, dialect)
     data = read_whole(recording, largest_bytes=MAX_STREAM_TEXT_BYTES)
     names = read_point_names(path) if path.suffix.lower() == _CSV else ()
-    read = read_recording(data, str(recording), commanded, options, names)
+    read = read_recording(
+        data, str(recording), commanded, options, names, partial(order_shots, known)
+    )
     run = Run(
         name=recording.stem,
         machine=known,
-        commanded=commanded,
+        commanded=read.commanded,
         tracker=read.samples,
         points=read.points,
         temperature=read.temperature,
         events=read.events,
         stream_file=str(recording),
     )
+    problems, notes = _hold_against_commanded(run, read)
     if not json:
-        _print_recording(read, source)
-    _check_alignment(run)
-    if not dry_run:
+        _print_recording(read, source, notes)
+    if not (dry_run or problems):
         write_bundle(run, output)
-    files = [] if dry_run else list_files(output)
+    files = [] if dry_run or problems else list_files(output)
     if json:
-        print_json(_summarise(read, source, files))
+        print_json(_summarise(read, source, notes, problems, files))
     else:
         print_files(files)
+    _refuse(problems, recording)
+
+
+def _refuse(problems: Sequence[BadInput], recording: Path) -> None:
+    if len(problems) > 1:
+        for problem in problems:
+            say(f"problem: {problem}")
+        raise BadInput(f"{recording}: {len(problems)} problems, listed above")
+    for problem in problems:
+        raise problem
 
 
 def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, str]:
@@ -149,11 +164,20 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
     return known, commanded, f"NC program, {name}"
 
 
-def _check_alignment(run: Run) -> None:
+def _hold_against_commanded(
+    run: Run, read: Recording
+) -> tuple[list[BadInput], list[str]]:
+    """Return all problems, and notes with what the recording is beside the commanded.
+
+    What does not fit may be for a problem that is known: then it is not one more.
+    """
     from truepath.alignment.align import align
 
+    problems: list[BadInput] = [*read.problems]
+    if not (run.tracker.status == 0).any():
+        return problems, [*read.notes]
     try:
-        align(run)
+        seen = align(run)
     except AlignmentError as error:
         mirrored = replace(
             run.tracker, position_mm=run.tracker.position_mm * [1.0, -1.0, 1.0]
@@ -161,16 +185,20 @@ def _check_alignment(run: Run) -> None:
         try:
             align(replace(run, tracker=mirrored))
         except AlignmentError:
-            raise BadInput(
-                f"the recording does not fit what was commanded: {error}"
-            ) from error
-        raise BadInput(
+            why = f"the recording does not fit what was commanded: {error}"
+            return problems or [BadInput(why)], [*read.notes]
+        why = (
             "the recording fits what was commanded only mirrored: its axes are "
             "left-handed or two are swapped; say which by --axes (x,-y,z or y,x,z)"
-        ) from error
+        )
+        return [*problems, BadInput(why)], [*read.notes]
+    from truepath.results.verdict import judge_recording
+
+    said = [str(reason) for reason in judge_recording(seen).reasons]
+    return problems, [*read.notes, *said]
 
 
-def _print_recording(read: Recording, source: str) -> None:
+def _print_recording(read: Recording, source: str, notes: Sequence[str]) -> None:
     from rich.markup import escape  # else "[mm]" is taken for a style
 
     rows = [
@@ -180,11 +208,17 @@ def _print_recording(read: Recording, source: str) -> None:
     print_table("columns", ["name", "number", "read as", "unit", "first row"], rows)
     facts = {**read.facts, "commanded": source}
     print_table("recording", ["what", "read as"], list(facts.items()))
-    for note in read.notes:
+    for note in notes:
         say(f"note: {note}")
 
 
-def _summarise(read: Recording, source: str, files: list[Path]) -> dict[str, Any]:
+def _summarise(
+    read: Recording,
+    source: str,
+    notes: Sequence[str],
+    problems: Sequence[BadInput],
+    files: list[Path],
+) -> dict[str, Any]:
     columns = [
         {"number": c.index + 1, "name": c.name, "role": c.role, "unit": c.unit}
         for c in read.columns
@@ -195,6 +229,7 @@ def _summarise(read: Recording, source: str, files: list[Path]) -> dict[str, Any
         **read.facts,
         "commanded": source,
         "row_of_point": read.row_of,
-        "notes": list(read.notes),
+        "notes": [*notes],
+        "problems": [str(problem) for problem in problems],
         "files": files,
     }

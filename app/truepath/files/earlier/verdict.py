@@ -124,6 +124,24 @@ SENTENCES: Mapping[str, Sentence] = {
         "Set the feed override to 100 % for the next Run; the tables do not rest on "
         "it.",
     ),
+    "recorded-again": Sentence(
+        "The program was recorded more than once: {samples} samples, from {from_s} to"
+        " {to_s} on the tracker's clock, are of another run of it and not used; "
+        "{used_samples} are used.",
+        "Cut the recording into one for each run of the program, and analyse them "
+        "together.",
+    ),
+    "samples-missing": Sentence(
+        "{samples} samples are missing in the recording, by their times: at {times} "
+        "places, for {longest_s} at the longest.",
+        "Look at the computer that recorded and at its connection to the tracker; "
+        "record to the end, and export everything.",
+    ),
+    "clock-off": Sentence(
+        "Lines and standstills alike took {took_percent} of the time that they "
+        "should: the rate or the times of the recording are wrong, not the feed.",
+        "Import the recording with its own times, or at the rate that the tracker had.",
+    ),
     "held-on-the-way": Sentence(
         "The machine stood still in the middle of lines: {times} times, on {lines}, "
         "for {longest_s} at the longest.",

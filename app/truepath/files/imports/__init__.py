@@ -2,8 +2,8 @@
 
 Here: recorded text. The stream of a live tracker is read by `truepath_drivers.tracker`.
 
-Nothing ambiguous is guessed: a BundleError names what it could be and the option that
-settles it. Order of work:
+Nothing ambiguous is settled by a guess: a BundleError names what it could be and what
+settles it; all of them are told together. Order of work:
 
     options      what the user says of the file
     units        words for units
@@ -11,6 +11,6 @@ settles it. Order of work:
     columns      names in several languages, or kinds of cells, to what a column holds
     numbers      cells to numbers: decimal comma, thousands, no value
     clock        cells to seconds: numbers, time of day, date and time; bursts evened
-    point_names  names to rows of points.csv
+    point_names  names, or order and place, to rows of points.csv
     recording    all of it: samples, points, temperatures, and what was recognised
 """

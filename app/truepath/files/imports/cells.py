@@ -17,6 +17,8 @@ NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eEdD][+-]?\d+)?$")
 CLOCK = re.compile(r"\d+:\d\d")
 _NONE = re.compile(r"^([+-]?(nan|inf|1\.#\w+)(\(\w+\))?|n/?a|#n/?a|null|none|-+|\*+)?$")
 _COMMENT = ("#", "//", "%", "!")
+_COMMENT_MARKS = frozenset("".join(_COMMENT))
+_DIGITS = frozenset("0123456789.")  # that a number ends with
 _LEAST_NUMBERS = 3
 _SHARE = 0.5  # of the lines that a delimiter must make rows of
 _SAMPLE = 2000  # lines that show how a file is made
@@ -47,6 +49,7 @@ class Cells:
     preamble : lines before the header; names, units : empty where the file has none
     row_of : line in the file of each data row, from 1
     notes : what was left out, in words
+    problems : lines that are no rows, if there are any
     """
 
     file: str
@@ -57,6 +60,7 @@ class Cells:
     columns: tuple[Sequence[str], ...]
     row_of: Sequence[int]
     notes: tuple[str, ...]
+    problems: tuple[BundleError, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row_of)
@@ -102,7 +106,9 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     first = next(n for n in filled if _is_data(split[n]) and _fits(split[n], shape))
     header, units = _find_header(split, first, shape)
     head = [] if header is None else split[header]
-    rows, row_of, notes = _gather(split, first, shape, head, file)
+    if header is None and first and _is_comment(lines[first - 1]):
+        head = _read_names(split[first - 1], width)
+    rows, row_of, notes, problems = _gather(split, first, shape, head, file)
     columns = [*zip(*rows, strict=True)]
     head = _pad(head, width)
     below = _pad([] if units is None else split[units], width)
@@ -117,8 +123,9 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
         tuple(head) if any(head) else (),
         tuple(below) if any(below) else (),
         tuple(columns),
-        [n - ahead for n in row_of],
+        [n - ahead for n in row_of] if ahead else row_of,
         tuple(notes),
+        tuple(problems),
     )
 
 
@@ -138,9 +145,7 @@ def _decode(data: bytes, file: str) -> str:
             text = data.decode("cp1252", "replace")
     if "\0" in text:
         raise BundleError("is no text", file=file, remedy="export it as text or CSV")
-    for mark, plain in _ALIKE.items():
-        text = text.replace(mark, plain)
-    return text
+    return text if text.isascii() else text.translate(str.maketrans(_ALIKE))
 
 
 def _find_delimiter(sample: Sequence[str], file: str) -> str:
@@ -233,6 +238,14 @@ def _find_header(
     return header, units
 
 
+def _read_names(comment: list[str], width: int) -> list[str]:
+    """Return names of columns that stand in a comment, if they do."""
+    first = comment[0].lstrip("".join(_COMMENT)).strip()
+    names = [first, *comment[1:]] if first else comment[1:]
+    begins = {name[:1].lower() for name in names}
+    return names if len(names) == width and begins >= set("xyz") else []
+
+
 def _is_units(cells: Sequence[str]) -> bool:
     bare = [cell.strip("[]()") for cell in cells]
     known = (not c or c in "%-" or c.lower() == "hpa" or find_unit(c) for c in bare)
@@ -240,37 +253,64 @@ def _is_units(cells: Sequence[str]) -> bool:
 
 
 def _gather(
-    split: Sequence[list[str]], first: int, shape: _Shape, head: list[str], file: str
-) -> tuple[list[list[str]], list[int], list[str]]:
-    """Return rows, their lines from 1, and notes on what was left out."""
-    rows: list[list[str]] = []
-    row_of: list[int] = []
+    split: list[list[str]], first: int, shape: _Shape, head: list[str], file: str
+) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
+    """Return rows, their lines from 1, notes on what was left out, and problems."""
+    body = split[first:]
+    plain = _find_plain(body, shape[1])
+    if all(plain):
+        return body, range(first + 1, len(split) + 1), [], []
+    kept: list[int] = []
     left = Counter[str]()
-    odd: list[int] = []  # since the last row: refused if another follows
-    for n, cells in enumerate(split[first:], first):
-        if cells in ([], [""]):
+    odd: list[int] = []  # refused if a row follows
+    for n, (cells, is_plain) in enumerate(zip(body, plain, strict=True)):
+        if is_plain:
+            kept.append(n)
+        elif cells in ([], [""]):
             continue
-        if _is_comment(cells[0]):
+        elif _is_comment(cells[0]):
             left["comment"] += 1
         elif cells == head:
             left["header once more"] += 1
         elif not _fits(cells, shape):
             odd.append(n)
-        elif odd:
-            raise BundleError(
-                f"is no row of {shape[0]} cells: {' '.join(split[odd[0]])[:40]!r}",
-                file=file,
-                row=odd[0] + 1,
-                remedy="remove the line, or export the recording again",
-            )
         else:
-            rows.append(_pad(cells, shape[1]))
-            row_of.append(n + 1)
+            kept.append(n)
+            body[n] = _pad(cells, shape[1])
     notes = [f"{count} x {what} left out" for what, count in left.items()]
-    if odd:
-        shown = " ".join(split[odd[0]])[:40]
+    problems: list[BundleError] = []
+    within = [n for n in odd if n < kept[-1]]
+    if within:
+        shown = " ".join(body[within[0]])[:40]
+        more = f", and {len(within) - 1} such lines more" if len(within) > 1 else ""
+        remedy = "remove the line, or export the recording again"
+        problem = f"is no row of {shape[0]} cells: {shown!r}{more}"
+        row = first + within[0] + 1
+        problems.append(BundleError(problem, file=file, row=row, remedy=remedy))
+    elif odd:
+        shown = " ".join(body[odd[0]])[:40]
         notes.append(f"{len(odd)} lines at the end left out: {shown!r}")
-    return rows, row_of, notes
+    row_of = [first + n + 1 for n in kept]
+    return [body[n] for n in kept], row_of, notes, problems
+
+
+def _find_plain(body: Sequence[list[str]], width: int) -> list[bool]:
+    """Tell which lines are rows for certain; looking at each cell of all is slow.
+
+    They have all cells, and what may be numbers where the first row has the first ones.
+    """
+    numbers = [k for k, cell in enumerate(body[0]) if NUMBER.match(cell)]
+    if len(body[0]) != width or len(numbers) < _LEAST_NUMBERS:
+        return [False] * len(body)
+    a, b, c = numbers[:_LEAST_NUMBERS]
+    return [
+        len(row) == width
+        and row[a][-1:] in _DIGITS
+        and row[b][-1:] in _DIGITS
+        and row[c][-1:] in _DIGITS
+        and row[0][:1] not in _COMMENT_MARKS
+        for row in body
+    ]
 
 
 def _fits(cells: list[str], shape: _Shape) -> bool:

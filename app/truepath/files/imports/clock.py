@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import date
 from itertools import pairwise
 
@@ -20,7 +21,7 @@ from truepath.files.imports.numbers import find_decimal, read_numbers
 from truepath.files.imports.options import TextOptions
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-_DAY_S = 86400.0
+_DAY_S, _MINUTE_S = 86400.0, 60.0
 _OF_DAY = re.compile(
     r"(?<![\d:])(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,:]\d+)?)\s*([ap]\.?m\.?)?"
     r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
@@ -33,7 +34,8 @@ _COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
 _WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
 _SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
 _AT_ONCE = 0.2  # of the mean step
-_LONG = (3.0, 1.5)  # times the usual way between stamps: a gap; the second if need be
+_FEW_ROWS, _SCATTER = 3.0, 9.0  # rows; times their scatter beyond rounding, one row
+_BESIDE = 5  # stamps that show whether what comes late stays late
 _LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
 _LATE_S = 0.02  # and of a computer that was busy
 _ROUND = 0.005  # of a rate: so far it may be off a whole number of rows a second
@@ -66,39 +68,86 @@ def read_clock(
     return time_s - time_s[0], how
 
 
-def even_out(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Return times of rows that come evenly between gaps, and words on it, or neither.
+@dataclass(frozen=True, slots=True)
+class EvenTimes:
+    """Times of rows that come evenly between the places where rows are missing.
 
-    The words are empty where the stamps are not of that kind, or rows are missing.
+    unknown : rows whose place beside missing ones nothing tells
+    missing : first row after each place, and how many are missing there
+    """
+
+    time_s: NDArray[np.float64]
+    words: str
+    unknown: NDArray[np.bool_]
+    missing: tuple[tuple[int, int], ...]
+
+
+def even_out(
+    time_s: NDArray[np.float64], number: NDArray[np.float64]
+) -> EvenTimes | None:
+    """Return even times for stamps that are rounded or come in bursts, else nothing.
+
+    number : of the rows, as their software counted them
     """
     step = np.diff(time_s)
     if len(step) < _LEAST or (step < 0).any() or not (step > 0).any():
-        return time_s, ""
+        return None
     mean = float(step[step <= np.percentile(step, 99.9)].mean())
     tied = bool((step == 0).any())
     if not tied and (step < _AT_ONCE * mean).mean() < _SHARE:
-        return time_s, ""
+        return None
     heads = np.flatnonzero(step > (0.0 if tied else mean)) + 1
     if len(heads) < 3:
-        return time_s, ""
-    way = float(np.median(np.diff(time_s[heads])))
-    for long in _LONG:
-        part = np.append(0, np.cumsum(step > long * way))
-        begin, count = np.unique(part, return_index=True, return_counts=True)[1:]
-        row = np.arange(len(time_s), dtype=float)
-        row -= (np.bincount(part, row) / count)[part]
-        middle = (np.bincount(part, time_s) / count)[part]
-        usual = float(row @ (time_s - middle) / (row @ row))
-        whole = np.rint(1.0 / usual)
-        choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
-        for each in (*choices, usual):
-            even = middle + each * row
-            late = time_s - even
-            spread = np.maximum.reduceat(late, begin) - np.minimum.reduceat(late, begin)
-            if spread.max() < _LATE * way + max(_LATE_S, 2.0 * each):
-                words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
-                return even - even[0], words + f"rows come at {1 / each:.6g} Hz"
-    return time_s, ""
+        return None
+    head_s, head_n = time_s[heads], number[heads]
+    way_s, rows = np.diff(head_s), np.diff(head_n)
+    usual = float(np.median(way_s / rows))
+    lacks = way_s / usual - rows
+    holes = _find_holes(head_s - usual * head_n, lacks, usual)
+    part = np.append(0, np.cumsum(np.isin(np.arange(len(lacks)), holes)))
+    count = np.bincount(part)
+    away_n = head_n - (np.bincount(part, head_n) / count)[part]
+    if away_n.any():
+        usual = float(away_n @ head_s / (away_n @ away_n))
+    whole = np.rint(1.0 / usual)
+    choices = [1.0 / whole] if abs(usual * whole - 1.0) < _ROUND else []
+    way = float(np.median(way_s))
+    row = np.arange(len(time_s))
+    of_row = np.searchsorted(heads[holes + 1], row, side="right")
+    full = way / usual
+    for each in (*choices, usual):
+        begin_s = np.bincount(part, head_s - each * head_n) / count
+        even = begin_s[of_row] + each * number
+        unknown = np.zeros(len(row), bool)
+        for k in holes.tolist():
+            if rows[k] < full - _FEW_ROWS:
+                first, end = int(heads[k]), int(heads[k + 1])
+                share = np.arange(end - first) / (end - first)
+                even[first:end] = even[first] + share * (even[end] - even[first])
+                unknown[first:end] = True
+        late = np.where(unknown, np.nan, time_s - even)
+        parts = (x[~np.isnan(x)] for x in np.split(late, heads[holes + 1]))
+        spread = [float(np.ptp(x)) for x in parts if len(x)]
+        if spread and max(spread) < _LATE * way + max(_LATE_S, 2.0 * each):
+            words = f"stamps {way:.3g} s apart, {way / each:.3g} rows in each: "
+            words += f"rows come at {1 / each:.6g} Hz"
+            lost = [(int(heads[k + 1]), round(float(lacks[k]))) for k in holes.tolist()]
+            return EvenTimes(even - even[0], words, unknown, tuple(lost))
+    return None
+
+
+def _find_holes(
+    late_s: NDArray[np.float64], lacks: NDArray[np.float64], usual_s: float
+) -> NDArray[np.int64]:
+    """Return between which heads rows are missing: from there on all are later."""
+    scatter = float(np.median(np.abs(lacks - np.median(lacks))))
+    least = max(_FEW_ROWS, _SCATTER * (scatter - 1.0))
+    found: list[int] = []
+    for k in np.flatnonzero(lacks > least).tolist():
+        before, after = late_s[max(k - _BESIDE, 0) : k + 1], late_s[k + 1 :][:_BESIDE]
+        if float(np.median(after) - np.median(before)) > least * usual_s:
+            found.append(k)
+    return np.array(found, np.int64)
 
 
 def _read_counted(
@@ -154,28 +203,55 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
 
 
 def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
+    """Return seconds since midnight; what many rows share is read once."""
     texts = cells.columns[time.index]
-    found = [_OF_DAY.search(text) for text in texts]
+    if 2 * len({*texts}) < len(texts):
+        return _read_words(cells, time, texts)
+    parts = [text.removesuffix("Z").rpartition(":") for text in texts]
+    minutes = [part[0] for part in parts]
+    if any(":" in m.rpartition(":")[0] for m in {*minutes}):
+        return _read_words(cells, time, texts)
+    try:
+        second_s = np.array("\n".join([part[2] for part in parts]).split("\n"), float)
+    except ValueError:
+        return _read_words(cells, time, texts)
+    if second_s.max() >= _MINUTE_S + 1.0 or second_s.min() < 0.0:
+        return _read_words(cells, time, texts)
+    return second_s + _read_words(cells, time, [f"{m}:00" for m in minutes])
+
+
+def _read_words(
+    cells: Cells, time: Column, texts: Sequence[str]
+) -> NDArray[np.float64]:
+    words = list(dict.fromkeys(texts))
+    found = [_OF_DAY.search(word) for word in words]
     if None in found:
-        row = found.index(None)
-        shown = f"is {texts[row][:40]!r}, no time"
+        row = texts.index(words[found.index(None)])
+        shown = f"is {cells.columns[time.index][row][:40]!r}, no time"
         remedy = "a time is HH:MM:SS.fff, with or without a date before it"
         raise cells.error(shown, row, time.index, remedy)
     read = [match.groups() for match in found if match]
-    hour, minute, second, half, sign, zone_hours, zone_minutes = zip(*read, strict=True)
-    hours, minutes = np.array(hour, float), np.array(minute, float)
-    joined = "\n".join(second).replace(",", ".").replace(":", ".")
-    seconds = np.array(joined.split("\n"), float)
-    if any(half):
-        is_pm = np.array([(word or "a")[0].lower() == "p" for word in half])
-        hours = np.where([bool(w) for w in half], hours % 12, hours) + 12.0 * is_pm
-    time_s = 3600.0 * hours + 60.0 * minutes + seconds
-    if any(sign):  # ahead of UTC; summer time may begin within a recording
-        ahead = [
-            float(f"{s}1") * (60 * int(h) + int(m)) if s else 0.0
-            for s, h, m in zip(sign, zone_hours, zone_minutes, strict=True)
-        ]
-        time_s -= 60.0 * np.array(ahead)
+    second_of = dict(zip(words, (_add_up(*each) for each in read), strict=True))
+    return np.array([second_of[text] for text in texts])
+
+
+def _add_up(
+    hour: str,
+    minute: str,
+    second: str,
+    half: str | None,
+    sign: str | None,
+    zone_hours: str,
+    zone_minutes: str,
+) -> float:
+    hours = int(hour)
+    if half:
+        hours = hours % 12 + (12 if half[0] in "pP" else 0)
+    seconds = float(second.replace(",", ".").replace(":", "."))
+    time_s = 3600.0 * hours + _MINUTE_S * int(minute) + seconds
+    if sign:  # ahead of UTC; summer time may begin within a recording
+        ahead = 60 * int(zone_hours) + int(zone_minutes)
+        time_s -= _MINUTE_S * (ahead if sign == "+" else -ahead)
     return time_s
 
 
@@ -195,7 +271,11 @@ def _read_days(
     cells: Cells, texts: Sequence[str], options: TextOptions
 ) -> NDArray[np.float64]:
     """Return the day of each row; the order of day and month must not matter."""
-    short = [found[0] if (found := DATE.search(text)) else text for text in texts]
+    first = [text.partition("T")[0].partition(" ")[0] for text in texts]
+    short_of = {
+        text: found[0] if (found := DATE.search(text)) else text for text in {*first}
+    }
+    short = [short_of[text] for text in first]
     words = list(dict.fromkeys(short))
     orders = [options.date_order] if options.date_order else ["dmy", "mdy"]
     readings = [_order_days(words, order) for order in orders]
@@ -206,6 +286,9 @@ def _read_days(
             file=cells.file,
             remedy="export dates as YYYY-MM-DD, or say --date-order dmy or mdy",
         )
+    if len(fitting) > 1:  # no recording pauses for a month
+        on = [d for d in fitting if all(0 <= b - a <= 1 for a, b in pairwise(d))]
+        fitting = on or fitting
     steps = {tuple(b - a for a, b in pairwise(days)) for days in fitting}
     if len(steps) > 1:
         raise BundleError(

@@ -35,7 +35,7 @@ _WORDS = {
     "status": "status state valid validity quality locked statut etat estado stato "
     "gultig zustand",
     "point": "point points name pointname id nr no number index punkt punktname "
-    "punktnummer punkt-id pt punto nom-du-point",
+    "punktnummer punkt-id pt punto nom-du-point cnt count counter",
 }
 _KNOWN = {w: role for role, words in _WORDS.items() for w in words.split()}
 _TIME_BESIDE = _list_words(
@@ -49,6 +49,15 @@ _STATED = re.compile(
     r"|unit[aà])\b[\s:;,=\t\"]*([a-zµ]+)",
     re.IGNORECASE,
 )
+_STATED_RATE = re.compile(
+    r"(?:rate|frequency|frequenz|fréquence|frecuencia|frequenza)\b\W*"
+    r"(\d+(?:[.,]\d+)?)\s*(k?Hz)\b",
+    re.IGNORECASE,
+)
+_STATED_STEP = re.compile(
+    r"(?:interval|period|intervall|abstand)\b\W*(\d*[1-9]\d*(?:[.,]\d+)?)\s*(ms|s)\b",
+    re.IGNORECASE,
+)
 _AXES_COMMENT = re.compile(r"AXES\s*=\s*(\w+)\s*:([^(]*)\(([^)]*)\)", re.IGNORECASE)
 _POLAR = _list_words(
     "hz v az azimuth zenith elevation el horizontal vertical theta phi r d sd angle "
@@ -58,6 +67,7 @@ DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
 _RISING = 0.995  # of its steps: so a time goes on, maybe with a wrap
 _KINDS = 200  # rows that show what a column without a name holds
+_STRETCHES = 50  # of so many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +80,13 @@ class Column:
     unit: str
 
 
-def recognise_columns(cells: Cells, given: Mapping[str, str]) -> list[Column]:
-    """Return all columns of a file. Raises BundleError where two claim one role.
+def recognise_columns(
+    cells: Cells, given: Mapping[str, str]
+) -> tuple[list[Column], list[BundleError]]:
+    """Return all columns of a file, and which roles several claim: the first has it.
 
     given : what the user says, role to name or number
+    Raises BundleError where nothing can be read, or `given` names no column.
     """
     fixed = {_find(cells, role, word): role for role, word in given.items()}
     names = cells.names or ("",) * len(cells.columns)
@@ -84,8 +97,8 @@ def recognise_columns(cells: Cells, given: Mapping[str, str]) -> list[Column]:
         if index not in fixed and role in given:
             role = ""
         columns.append(Column(index, name or f"column {index + 1}", role, unit))
-    _refuse_doubles(cells, columns)
-    return _infer_unnamed(cells, columns)
+    doubles = _drop_doubles(cells, columns)
+    return _infer_unnamed(cells, columns), doubles
 
 
 def describe_columns(cells: Cells, columns: list[Column]) -> str:
@@ -119,6 +132,18 @@ def state_unit(cells: Cells) -> str:
             remedy="name the one of the positions by --unit",
         )
     return next(iter(found), "")
+
+
+def state_rate(cells: Cells) -> float | None:
+    """Return the rows a second that lines above the header state, if one does."""
+    for line in cells.preamble:
+        if found := _STATED_RATE.search(line):
+            times = 1e3 if found[2].lower() == "khz" else 1.0
+            return times * float(found[1].replace(",", "."))
+        if found := _STATED_STEP.search(line):
+            times = 1e3 if found[2].lower() == "ms" else 1.0
+            return times / float(found[1].replace(",", "."))
+    return None
 
 
 def _find(cells: Cells, role: str, word: str) -> int:
@@ -200,7 +225,8 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     roles = {column.role for column in columns}
     names = cells.names or ("",) * len(columns)
     blank = [c.index for c in columns if not c.role and not names[c.index]]
-    kind = {k: _tell_kind(cells, k) for k in blank}
+    some = _take_some(cells)
+    kind = {k: _tell_kind(some, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
     has_clock = "time" in roles or "time" in kind.values()
@@ -226,6 +252,18 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     return columns
 
 
+def _take_some(cells: Cells) -> Cells:
+    """Return some stretches of rows, which show what goes on from row to row."""
+    stride = max(len(cells) // _STRETCHES, _KINDS)
+    begins = range(0, len(cells), stride)
+    columns = tuple(
+        [cell for k in begins for cell in column[k : k + _KINDS]]
+        for column in cells.columns
+    )
+    rows = [row for k in begins for row in cells.row_of[k : k + _KINDS]]
+    return replace(cells, columns=columns, row_of=rows)
+
+
 def _tell_kind(cells: Cells, index: int) -> str:
     column = cells.columns[index]
     some = column[:: len(column) // _KINDS + 1]
@@ -246,13 +284,16 @@ def _tell_kind(cells: Cells, index: int) -> str:
     return "rising" if rises else "decimal"
 
 
-def _refuse_doubles(cells: Cells, columns: list[Column]) -> None:
-    for role in {column.role for column in columns if column.role}:
+def _drop_doubles(cells: Cells, columns: list[Column]) -> list[BundleError]:
+    problems: list[BundleError] = []
+    for role in dict.fromkeys(column.role for column in columns if column.role):
         claim = [column for column in columns if column.role == role]
-        if len(claim) > 1 and role != "point":
-            names = ", ".join(f"{c.name!r} ({c.index + 1})" for c in claim)
-            raise BundleError(
-                f"has {len(claim)} columns that could be {role}: {names}",
-                file=cells.file,
-                remedy=f"choose one by --column {role}=NUMBER",
-            )
+        if len(claim) == 1 or role == "point":
+            continue
+        names = ", ".join(f"{c.name!r} ({c.index + 1})" for c in claim)
+        problem = f"has {len(claim)} columns that could be {role}: {names}"
+        remedy = f"choose one by --column {role}=NUMBER"
+        problems.append(BundleError(problem, file=cells.file, remedy=remedy))
+        for column in claim[1:]:
+            columns[column.index] = replace(column, role="")
+    return problems

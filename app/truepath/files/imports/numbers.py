@@ -28,6 +28,11 @@ def find_decimal(cells: Cells, columns: Iterable[int], usual: str = "") -> str:
             if "." in joined:
                 found.setdefault("point", next(c for c in column if "." in c))
             continue
+        if "." not in joined and (
+            cell := next((c for c in column if "," in c and not _THREES.match(c)), "")
+        ):
+            found.setdefault("comma", cell)
+            continue
         for cell in column:
             point, comma = cell.rfind("."), cell.rfind(",")
             if point < 0 and comma < 0:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from truepath.files.imports.cells import Cells
 from truepath.files.imports.columns import Column
 from truepath.motion.configurations import Commanded, Configurations
 
+_MOST_SHIFT = 3  # points that names may be off, and times that this changes
+_MOST_SHOWN = 12
 STREAM_ROWS = 10  # a point; fewer rows are no stream
 _ONE_NUMBER = re.compile(r"\D*?0*(\d+)\D*")
 _REMEDY = (
@@ -21,57 +24,144 @@ _REMEDY = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class Shots:
+    """Rows of a file as they were seen: positions, which of them count, and times."""
+
+    position_mm: NDArray[np.float64]
+    is_valid: NDArray[np.bool_]
+    time_s: NDArray[np.float64]
+
+
+FindPlaces = Callable[[Configurations, NDArray[np.float64]], NDArray[np.int64] | None]
+"""Returns the point of each position, by order and place: −1 at none of them, nothing
+where they do not follow the points."""
+
+
 def find_points(
     cells: Cells,
     columns: list[Column],
     commanded: Commanded,
-    time_s: NDArray[np.float64],
+    shots: Shots,
     names: Sequence[str],
-) -> tuple[NDArray[np.int64] | None, dict[str, int]]:
-    """Return the commanded point of each row, and of each name its row from 1.
+    find_places: FindPlaces | None,
+) -> tuple[NDArray[np.int64] | None, dict[str, int], tuple[str, ...]]:
+    """Return the commanded point of each row, of each name its row from 1, and notes.
 
-    No point and no name: the file is a stream.
+    The point is −1 where a row is at none. No point and no name: the file is a stream.
     """
     if not isinstance(commanded, Configurations):
-        return None, {}
+        return None, {}, ()
     rows, points = len(cells), len(commanded)
-    is_stream = rows >= STREAM_ROWS * points and np.median(np.diff(time_s)) < 1.0
+    is_stream = rows >= STREAM_ROWS * points and np.median(np.diff(shots.time_s)) < 1.0
     known = {name.casefold(): row for row, name in enumerate(names, 1)}
     if len(known) < len(names):
         remedy = "give every row of points.csv a name of its own"
         raise BundleError(
             "cannot be told: names repeat", file=cells.file, remedy=remedy
         )
-    found: dict[tuple[int, ...], dict[str, int]] = {}
+    by_place = None
+    if find_places is not None and not is_stream:
+        by_place = _find_by_place(commanded, shots, find_places)
+    slack = 0 if by_place is None else _MOST_SHIFT
+    found: dict[tuple[int, ...], tuple[Column, dict[str, int]]] = {}
     for column in columns:
         if column.role != "point" or _counts_rows(cells, column, points):
             continue
         try:
-            row_of = _match_names(cells, column, points, known)
+            row_of = _match_names(cells, column, points + slack, known)
         except BundleError:
             if not is_stream:
                 raise
             continue
         if row_of:
             texts = cells.columns[column.index]
-            found.setdefault(tuple(row_of[text] for text in texts), row_of)
+            found.setdefault(tuple(row_of[t] for t in texts), (column, row_of))
     if len(found) > 1:
         raise BundleError(
             "numbers points in several columns, differently",
             file=cells.file,
             remedy="choose one by --column point=NUMBER",
         )
-    for row, row_of in found.items():
-        return np.array(row) - 1, row_of
+    for row, (column, row_of) in found.items():
+        by_name = np.array(row) - 1
+        notes = _tell_shifts(cells, by_name, by_place)
+        if by_place is not None and notes:
+            return by_place, {}, notes
+        if by_name.max() >= points:
+            index = int(by_name.argmax())
+            text = cells.columns[column.index][index]
+            problem = f"{text!r} is no point of {points}"
+            raise cells.error(problem, index, column.index, _REMEDY)
+        return by_name, row_of, ()
     if is_stream:
-        return None, {}
+        return None, {}, ()
+    if by_place is not None:
+        return by_place, {}, _describe_places(cells, by_place, shots, points)
     if rows == points:
-        return np.arange(points), {}
+        return np.arange(points), {}, ()
     raise BundleError(
-        f"has {rows} rows for {points} points and no column that names them",
+        f"has {rows} rows for {points} points, no column that names them, and their "
+        "places are not those of the points in order",
         file=cells.file,
         remedy=f"say --column point=NUMBER; {_REMEDY}",
     )
+
+
+def _find_by_place(
+    points: Configurations, shots: Shots, find_places: FindPlaces
+) -> NDArray[np.int64] | None:
+    found = find_places(points, shots.position_mm[shots.is_valid])
+    if found is None:
+        return None
+    by_place = np.full(len(shots.is_valid), -1)
+    by_place[shots.is_valid] = found
+    return by_place
+
+
+def _tell_shifts(
+    cells: Cells, by_name: NDArray[np.int64], by_place: NDArray[np.int64] | None
+) -> tuple[str, ...]:
+    """Return from where on names are those of other points in order; nothing if not."""
+    if by_place is None:
+        return ()
+    at = np.flatnonzero(by_place >= 0)
+    shift = by_name[at] - by_place[at]
+    begins = np.flatnonzero(np.diff(np.append(0, shift)))
+    if (
+        not len(begins)
+        or len(begins) > _MOST_SHIFT
+        or np.abs(shift).max() > _MOST_SHIFT
+    ):
+        return ()
+    return tuple(
+        f"names are shifted by {shift[k]:+d} from row {cells.row_of[at[k]]} on: "
+        "points are taken by order and place"
+        for k in begins.tolist()
+    )
+
+
+def _describe_places(
+    cells: Cells, by_place: NDArray[np.int64], shots: Shots, points: int
+) -> tuple[str, ...]:
+    """Return notes on points without a shot, with several, and on shots at none."""
+    told: list[str] = []
+    times = np.bincount(by_place[by_place >= 0], minlength=points)
+    stray = np.asarray(cells.row_of)[shots.is_valid & (by_place < 0)]
+    for what, rows in (
+        ("points without a shot", np.flatnonzero(times == 0) + 1),
+        (
+            "points with more shots than most",
+            np.flatnonzero(times > np.median(times)) + 1,
+        ),
+        ("rows at no point, left out", stray),
+    ):
+        if len(rows):
+            more = ", …" if len(rows) > _MOST_SHOWN else ""
+            told.append(f"{what}: {', '.join(map(str, rows[:_MOST_SHOWN]))}{more}")
+    if len(cells) != points or told:
+        told.insert(0, "points are taken by order and place")
+    return tuple(told)
 
 
 def _counts_rows(cells: Cells, column: Column, points: int) -> bool:

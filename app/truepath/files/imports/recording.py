@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +16,25 @@ from truepath.files.bundle.run import PointRows, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
 from truepath.files.environment.environment import split_columns
 from truepath.files.imports.cells import Cells, read_cells
-from truepath.files.imports.clock import even_out, read_clock
+from truepath.files.imports.clock import EvenTimes, even_out, read_clock
 from truepath.files.imports.columns import (
     Column,
     describe_columns,
     find_column,
     recognise_columns,
+    state_rate,
     state_unit,
 )
 from truepath.files.imports.numbers import find_decimal, read_numbers
 from truepath.files.imports.options import TextOptions
-from truepath.files.imports.point_names import STREAM_ROWS, find_points
+from truepath.files.imports.point_names import (
+    STREAM_ROWS,
+    FindPlaces,
+    Shots,
+    find_points,
+)
 from truepath.files.imports.units import LENGTH_MM
-from truepath.motion.configurations import Commanded
+from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import travel_time_s
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
@@ -38,21 +46,26 @@ _NEAR = 2.0  # of extents: so near only one of the usual units comes
 _USUAL_UNITS = ("mm", "m", "inch", "um")
 _AWAY = 1e-3  # of the positions: rows that lie there are no place next to the origin
 _FEW = 0.01  # of the rows: so many may have come twice
+_OTHER_RATE = 0.02  # of a rate: what times of a file may be off
 _SHOT_S = 1e-6  # between shots that share a stamp
 _MOST_SHOWN = 12
 _AXES = re.compile(r"^([+-]?)([xyz])$")
 _LONG_GAP_S, _STUCK_ROWS = 10.0, 50
 _MOST_NOTES = 3  # of each kind
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
     """What a file holds, and each decision of its reader in words.
 
+    commanded : what the samples are of: the stops of a path where they are shots
     columns : all of the file, those without a role are left out
     row_of : name of a point in the file to its row, from 1
+    problems : what cannot be told; where there are some, the rest rests on guesses
     """
 
+    commanded: Commanded
     samples: TrackerSamples
     points: PointRows | None
     temperature: TemperatureSamples | None
@@ -62,6 +75,21 @@ class Recording:
     notes: tuple[str, ...]
     row_of: dict[str, int]
     events: tuple[RunEvent, ...] = ()
+    problems: tuple[BundleError, ...] = ()
+
+
+class _Problems:
+    """Keeps what cannot be told, so that all of it is said at once."""
+
+    def __init__(self, known: Sequence[BundleError]) -> None:
+        self.known = list(known)
+
+    def attempt(self, call: Callable[[], _T], guess: _T) -> _T:
+        try:
+            return call()
+        except BundleError as error:
+            self.known.append(error)
+            return guess
 
 
 def read_recording(
@@ -70,53 +98,125 @@ def read_recording(
     commanded: Commanded,
     options: TextOptions,
     names: Sequence[str] = (),
+    find_places: FindPlaces | None = None,
 ) -> Recording:
-    """Read an exported recording of what was commanded. Raises BundleError.
+    """Read an exported recording of what was commanded, with all that is wrong in it.
 
     names : of the commanded points, if they have any
+    find_places : tells at which points shots were taken
+    Raises BundleError where there are no columns of numbers.
     """
     cells = read_cells(data, file, options.delimiter)
-    columns = recognise_columns(cells, options.columns)
-    axes = [_require(cells, columns, role) for role in "xyz"]
-    decimal = options.decimal or find_decimal(cells, [c.index for c in axes])
-    position = np.stack([read_numbers(cells, c.index, decimal) for c in axes], axis=1)
-    status = _read_status(cells, find_column(columns, "status"), options)
+    columns, doubles = recognise_columns(cells, options.columns)
+    problems = _Problems([*cells.problems, *doubles])
+    attempt = problems.attempt
+    position = np.full((len(cells), 3), np.nan)
+    decimal, unit, why = options.decimal or "point", "", "not known"
+    axes = attempt(lambda: _require_axes(cells, columns), [])
+    if axes:
+        places = [column.index for column in axes]
+        decimal = attempt(
+            lambda: options.decimal or find_decimal(cells, places), decimal
+        )
+        position = attempt(lambda: _read_positions(cells, places, decimal), position)
+    status = attempt(
+        lambda: _read_status(cells, find_column(columns, "status"), options),
+        np.zeros(len(cells), np.int64),
+    )
     status[~np.isfinite(position).all(axis=1)] = NO_POSITION
     status[lost := _find_origin(position)] = NO_POSITION
-    unit, why = _choose_unit(cells, axes, position[status == 0], commanded, options)
-    position_mm = LENGTH_MM[unit] * _turn_axes(position, options.axes)
-    time_s, clock = _read_times(cells, columns, commanded, options, decimal)
-    rows, mapping = find_points(cells, columns, commanded, time_s, names)
-    time_s, kept, notes = _order_times(cells, columns, time_s, rows)
-    temperature, doubted = _read_temperatures(cells, columns, time_s, kept, decimal)
-    samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
-    samples = samples.select(kept)
-    points = None
-    if rows is not None:
-        samples, points = _average_points(
-            samples.select(samples.status == 0), rows[status == 0]
+    if axes:
+        seen = position[status == 0]
+        unit, why = attempt(
+            lambda: _choose_unit(cells, axes, seen, commanded, options),
+            (_guess_unit(seen, commanded), ", if anything"),
         )
-    facts = {"separator": cells.delimiter, "decimals": decimal, "unit": unit + why}
-    facts |= {"time": clock, "axes": options.axes, **_count(samples, points)}
+    position_mm = LENGTH_MM.get(unit, 1.0) * _turn_axes(position, options.axes)
+    if isinstance(commanded, Path) and _are_shots(cells, commanded):
+        commanded = _list_stops(commanded)
+    guess_s = np.arange(len(cells), dtype=np.float64)
+    guess_s *= _guess_step_s(cells, commanded)
+    time_s, clock, beside = attempt(
+        lambda: _read_times(cells, columns, commanded, options, decimal),
+        (guess_s, "not known", ()),
+    )
+    shots = Shots(position_mm, status == 0, time_s)
+    rows, mapping, said = attempt(
+        lambda: find_points(cells, columns, commanded, shots, names, find_places),
+        (None, {}, ()),
+    )
+    ordered = attempt(
+        lambda: _order_times(cells, columns, time_s, rows),
+        _Ordered.plain(guess_s),
+    )
+    status[ordered.unknown] = NOT_VALID
+    time_s, kept = ordered.time_s, ~ordered.repeated
+    temperature, doubted = attempt(
+        lambda: _read_temperatures(cells, columns, time_s, kept, decimal), (None, ())
+    )
+    samples = TrackerSamples(np.arange(len(time_s)), time_s, position_mm, status)
+    points = None
+    if rows is None:
+        samples = samples.select(kept)
+    else:
+        used = (status == 0) & (rows >= 0)
+        samples, points = _average_points(samples.select(used), rows[used])
+    facts = {"rows": f"{len(cells)}", "separator": cells.delimiter}
+    facts |= {"decimals": decimal, "unit": unit + why, "time": clock}
+    facts |= {"axes": options.axes, **_count(samples, points)}
     if mapping:
         told = [f"{name} is {row}" for name, row in mapping.items()]
         told = told if len(told) <= _MOST_SHOWN else [*told[:5], "…", told[-1]]
         facts["rows of points"] = ", ".join(told)
+    notes = [*cells.notes, *beside, *said, *ordered.notes]
     if lost.any():
         notes.append(f"{lost.sum()} rows of 0, 0, 0 are taken for a lost beam")
     if rows is None:
         notes += _note_oddities(np.asarray(cells.row_of)[kept], samples)
     return Recording(
+        commanded,
         samples,
         points,
         temperature,
         tuple(columns),
         tuple(column[0] for column in cells.columns),
         facts,
-        (*cells.notes, *notes, *(event.text for event in doubted)),
+        (*notes, *(event.text for event in doubted)),
         mapping,
         doubted,
+        tuple(problems.known),
     )
+
+
+def _are_shots(cells: Cells, path: Path) -> bool:
+    return len(cells) < STREAM_ROWS * len(path)
+
+
+def _list_stops(path: Path) -> Configurations:
+    """Return the rows at which a program stands still; all where it states no dwell."""
+    stands = path.dwell_s > 0.0
+    stands = stands if stands.any() else ~stands
+    kept = np.flatnonzero(stands).tolist()
+    target = tuple(path.target[k] for k in kept) if path.target else ()
+    return Configurations(path.axes, path.position[kept], path.dwell_s[kept], target)
+
+
+def _guess_unit(position: NDArray[np.float64], commanded: Commanded) -> str:
+    """Return the usual unit by which positions extend most nearly as commanded."""
+    aim, extent = _measure_aim(commanded), _measure_extent(position)
+    if not (aim and extent):
+        return "mm"
+    return min(_USUAL_UNITS, key=lambda u: abs(np.log(LENGTH_MM[u] * extent / aim)))
+
+
+def _guess_step_s(cells: Cells, commanded: Commanded) -> float:
+    return max(_drive_s(commanded), 1.0) / len(cells)
+
+
+def _drive_s(commanded: Commanded) -> float:
+    if isinstance(commanded, Path):
+        return travel_time_s(commanded)
+    return float(commanded.dwell_s.sum())
 
 
 def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -130,31 +230,51 @@ def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
     return origin
 
 
+@dataclass(frozen=True, slots=True)
+class _Ordered:
+    """Times that increase; which rows come twice, or have no certain time."""
+
+    time_s: NDArray[np.float64]
+    repeated: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def plain(cls, time_s: NDArray[np.float64]) -> _Ordered:
+        none = np.zeros(len(time_s), bool)
+        return cls(time_s, none, none)
+
+
 def _order_times(
     cells: Cells,
     columns: list[Column],
     time_s: NDArray[np.float64],
     rows: NDArray[np.int64] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[str]]:
-    """Return times that increase, which rows are kept, and notes.
+) -> _Ordered:
+    """Return times that increase.
 
     A row of a stream that is the one before once more came twice and is left out; not
     where many share a stamp: there they differ in nothing else at a standstill.
     """
-    kept, notes = np.ones(len(cells), bool), list[str]()
-    if rows is None:
-        tied = (np.flatnonzero(np.diff(time_s) == 0) + 1).tolist()
-        if len(tied) <= _FEW * len(kept):
-            again = [k for k in tied if all(c[k] == c[k - 1] for c in cells.columns)]
-            if again:
-                kept[again] = False
-                notes.append(f"{len(again)} rows that repeat the one before left out")
-        time_s = time_s.copy()
-        time_s[kept], words = even_out(time_s[kept])
-        notes += [words] if words else []
-    else:  # shots within one second
-        time_s = time_s + _SHOT_S * np.arange(len(time_s))
-    inside = np.flatnonzero(kept)
+    if rows is not None:  # shots within one second
+        return _Ordered.plain(time_s + _SHOT_S * np.arange(len(time_s)))
+    repeated, unknown = np.zeros((2, len(cells)), bool)
+    notes: list[str] = []
+    tied = (np.flatnonzero(np.diff(time_s) == 0) + 1).tolist()
+    if len(tied) <= _FEW * len(cells):
+        again = [k for k in tied if all(c[k] == c[k - 1] for c in cells.columns)]
+        if again:
+            repeated[again] = True
+            notes.append(f"{len(again)} rows that repeat the one before left out")
+    inside = np.flatnonzero(~repeated)
+    time_s = time_s.copy()
+    number = _read_numbering(cells, columns)
+    for counted in (number[inside], np.arange(len(inside), dtype=float)):
+        even = even_out(time_s[inside], counted)
+        if even is not None:
+            time_s[inside], unknown[inside] = even.time_s, even.unknown
+            notes += [even.words, *_describe_missing(cells, inside, even)]
+            break
     back = np.diff(time_s[inside]) <= 0
     if back.any():
         row = int(inside[int(np.argmax(back)) + 1])
@@ -166,14 +286,63 @@ def _order_times(
             time.index,
             "export times with more digits, or say --rate HZ if no row is missing",
         )
-    return time_s, kept, notes
+    return _Ordered(time_s, repeated, unknown, tuple(notes))
 
 
-def _require(cells: Cells, columns: list[Column], role: str) -> Column:
+def _describe_missing(
+    cells: Cells, inside: NDArray[np.int64], even: EvenTimes
+) -> list[str]:
+    """Return notes on rows that the stamps miss."""
+    if not even.missing:
+        return []
+    told = [f"{n} before row {cells.row_of[inside[k]]}" for k, n in even.missing]
+    shown = ", ".join(told[:_MOST_NOTES]) + (", …" if len(told) > _MOST_NOTES else "")
+    total = sum(count for _, count in even.missing)
+    notes = [f"{total} rows are missing by their times: {shown}"]
+    if even.unknown.any():
+        notes.append(
+            f"{even.unknown.sum()} rows are not used: where beside the missing ones "
+            "they belong is not known"
+        )
+    return notes
+
+
+def _read_numbering(cells: Cells, columns: list[Column]) -> NDArray[np.float64]:
+    """Return how the software counted the rows, from 0, where it did."""
+    rows = np.arange(len(cells), dtype=float)
+    for column in columns:
+        texts = cells.columns[column.index]
+        if column.role != "point" or not all(map(str.isdecimal, texts)):
+            continue
+        number = np.array(texts, float)
+        if (np.diff(number) >= 1.0).all():
+            return number - number[0]
+    return rows
+
+
+def _require_axes(cells: Cells, columns: list[Column]) -> list[Column]:
+    missing = [role for role in "xyz" if find_column(columns, role) is None]
+    if missing:
+        _require(cells, columns, ", ".join(missing))
+    return [_require(cells, columns, role) for role in "xyz"]
+
+
+def _read_positions(
+    cells: Cells, places: list[int], decimal: str
+) -> NDArray[np.float64]:
+    return np.stack([read_numbers(cells, k, decimal) for k in places], axis=1)
+
+
+def _require(
+    cells: Cells, columns: list[Column], role: str, step_s: float = 1.0
+) -> Column:
     if found := find_column(columns, role):
         return found
-    remedy = f"say --column {role}=NUMBER"
-    remedy += ", or --rate HZ if rows come evenly" if role == "time" else ""
+    remedy = ", ".join(f"--column {each}=NUMBER" for each in role.split(", "))
+    remedy = f"say {remedy}"
+    if role == "time":
+        rate = 1.0 / step_s
+        remedy += f", or --rate HZ if rows come evenly (about {rate:.3g} by the path)"
     raise BundleError(
         f"has no column recognised as {role}",
         file=cells.file,
@@ -213,9 +382,7 @@ def _choose_unit(
     """Return the unit of positions, and why, if the file does not state it."""
     if not len(position):
         raise BundleError("holds no position", file=cells.file, remedy="record again")
-    is_linear = [name in "XYZ" for name in commanded.axes]
-    aim = _measure_extent(commanded.position[:, is_linear])
-    extent = _measure_extent(position)
+    aim, extent = _measure_aim(commanded), _measure_extent(position)
     size = {unit: factor * extent for unit, factor in LENGTH_MM.items()}
     fitting = [u for u in _USUAL_UNITS if aim / _NEAR < size[u] < aim * _NEAR]
     stated = {options.unit}
@@ -253,6 +420,11 @@ def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     return signs * position[:, ["xyz".index(name) for _, name in found]]
 
 
+def _measure_aim(commanded: Commanded) -> float:
+    is_linear = [name in "XYZ" for name in commanded.axes]
+    return _measure_extent(commanded.position[:, is_linear])
+
+
 def _measure_extent(position: NDArray[np.float64]) -> float:
     """Return twice the distance from the mean that few positions exceed."""
     away = np.linalg.norm(position - np.median(position, axis=0), axis=1)
@@ -265,17 +437,35 @@ def _read_times(
     commanded: Commanded,
     options: TextOptions,
     decimal: str,
-) -> tuple[NDArray[np.float64], str]:
-    rows = len(cells)
-    if options.rate_hz is not None:
-        return np.arange(rows) / options.rate_hz, f"{options.rate_hz:g} rows a second"
-    are_few = rows < STREAM_ROWS * len(commanded)
-    is_path = isinstance(commanded, Path)
-    if are_few and not is_path and find_column(columns, "time") is None:
-        return np.arange(rows, dtype=float), "none; points in order"
-    time, date = _require(cells, columns, "time"), find_column(columns, "date")
-    least_s = travel_time_s(commanded) if is_path else float(commanded.dwell_s.sum())
-    return read_clock(cells, time, date, options, decimal, least_s)
+) -> tuple[NDArray[np.float64], str, tuple[str, ...]]:
+    """Return seconds since the first row, how they were read, and notes."""
+    time, date = find_column(columns, "time"), find_column(columns, "date")
+    rate_hz = options.rate_hz or (state_rate(cells) if time is None else None)
+    least_s = _drive_s(commanded)
+    if rate_hz is not None:
+        time_s = _read_numbering(cells, columns) / rate_hz
+        notes: list[str] = []
+        if time is not None:
+            with suppress(BundleError):
+                stamps, _ = read_clock(cells, time, date, options, decimal, least_s)
+                notes += _compare_rate(stamps, time_s, rate_hz)
+        return time_s, f"{rate_hz:g} rows a second", tuple(notes)
+    are_few = len(cells) < STREAM_ROWS * len(commanded)
+    if are_few and not isinstance(commanded, Path) and time is None:
+        return np.arange(len(cells), dtype=float), "none; points in order", ()
+    time = _require(cells, columns, "time", _guess_step_s(cells, commanded))
+    return *read_clock(cells, time, date, options, decimal, least_s), ()
+
+
+def _compare_rate(
+    stamp_s: NDArray[np.float64], time_s: NDArray[np.float64], rate_hz: float
+) -> list[str]:
+    """Return a note where the file's own times contradict a rate."""
+    took_s, by_rate_s = float(stamp_s[-1]), float(time_s[-1])
+    if took_s <= 0.0 or abs(by_rate_s / took_s - 1.0) < _OTHER_RATE:
+        return []
+    own = rate_hz * by_rate_s / took_s
+    return [f"--rate {rate_hz:g} contradicts the times of the file: {own:.4g} Hz"]
 
 
 def _average_points(
