@@ -2,9 +2,9 @@
 
 500 Hz samples are correlated in time; who counts them as independent states intervals
 that hold the truth far too seldom. The white part is what samples scatter about their
-cell. The Ornstein–Uhlenbeck part, its correlation time and the jitter of the feed
-maximise the evidence of the whole problem, so that what the error motions take up is
-accounted for.
+cell. The Ornstein–Uhlenbeck part, its correlation time, the jitter of the feed and what
+one standstill differs from the next by maximise the evidence of the whole problem, so
+that what the error motions take up is accounted for.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # like this.
 _USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three sizes of the stated noise, time in s
 _USUAL_SPREAD = 1.2
+_USUAL_PLACE = float(np.log(0.15))
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _STIFFEST = 4.0  # times as curved as the average information says
@@ -54,15 +55,24 @@ _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # times what samples scatter, of their means
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
-_BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
+_FEW_DIFFER = 0.3  # of the variance: less is most places', the rest a few's
+_OF_APART = 2.0  # times from place to place, for correlated noise to last
+_SIZES = np.log([[1e-3, 30.0]] * 3)
+_TIME, _JITTER = np.log([[0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
     """Return the tracker's noise: this Run's scatter, a usual correlated part."""
-    white = (float(observations.scatter[0]), float(observations.scatter[1]))
+    along, across = np.nan_to_num(observations.scatter, nan=1.0).tolist()
     is_timed = any(p.is_steady for p in observations.passes)
-    along = 2e-4 if is_timed and not perpendicular_only else np.inf
-    return NoiseModel(white, (0.1, 0.1, 0.1), 1.0, along)
+    jitter = 2e-4 if is_timed and not perpendicular_only else np.inf
+    noise = NoiseModel((along, across), (0.1, 0.1, 0.1), 1.0, jitter)
+    if (observations.at.line >= 0).any():
+        return noise
+    if np.isnan(observations.scatter).any():
+        # Nothing tells what samples scatter: all of it is how places differ.
+        return replace(noise, white=(0.0, 0.0), place=(1.0, 1.0, 1.0))
+    return replace(noise, place=(0.1, 0.1, 0.1))
 
 
 def refine_runs(
@@ -125,25 +135,33 @@ def _fit_noise(
     evidence = NoiseEvidence(design, columns, design.residual, known)
     noise = _maximise(evidence, run.noise, longest_s)
     about, seen = run.linearisation, run.observations
-    theta = evidence.solve(noise)[: design.fixed]
-    rest = about.build(seen, solved=theta).residual
-    louder = _raise_fast(seen, noise, rest)
+    left = about.build(seen, solved=evidence.solve(noise)[: design.fixed])
+    louder = _raise_fast(left, noise)
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
+    if any(noise.place):
+        noise = _hold_to_most(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
-    return replace(noise, shown=_find_shown(design.observations, noise, rest))
+    return replace(noise, shown=_find_shown(design, noise, rest))
 
 
-def _raise_fast(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
-) -> NoiseModel | None:
-    """Return the noise with what is fast in its cells; None where there is none of it.
+def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
+    """Return the noise with what is fast in its cells; None where that is known.
 
     Samples scatter less than their means where noise lasts for some samples: a swing of
     some hertz. Second differences of neighbours show it, which slow noise leaves small.
+    Across the travel: along it the feed has jitter of its own.
+
+    left : its residual is what a fit leaves
     """
-    time_s, before = seen.at.time_s, np.array(noise.fast)
-    sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
+    seen, time_s = left.observations, left.observations.at.time_s
+    plain = replace(noise, ramp_sigma_mm=0.0, fast=(1.0, 1.0))
+    sigma, ou = split_sigma_mm(seen, plain)
+    across = _look_across(left)
+    rest = np.einsum("nij,nj->ni", across, left.residual)
+    sigma, ou = (
+        np.sqrt(np.einsum("nij,nj->ni", across**2, each**2)) for each in (sigma, ou)
+    )
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
     k = k[~seen.is_ramp[k]]
@@ -156,21 +174,43 @@ def _raise_fast(
     times = np.median((found - _MEDIAN * slow) / (_MEDIAN * fast), axis=0)
     times = np.maximum(times, 0.0)
     raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
-    if not (raised > _FAST).any():
+    raised = np.where(raised > _FAST, raised, 1.0)
+    if np.allclose(raised, noise.fast, rtol=_FAST - 1.0):
         return None
-    along, across = (before * np.where(raised > _FAST, raised, 1.0)).tolist()
-    return replace(noise, fast=(along, across))
+    return replace(noise, fast=(float(raised[0]), float(raised[1])))
+
+
+def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+    """Return the noise, places as different as most are from the one before.
+
+    A few that are wrong, or a step, make all look so.
+    """
+    square, expected = evidence.compare_neighbours(noise)
+    times = np.median(square / expected, axis=0) / _MEDIAN
+    times = np.where(times < _FEW_DIFFER, times, 1.0)
+    x, y, z = (np.sqrt(times) * noise.place).tolist()
+    return replace(noise, place=(x, y, z))
+
+
+def _look_across(design: DesignMatrix) -> Float64[np.ndarray, "n 3 3"]:
+    """Return what takes the part along the travel off vectors of cells."""
+    travel = design.travel
+    return np.eye(3) - travel[:, :, None] * travel[:, None, :]
 
 
 def _find_shown(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
+    design: DesignMatrix, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
     """Return how large the correlated part is, by neighbours in space of other lines.
 
-    Where machine errors are alike, approached alike, but the time is another. By the
-    smaller of the differences: a step of the set-up is in many of the others.
+    Where machine errors are alike, approached alike, but the time is another. Across
+    the travel, as along it the feed has jitter of its own. By the smaller of the
+    differences: a step of the set-up is in many of the others.
     """
+    seen, across = design.observations, _look_across(design)
     white, _ = split_sigma_mm(seen, noise)
+    white = np.sqrt(np.einsum("nij,nj->ni", across**2, white**2))
+    rest = np.einsum("nij,nj->ni", across, rest)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
         :, [0, 1, 1]
     ]
@@ -247,9 +287,12 @@ def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
     """Return the noise model of least cost: Newton's steps, halved where too long."""
-    x = _pack(noise)
-    low, high = _BOUNDS[: len(x)].T
-    high = np.minimum(high, [*[np.inf] * 3, np.log(longest_s), np.inf][: len(x)])
+    low, high = np.array(_list_bounds(noise)).T
+    high[3] = min(high[3], np.log(longest_s))
+    if any(noise.place):  # what is faster than places follow differs between them
+        apart_s = np.median(np.diff(evidence.design.observations.at.time_s))
+        low[3] = min(high[3], np.log(_OF_APART * apart_s))
+    x = np.clip(_pack(noise), low, high)
     here, stiffer = _slope(evidence, x, noise), 1.0
     for _ in range(_STEPS):
         damped = stiffer * here.curvature
@@ -286,28 +329,39 @@ def _slope(
 ) -> Slope:
     """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.evaluate(_unpack(x, noise))
-    off = (x[:4] - _USUAL) / _USUAL_SPREAD**2
-    gradient, curvature = found.gradient.copy(), found.curvature.copy()
-    gradient[:4] += 2.0 * off
-    curvature[range(4), range(4)] += 2.0 / _USUAL_SPREAD**2
-    return Slope(found.cost + float(off @ (x[:4] - _USUAL)), gradient, curvature)
+    off, weight = np.zeros(len(x)), np.zeros(len(x))
+    off[:4], weight[:4] = x[:4] - _USUAL, _USUAL_SPREAD**-2
+    if any(noise.place):
+        off[-3:], weight[-3:] = x[-3:] - _USUAL_PLACE, _USUAL_SPREAD**-2
+    return Slope(
+        found.cost + float(weight @ off**2),
+        found.gradient + 2.0 * weight * off,
+        found.curvature + 2.0 * np.diag(weight),
+    )
 
 
 def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
     known = [*noise.ou, noise.ou_time_s]
     if np.isfinite(noise.along_sigma_mm):
         known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
-    return np.log(known)
+    return np.log([*known, *(each for each in noise.place if each)])
+
+
+def _list_bounds(noise: NoiseModel) -> list[Float64[np.ndarray, "2"]]:
+    """Return the least and the most of each logarithm that is packed."""
+    jitter = [_JITTER] if np.isfinite(noise.along_sigma_mm) else []
+    return [*_SIZES, _TIME, *jitter, *(_SIZES if any(noise.place) else [])]
 
 
 def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
-    beam, azimuth, elevation, tau, *jitter = (float(v) for v in np.exp(x))
-    along = noise.along_sigma_mm
-    if jitter:
-        along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
-    return replace(
-        noise, ou=(beam, azimuth, elevation), ou_time_s=tau, along_sigma_mm=along
-    )
+    beam, azimuth, elevation, tau, *more = (float(v) for v in np.exp(x))
+    along, place = noise.along_sigma_mm, noise.place
+    if np.isfinite(along):
+        along = more[0] if more[0] > _JITTER_FLOOR_MM else 0.0
+    if any(place):
+        place = (more[-3], more[-2], more[-1])
+    ou = (beam, azimuth, elevation)
+    return replace(noise, ou=ou, ou_time_s=tau, along_sigma_mm=along, place=place)
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:
