@@ -137,8 +137,10 @@ def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
     record, offset_um, state, how, most_um
 ):
     setting = Setting(hidden=(TrackerRangeOffset(offset_um),))
-    verdict = analyse(record(31, **how, setting=setting)[0]).verdict
-    (reason,) = (one for one in verdict.reasons if one.kind == "range-off")
+    findings = analyse(record(31, **how, setting=setting)[0])
+    assert findings.knocks == ()
+    reasons = findings.verdict.reasons
+    (reason,) = (one for one in reasons if one.kind == "range-off")
     assert reason.state == state
     found, within = reason.values["distance_um"], reason.values["within_um"]
     assert abs(found - offset_um) < 1.5 * within

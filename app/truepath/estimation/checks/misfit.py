@@ -8,7 +8,9 @@ at once. Steps count only as far as slow drift of pose and size does not explain
 well, and as far as they stand out from what they do not explain: a machine that warms,
 or an effect that the model lacks, is no knock.
 
-The noise is at most what is usual here: it must not explain what it should show.
+The noise is at most what is usual here: it must not explain what it should show. And
+the range offset is free: distances that are all off by more than the specification says
+are no step, though one near the begin would explain them.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from truepath.estimation.checks.misfit_blocks import BlockMisfit, MisfitBlock
@@ -32,11 +35,16 @@ from truepath.estimation.checks.step_candidates import (
     StepSums,
 )
 from truepath.estimation.checks.step_kinds import StepKinds
-from truepath.estimation.problem.design_matrix import DesignMatrix, cut_into_blocks
+from truepath.estimation.problem.design_matrix import (
+    DesignMatrix,
+    Linearisation,
+    cut_into_blocks,
+)
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import limit_noise
 from truepath.estimation.problem.normal_equations import compute_information
+from truepath.kinematics.effects.instrument import RangeStep, name_set_up
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
@@ -110,9 +118,10 @@ class _Examination:
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
-        self.seen, self.machine = run.observations, fit.model.size
-        self.about = replace(run.linearisation, noise=limit_noise(run.noise))
-        self._solve(collect_known(fit, number), run.weak)
+        about, known = free_range_offset(fit, number)
+        self.seen, self.machine = run.observations, about.machine_model.size
+        self.about = replace(about, noise=limit_noise(run.noise))
+        self._solve(known, run.weak)
         time_s = self.seen.at.time_s
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
         self.span_s = float(middle), max(float(half), 1e-9)
@@ -308,6 +317,23 @@ class _Examination:
 def compute_step_limit(lines: int) -> float:
     """Return the gain of a step that chance seldom makes in so many lines."""
     return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
+
+
+def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information]:
+    """Return the columns of a Run and what else is known of the machine.
+
+    A range offset of which nothing is known is one more, where it is known how the
+    tracker looks.
+    """
+    about, known = fit.runs[number].linearisation, collect_known(fit, number)
+    at = fit.runs[number].observations.at
+    if at.recorded is None:
+        return about, known
+    offset = RangeStep(name_set_up(at.recorded, at.machine.tracker.face), -np.inf)
+    free = Information.of_matrix(block_diag(known.matrix, offset.prior().form))
+    vector = np.append(known.vector, 0.0)
+    model = about.machine_model.with_effects(offset)
+    return replace(about, machine_model=model), replace(free, vector=vector)
 
 
 def collect_known(fit: Fit, number: int) -> Information:

@@ -21,18 +21,14 @@ from jaxtyping import Bool, Float64
 from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.checks.misfit import collect_known
+from truepath.estimation.checks.misfit import free_range_offset
 from truepath.estimation.checks.score import compute_score
-from truepath.estimation.problem.design_matrix import DesignMatrix
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.noise import NoiseModel, limit_noise
 from truepath.estimation.problem.prior import guess_prior
-from truepath.estimation.problem.runs import (
-    RunInformation,
-    RunInput,
-    collect_information,
-)
+from truepath.estimation.problem.runs import RunInput, collect_information
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _UNUSUAL = 0.1  # of the usual precision of bending
@@ -129,15 +125,15 @@ def _list_shifts(
     raw : information of each before the fit has taken its share
     Noise is correlated within lines alone.
     """
-    about, size = fit.runs[number].linearisation, fit.model.size
+    about, known = free_range_offset(fit, number)
+    size = about.machine_model.size
     shift = slice(size, size + 3)  # of the pose
-    known = collect_known(fit, number)
     total = np.zeros((about.size, about.size + 1))
     total[:size, :size] += known.matrix
     total[:size, -1] += known.vector
     shared: list[Float64[np.ndarray, "p 3"]] = []
     pulled: list[Float64[np.ndarray, "3"]] = []
-    for line in _cut(fit.runs[number]):
+    for line in _cut(about, fit.runs[number].observations):
         products = _multiply(line, limit_noise(about.noise))
         total += products
         shared.append(products[:, shift])
@@ -152,8 +148,8 @@ def _list_shifts(
     return left, raw, pull
 
 
-def _cut(run: RunInformation) -> Iterator[DesignMatrix]:
-    for design in run.linearisation.split(run.observations):
+def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
+    for design in about.split(seen):
         timing = slice(design.fixed + 1, None)
         for first, last in design.observations.lines:
             rows = design.rows[first:last]
