@@ -10,7 +10,7 @@ that what the error motions take up is accounted for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -21,10 +21,15 @@ from truepath.alignment.observations.observations import Observations
 from truepath.estimation.noise.noise_evidence import NoiseEvidence, Slope
 from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
-from truepath.estimation.problem.information import Information, add_information
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    add_information,
+)
+from truepath.estimation.problem.knots import find_intervals, refine_motions
 from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
 from truepath.estimation.problem.runs import (
     RunInformation,
     RunInput,
@@ -37,6 +42,7 @@ _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
+_ROUNDS = 4  # of noise and prior in turn
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
@@ -98,26 +104,91 @@ def refine_runs(
         replace(r, observations=_select_lines(_leave_out_ramps(r.observations)))
         for r in runs
     ]
-    found = list(collect_information(few, model))
-    data = known.add_to(combine_runs(found), model)
-    prior, result = guess_whole_prior(model).fit(data)
-    # The noise of one Run shifts what the others hold for the error motions.
-    for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
-        others = found[:k] + found[k + 1 :]
-        noise = _fit_noise(found[k], prior, others, known, longest_s)
-        if len(runs) > 1:
-            found[k] = found[k].replace_noise(noise)
-        else:
-            about = replace(found[k].linearisation, noise=noise)
-            found[k] = replace(found[k], linearisation=about)
+    found = _Together.of(few, model, known, longest_s)
+    if any(any(run.noise.place) for run in runs):
+        # What differs between places may be noise, or a machine that bends from one to
+        # the next: from either end the other is found seldom.
+        usual = replace(found, prior=guess_whole_prior(model))
+        found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
+    else:
+        found = found.find_noise()
     return tuple(
         RunInput(
             run.observations,
-            one.linearisation.correct_pose(one.own.restore(result)[0]),
+            one.linearisation.correct_pose(one.own.restore(found.result)[0]),
             one.noise,
         )
-        for run, one in zip(runs, found, strict=True)
+        for run, one in zip(runs, found.runs, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class _Together:
+    """Runs under a noise each, and a machine whose errors are as large as they say.
+
+    cost : −2 log evidence of all of them
+    """
+
+    runs: tuple[RunInformation, ...]
+    prior: BendingPrior
+    result: Posterior
+    known: KnownEffects
+    longest_s: float
+
+    @staticmethod
+    def of(
+        runs: Sequence[RunInput],
+        model: MachineModel,
+        known: KnownEffects,
+        longest_s: float,
+    ) -> _Together:
+        found = collect_information(runs, model)
+        data = known.add_to(combine_runs(found), model)
+        prior, result = guess_whole_prior(model).fit(data)
+        return _Together(found, prior, result, known, longest_s)
+
+    @property
+    def cost(self) -> float:
+        data = self.known.add_to(combine_runs(self.runs), self.prior.model)
+        charged = sum(_charge(_pack(run.noise), run.noise)[0] for run in self.runs)
+        return compute_evidence_cost(data, self.prior, self.result) + charged
+
+    def find_noise(self) -> _Together:
+        """Return the Runs with the noise of greatest evidence beside this prior."""
+        found = list(self.runs)
+        # The noise of one Run shifts what the others hold for the error motions.
+        for k in [*range(len(found))] * min(len(found), _SWEEPS):
+            others = found[:k] + found[k + 1 :]
+            noise = _fit_noise(found[k], self.prior, others, self.known, self.longest_s)
+            if len(found) > 1:
+                found[k] = found[k].replace_noise(noise)
+            else:
+                about = replace(found[k].linearisation, noise=noise)
+                found[k] = replace(found[k], linearisation=about)
+        return replace(self, runs=tuple(found))
+
+    def settle(self) -> _Together:
+        """Return them with prior, knots and noise found in turn."""
+        found, before = self, np.inf
+        for _ in range(_ROUNDS):
+            found = found.find_noise().refit()
+            if before - found.cost < _SETTLED:
+                break
+            before = found.cost
+        return found
+
+    def refit(self) -> _Together:
+        """Return them with the prior under their noise, knots as close as it needs."""
+        inputs = [
+            RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
+        ]
+        model, found = self.prior.model, self
+        while True:
+            found = _Together.of(inputs, model, self.known, self.longest_s)
+            closer = find_intervals(model, found.prior.precision, found.result)
+            if not closer:
+                return found
+            model = refine_motions(model, closer)
 
 
 def _fit_noise(
@@ -329,15 +400,23 @@ def _slope(
 ) -> Slope:
     """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.evaluate(_unpack(x, noise))
+    cost, gradient, curvature = _charge(x, noise)
+    return Slope(
+        found.cost + cost,
+        found.gradient + gradient,
+        found.curvature + np.diag(curvature),
+    )
+
+
+def _charge(
+    x: Float64[np.ndarray, " k"], noise: NoiseModel
+) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """Return what a noise that is not usual costs, with gradient and curvature."""
     off, weight = np.zeros(len(x)), np.zeros(len(x))
     off[:4], weight[:4] = x[:4] - _USUAL, _USUAL_SPREAD**-2
     if any(noise.place):
         off[-3:], weight[-3:] = x[-3:] - _USUAL_PLACE, _USUAL_SPREAD**-2
-    return Slope(
-        found.cost + float(weight @ off**2),
-        found.gradient + 2.0 * weight * off,
-        found.curvature + 2.0 * np.diag(weight),
-    )
+    return float(weight @ off**2), 2.0 * weight * off, 2.0 * weight
 
 
 def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
