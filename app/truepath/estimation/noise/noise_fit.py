@@ -46,9 +46,8 @@ _ROUNDS = 4  # of noise and prior in turn
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
-_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three sizes of the stated noise, time in s
-_USUAL_SPREAD = 1.2
-_USUAL_PLACE = float(np.log(0.15))
+_USUAL_SIZE, _USUAL_TIME = np.log([0.15, 1.0])  # of the stated noise; in s
+_USUAL_SPREAD, _USUAL_LEVEL = 1.2, 2.0
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _STIFFEST = 4.0  # times as curved as the average information says
@@ -165,6 +164,11 @@ class _Together:
             else:
                 about = replace(found[k].linearisation, noise=noise)
                 found[k] = replace(found[k], linearisation=about)
+        for k, one in enumerate(found):
+            own = [r for r in found if r.observations.at.run == one.observations.at.run]
+            longest = max(own, key=lambda r: len(r.observations))
+            if longest is not one and any(one.noise.place):
+                found[k] = one.replace_noise(longest.noise)
         return replace(self, runs=tuple(found))
 
     def settle(self) -> _Together:
@@ -204,7 +208,7 @@ def _fit_noise(
     known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
-    noise = _maximise(evidence, run.noise, longest_s)
+    noise = _maximise_from_both(evidence, run.noise, longest_s)
     about, seen = run.linearisation, run.observations
     left = about.build(seen, solved=evidence.solve(noise)[: design.fixed])
     louder = _raise_fast(left, noise)
@@ -354,6 +358,19 @@ def _count_to_merge(observations: Observations) -> int:
     return max(1, round(_MERGED_S / length))
 
 
+def _maximise_from_both(
+    evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
+) -> NoiseModel:
+    """Return the noise model of least cost, places taken to drift at first, and not."""
+    quiet = _maximise(evidence, noise, longest_s)
+    if not any(noise.place):
+        return quiet
+    time_s = evidence.design.observations.at.time_s
+    drifting = replace(noise, ou=(5.0, 5.0, 5.0), ou_time_s=float(np.ptp(time_s)))
+    starts = [quiet, _maximise(evidence, drifting, longest_s)]
+    return min(starts, key=lambda each: _slope(evidence, _pack(each), each).cost)
+
+
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
@@ -404,19 +421,27 @@ def _slope(
     return Slope(
         found.cost + cost,
         found.gradient + gradient,
-        found.curvature + np.diag(curvature),
+        found.curvature + curvature,
     )
 
 
 def _charge(
     x: Float64[np.ndarray, " k"], noise: NoiseModel
-) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """Return what a noise that is not usual costs, with gradient and curvature."""
-    off, weight = np.zeros(len(x)), np.zeros(len(x))
-    off[:4], weight[:4] = x[:4] - _USUAL, _USUAL_SPREAD**-2
-    if any(noise.place):
-        off[-3:], weight[-3:] = x[-3:] - _USUAL_PLACE, _USUAL_SPREAD**-2
-    return float(weight @ off**2), 2.0 * weight * off, 2.0 * weight
+) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
+    """Return what a noise that is not usual costs, with gradient and curvature.
+
+    A hall that is louder than usual is so in all: sizes scatter about a common level.
+    """
+    sizes = np.array(
+        [0, 1, 2, *(range(len(x) - 3, len(x)) if any(noise.place) else ())]
+    )
+    off, variance = np.zeros(len(x)), np.zeros((len(x), len(x)))
+    off[sizes], off[3] = x[sizes] - _USUAL_SIZE, x[3] - _USUAL_TIME
+    variance[np.ix_(sizes, sizes)] = _USUAL_LEVEL**2
+    told = [*sizes, 3]
+    variance[told, told] += _USUAL_SPREAD**2
+    weight = np.linalg.pinv(variance, hermitian=True)
+    return float(off @ weight @ off), 2.0 * weight @ off, 2.0 * weight
 
 
 def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
