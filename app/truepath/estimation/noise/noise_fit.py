@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
@@ -225,29 +225,26 @@ def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
 
     Samples scatter less than their means where noise lasts for some samples: a swing of
     some hertz. Second differences of neighbours show it, which slow noise leaves small.
-    Across the travel: along it the feed has jitter of its own.
+    In each direction by lines of which the jitter of the feed shows little there.
 
     left : its residual is what a fit leaves
     """
-    seen, time_s = left.observations, left.observations.at.time_s
+    seen, rest = left.observations, left.residual
+    time_s = seen.at.time_s
     plain = replace(noise, ramp_sigma_mm=0.0, fast=(1.0, 1.0))
     sigma, ou = split_sigma_mm(seen, plain)
-    across = _look_across(left)
-    rest = np.einsum("nij,nj->ni", across, left.residual)
-    sigma, ou = (
-        np.sqrt(np.einsum("nij,nj->ni", across**2, each**2)) for each in (sigma, ou)
-    )
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
     k = k[~seen.is_ramp[k]]
-    if len(k) < _FEWEST_TRIPLES:
+    clear = _is_clear(left, plain)[k]
+    if clear.sum(axis=0).min() < _FEWEST_TRIPLES:
         return None
     found = (rest[k - 1] - 2.0 * rest[k] + rest[k + 1]) ** 2
     keep = np.exp(-(time_s[k + 1] - time_s[k - 1]) / 2.0 / noise.ou_time_s)[:, None]
     slow = 2.0 * ou[k] ** 2 * (3.0 - 4.0 * keep + keep**2)
     fast = 4.0 * sigma[k] ** 2 + sigma[k - 1] ** 2 + sigma[k + 1] ** 2
-    times = np.median((found - _MEDIAN * slow) / (_MEDIAN * fast), axis=0)
-    times = np.maximum(times, 0.0)
+    times = (found - _MEDIAN * slow) / (_MEDIAN * fast)
+    times = np.maximum(np.nanmedian(np.where(clear, times, np.nan), axis=0), 0.0)
     raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
     raised = np.where(raised > _FAST, raised, 1.0)
     if np.allclose(raised, noise.fast, rtol=_FAST - 1.0):
@@ -267,10 +264,11 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
     return replace(noise, place=(x, y, z))
 
 
-def _look_across(design: DesignMatrix) -> Float64[np.ndarray, "n 3 3"]:
-    """Return what takes the part along the travel off vectors of cells."""
-    travel = design.travel
-    return np.eye(3) - travel[:, :, None] * travel[:, None, :]
+def _is_clear(design: DesignMatrix, noise: NoiseModel) -> Bool[np.ndarray, "n 3"]:
+    """Tell in which directions cells show less of the feed's jitter than of noise."""
+    white, _ = split_sigma_mm(design.observations, noise)
+    jitter_mm = noise.along_sigma_mm if np.isfinite(noise.along_sigma_mm) else 0.0
+    return np.abs(design.travel) * jitter_mm < white
 
 
 def _find_shown(
@@ -278,26 +276,34 @@ def _find_shown(
 ) -> tuple[float, float, float]:
     """Return how large the correlated part is, by neighbours in space of other lines.
 
-    Where machine errors are alike, approached alike, but the time is another. Across
-    the travel, as along it the feed has jitter of its own. By the smaller of the
-    differences: a step of the set-up is in many of the others.
+    Where machine errors are alike, approached alike, but the time is another; in each
+    direction by lines of which the jitter of the feed shows little there. By the
+    smaller of the differences: a step of the set-up is in many of the others.
     """
-    seen, across = design.observations, _look_across(design)
+    seen = design.observations
     white, _ = split_sigma_mm(seen, noise)
-    white = np.sqrt(np.einsum("nij,nj->ni", across**2, white**2))
-    rest = np.einsum("nij,nj->ni", across, rest)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
         :, [0, 1, 1]
     ]
-    pairs = _pair_neighbours(seen)
-    if len(pairs) < _FEWEST_TRIPLES:
-        return 0.0, 0.0, 0.0
-    a, b = pairs.T
+    a, b = _pair_neighbours(seen).T
     square = ((rest[a] - rest[b]) / stated[a]) ** 2
-    own = ((white[a] ** 2 + white[b] ** 2) / stated[a] ** 2).mean(axis=0)
-    low = np.quantile(square, _LOW, axis=0) / float(chdtri(1, 1.0 - _LOW))
-    x, y, z = np.sqrt(np.maximum(low - own, 0.0) / 2.0).tolist()
+    own = (white[a] ** 2 + white[b] ** 2) / stated[a] ** 2
+    clear = _is_clear(design, noise)
+    clear = clear[a] & clear[b]
+    x, y, z = (
+        _find_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
+    )
     return x, y, z
+
+
+def _find_excess(
+    square: Float64[np.ndarray, " k"], own: Float64[np.ndarray, " k"]
+) -> float:
+    """Return what two are apart by beyond their own, each; 0 where few tell."""
+    if len(square) < _FEWEST_TRIPLES:
+        return 0.0
+    low = np.quantile(square, _LOW) / float(chdtri(1, 1.0 - _LOW))
+    return float(np.sqrt(max(low - own.mean(), 0.0) / 2.0))
 
 
 def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
