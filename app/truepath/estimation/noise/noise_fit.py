@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
@@ -236,7 +236,7 @@ def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
     k = k[~seen.is_ramp[k]]
-    clear = _is_clear(left, plain)[k]
+    clear = (_split_jitter(left, noise) < sigma)[k]
     if clear.sum(axis=0).min() < _FEWEST_TRIPLES:
         return None
     found = (rest[k - 1] - 2.0 * rest[k] + rest[k + 1]) ** 2
@@ -264,11 +264,12 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
     return replace(noise, place=(x, y, z))
 
 
-def _is_clear(design: DesignMatrix, noise: NoiseModel) -> Bool[np.ndarray, "n 3"]:
-    """Tell in which directions cells show less of the feed's jitter than of noise."""
-    white, _ = split_sigma_mm(design.observations, noise)
+def _split_jitter(
+    design: DesignMatrix, noise: NoiseModel
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what the feed's jitter is of cells in each direction, 1 σ."""
     jitter_mm = noise.along_sigma_mm if np.isfinite(noise.along_sigma_mm) else 0.0
-    return np.abs(design.travel) * jitter_mm < white
+    return np.abs(design.travel) * jitter_mm
 
 
 def _find_shown(
@@ -281,14 +282,16 @@ def _find_shown(
     smaller of the differences: a step of the set-up is in many of the others.
     """
     seen = design.observations
-    white, _ = split_sigma_mm(seen, noise)
+    white, ou = split_sigma_mm(seen, noise)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
         :, [0, 1, 1]
     ]
     a, b = _pair_neighbours(seen).T
     square = ((rest[a] - rest[b]) / stated[a]) ** 2
-    own = (white[a] ** 2 + white[b] ** 2) / stated[a] ** 2
-    clear = _is_clear(design, noise)
+    jitter = _split_jitter(design, noise)
+    fresh = np.hypot(white, jitter)
+    own = (fresh[a] ** 2 + fresh[b] ** 2) / stated[a] ** 2
+    clear = jitter < np.hypot(white, ou)
     clear = clear[a] & clear[b]
     x, y, z = (
         _find_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
