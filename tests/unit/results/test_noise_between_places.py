@@ -11,8 +11,10 @@ from truepath.files.bundle.run import PointRows
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.hidden.tracker import TrackerRangeOffset
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
+from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 POINTS, WRONG = 52, 20  # points beside the corners; the one that is wrong
@@ -85,6 +87,31 @@ def test_one_that_is_wrong_is_left_out_for_what_the_others_differ_by(differing, 
     assert {each["row"] for each in result_json(spoilt)["left_out"]} == {WRONG}
     sizes = [each.estimate.runs[0].noise.place for each in (found, spoilt)]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.2)
+
+
+def test_a_wrong_home_distance_is_no_difference_between_places():
+    """It bends the volume smoothly: no two places beside each other differ by it."""
+    made = load_small("demo", 1.0)
+    made["tracker"]["specification"] = {"range_offset_um": 4.0}
+    program = paths.standstill_points(parse_machine(made), 3, 150, dwell_s=0.4)
+    setting = Setting(hidden=(TrackerRangeOffset(-60.0),))
+    found = analyse(record_run(made, program, 3, "standstill", setting)[0])
+    assert found.knocks == ()
+    (reason,) = found.verdict.reasons
+    assert reason.kind == "range-off"
+    off_um, within_um = (reason.values[f"{k}_um"] for k in ("distance", "within"))
+    assert abs(off_um + 60.0) < 1.5 * within_um < 20.0
+    assert max(found.estimate.runs[0].noise.place) < 0.4
+
+
+def test_knots_that_are_far_apart_are_no_difference_between_places():
+    """Between them a short machine bends by more than its tracker's noise."""
+    made = load_machine("demo")
+    for axis in made["axes"].values():
+        axis["max_mm"] = axis["min_mm"] + 120.0
+    program = paths.standstill_points(parse_machine(made), 3, 30, dwell_s=0.8)
+    found = analyse(record_run(made, program, 3, "standstill")[0])
+    assert max(found.estimate.runs[0].noise.place) < 0.4
 
 
 def test_single_shots_are_as_uncertain_as_they_scatter():

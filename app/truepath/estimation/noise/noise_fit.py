@@ -42,12 +42,13 @@ _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
-_ROUNDS = 4  # of noise and prior in turn
+_ROUNDS = 3  # of noise and prior in turn, after the first
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
 _USUAL_SIZE, _USUAL_TIME = np.log([0.15, 1.0])  # of the stated noise; in s
-_USUAL_SPREAD, _USUAL_LEVEL = 1.2, 2.0
+_USUAL_SPREAD, _USUAL_LEVEL = 1.2, 2.0  # of logarithms: of each, of all together
+_DRIFTING = (5.0, 5.0, 5.0)  # of the stated noise: where a search starts as well
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _STIFFEST = 4.0  # times as curved as the average information says
@@ -164,6 +165,7 @@ class _Together:
             else:
                 about = replace(found[k].linearisation, noise=noise)
                 found[k] = replace(found[k], linearisation=about)
+        # Parts of one Run have one air; few places do not tell how much they differ.
         for k, one in enumerate(found):
             own = [r for r in found if r.observations.at.run == one.observations.at.run]
             longest = max(own, key=lambda r: len(r.observations))
@@ -173,12 +175,12 @@ class _Together:
 
     def settle(self) -> _Together:
         """Return them with prior, knots and noise found in turn."""
-        found, before = self, np.inf
+        found = self.find_noise().refit()
         for _ in range(_ROUNDS):
-            found = found.find_noise().refit()
-            if before - found.cost < _SETTLED:
+            better = found.find_noise().refit()
+            if better.cost > found.cost - _SETTLED:
                 break
-            before = found.cost
+            found = better
         return found
 
     def refit(self) -> _Together:
@@ -370,12 +372,15 @@ def _count_to_merge(observations: Observations) -> int:
 def _maximise_from_both(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    """Return the noise model of least cost, places taken to drift at first, and not."""
+    """Return the noise model of least cost, from a quiet tracker and one that drifts.
+
+    On the fly there are cells enough to lead from one to the other.
+    """
     quiet = _maximise(evidence, noise, longest_s)
     if not any(noise.place):
         return quiet
     time_s = evidence.design.observations.at.time_s
-    drifting = replace(noise, ou=(5.0, 5.0, 5.0), ou_time_s=float(np.ptp(time_s)))
+    drifting = replace(noise, ou=_DRIFTING, ou_time_s=float(np.ptp(time_s)))
     starts = [quiet, _maximise(evidence, drifting, longest_s)]
     return min(starts, key=lambda each: _slope(evidence, _pack(each), each).cost)
 
