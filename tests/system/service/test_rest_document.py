@@ -64,7 +64,8 @@ class Curl:
                 case "-F":
                     name, _, file = next(rest).partition("=@")
                     content = (self.folder / file).read_bytes()
-                    method, options["files"] = "POST", {name: (file, content)}
+                    method = "POST" if method == "GET" else method
+                    options["files"] = {name: (file, content)}
                 case "-o":
                     output = self.folder / next(rest)
                 case _:
@@ -235,14 +236,24 @@ def test_a_measurement_ends_at_its_target(curl, order, follow, make_cell, estima
     assert f"`{json.dumps(job['early_end'])}`" in TEXT
 
 
-def test_a_measurement_from_elsewhere_is_analysed(curl, order, follow, sent_in):
-    _, *analyses = section("Analyse a measurement from elsewhere")
+_KNOWN_LENGTHS = (
+    "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
+    "1000,0,0,3000.02,0,0,2000.01,0.001\n"
+)
+
+
+def test_a_measurement_from_elsewhere_is_analysed(
+    curl, order, follow, sent_in, tmp_path
+):
+    _, alone, lengths, several = section("Analyse a measurement from elsewhere")
     for name in ("OTHER", "RUN"):
         curl.names[name] = sent_in()
-    assert len(analyses) == 2
-    for analyse in analyses:
-        order(analyse)
-        follow("succeeded")
+    order(alone)
+    follow("succeeded")
+    (tmp_path / "known_lengths.csv").write_text(_KNOWN_LENGTHS)
+    assert curl(lengths).json() == {"count": 1}
+    order(several)
+    follow("succeeded")
     job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
     assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 

@@ -39,7 +39,7 @@ from truepath.estimation.problem.runs import (
 from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
-_FEWEST_OF_LINE = 6  # merged cells
+_FEWEST_OF_LINE = 4  # merged cells
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs

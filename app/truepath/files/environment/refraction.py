@@ -206,7 +206,7 @@ def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
 
 def refraction_to_json(refraction: Refraction) -> dict[str, Any]:
     """Return what a Run file and a bundle keep of it."""
-    return asdict(refraction)
+    return asdict(refraction) | {"assumed": list(refraction.assumed)}
 
 
 def refraction_from_json(content: Any) -> Refraction:
