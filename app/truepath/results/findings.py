@@ -244,6 +244,8 @@ def settle_lengths(
     """Return an estimate with the scale of air, tracker and known lengths in it.
 
     Known lengths settle that of their own Runs alone: air of another hour is other air.
+    Of a joint estimate it is unknown how much of it came from which Run: one that has
+    no known length may be off by as much as was found.
 
     sources : of each Run of the estimate, which of the provenance it is of
     """
@@ -257,7 +259,8 @@ def settle_lengths(
     if settled is None or other is None:
         return settle_scale(estimate, settled or other or 0.0, known)
     estimate, left, found = settle_scale(estimate, settled, known)
-    return estimate.widen_by_scale(other), float(np.hypot(left, other)), found
+    apart = max(other, settled, abs(found.off) if found else 0.0)
+    return estimate.widen_by_scale(apart), float(np.hypot(left, apart)), found
 
 
 def _number_part(sources: Sequence[int], number: int) -> int:

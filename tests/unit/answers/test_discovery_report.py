@@ -85,5 +85,6 @@ def test_lines_to_drive_next_come_with_programs_until_nothing_is_asked(
         (program,) = (tmp_path / "ask" / control).iterdir()
         motion = read_program(program.read_text(), control)
         np.testing.assert_allclose(motion.position, path.position, atol=6e-4)
+    (tmp_path / "ask" / "tracker.csv").touch()
     write_discovery(knocked, tmp_path)
-    assert not (tmp_path / "ask").exists()
+    assert [one.name for one in (tmp_path / "ask").iterdir()] == ["tracker.csv"]

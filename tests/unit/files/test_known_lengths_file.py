@@ -1,6 +1,7 @@
 """`known_lengths.csv` in a bundle, and what is wrong with it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from truepath.files.bundle.known_lengths_file import (
     encode_known_lengths,
 )
 from truepath.files.environment.refraction import Refraction
+from truepath.measurement.run_file.run_reading import name_known_lengths
 from truepath_drivers.interfaces.tracker_records import Light
 
 HEADER = "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm"
@@ -45,6 +47,7 @@ def test_a_bar_is_as_long_as_it_is_warm():
         ("1000,0,0,3000.02,0,0,2.00001,0.001", "", "length_mm"),
         ("1000,0,0,3000.02,0,0,2000.01,0", "", "u_mm"),
         ("1000,0,0,3005.02,0,0,2000.01,0.001", "", "x1_mm"),
+        ("0,0,0,2000.02,0,0,2000.01,0.001", "", "x1_mm"),
         (f"{ROW},2009", ",measured_mm", "measured_mm"),
         (f"{ROW},295", ",temperature_degC", "expansion_um_per_m_K"),
         (
@@ -76,3 +79,25 @@ def test_a_length_is_corrected_for_the_air_as_the_samples_are(run):
     (one,) = add_known_lengths(corrected, decode()).known_lengths
     assert one.measured_mm == pytest.approx(2000.02 / 1.00027)
     assert one.ends_mm[0][0] == pytest.approx(1000.0 / 1.00027)
+
+
+def test_a_short_bar_that_was_cold_is_read_again_as_it_was_written():
+    cold = decode(
+        "1000,0,0,1099.998,0,0,100,0.001,18,11.5",
+        ",temperature_degC,expansion_um_per_m_K",
+    )
+    assert decode_known_lengths(encode_known_lengths(cold)) == cold
+
+
+def test_more_rows_than_any_bar_is_measured_are_refused():
+    with pytest.raises(BundleError, match="1001 rows"):
+        decode("\n".join([ROW] * 1001))
+
+
+def test_lengths_beside_a_bundle_have_its_whole_name(tmp_path, monkeypatch):
+    (tmp_path / "2026.11.29").mkdir()
+    named = name_known_lengths(tmp_path / "2026.11.29")
+    assert named.name == "2026.11.29.known_lengths.csv"
+    assert name_known_lengths(tmp_path / "mill.zip").name == "mill.known_lengths.csv"
+    monkeypatch.chdir(tmp_path / "2026.11.29")
+    assert name_known_lengths(Path()) == named

@@ -153,3 +153,25 @@ def test_without_a_known_length_the_scale_is_what_air_and_tracker_leave(construc
     own = build_error_tables(settled, estimate.measured)
     for one, other in zip(own.tables, wider.tables, strict=True):
         np.testing.assert_allclose(one.uncertainty, other.uncertainty)
+
+
+def test_short_lengths_beside_long_ones_say_no_more_than_the_long_ones(construct):
+    estimate = construct()
+    long = bar(0.0, 0.001)
+    ends = tuple(tuple(0.8 * np.array(end)) for end in long.ends_mm)
+    short = replace(
+        long, ends_mm=ends, measured_mm=0.2 * LONG_MM, length_mm=0.2 * LONG_MM
+    )
+    _, _, alone = settle_scale(estimate, 270e-6, [[long] * 5])
+    _, _, both = settle_scale(estimate, 270e-6, [[long] * 5 + [short] * 5])
+    assert both.sigma > 0.99 * 0.001 / LONG_MM
+    assert both.sigma == pytest.approx(alone.sigma, rel=0.1)
+
+
+def test_what_one_run_had_wrong_may_be_in_the_lengths_of_a_joint_result(
+    estimate, provenance
+):
+    (run,) = provenance.runs
+    told = replace(run, refraction=UNCORRECTED, known_lengths=(bar(200e-6),))
+    both = replace(provenance, runs=(told, run))
+    assert state_findings(estimate, both).length_scale_ppm > 200.0

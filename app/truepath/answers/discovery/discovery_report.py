@@ -57,6 +57,7 @@ from truepath.discovery.terms.discrimination import (
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
+from truepath.motion.nc_programs.programs import list_dialects
 
 CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _WORST = 8
@@ -232,7 +233,10 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     report = render_discovery_report(found, discovered.model, asked, ASK)
     files = {REPORT: report.encode()}
     place = Path(ASK).parent
-    rmtree(Path(folder) / place, ignore_errors=True)  # that of an earlier discovery
+    # What an earlier discovery asked for; what was recorded beside it stays.
+    (Path(folder) / ASK).unlink(missing_ok=True)
+    for control in list_dialects():
+        rmtree(Path(folder) / place / control, ignore_errors=True)
     if asked is not None:
         rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
         files |= {str(place / name): content for name, content in rows.items()}

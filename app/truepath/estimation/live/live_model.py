@@ -6,6 +6,7 @@ beam was lost: it is taken anew whenever all lines are looked at together.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -105,8 +106,8 @@ class LiveModel:
     @property
     def most_locks(self) -> int:
         """How often the beam may be lost before this has to be made anew."""
-        found = (e.locks for e in self.beside if isinstance(e, SetUpErrors))
-        return max((lock for locks in found for lock in locks), default=0)
+        found = [e.locks for e in self.beside if isinstance(e, SetUpErrors)]
+        return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
     def guess_prior(self, before: WholePrior | None = None) -> WholePrior:
         """Return a prior, as precise as an earlier one has become."""

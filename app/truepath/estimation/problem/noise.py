@@ -49,7 +49,8 @@ class NoiseModel:
     @property
     def usual(self) -> NoiseModel:
         """The noise as the tracker states it, with the jitter of the feed."""
-        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU, USUAL_OU))
+        ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
+        return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
 
 def cell_noise(

@@ -67,14 +67,14 @@ def settle_scale(
     ]
     H = np.vstack([one.rows for one in told])
     off = np.concatenate([one.off for one in told]) - H @ estimate.theta
-    among = np.zeros((count, count))
-    first = 0
-    for one in told:
-        part = slice(first, first := first + len(one.off))
-        among[part, part] = one.covariance
+    # One bar, most often: what its best length is uncertain by, all have in common.
+    common = np.concatenate([one.common for one in told])
+    noise = np.concatenate([one.noise for one in told])
+    least = float(common.min()) ** 2
+    among = least + np.diag(common**2 - least + noise)
     other = H @ estimate.covariance @ H.T + among
-    common, sigma = _find_common(off, other)
-    is_expected = abs(common) <= _CONTRADICTED * float(np.hypot(sigma, scale))
+    found_off, sigma = _find_common(off, other)
+    is_expected = abs(found_off) <= _CONTRADICTED * float(np.hypot(sigma, scale))
     if not is_expected:
         scale = max(scale, _ANY)
     at_all = other + scale**2
@@ -91,7 +91,7 @@ def settle_scale(
         theta=theta - s * stretch,
         covariance=covariance + variance * np.outer(stretch, stretch) - apart - apart.T,
     )
-    found = KnownScale(count, common, sigma, is_expected)
+    found = KnownScale(count, found_off, sigma, is_expected)
     return settled, max(variance, 0.0) ** 0.5, found
 
 
@@ -99,13 +99,15 @@ def settle_scale(
 class _Told:
     """How much too long known lengths of one Run were measured, of 1.
 
-    off : (n,), rows : (n, p) of the model, covariance : (n, n) of what else there is.
-        Rows share what their lengths are uncertain by: most often it is one bar.
+    off : (n,), rows : (n, p) of the model
+    common : (n,) standard uncertainty of the length; noise : (n,) variance of the
+        tracker's noise
     """
 
     off: Float64[np.ndarray, " n"]
     rows: Float64[np.ndarray, "n p"]
-    covariance: Float64[np.ndarray, "n n"]
+    common: Float64[np.ndarray, " n"]
+    noise: Float64[np.ndarray, " n"]
 
     @staticmethod
     def of(
@@ -124,11 +126,11 @@ class _Told:
         square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
         # Before or after the measurement, whose mean scale the estimate has.
         drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
-        common = np.hypot(sigma / length, drift)
         return _Told(
             measured / length - 1.0,
             _trace_errors(ends_mm, along, run, model) / length[:, None],
-            np.outer(common, common) + np.diag(square.sum(axis=1) / length**2),
+            np.hypot(sigma / length, drift),
+            square.sum(axis=1) / length**2,
         )
 
 

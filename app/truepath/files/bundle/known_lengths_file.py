@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from truepath.errors import BundleError
 from truepath.files.bundle.run import KnownLength, Run
 from truepath.files.environment.refraction import MEASURED, find_factor
 from truepath.files.tables import Table, encode_csv, read_csv
@@ -23,6 +24,7 @@ _COLUMNS = (*_ENDS, "length_mm", "u_mm", "measured_mm")
 _THERMAL = ("temperature_degC", "expansion_um_per_m_K")
 _AT_DEGC = 20.0
 _SHORTEST_MM = 100.0
+_MOST = 1000
 _WRONG = 1e-3  # of the length: a slip of unit, point or row, no scale
 
 
@@ -32,12 +34,18 @@ def decode_known_lengths(
     """Return the known lengths of a file. Raises BundleError."""
     table = read_csv(data, file)
     table.require_rows("leave out the file")
+    if len(table) > _MOST:
+        raise BundleError(
+            f"has {len(table)} rows, more than {_MOST}",
+            file=file,
+            remedy="give fewer: the same bar tells hardly more each time",
+        )
     ends_mm = np.stack([table.numbers(name) for name in _ENDS], axis=1)
     ends_mm = ends_mm.reshape(-1, 2, 3)
     apart_mm = np.linalg.norm(ends_mm[:, 1] - ends_mm[:, 0], axis=1)
     length_mm, sigma_mm = table.numbers("length_mm"), table.numbers("u_mm")
     table.refuse(
-        length_mm < _SHORTEST_MM,
+        length_mm < (1.0 - _WRONG) * _SHORTEST_MM,  # a warm bar was longer
         "length_mm",
         lambda k: f"is {length_mm[k]:g}, shorter than {_SHORTEST_MM:g} mm",
         "state it in mm, or leave the row out: it says nothing of a scale",
@@ -47,6 +55,13 @@ def decode_known_lengths(
         "u_mm",
         lambda k: f"is {sigma_mm[k]:g}",
         "state the standard uncertainty of the length, half of one that is for k = 2",
+    )
+    near_mm = np.linalg.norm(ends_mm, axis=2).min(axis=1)
+    table.refuse(
+        near_mm < _SHORTEST_MM,
+        "x1_mm",
+        lambda k: f"puts an end {near_mm[k]:g} mm from the tracker",
+        "state both ends in the tracker's frame, as it shows them",
     )
     length_mm, sigma_mm = _warm(table, length_mm, sigma_mm)
     measured_mm, column = apart_mm, "x1_mm"

@@ -155,7 +155,9 @@ def open_recorded(place: str | Path) -> Run:
 
 def name_known_lengths(place: Path) -> Path:
     """Return where known lengths of a Run file or bundle are that came later."""
-    return place.with_name(f"{place.stem}.{KNOWN_LENGTHS}")
+    place = place.absolute()
+    name = place.name if place.is_dir() else place.stem
+    return place.with_name(f"{name}.{KNOWN_LENGTHS}")
 
 
 def read_job_id(file: str | Path) -> str:
