@@ -272,6 +272,12 @@ def _list_approach(
     if clearance is None:
         top = dict(zip(machine.axis_names, inner_travel(machine)[1], strict=True))
         clearance = (("Z", float(top["Z"])),)
+    missing = [name for name, _ in clearance if name not in path.axes]
+    if missing:
+        raise PlanningError(
+            f"the path does not state {missing[0]}, which goes to clearance before the "
+            "other axes; add its column"
+        )
     last = [name for name, _ in reversed(clearance)]
     order = stated.order or (*(n for n in path.axes if n not in last), *last)
     first = dict(zip(path.axes, path.position[0].tolist(), strict=True))
@@ -287,7 +293,6 @@ def _list_approach(
             dwell_s=0.0,
         )
         for name, value in ends
-        if name in path.axes
     )
 
 

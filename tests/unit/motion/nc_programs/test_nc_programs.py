@@ -172,6 +172,15 @@ def test_the_machine_states_order_clearance_and_feed_of_the_approach(dialect, mi
     assert drive_to_first_row(text, dialect) == [(end, 500.0) for end in ends]
 
 
+@every_dialect
+def test_no_axis_crosses_where_the_path_does_not_say_how_high(dialect, mill):
+    flat = Path(
+        ("X", "Y"), L_SHAPE.position[:, :2], L_SHAPE.feed_mm_min, L_SHAPE.dwell_s
+    )
+    with pytest.raises(PlanningError, match="does not state Z"):
+        write_program(flat, mill, dialect, "P")
+
+
 SMOOTHING = {
     "fanuc": (["/G5.1 Q0", "G61"], ["G64", "M30"]),
     "heidenhain": (
