@@ -68,6 +68,16 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_p
     assert names == {"discovery.json", "model.json", "report.html"}
 
 
+def test_what_is_counted_as_noise_beyond_the_stated_is_said(knocked):
+    gap = knocked.found.gap
+    loud = replace(gap, usual_um=0.5 * gap.noise_floor_um)
+    found = replace(knocked.found, gap=loud)
+    said = text_of(render_discovery_report(found, knocked.model, None, ASK))
+    assert (
+        "they are counted as noise, 2 times what the tracker is stated to have" in said
+    )
+
+
 def test_an_analysis_says_what_of_a_model_ended_with_its_run(knocked, tmp_path):
     write_discovery(knocked, tmp_path)
     earlier = read_prior_model(tmp_path / "model.json")

@@ -164,7 +164,10 @@ def _describe_unnamed(discovery: Discovery) -> list[View]:
         for f in discovery.findings
         if f.structure is not None
     ]
-    left = [{"text": one["description"]} for one in list_unexplained(discovery)]
+    left = [
+        {"text": one["description"], "words": None}
+        for one in list_unexplained(discovery)
+    ]
     return [*described, *left]
 
 
