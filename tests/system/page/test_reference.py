@@ -28,11 +28,12 @@ def test_a_result_is_held_against_the_file_with_its_uncertainty(
     take(card, b"x,y\n")  # a file that cannot be read is named with its row
     expect(card.locator(".notice")).to_contain_text("laser.csv, row 1")
     service.requests.clear()
-    for language, typed, said, differs in (
-        ("English", "0.4", "1 of 2 errors differ", "differs"),
-        ("Deutsch", "0,4", "1 von 2 Abweichungen", "weicht ab"),
+    for language, title, typed, said, differs in (
+        ("Deutsch", "vergleichen", "0,4", "1 von 2 Abweichungen", "weicht ab"),
+        ("English", "Compare", "0.4", "1 of 2 errors differ", "differs"),
     ):
         choose(page, language)
+        expect(card.locator("h2")).to_contain_text(title)  # drawn anew
         card.locator("#reference_um").fill("-1")
         expect(card.get_by_role("button")).to_be_disabled()
         card.locator("#reference_um").fill(typed)
