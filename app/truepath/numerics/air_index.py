@@ -49,9 +49,7 @@ def find_site_pressure_hpa(altitude_m: float) -> float:
 
 
 def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
-    """Refractivity n − 1 of standard air and of standard vapour at a squared wave
-    number, µm⁻².
-    """
+    """Refractivity n − 1 of standard air and vapour at a squared wave number, µm⁻²."""
     dry = sum(
         scale * (pole + square) / (pole - square) ** 2
         if is_group
