@@ -9,7 +9,7 @@ over the axes from workpiece to tool. `t` is the tool offset, `d_i` the directio
 travel (out of square by the squareness), `E_i` and `omega_i` the error motions, all of
 the tool relative to the workpiece. To first order this is the linear form of the file
 formats; the rest is what a linear estimator does not know. A rotary axis turns instead
-of travelling, about an axis that is not quite where it should be.
+of travelling, about an axis with location errors.
 
 Two processes share one motion. The CNC process plans it as pieces of cubic polynomials
 (straight lines, exact stops, limited jerk) and publishes them on a board of shared

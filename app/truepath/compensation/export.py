@@ -61,7 +61,7 @@ _UNDIRECTED = (
     "lost motion: the result does not state what the direction of travel does; what is "
     "left is stated without it"
 )
-_BETTER = 0.999  # of the error before: files that leave more are refused
+_BETTER = 0.999  # of the error before: files with a larger remaining error are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
 _NOTHING_GIVEN = GivenTables()
 _NOTHING_MM = 1e-9
@@ -165,7 +165,7 @@ def export_result(
         stamp = (*stamp, _describe_over_axes(over))
         files = kind.write(replace(content, stamp=stamp))
     tabulated = made.leave_out_places(errors)
-    # Places are in the correction only where it composes rotary axes with the others.
+    # Locations are in the correction only where it composes rotary and linear axes.
     corrected = errors if kind.composes_rotary else tabulated
     before = find_remaining(errors, measured)
     after = find_remaining(corrected, measured, correction)
@@ -405,7 +405,7 @@ def _write_stamp(
     temperature: StatedTemperature | None,
     lengths_degc: tuple[float, float] | None,
 ) -> tuple[str, ...]:
-    # The comments of files, in plain ASCII: where they come from and what they have
+    # The comments of files, in plain ASCII: their origin and content
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
     celsius = f"measured at {_describe_temperature(provenance)}"

@@ -12,7 +12,7 @@ from typing import Any
 from truepath.errors import NotFound
 
 STEM = "compensation"
-ACCOUNT = f"{STEM}.json"  # written last: who has it has all files
+ACCOUNT = f"{STEM}.json"  # written last: if it is there, all files are
 
 
 def read_account(folder: Path, name: str) -> dict[str, Any]:

@@ -42,7 +42,7 @@ from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
 _USUAL_MM = 0.005  # of a slow shift
-_POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
+_POINTS_PER_KNOT = 6  # of a spline of time, for measurements at points
 
 
 @dataclass(frozen=True)

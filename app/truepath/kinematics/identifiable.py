@@ -50,15 +50,14 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.model import MachineModel
 
-# Of an error motion. How much it bends is for the prior to say: closer knots only cost
-# time.
+# Of an error motion. The prior limits its bending: closer knots only cost time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _MOST_INTERVALS = 32  # unless a motion needs more
 _CONFOUNDED_INTERVALS = 12  # what data do not show needs no fine shapes
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
-_PROBE = 700  # configurations that stand for the whole volume
-_INTERVALS = 8  # shapes of motions against which single numbers are held
+_PROBE = 700  # configurations that represent the whole volume
+_INTERVALS = 8  # shapes of motions with which single numbers are compared
 _SAME_ARM = 1e-6
 
 
@@ -162,7 +161,7 @@ def _targets_at(
     machine: Machine, offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Target, ...]:
     """Targets that the machine does not state are on the tool."""
-    # One target is measured for long: no need to sort all that is the same.
+    # One target is measured for many samples: no need to sort equal ones.
     changes = np.diff(offsets_mm, axis=0, prepend=np.inf).any(axis=1)
     offsets_mm = np.unique(offsets_mm[changes], axis=0)
     stated = np.array([t.offset_mm for t in machine.targets]).reshape(-1, 3)
@@ -181,7 +180,7 @@ def _intervals(axis: Axis, spacing_mm: float) -> int:
     return min(most, max(3, round((axis.high - axis.low) / spacing_mm)))
 
 
-@lru_cache(maxsize=16)  # asked anew by every stage of an estimate
+@lru_cache(maxsize=16)  # requested again by every stage of an estimate
 def _find_identifiable(
     machine: Machine, runs: tuple[tuple[Target, ...], ...]
 ) -> tuple[tuple[str, ...], tuple[Effect, ...], tuple[Confounded, ...]]:

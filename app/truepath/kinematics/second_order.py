@@ -20,7 +20,7 @@ from truepath.kinematics.model import MachineModel
 
 _SMALL_MM = 1e-4
 _FEW = 200
-_ARM_MM = 100.0  # by which a target is moved to see a turn
+_ARM_MM = 100.0  # by which a target is moved to determine a turn
 
 
 def compute_second_order_mm(
@@ -78,7 +78,7 @@ def _displace(
 
 def _arm_mm(at: Conditions, axis: str) -> Float64[np.ndarray, "n 3"]:
     lever = at.chain.lever(axis)
-    # What sees the workpiece from the base sees it turn the other way.
+    # Seen from the base, the workpiece turns the other way.
     sign = np.sign(np.linalg.det(lever.frame))
     arm = np.einsum("nij,nj->ni", lever.frame, lever.lever_mm)
     return sign[:, None] * arm

@@ -22,7 +22,7 @@ from truepath.numerics.rigid import cross_matrix
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
 _SOBOL = 11  # 2^11 points where there are rotary axes
-_ROUNDING = 1e-12  # of the largest singular value: a motion that does not show
+_ROUNDING = 1e-12  # of the largest singular value: a motion without effect
 _NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
 

@@ -27,8 +27,8 @@ COVERAGE = 0.95
 NORMAL_FACTOR = 1.959964  # k_p of a normal distribution for this coverage
 _VALIDATION = 5.0  # δ/5 to validate, 8.2
 _FEWEST = 2  # blocks: a standard deviation needs two
-# Share of a block kept of each tail, nine standard deviations of its count beyond what
-# all trials together may ask of it.
+# Share of a block stored of each tail, nine standard deviations of its count beyond
+# the most that all trials together may need of it.
 _KEPT = {"symmetric": 0.04, "shortest": 0.07}
 
 Interval = Literal["symmetric", "shortest"]

@@ -114,7 +114,7 @@ def find_best_place(
     piece, node = np.unravel_index(int(np.argmax(drops)), drops.shape)
     found = [(float(drops[piece, node]), int(piece), float(nodes[node]))]
     for index in _worth_solving(drops, spread):
-        # A place too many costs nothing: the best is chosen by its value.
+        # A position too many costs nothing: the best is chosen by its value.
         roots = _roots(pieces.slopes(int(index), 2 * order - 1, degree))
         values, _ = _products(degree + 1, roots)
         risen = _traces(*pieces.at(values, np.array([index])))[0]

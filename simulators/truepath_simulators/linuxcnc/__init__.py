@@ -1,6 +1,6 @@
-"""LinuxCNC without a screen and closed off: a real CNC for test rigs.
+"""LinuxCNC without a screen, isolated: a real CNC for test rigs.
 
-Its planner, interpreter and limits are its own; only the drives are ideal. It needs
+Planner, interpreter and limits are LinuxCNC's; only the drives are ideal. It needs
 Debian's linuxcnc-uspace, Linux and root (namespaces).
 
     files       the INI and HAL files of a machine

@@ -27,8 +27,8 @@ from truepath.results.volumetric_error import (
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
 CLOSE = 4096  # that fill it for the mean of the map, whose own error is below its U
-_FEWEST = 12  # places that have a mean beside their rigid motion
-# Of a standard deviation that a file does not say how well it knows: 50 values.
+_FEWEST = 12  # positions for a mean in addition to their rigid motion
+# Of a standard deviation whose number of values a file does not state: 50 values.
 _UNSTATED_SCALE = 0.1
 SIDES = (1.0, -1.0)  # + and − direction
 COVERAGE = 2.0  # k of expanded uncertainties

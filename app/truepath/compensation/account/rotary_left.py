@@ -53,7 +53,7 @@ NOT_STATED = "not in the result"
 _IN_FILES = "in the files: both directions of the table"
 _LEFT = "left by the files: they have no directions of this axis"
 _PLACES = 512  # all over the travel of all axes
-_SEED = 2  # of lost motion, which is drawn by itself
+_SEED = 2  # of lost motion, which is sampled separately
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
 def _draw_half_turns_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"], draws: int
 ) -> Float64[np.ndarray, "n d"]:
-    # What half the lost motion of an axis may be wrong by
+    # Sampled errors of half the lost motion of an axis
     sigma = errors.half_turn_sigma_rad(axis.name, at_deg)
     rng = np.random.default_rng([_SEED, TURNS.index(axis.name)])
     return np.outer(sigma, rng.standard_normal(draws))

@@ -150,9 +150,9 @@ def _correct_by_chain(
     find_motion: FindMotion,
     location: Mapping[str, float],
 ) -> Correction:
-    # Minus the error that the chain makes of all motions and locations. Errors are of
-    # the tool relative to the workpiece, those of a rotary axis in its own directions
-    # about its origin; the straight axes take away what they do at the tool.
+    # Minus the error of the chain from all motions and locations. Errors are of the
+    # tool relative to the workpiece, those of a rotary axis in its own directions about
+    # its origin; the linear axes correct their effect at the tool.
     # `tool_mm` : the tip where all axes are at zero; `location` : by symbol, mm and rad
     def correction(
         position_mm: Float64[np.ndarray, "n a"], direction: float
@@ -177,7 +177,7 @@ def _correct_by_chain(
 
 
 def _find_tool_steps(at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-    # What a millimetre of each straight axis moves the tool by, as columns
+    # Motion of the tool per mm of each linear axis, as columns
     columns: list[Float64[np.ndarray, "n 3"]] = []
     for name in "XYZ":
         moved = at.position_mm.copy()

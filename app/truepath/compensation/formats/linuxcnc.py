@@ -49,7 +49,7 @@ _ABOUT_PINS = (
     "with these pins its four centres differ less than with those of the drawing",
 )
 _PIN = re.compile(r"setp (xyz[ab]c-trt-kins)\.([xyz]-(?:rot-point|offset)) (\S+)")
-# The direction across both axes, in which they are off each other.
+# The direction across both axes, in which they are offset from each other.
 _ACROSS = {"A": 1, "B": 0}
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 
@@ -196,7 +196,7 @@ def _find_tilting_axis(machine: Machine) -> str | None:
 
 
 def _list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
-    # None where nothing is known of one of its axes: they would be those of the drawing
+    # None where one of its axes is unknown: its pins would be those of the drawing
     tilting = _find_tilting_axis(machine)
     if tilting is None or not all(place.known for place in places):
         return frozenset()

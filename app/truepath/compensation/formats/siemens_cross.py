@@ -20,8 +20,8 @@ from jaxtyping import Float64
 from truepath.compensation.format import AxisTable
 from truepath.kinematics.machine.machine import Machine
 
-FACTOR_MM = 0.1  # largest value of a second table: harmless if it were added by itself
-_LEAST_MM = 1e-5  # root mean square of what a table corrects: less is not worth one
+FACTOR_MM = 0.1  # largest value of a second table: harmless if it were added alone
+_LEAST_MM = 1e-5  # root mean square of a correction: less is not worth a table
 _TURNS = np.zeros((3, 3, 3))  # displacement o by the turn k at the lever l
 for _o, _k, _l in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _TURNS[_o, _k, _l], _TURNS[_l, _k, _o] = 1.0, -1.0

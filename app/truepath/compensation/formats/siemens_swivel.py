@@ -62,7 +62,7 @@ _SETTING = re.compile(
 )
 _ENDS = ("M30", "M17", "M2", "M02")
 _CLOSED_MM = 5e-6  # rounding of three values
-_SAME = 0.9  # cosine: an axis that leans more is another one
+_SAME = 0.9  # cosine: an axis that is tilted more is another one
 
 Vectors = Mapping[str, Float64[np.ndarray, "3"]]
 

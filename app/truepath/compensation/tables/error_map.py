@@ -184,7 +184,7 @@ def tabulate_axis(
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
     seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
-    # Of both directions a table has what the axis itself loses, along itself.
+    # By direction a table has only the lost motion of the axis along itself.
     mean, half = errors.error_mm(place), np.zeros((count, 3))
     half[:, DIRECTION[axis.name]] = errors.half_difference_mm(axis.name, seen_mm)
     forward, backward = mean + half, mean - half

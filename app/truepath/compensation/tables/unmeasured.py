@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 
-_LEAST_MM = 1e-3  # a shorter range is a matter of rounding
+_LEAST_MM = 1e-3  # a shorter range is due to rounding
 
 
 class Unmeasured(StrEnum):

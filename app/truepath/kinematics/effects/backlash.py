@@ -45,7 +45,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.splines import CubicSpline, natural_spline
 
-_SHARE = 0.3  # usual size of h, in usual errors
+_SHARE = 0.3  # typical size of h, in typical errors
 _INTERVALS = 5  # h changes slowly along an axis
 _USUAL_RAD = 1e-5
 

@@ -25,9 +25,9 @@ from truepath.kinematics.machine.machine import Axis, Machine
 from truepath.numerics.value_equality import ValueEquality
 from truepath.plugins import find_point, gather, guarding, load_point
 
-USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
+USUAL_MM = 0.005  # typical size of an effect that matters
 LANGUAGES = ("en", "de")
-GROUP = "truepath.effects"  # of the entry points: our families, and those of others
+GROUP = "truepath.effects"  # of the entry points: our families and third-party ones
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.machine.symbols import is_turn, list_error_motions
 
 _UNIT_MM_S2 = 1000.0
-# At 1 m/s²: more than carriages do, so that data alone say how much it is.
+# At 1 m/s²: more than carriages bend, so that data alone determine the size.
 _USUAL_MM, _USUAL_RAD = 0.005, 1.5e-5
 
 

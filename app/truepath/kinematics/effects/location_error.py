@@ -116,7 +116,7 @@ class AxisLocation(Effect):
         chain = at.chain
         turn = chain.turns[self.axis.name]
         if self.axis.name in at.machine.workpiece_side:
-            # The error sits behind the joint: R there is that of the workpiece.
+            # The error is behind the joint: R there is that of the workpiece.
             direction = np.einsum("nji,j->ni", turn, unit) - unit
         else:
             direction = unit - np.einsum("nij,j->ni", turn, unit)

@@ -26,9 +26,9 @@ from truepath.kinematics.effects.sinusoid import (
 from truepath.kinematics.machine.machine import Axis, LinearAxis, RotaryAxis
 from truepath.kinematics.machine.symbols import LINEAR
 
-_SECOND = 0.2  # usual share of the second harmonic
+_SECOND = 0.2  # typical share of the second harmonic
 _USUAL_RAD = 2e-5
-_FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
+_FEWEST_PLACES = 12  # fewer fit any wave
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class _FamilyOfAxes(SinusoidFamily):
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
         """Waves per mm or deg, four steps to one wave over the travel."""
-        # In a further Run the axis may stand.
+        # In a further Run the axis may not move.
         travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
         step = 0.25 / max(travel, self.longest)
         return np.arange(1.0 / self.longest, 1.0 / self.shortest, step)

@@ -30,7 +30,7 @@ from truepath.kinematics.effects.sinusoid import (
 from truepath.kinematics.machine.machine import RotaryAxis
 
 _USUAL_RAD = 2e-5
-_LEAST_TURN_DEG = 180.0  # of less, a wave a turn is any bend
+_LEAST_TURN_DEG = 180.0  # over less, one wave per turn looks like any bend
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from truepath.kinematics.effects.family import (
 from truepath.kinematics.effects.keys import AXIS, DIRECTION
 from truepath.kinematics.machine.machine import LinearAxis
 
-_LEAST_SPREAD = 0.1  # of the highest speed: less tells nothing of speed
+_LEAST_SPREAD = 0.1  # of the highest speed: less gives no information about speed
 
 
 @dataclass(frozen=True)

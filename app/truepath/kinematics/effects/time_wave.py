@@ -29,7 +29,7 @@ from truepath.kinematics.machine.symbols import LINEAR
 
 _LIMIT_HZ = 1.0  # between both
 _FASTEST = 0.45  # of the tracker's rate
-_FEWEST = 3.0  # periods in the run: what is slower wanders
+_FEWEST = 3.0  # periods in the Run: slower ones belong to the wander
 
 
 class SinusoidOfTime(Sinusoid):

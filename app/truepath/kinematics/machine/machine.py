@@ -16,7 +16,7 @@ from truepath.kinematics.machine.symbols import TURNS
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 SAME_TARGET_MM = 1e-6  # rounding
-SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known
+SEAT_SIGMA_MM = 1.0  # where the uncertainty of a target's position is not stated
 
 
 @dataclass(frozen=True, slots=True)
