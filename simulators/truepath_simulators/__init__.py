@@ -26,7 +26,7 @@ closed form from seed and time alone, at any speed of the clock.
     worlds          whole recordings without wire and without waiting
     replay          devices that repeat a recorded Run
     linuxcnc        a real LinuxCNC, started for tests
-    scenarios       machines by name, as `machine.json` states them
+    scenarios       machines by name, in the form of `machine.json`
 
 Single files here (`board`, `timeline`, `processes`, `faults`, …) are shared by these.
 Not here: anything that the service imports.

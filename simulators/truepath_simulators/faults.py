@@ -99,7 +99,7 @@ _FORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
+    """A kind of fault with its time and amount.
 
     begin : None is from the first moment on; unit : `s`, `n` (samples) or `row`
     """

@@ -20,7 +20,7 @@ ROTARY_DIRECTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class LinearAxis:
-    """A straight axis and its travel."""
+    """A linear axis and its travel, mm."""
 
     name: str
     min_mm: float
@@ -134,12 +134,12 @@ class MachineFile:
 
     @property
     def low_mm(self) -> np.ndarray:
-        """Lowest position of each straight axis."""
+        """Lowest position of each linear axis."""
         return np.array([axis.min_mm for axis in self.linear_axes])
 
     @property
     def high_mm(self) -> np.ndarray:
-        """Highest position of each straight axis."""
+        """Highest position of each linear axis."""
         return np.array([axis.max_mm for axis in self.linear_axes])
 
     @property

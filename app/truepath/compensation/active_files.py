@@ -163,7 +163,7 @@ def find_basis(
 def read_given_tables(
     files: Sequence[Path], name: str, *, is_difference: bool
 ) -> GivenTables:
-    """Active tables in files, with the account that says how to read them."""
+    """Active tables in files, with the account for reading them."""
     data = {file.name: read_whole(file) for file in files}
     account: Mapping[str, Any] = {}
     if files:

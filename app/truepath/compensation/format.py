@@ -96,7 +96,7 @@ class CompensationTables:
     stem : of file names; stamp : lines for comments, in plain ASCII
     temperature : where the tables are of a temperature model
     rotary : of the rotary axes, for formats that contain them
-    places : of the rotary axes
+    places : locations of the rotary axes
     """
 
     stem: str

@@ -84,7 +84,7 @@ def _check(call: str, answer: Any) -> Any:
 
 
 def describe_format(name: str, kind: CompensationFormat) -> dict[str, Any]:
-    """What a format contains, its limits, and the source of its sign."""
+    """Content of a format, its limits, and the source of its sign."""
     return {
         "name": name,
         "control": kind.control,

@@ -1,4 +1,4 @@
-"""What the machine is: its axes, its nominal chain, and what moves its point off it.
+"""Model of the machine: axes, nominal chain, and effects that move the measured point.
 
 Here: geometry and physical causes. Not here: values from measurements (`estimation`),
 travel and motion in time (`motion`), `machine.json` (`files.bundle`).

@@ -60,7 +60,7 @@ class TimeSpline(SplineEffect):
         return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
-        """Mean square over the Run, of usual size 5 µm."""
+        """Mean square over the Run, of typical size 5 µm."""
         return self.charge_square(_USUAL_MM, "time")
 
 
@@ -179,7 +179,7 @@ def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
 class RunModels:
     """Models that Runs of one machine are solved with.
 
-    coarse : for their noise; shapes : for what they determine
+    coarse : for their noise; shapes : for the errors that they determine
     """
 
     nested: NestedModels

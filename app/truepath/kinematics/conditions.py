@@ -16,7 +16,7 @@ from truepath.kinematics.splines import CubicSpline
 
 @dataclass(frozen=True, slots=True)
 class RecordedState:
-    """What a recording adds to the commanded state of the machine at n moments.
+    """Recorded state of the machine at n moments, in addition to the commanded one.
 
     rate : (n, axes) mm/s or deg/s of each axis, 0 at a standstill
     span_s : (n,) how long the moment lasts: the time over which samples were averaged
@@ -65,7 +65,7 @@ class Conditions:
     line_time_s : (n,) time from the middle of that line
     velocity_mm_s : (n, 3) commanded velocity, 0 at a standstill
     approach : (n, axes) sign of each axis' last motion, 0 where it has not moved yet
-    observer : what the observer stands on, `workpiece` or `base`; the volumetric error
+    observer : side of the observer, `workpiece` or `base`; the volumetric error
         is that of the tool seen from the workpiece
     on_workpiece : (n,) the target is on the workpiece; False if None
     line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity

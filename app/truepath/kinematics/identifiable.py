@@ -160,7 +160,7 @@ def _make_confounded(symbol: str, axis: Axis) -> Effect:
 def _targets_at(
     machine: Machine, offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Target, ...]:
-    """Targets that the machine does not state are on the tool."""
+    """Targets that are not in the machine file are on the tool."""
     # One target is measured for many samples: no need to sort equal ones.
     changes = np.diff(offsets_mm, axis=0, prepend=np.inf).any(axis=1)
     offsets_mm = np.unique(offsets_mm[changes], axis=0)
@@ -322,7 +322,7 @@ def _find_seats(
 def _remove(
     basis: Float64[np.ndarray, "m b"], columns: Float64[np.ndarray, "m p"]
 ) -> Float64[np.ndarray, "m p"]:
-    """What an orthonormal basis does not span of the columns; twice, for rounding."""
+    """Projected off an orthonormal basis twice, because of rounding."""
     once = columns - basis @ (basis.T @ columns)
     return once - basis @ (basis.T @ once)
 

@@ -54,17 +54,17 @@ class CatalogueEffect(Effect):
 
     @property
     def half_difference(self) -> ErrorCurve | None:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.half_difference
 
     @property
     def lag_axis(self) -> str:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.lag_axis
 
     @property
     def axis_pair(self) -> tuple[str, str] | None:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.axis_pair
 
     @property

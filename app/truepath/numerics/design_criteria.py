@@ -33,7 +33,7 @@ from numpy.polynomial import chebyshev
 Rows = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n *r p"]]
 
 _NEGLIGIBLE = 1e-15  # a coefficient relative to the largest: rounding, no term
-_DENSER = 4  # nodes for each order of a polynomial whose range they tell
+_DENSER = 4  # nodes per order of a polynomial whose range they bound
 _BEYOND = 1.0 / np.cos(np.pi / (2 * _DENSER))
 
 

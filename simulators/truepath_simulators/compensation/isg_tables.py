@@ -73,7 +73,9 @@ class VolumetricCorrection(Correction):
         actual = self._place_axes().point_mm(position, tool, "workpiece", carry)
         error = actual - nominal
         steps = np.empty((len(position), 3, 3))
-        for k in range(3):  # exact: the tool point is linear in the straight axes
+        for k in range(
+            3
+        ):  # exact: the tool point is linear in the linear axes' positions
             moved = position.astype(float).copy()
             moved[:, k] += 1.0
             steps[:, :, k] = self.nominal.nominal_point_mm(moved, tool) - nominal

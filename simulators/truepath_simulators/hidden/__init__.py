@@ -8,9 +8,9 @@ lag of the motion that the controller really commands, a screw turns, a circle i
 its axis. Its `truth` has the form of `discovery.json`, so that a service's findings can
 be compared with it.
 
-    motion          what the axes have done so far, exactly, at any time
+    motion          past motion of the axes, exactly, at any time
     effect          what an effect answers
-    superposition   all effects together, as the tracker sees them
+    superposition   all effects together, as measured by the tracker
     drawing         effects at random, by seed; as text, for other processes
 
 Play operator: M. Brokate and J. Sprekels, Hysteresis and Phase Transitions, 1996.

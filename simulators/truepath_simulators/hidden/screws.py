@@ -33,7 +33,7 @@ class Backlash(HiddenEffect):
 
 
 # A carriage with play in its guide: friction leans it to one side or the other.
-_ARM_M = 0.33  # a turn is drawn so that it moves the tool as far as a shift does
+_ARM_M = 0.33  # a turn moves the tool as far as a shift
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,7 +96,7 @@ class TableDrift(HiddenEffect):
         return 1e-3 * np.outer(time_s, self.rate_um_per_s)
 
 
-# A target that sits loose in its nest: each start from rest seats it anew.
+# A target that is loose in its nest: it moves at each start from rest.
 _SEATS = 1000
 
 

@@ -67,7 +67,7 @@ class TrackerRangeOffset(HiddenEffect):
         return error
 
 
-# A plume of warm air beside the machine: distances through it read too short.
+# A plume of warm air next to the machine: distances through it are too short.
 @dataclass(frozen=True, slots=True)
 class WarmPlume(HiddenEffect):
     """The error of the range is amplitude exp(−½ ((azimuth − middle) / width)²)."""

@@ -95,7 +95,7 @@ class SampleNoise:
 
 
 def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
-    """Random pose beside the travel, turned and slightly tilted."""
+    """Random pose next to the travel, turned and slightly tilted."""
     rng = generator(seed, "tracker: pose")
     middle, reach = _reach(machine)
     away = reach + rng.uniform(250.0, 450.0)

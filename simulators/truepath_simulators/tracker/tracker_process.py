@@ -73,7 +73,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
                 _obey(device, json.loads(line), orders)
             else:
                 faults.add(parse_fault(line), clock.now_s())
-        # Its clock first: see `board`. What is followed brings its own.
+        # Its clock first: see `board`. Followed positions have their own time.
         now_s, wall_s = clock.now_s(), time.monotonic()
         timeline = source.timeline()
         if faults.strikes("disconnect", now_s):

@@ -8,7 +8,7 @@ and comes out as a step in its middle; with interpolation, an option, it is spre
 the section. A magnification keeps increments at 7 or below, which every control of this
 make accepts.
 
-With `3605`#0 negative travel has increments of its own, from number `3626` on, and
+With `3605`#0 negative travel has separate increments, from number `3626` on, and
 `3627` is their amount at the reference point; they count from the negative end as well.
 Their magnification is 1: no text at hand says whether it holds for 3627.
 

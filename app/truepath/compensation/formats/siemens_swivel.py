@@ -86,7 +86,7 @@ class SwivelKind:
 def find_swivel_kind(machine: Machine) -> SwivelKind | None:
     """None for a machine that no swivel data set describes.
 
-    One or two rotary axes, no straight axis between them and workpiece or tool.
+    One or two rotary axes, no linear axis between them and workpiece or tool.
     """
     table = _list_rotary(machine, machine.workpiece_side)[::-1]
     head = _list_rotary(machine, machine.tool_side)

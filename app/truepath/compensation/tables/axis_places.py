@@ -37,7 +37,7 @@ def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
 def leave_out_places(errors: ErrorMap, symbols: Collection[str]) -> ErrorMap:
     """Errors of a machine without these locations of rotary axes.
 
-    Where the zero of a rotary axis is outside its travel, tables of straight axes are
+    Where the zero of a rotary axis is outside its travel, tables of linear axes are
     made at another angle, at which a wrong location moves the tool as well.
     """
     theta, slices = errors.result.theta.copy(), errors.result.model.slices

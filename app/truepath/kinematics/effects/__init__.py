@@ -1,4 +1,4 @@
-"""What moves the measured point off its nominal, causes of one kind in a file.
+"""Effects that move the measured point off its nominal, causes of one kind per file.
 
 `base` holds the interface of an effect, `family` that of a family of effects for
 discovery, `keys` what distinguishes effects of a family, `conformance` the checks for

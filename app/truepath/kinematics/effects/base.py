@@ -19,7 +19,7 @@ from truepath.numerics.value_equality import ValueEquality
 
 
 class Role(Enum):
-    """What an effect belongs to.
+    """Part of the measurement to which an effect belongs.
 
     MACHINE : the machine, and so its volumetric error
     DIRECTION : the machine, by the direction of approach; the map is the mean of both
@@ -48,7 +48,7 @@ class QuadraticPrior:
     """A quadratic form θᵀKθ penalised by a prior.
 
     form : (p, p) K; rank : shapes that it penalises; the others are free
-    usual : θᵀKθ of an effect of usual size
+    usual : θᵀKθ of an effect of typical size
     kind : effects of a kind have similar precision; empty for one on its own
     is_known : the form is the precision itself; nothing of it is found from the data
     counted : shapes, those penalised least, that determine how well the precision is
@@ -70,9 +70,9 @@ class Effect(ValueEquality, ABC):
     A dataclass: its fields are what is fixed, θ is what is estimated. Kind, units and
     Jacobian make an effect; the other methods have a default.
 
-    kind : what it is; with its axes, words and numbers, it is its name
+    kind : with the axes, words and numbers it forms the name
     units : inside unit of each parameter, keyed by the suffix to the effect's label
-    role : what it belongs to
+    role : MACHINE by default
     """
 
     kind: ClassVar[str] = ""

@@ -148,7 +148,7 @@ def files_bring_it_back(family: Family, at: Conditions) -> None:
 
 
 def it_states_its_numbers(family: Family, at: Conditions) -> None:
-    """Every stated number is finite and has an uncertainty."""
+    """Every number of `state` is finite and has an uncertainty."""
     for candidate in _propose(family, at):
         found = CandidateEstimate(
             candidate, candidate.usual, np.diag((0.1 * candidate.usual) ** 2), 0.1

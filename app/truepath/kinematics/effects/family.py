@@ -1,4 +1,4 @@
-"""What a catalogued effect provides so that discovery can search for it.
+"""Interface of a catalogued effect for the search by discovery.
 
 A family is one physical cause. For a machine and a recording it proposes candidates:
 effects that are linear in their parameters, with all else (which axis, which lead,

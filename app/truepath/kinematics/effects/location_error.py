@@ -7,7 +7,7 @@ changed since.
 A rotary axis may be shifted and tilted against its nominal location: XOC, YOC, AOC, BOC
 of a C axis, and so on. At the axis zero a wrong location moves nothing; from there it
 moves the target by (1 − R) g on the tool side, (R − 1) g on the workpiece side. Error
-motions across the axis have no mean over the travel: what they would have is location,
+motions across the axis have no mean over the travel: their mean would be location,
 as slopes of straightness are squareness.
 """
 
@@ -54,7 +54,7 @@ class Squareness(Effect):
 
 
 def list_squarenesses(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
-    """Those of the pairs among the given linear axes."""
+    """One per pair among the given linear axes."""
     pairs = {"C0Y": {"X", "Y"}, "B0Z": {"X", "Z"}, "A0Z": {"Y", "Z"}}
     return tuple(Squareness(s) for s, pair in pairs.items() if pair <= set(axes))
 

@@ -3,7 +3,7 @@
 The position of a nest on tool or workpiece is known to a millimetre, never to a
 micrometre, and differs between Runs. A shift of one target on the tool is part of the
 pose, and of the locations of the rotary axes: the volumetric error is that of this
-target as it sits, and locations of rotary axes are stated against it. Every other
+target as it sits, and locations of rotary axes are given relative to it. Every other
 target may be off its nominal position in three directions.
 """
 
@@ -97,7 +97,7 @@ class TimingLaw(Effect):
 class TargetSeat(Effect):
     """Deviation of a target from its position in the machine file, in one Run.
 
-    The volumetric error is stated for the first target on the tool as it sits: the
+    The volumetric error is given for the first target on the tool as it sits: the
     others sit relative to that one.
 
     target : whose rows it moves, by its offset; run : the Run that it belongs to
@@ -141,7 +141,7 @@ class TargetSeat(Effect):
 
 
 def list_target_seats(runs: Sequence[Sequence[Target]]) -> list[TargetSeat]:
-    """Seats of all targets but the one for which the error is stated.
+    """Seats of all targets but the one for which the error is given.
 
     runs : the targets of each Run, in the order of the machine
     """

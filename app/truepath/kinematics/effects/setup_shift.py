@@ -36,7 +36,7 @@ class TableDrift(Effect):
 
 
 class TableDriftFamily(Family):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "table-drift"
     varies_with = "time"

@@ -144,7 +144,7 @@ class BeamBending(BeamEffect):
 
 
 class BeamBendingFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "beam-bending"
     varies_with = "place"

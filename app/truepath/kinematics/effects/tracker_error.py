@@ -112,7 +112,7 @@ class TrackerRangeOffset(BeamEffect):
 
 
 class TrackerRangeOffsetFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "tracker-range-offset"
     varies_with = "place"
@@ -157,7 +157,7 @@ class ElevationIndex(BeamEffect):
 
 
 class ElevationIndexFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "tracker-index"
     varies_with = "place"

@@ -1,4 +1,4 @@
-"""How an error at one axis moves the target where the tracker stands, to first order.
+"""Motion of the target by an error at one axis, to first order, seen from the tracker.
 
 The chain is p = T_1 … T_n t from the workpiece to the tool. An error sits at the side
 of its joint that faces the base for a rotary axis (about the axis' origin), behind the

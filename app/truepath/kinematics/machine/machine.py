@@ -132,12 +132,12 @@ class Machine:
 
     @property
     def linear_axes(self) -> tuple[LinearAxis, ...]:
-        """The straight axes, in column order."""
+        """X, Y, Z as far as they exist, in column order."""
         return tuple(a for a in self.axes if isinstance(a, LinearAxis))
 
     @property
     def rotary_axes(self) -> tuple[RotaryAxis, ...]:
-        """The rotary axes, in column order."""
+        """A, B, C as far as they exist, in column order."""
         return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
 
     def axis(self, name: str) -> Axis:

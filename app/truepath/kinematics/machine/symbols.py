@@ -1,4 +1,4 @@
-"""Symbols of ISO 230-1 and what they mean.
+"""Symbols of ISO 230-1 and their meaning.
 
 An error motion is `E`, the direction (X, Y, Z for a displacement, A, B, C for a turn
 about X, Y, Z), then the axis that moves: EYX is the straightness of X in Y, ECX its

@@ -29,7 +29,7 @@ class TrackerNoise:
 
     @property
     def systematic(self) -> TrackerSpecification:
-        """The specification as stated, or a typical one."""
+        """The specification in the file, or a typical one."""
         return self.specification or TrackerSpecification()
 
     def sigma_mm(
