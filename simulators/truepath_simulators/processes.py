@@ -93,7 +93,6 @@ class DeviceProcess:
             self._process.stdout.close()
 
     def _read_report(self, timeout_s: float) -> dict[str, Any]:
-        """Waits for a line of JSON."""
         stdout = self._process.stdout
         if stdout is None:
             raise SimulatorError(f"the simulated {self._name} is closed")

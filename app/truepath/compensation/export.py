@@ -207,7 +207,6 @@ def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any
 
 
 def _find_beyond_um(errors: ErrorMap, made: Tabulation, after: RemainingError) -> float:
-    """Root mean square of the error due to the choice for unmeasured ranges."""
     every = made.extrapolate(errors)
     whole = find_remaining(errors, every.measured, every.read_back(errors))
     return after.find_difference_um(whole)
@@ -379,7 +378,6 @@ def _compute_rms(
     error_mm: Sequence[Float64[np.ndarray, "n 3"]],
     weight: Float64[np.ndarray, " n"],
 ) -> float:
-    """Over both directions, without rigid motion."""
     every = remove_from_both(position, error_mm, weight)
     return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
 

@@ -54,7 +54,6 @@ def list_formats() -> dict[str, CompensationFormat]:
 
 
 def _ask(name: str, make: Any) -> CompensationFormat:
-    """Raises anything that a third-party format raises."""
     kind = make()
     told = describe_format(name, kind)
     texts = [told[key] for key in ("control", "carries", "not_carried", "note")]
@@ -66,7 +65,6 @@ def _ask(name: str, make: Any) -> CompensationFormat:
 
 
 def _check(call: str, answer: Any) -> Any:
-    """Raises ValueError."""
     if call == "write":
         if not answer:
             raise ValueError("it has written no file")

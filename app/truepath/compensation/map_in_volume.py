@@ -143,7 +143,6 @@ def _expect_length_um(
     position: Float64[np.ndarray, "n a"],
     left_um: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, " n"]:
-    """Mean over errors that the data allow."""
     at = make_standstill(errors.machine, position)
     J = errors.volumetric_map.jacobian(at).reshape(3 * len(position), -1)
     drawn = UM_PER_MM * (J @ draw_parameters(errors.result.covariance))

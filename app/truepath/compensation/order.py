@@ -77,7 +77,6 @@ def keep_files(
 def _find_given(
     source: Path, folder: Path, order: CompensationOrder
 ) -> CompensationOrder:
-    """Adds the active tables if the service has made them."""
     given, stated = order.given, read_result(source).provenance.get("active_tables")
     if not (given.data or given.is_difference) and stated:
         for kept in folder.parent.parent.glob(f"*/{folder.name}/*/{ACCOUNT}"):

@@ -96,7 +96,6 @@ class AxisPlace:
         return tilted / np.linalg.norm(tilted)
 
     def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
-        """In the directions of the machine."""
         own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
         return find_local_directions(self.axis) @ np.array(own)
 

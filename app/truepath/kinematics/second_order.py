@@ -90,7 +90,6 @@ def _find_turn(
     at: Conditions,
     theta: Float64[np.ndarray, " p"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """From the motion of a target that is farther out."""
     frame = at.chain.tool_frame + at.chain.workpiece_frame
     here = _displace(model, effects, at, theta)
     turn = np.zeros((len(at), 3))

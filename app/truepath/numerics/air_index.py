@@ -64,7 +64,6 @@ def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
 
 
 def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Numbers:
-    """Mole fraction."""
     saturated = np.exp(
         1.2378847e-5 * kelvin**2
         - 1.9121316e-2 * kelvin

@@ -66,7 +66,6 @@ class BandedFactor:
         return self._join(solved, right)
 
     def _cut(self, rows: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "c k p"]:
-        """The missing rows of the last chunk are 0."""
         count = len(self.inverse)
         padded = np.pad(rows, ((0, count * _CHUNK - len(rows)), (0, 0)))
         return padded.reshape(count, _CHUNK, rows.shape[1])

@@ -145,7 +145,6 @@ class _Foresight:
         solved: Float64[np.ndarray, "m p"],
         new: Float64[np.ndarray, "b p"],
     ) -> None:
-        """Innovations in units of their noise."""
         out, count = new.reshape(rows.shape), len(self.before)
         np.matmul(self.own, rows, out=out)
         solved = solved.reshape(-1, 3, rows.shape[2])
@@ -276,7 +275,6 @@ def _white_root(
 
 
 def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
-    """Lower triangle that belongs to the last point."""
     block = np.diag(factor[0, -3:])
     block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
     return block

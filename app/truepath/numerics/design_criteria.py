@@ -145,7 +145,6 @@ class _Pieces:
         products: Float64[np.ndarray, "kk n"],
         intervals: Int64[np.ndarray, " i"] | slice = slice(None),
     ) -> tuple[Float64[np.ndarray, "i n r r"], Float64[np.ndarray, "i n r r"]]:
-        """S and M of intervals, by products of Lagrange's polynomials."""
         noise = np.eye(self.values)
         spread = _forms(self.spread[intervals], products) + noise
         return spread, _forms(self.gained[intervals], products)
@@ -240,7 +239,6 @@ def _nodes(count: int) -> Float64[np.ndarray, " n"]:
 
 @lru_cache
 def _series_map(count: int) -> Float64[np.ndarray, "n n"]:
-    """Map from values at the nodes to the Chebyshev series."""
     waves = np.cos(np.pi * np.outer(np.arange(count), np.arange(count) + 0.5) / count)
     waves[0] *= 0.5
     return 2.0 / count * waves
@@ -271,7 +269,6 @@ def _node_products(
 
 @lru_cache
 def _dense_nodes(count: int) -> Float64[np.ndarray, " n"]:
-    """With the ends of the interval."""
     return np.concatenate([[-1.0], _nodes(count), [1.0]])
 
 

@@ -169,7 +169,6 @@ class _LineReader:
 
 @contextmanager
 def _signals() -> Iterator[int]:
-    """A descriptor that becomes readable with SIGINT or SIGTERM."""
     read, write = os.pipe()
     os.set_blocking(write, False)
     before = {

@@ -75,7 +75,6 @@ class _Client:
         self._link, self._rest = link, b""
 
     def serve(self, answer: Answer) -> bool:
-        """False once the client has gone."""
         try:
             data = self._link.recv(_BLOCK)
         except BlockingIOError:

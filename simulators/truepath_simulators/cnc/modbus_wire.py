@@ -156,7 +156,6 @@ def crc16(data: bytes) -> int:
 
 
 def _rtu_length(buffer: bytes) -> int:
-    """Length of the first request of a buffer, as far as it is determined."""
     function = buffer[1]
     counted = {15: (6, 9), 16: (6, 9), 22: (None, 10), 23: (10, 13)}
     at, fixed = counted.get(function, (None, 8))

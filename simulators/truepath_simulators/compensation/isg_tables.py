@@ -84,7 +84,6 @@ class VolumetricCorrection(Correction):
         return total
 
     def _place_axes(self) -> TruthMachine:
-        """Rotary axes at the locations of the constants."""
         joints = dict(self.nominal.joints)
         for name, joint in joints.items():
             if isinstance(joint, RotaryJoint):
@@ -156,7 +155,6 @@ def correct_volume(
 
 
 def _centre_axes(machine: MachineFile, constants: Mapping[str, float]) -> MachineFile:
-    """Centres of the rotary axes from the file."""
     axes = [
         replace(
             axis,

@@ -107,7 +107,6 @@ def read_kinematics(name: str, text: str, machine: MachineFile) -> KinematicCorr
 
 
 def _take(pins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """A pin that is not set is 0."""
     point, offset = (
         np.array([pins.get(f"{letter}-{what}", 0.0) for letter in "xyz"])
         for what in ("rot-point", "offset")

@@ -113,7 +113,6 @@ class LoadedTables:
 def _read_tables(
     form: str, files: Mapping[str, str], machine: MachineFile, rules: Rules
 ) -> Correction:
-    """After the kinematics, where a file sets them."""
     is_chain, read_chain = _KINEMATICS.get(form, (None, None))
     chains = {name: text for name, text in files.items() if is_chain and is_chain(text)}
     tables = {name: text for name, text in files.items() if name not in chains}

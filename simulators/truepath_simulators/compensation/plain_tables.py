@@ -96,7 +96,6 @@ def _split_json(text: str) -> tuple[list[str], Iterable[list[str]]]:
 def _make_curves(
     column: int, found: Mapping[tuple[int, int], list[list[float]]]
 ) -> tuple[tuple[Curve, ...], ...]:
-    """Of six motions of an axis, both directions each."""
     by_side = {side: np.array(found[column, side]) for side in _SIDES.values()}
     return tuple(
         tuple(

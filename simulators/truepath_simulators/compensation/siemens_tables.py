@@ -119,7 +119,6 @@ def _make_curve(name: str, table: _Table, column: int) -> Curve:
 
 
 def _find_column(name: str, word: str, machine: MachineFile) -> int:
-    """Of `AX2` or of a machine axis such as `Y1`."""
     numbered = re.fullmatch(r"AX(\d+)", word)
     if numbered and 1 <= int(numbered.group(1)) <= len(machine.axes):
         return int(numbered.group(1)) - 1

@@ -106,7 +106,6 @@ class Motion:
         return self._remembered[key]
 
     def _find_headings(self) -> np.ndarray:
-        """A standing axis keeps its heading."""
         step = np.diff(self.timeline.origin, axis=0)
         step = np.vstack([step, np.zeros((1, step.shape[1]))])
         sign = np.where(np.abs(step) > _STANDS_MM, np.sign(step), 0.0)

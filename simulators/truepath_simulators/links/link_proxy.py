@@ -57,8 +57,6 @@ class Harm:
 
 
 class _Direction:
-    """Pieces on their way, each with its time of arrival."""
-
     def __init__(self, rng: np.random.Generator) -> None:
         self.harm = Harm()
         self.harmed = 0
@@ -99,7 +97,6 @@ class _Direction:
         return arrived
 
     def wait_s(self, now_s: float) -> float:
-        """Time until the next arrival, at most one period."""
         if not self._ahead:
             return _PERIOD_S
         return min(max(self._ahead[0][0] - now_s, 0.0), _PERIOD_S)
@@ -227,7 +224,6 @@ class LinkProxy:
         return [self._far if isinstance(self._far, int) else self._far.fileno()]
 
     def _read_far(self) -> bytes | None:
-        """None for nothing."""
         try:
             match self._far:
                 case None:

@@ -192,7 +192,6 @@ class TcpPort(Port):
         return data
 
     def _read_host(self) -> bytes | None:
-        """None if the host has gone."""
         if self._host is None:
             return b""
         try:

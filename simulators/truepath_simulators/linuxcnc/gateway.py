@@ -184,7 +184,6 @@ class LinuxCncController(Controller):
         return self._stat.interp_state != self._cnc.INTERP_IDLE or not self._stat.inpos
 
     def _look_for_end(self) -> None:
-        """The state after RUNNING is the ordered or the reached one."""
         if self._stat.current_vel > 0.0:
             return
         if self._stat.paused:

@@ -117,7 +117,6 @@ class TrackerBody:
         return to_cartesian(reading - self._lag(turned, time_s))
 
     def _aim(self, turned: np.ndarray) -> np.ndarray:
-        """End of the beam for range and angles of the axes."""
         distance, azimuth, elevation = turned.T
         nothing = np.zeros_like(distance)
         tilt, skew = self.square

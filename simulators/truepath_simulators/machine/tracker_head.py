@@ -120,7 +120,6 @@ def _draw_rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:
-    """Middle of the targets' region, and its extent sideways."""
     if not machine.rotary_axes:
         middle = 0.5 * (machine.low_mm + machine.high_mm)
         half = 0.5 * (machine.high_mm - machine.low_mm)

@@ -134,7 +134,6 @@ class TruthMachine:
         last: np.ndarray,
         carry: Carried | None,
     ) -> np.ndarray:
-        """Nominal joints without `carry`."""
         product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
         for name in reversed(side):
             joint = self.joints[name]

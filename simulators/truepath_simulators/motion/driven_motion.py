@@ -99,7 +99,6 @@ class _Lines:
 def _laid_out(
     stretches: np.ndarray, lines: _Lines, begin_s: float, origin: np.ndarray
 ) -> Timeline:
-    """Eight stretches per row, seven of motion and one of dwell."""
     t, a, j = np.moveaxis(stretches, 2, 0)
     change = t * (a + t * j / 2.0)
     speed = np.cumsum(change, axis=1) - change
@@ -148,7 +147,6 @@ def split_at_reversals(timeline: Timeline) -> Timeline:
 
 
 def _split_piece(timeline: Timeline, piece: int) -> Timeline:
-    """Parts of one piece on an arc in which no axis reverses."""
     begin_s, end_s = timeline.start_s[piece : piece + 2].tolist()
     own = timeline.select(slice(piece, piece + 1))
     direction, curvature = own.direction[0], own.curvature[0]

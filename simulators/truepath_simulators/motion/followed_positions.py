@@ -109,7 +109,6 @@ class FollowedPositions:
 
 
 def _join(rows: np.ndarray) -> Timeline:
-    """Pieces of constant speed from each row to the next."""
     time_s, position = rows[:, 0], rows[:, 1:]
     step = np.diff(position, axis=0)
     length = path_length(step)

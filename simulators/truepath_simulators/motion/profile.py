@@ -110,7 +110,6 @@ def ride(
 
 
 def _highest_peak(length_mm: np.ndarray, limits: Limits) -> np.ndarray:
-    """Speed that a line of a length can just reach before braking."""
     A, J = limits.acceleration_mm_s2, limits.jerk_mm_s3
     if math.isinf(J):
         return np.sqrt(A * length_mm)
@@ -123,7 +122,6 @@ def _highest_peak(length_mm: np.ndarray, limits: Limits) -> np.ndarray:
 def _ramp_and_level(
     change_mm_s: np.ndarray, limits: Limits
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Durations of ramp and level acceleration for a change of speed."""
     A, J = limits.acceleration_mm_s2, limits.jerk_mm_s3
     if math.isinf(J):
         return np.zeros_like(change_mm_s), change_mm_s / A
@@ -150,7 +148,6 @@ def _change(before: float, after: float, limits: Limits) -> list[Stretch]:
 def _settle(
     speed: float, acceleration: float, limits: Limits
 ) -> tuple[float, list[Stretch]]:
-    """Speed after the acceleration has reached zero, and the stretch."""
     J = limits.jerk_mm_s3
     if acceleration == 0.0 or math.isinf(J):
         return speed, []

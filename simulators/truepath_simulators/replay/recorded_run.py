@@ -226,7 +226,6 @@ def _find_moves(
     position: np.ndarray,
     zero_s: float,
 ) -> tuple[Move, ...]:
-    """Paths, or the motions from point to point."""
     begins = [(kind, 1e-9 * ns - zero_s) for kind, ns in events]
     orders = [s for kind, s in begins if kind == "start"]
     # The last point is followed by no motion.

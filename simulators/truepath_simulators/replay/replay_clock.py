@@ -21,8 +21,6 @@ _PATIENCE_S = 2.0  # of the wall clock, for a busy host to order or to look
 
 @dataclass(slots=True)
 class _Gate:
-    """A time at which the recording waits for the host."""
-
     time_s: float
     patience_s: float = _PATIENCE_S
     is_open: bool = False

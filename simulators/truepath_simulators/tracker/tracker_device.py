@@ -258,7 +258,6 @@ class TrackerDevice:
         index: np.ndarray,
         number: np.ndarray,
     ) -> tuple[RawSamples, np.ndarray]:
-        """With the machine times at which the samples were taken."""
         clock_us = stream.clock_us(index)
         moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
@@ -332,7 +331,6 @@ class FrameDamage:
         return self._delay(out, time_s, number)
 
     def _lot(self, fault: Fault, n: int) -> np.ndarray:
-        """Struck frames, if the amount of the fault is a share."""
         share = fault.amount if fault.kind in _SHARES else 1.0
         return self._rng.uniform(size=n) < share
 

@@ -48,7 +48,6 @@ def truth_of(
 
 
 def _grid(machine: MachineFile) -> np.ndarray:
-    """Random points if there are rotary axes."""
     low, high = machine.low_mm + _GRID_MARGIN_MM, machine.high_mm - _GRID_MARGIN_MM
     if machine.rotary_axes:
         rng = generator(0, "grid of the truth")

@@ -119,8 +119,6 @@ def _draw_half_turns_rad(
 
 @dataclass(frozen=True)
 class _Sample:
-    """Positions over the travel of all axes, with sampled errors of the result."""
-
     errors: ErrorMap
 
     @cached_property
@@ -139,7 +137,6 @@ class _Sample:
         return self.position[:, self.errors.machine.axis_names.index(axis.name)]
 
     def draw_positioning(self, axis: RotaryAxis) -> Float64[np.ndarray, "n d"]:
-        """Sampled errors of the axis' positioning, rad."""
         model, own = self.errors.result.model, f"E{axis.name}{axis.name}"
         (motion,) = (one for one in model.identifiable_motions if one.symbol == own)
         at_deg = keep_to_measured(self.errors, axis, self.read(axis))
@@ -302,7 +299,6 @@ def measure_over_axes(
 def _find_error_mm(
     errors: ErrorMap, at: Conditions, side: float
 ) -> Float64[np.ndarray, "n 3"]:
-    """Lost motion of rotary axes included."""
     error = errors.error_mm(at.position_mm, side)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
@@ -335,7 +331,6 @@ def _move(
 
 
 def _draw_errors_mm(errors: ErrorMap, at: Conditions) -> Float64[np.ndarray, "s n 3 d"]:
-    """Lost motion of rotary axes included."""
     drawn = draw_errors_mm(errors, at.position_mm)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]

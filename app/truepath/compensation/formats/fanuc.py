@@ -178,7 +178,6 @@ class _Tape:
 
     @property
     def last(self) -> int:
-        """Points of negative travel begin beyond it."""
         return self.first + len(self.forward) - 1
 
     @property
@@ -254,14 +253,12 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
 
 def _round_spacing_mm(table: AxisTable) -> float:
-    """Spacing in whole micrometres, rounded up."""
     low, high = _find_span_mm(table.axis)
     spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
     return math.ceil(spacing_mm / _UNIT_MM - 1e-6) * _UNIT_MM
 
 
 def _count_sections(axis: LinearAxis, rows: int) -> int:
-    """Of a tape whose table has this number of rows over the travel."""
     low, high = _find_span_mm(axis)
     share = (high - low) / (axis.high - axis.low)
     return min(math.ceil((rows - 1) * share - 1e-9), Fanuc.most_points - 1)

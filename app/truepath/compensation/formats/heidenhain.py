@@ -151,7 +151,6 @@ def _read_rows(text: str) -> list[dict[str, str]]:
 def _read_columns(
     axis: str, rows: list[dict[str, str]], reading: str
 ) -> Iterator[InterpolatedTable]:
-    """The axis' own column by direction if there is BACKLASH."""
     columns = {
         n: np.array([float(row[n]) for row in rows])
         for n in rows[0]

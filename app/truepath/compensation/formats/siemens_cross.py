@@ -118,7 +118,6 @@ def _list_straight(table: AxisTable) -> Iterator[CrossTable]:
 
 
 def _list_backlash(table: AxisTable) -> Iterator[CrossTable]:
-    """Difference of negative from positive travel."""
     lost = (table.backward_mm - table.forward_mm)[:, table.own]
     gain = 0.5 * float(np.sqrt(np.mean(lost**2)))
     name, at = table.axis.name, table.position_mm
@@ -145,7 +144,6 @@ def _list_products(
 
 
 def _list_pairs(table: AxisTable, tables: Sequence[AxisTable]) -> Iterator[CrossTable]:
-    """Largest product of the error of two axes."""
     pair = table.pair
     if pair is None:
         return

@@ -62,7 +62,6 @@ def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
 def _read_settings(
     files: Mapping[str, str], kind: str
 ) -> list[tuple[str, dict[str, str], dict[int, float]]]:
-    """(table, settings, values by index) of every table."""
     names: dict[str, dict[str, str]] = {}
     systems: dict[str, str] = {}
     values: dict[str, dict[int, float]] = {}

@@ -213,7 +213,6 @@ def _read_values(name: str, text: str) -> dict[int, float]:
 def _read_direction(
     name: str, axis: RotaryAxis, vectors: Vectors, number: int
 ) -> Float64[np.ndarray, "3"]:
-    """Unit vector of an axis, for any length in the file."""
     vector = vectors[f"v{number}"]
     length = float(np.linalg.norm(vector))
     if length == 0.0 or vector @ np.array(axis.direction) < _SAME * length:

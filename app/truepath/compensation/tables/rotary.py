@@ -85,7 +85,6 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
 def _find_motions(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
-    """0 where the result has none."""
     at_deg = keep_to_measured(errors, axis, at_deg)
     symbols, model = list_error_motions(axis.name), errors.result.model
     motions = np.zeros((len(at_deg), len(symbols)))

@@ -92,7 +92,6 @@ class _FamilyOfAxes(SinusoidFamily):
     longest: ClassVar[float]
 
     def is_resolved(self, axis: Axis, at: Conditions) -> bool:
-        """Travel long enough, and enough positions in it, to distinguish waves."""
         places = np.unique(np.round(at.axis_mm(axis.name)))
         travel = float(np.ptp(places))
         return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest
@@ -100,7 +99,6 @@ class _FamilyOfAxes(SinusoidFamily):
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Waves per mm or deg, four steps to one wave over the travel."""
         # In a further Run the axis may not move.
         travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
         step = 0.25 / max(travel, self.longest)
