@@ -1,4 +1,4 @@
-"""Runs in, observations out."""
+"""Observations of closed Runs, at standstill, on the fly or polled."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ _FROM_ENDS_MM = 1.0  # nearer to a waypoint it is the waypoint
 
 
 def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
-    """Align Runs; return the observations of each, with their surroundings.
+    """Observations of each Run, with their surroundings.
 
-    Raises AlignmentError with the name of the Run meant where there are several.
+    Raises AlignmentError, with the name of the Run where there are several.
     """
     observed: list[Observations] = []
     for name, run in zip(names, runs, strict=True):
@@ -97,9 +97,9 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
-    """Recognise what the machine did in the stream and reduce it to observations.
+    """Match the stream to the commanded path or points and reduce it to cells.
 
-    cell_mm : longest cell on a line; shorter ones show shorter waves
+    cell_mm : longest cell on a line; shorter ones resolve shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
     if run.points is not None:
@@ -188,7 +188,7 @@ def _match_or_explain(
 def _match(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
-    """Return the path by the targets' seats, the standstills, and which is where."""
+    """The path with targets at their seats, the standstills, and their matching."""
     machine, path = run.machine, run.commanded
     nominal = compute_nominal_path(machine, path)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
@@ -222,9 +222,8 @@ def _list_beyond(
     matching: Matching,
     nominal: NominalPath,
 ) -> list[LeftOut]:
-    """Return how often the target stands still before the path and after it.
-
-    Where that is the path once more, return how many samples it has.
+    """Number of standstills before the path and after it; of samples, where these
+    repeat the path.
     """
     found: list[LeftOut] = []
     expected = matching.pose.apply(nominal.place_mm)
@@ -248,10 +247,8 @@ def _list_beyond(
 def _list_astray(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> list[LeftOut]:
-    """Return the parts of the stream that stand still, but at none of their places.
-
-    As many in a row as places are missing there: the machine went on, and the stream
-    lost its frame.
+    """Parts of the stream with several standstills in a row that match no point, where
+    points are missing: the machine went on, and the stream lost its frame.
     """
     stop = np.concatenate([[-1], matching.stop, [len(stops)]])
     place = np.concatenate([[-1], matching.waypoint, [len(nominal.first)]])
@@ -274,7 +271,6 @@ def _list_astray(
 def _list_lines_without_pass(
     nominal: NominalPath, passes: tuple[Pass, ...]
 ) -> list[LeftOut]:
-    """Return the lines on which nothing was measured although axes move for a while."""
     seen = {each.row for each in passes}
     takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
     rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
@@ -303,7 +299,9 @@ def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
 
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:
-    """Refuse what moves no target: the rotary axes turn about it, or on other sides."""
+    """Rejects a path that does not move the target: rotary axes turn about it, or do
+    not carry it.
+    """
     rows = len(nominal.end_mm)
     if rows < _FEWEST_ROWS:
         raise AlignmentError(
@@ -321,7 +319,7 @@ def _require_motion(nominal: NominalPath, commanded: str) -> None:
 def drop_measured_elsewhere(
     runs: Sequence[Run], observed: Sequence[Observations]
 ) -> list[Observations]:
-    """Return the observations without the missing rows that other Runs have.
+    """Removes missing rows from `left_out` that other Runs have measured.
 
     An interrupted measurement that was continued is several Runs: a row is missing only
     if none of them has it.
@@ -348,7 +346,7 @@ def drop_measured_elsewhere(
 def _add_driven_elsewhere(
     number: int, runs: Sequence[Run], observed: Sequence[Observations]
 ) -> Driving | None:
-    """Return what was driven of a path, on to where other Runs of it begin and end."""
+    """Executed rows, extended to where other Runs of the path begin and end."""
     driving = observed[number].driving
     if driving is None or driving.is_whole:
         return driving
@@ -367,7 +365,7 @@ def _add_driven_elsewhere(
 
 
 def _describe_row(run: Run, row: int) -> tuple[object, ...]:
-    """Return what a line or point is: its ends or place, and its target."""
+    """Identity of a line or point: its ends or position, and its target."""
     path = run.commanded
     first = row - 1 if isinstance(path, Path) else row
     ends = np.round(path.position[max(first, 0) : row + 1], _DECIMALS)
@@ -411,7 +409,7 @@ def _find_clock(
     feeds: dict[int, float],
     lines: int,
 ) -> float:
-    """Return how much longer all took than it should, 1 where that is not certain.
+    """Ratio of measured to commanded times, 1 where it is not certain.
 
     An override changes the lines alone, a wrong rate the standstills as well.
     """
@@ -437,7 +435,9 @@ def _find_clock(
 def _find_other_feeds(
     stream: Stream, nominal: NominalPath, passes: Sequence[Pass]
 ) -> dict[int, float]:
-    """Return shares of the feed; how it is split over rotary axes is the control's."""
+    """Ratio to the commanded feed; the control splits it over rotary axes in its own
+    way.
+    """
     found: dict[int, float] = {}
     for each in passes:
         if not each.is_steady or nominal.turn_deg[each.row] > 0.0:
@@ -469,7 +469,7 @@ def _find_holds(
 def _is_on_line(
     nominal: NominalPath, row: int, place_mm: np.ndarray, matching: Matching
 ) -> bool:
-    """Tell whether a place is on a line, and neither its beginning nor its end."""
+    """True for points on a line, away from both ends."""
     curve = nominal.curve(row)
     share, off_mm = curve.nearest(place_mm[None])
     way_mm = float(share[0]) * curve.length_mm
