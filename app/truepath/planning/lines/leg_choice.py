@@ -1,4 +1,4 @@
-"""Stops whose legs tell most per second: greedy choice, then exchange.
+"""Stops whose legs have most information per second: greedy choice, then exchange.
 
 Each leg begins where the last one ended, so no time is lost on the way. The next stop
 is the one of many candidates whose leg lowers J most for the time it takes. A greedy
@@ -30,7 +30,7 @@ _WORTH = 2e-3  # of J · T that a round of moves must bring
 
 @dataclass(frozen=True, slots=True)
 class SearchRegion:
-    """Where stops may lie: a box in axis positions, and legs that are allowed."""
+    """Allowed stops, a box in axis positions, and allowed legs."""
 
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
@@ -39,9 +39,9 @@ class SearchRegion:
 
 @dataclass(frozen=True, slots=True)
 class SearchEffort:
-    """How hard stops are searched.
+    """Effort of the search for stops.
 
-    candidates : ends that are judged for the next leg
+    candidates : ends evaluated for the next leg
     rounds : of moving stops after the greedy choice, at most
     """
 
@@ -51,9 +51,9 @@ class SearchEffort:
 
 @dataclass(frozen=True)
 class LegChoice:
-    """Chooses stops for a design; draws candidates from one seeded generator.
+    """Chooses stops for a design; samples candidates from one seeded generator.
 
-    feeds_mm_min : driven in turn, so that each has its share of the legs; or, where the
+    feeds_mm_min : used in turn, so that each has its share of the legs; or, where the
         choice is free, the first, and others where they lower J · T
     """
 
@@ -70,10 +70,9 @@ class LegChoice:
         budget_s: float,
         legs: int | None = None,
     ) -> Stops:
-        """Return stops whose legs take no longer than the budget.
+        """Stops whose legs take no longer than the budget.
 
         legs : at most
-
         Raises PlanningError if not even one allowed leg fits in.
         """
         first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
@@ -96,7 +95,7 @@ class LegChoice:
         return best
 
     def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
-        """Return the stops with more of them while time is left, or with fewer."""
+        """Adds stops while time remains, or removes those beyond it."""
         times = self.design.drive.times_s(stops.legs)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.select(slice(fits + 1))
@@ -125,9 +124,9 @@ class LegChoice:
         tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
         | None
     ):
-        """Return end and feed of the leg that gains most a second, its rows and time.
+        """End and feed of the leg with most gain per second, its rows and time.
 
-        At the first feed at which there is one.
+        At the first feed that has an allowed leg.
         """
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
         known = IntegratedVariance(inverse(precision), self.design.gram)
@@ -148,7 +147,6 @@ class LegChoice:
         tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
         | None
     ):
-        """Return the best of some legs from here, None where none is allowed."""
         legs = _join_legs(here, ends, feed_mm_min)
         times = self.design.drive.times_s(legs)
         ok = (times <= left_s) & self.region.allows(legs)
@@ -160,9 +158,8 @@ class LegChoice:
         return ends[best], feed_mm_min, rows[best], float(times[best])
 
     def _exchange(self, stops: Stops) -> tuple[Stops, float]:
-        """Move each stop but the first to where J · T is least; tell the gain.
-
-        Where the choice is free, the feed towards it changes as well.
+        """Moves each stop but the first to where J · T is least; relative gain as
+        second value. Where the choice is free, the feed towards it changes as well.
         """
         total = self.design.precision + self._inform(stops)
         before = cost = self._cost(stops)
@@ -177,7 +174,7 @@ class LegChoice:
         total: Float64[np.ndarray, "p p"],
         cost: float,
     ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
-        """Return the stops with one moved, their information, and J · T."""
+        """The stops with one moved, their information, and J · T."""
         old = stops.select(slice(k - 1, k + 2))
         others = total - self._inform(old)
         rest_s = self._duration_s(stops) - self._duration_s(old)
@@ -208,7 +205,7 @@ class LegChoice:
         return Stops(position, feed), total, float(costs[best])
 
     def _reorder(self, stops: Stops) -> Stops:
-        """Return the stops in an order of short moves, unless they tell less so."""
+        """Order of short moves, unless it has less information."""
         n = len(stops)
         legs = Legs(
             np.repeat(stops.position, n, 0),
@@ -230,10 +227,7 @@ class LegChoice:
         places: Float64[np.ndarray, "n a"],
         feeds_mm_min: Float64[np.ndarray, " n"],
     ) -> list[Legs]:
-        """Return the legs before a stop, and those after it, for places of it.
-
-        feeds_mm_min : towards the stop
-        """
+        """Legs into and out of a stop, for candidates of it; feeds are towards it."""
         position, feed = stops.position, stops.feed_mm_min
         found = [_join_legs(position[k - 1], places, feeds_mm_min)]
         if k + 1 < len(stops):
@@ -241,7 +235,7 @@ class LegChoice:
         return found
 
     def _draw_places(self, count: int) -> Float64[np.ndarray, "n a"]:
-        """Draw places on faces, edges and corners of the region, and inside it."""
+        """On faces, edges and corners of the region, and inside it."""
         low, high = self.region.low, self.region.high
         share = self.rng.random((count, len(low)))
         pinned = self.rng.random(share.shape) < _PINNED
@@ -251,7 +245,6 @@ class LegChoice:
     def _places_for(
         self, here: Float64[np.ndarray, " a"], C: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n a"]:
-        """Return places near a stop and anywhere, and better ones where known."""
         low, high = self.region.low, self.region.high
         step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
         better = self.design.better_places(C, here)
@@ -259,11 +252,11 @@ class LegChoice:
         return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
 
     def _cost(self, stops: Stops) -> float:
-        """Return J · T."""
+        """J · T, mm² s."""
         return self._predict_left(stops) * self._duration_s(stops)
 
     def _predict_left(self, stops: Stops) -> float:
-        """Return J."""
+        """J, mm²."""
         return self.design.add(self._inform(stops)).integrated_variance
 
     def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
@@ -278,6 +271,6 @@ def _join_legs(
     end: Float64[np.ndarray, "*n a"],
     feed: float | Float64[np.ndarray, " n"],
 ) -> Legs:
-    """Return legs from one place to each of several, or from each to one."""
+    """From one point to each of several, or from each to one."""
     begin, end = np.broadcast_arrays(begin, end)
     return Legs(begin, end, np.broadcast_to(np.float64(feed), len(begin)).copy())
