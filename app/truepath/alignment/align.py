@@ -59,7 +59,7 @@ from truepath_drivers.interfaces.records import Path
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
-_FEWEST_POINTS = 4  # of which three tell the pose
+_FEWEST_POINTS = 4  # of which three determine the pose
 _FEWEST_ROWS = 3
 _CLEARLY = 0.95  # of the standstills
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
@@ -67,9 +67,9 @@ _DECIMALS = 6  # mm or deg
 _OTHER_FEED = 0.03  # of the commanded one; controllers keep it far better
 _STEADY_S = 0.5  # at least: a short line may not come to its feed
 _HOLD_S = 0.3  # shorter standstills are no hold
-_GAP = 5.0  # times the usual step; the beam is lost for single samples as well
-_TELLING_S = 0.2  # of dwell: a ramp is short beside it
-_CLOCK = 0.25  # of the logarithm: less may be the ramps beside a standstill
+_GAP = 5.0  # times the typical step; the beam is lost for single samples as well
+_TELLING_S = 0.2  # of dwell: a ramp is short against it
+_CLOCK = 0.25  # of the logarithm: less may be due to ramps next to a standstill
 _FROM_ENDS_MM = 1.0  # nearer to a waypoint it is the waypoint
 
 
@@ -222,9 +222,7 @@ def _list_beyond(
     matching: Matching,
     nominal: NominalPath,
 ) -> list[LeftOut]:
-    """Number of standstills before the path and after it; of samples, where these
-    repeat the path.
-    """
+    """Standstills before and after the path; samples where it is repeated."""
     found: list[LeftOut] = []
     expected = matching.pose.apply(nominal.place_mm)
     sides: tuple[tuple[Cause, int, int], ...] = (
@@ -299,9 +297,7 @@ def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
 
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:
-    """Rejects a path that does not move the target: rotary axes turn about it, or do
-    not carry it.
-    """
+    """Rejects rotary axes that turn about the target, or do not carry it."""
     rows = len(nominal.end_mm)
     if rows < _FEWEST_ROWS:
         raise AlignmentError(
@@ -381,7 +377,7 @@ def _describe_driving(
     nominal: NominalPath,
     passes: Sequence[Pass],
 ) -> Driving:
-    # A measurement rests on none of it, but who ran the program should know.
+    # For the operator; the measurement does not depend on it.
     place = matching.waypoint
     feeds = _find_other_feeds(stream, nominal, passes)
     clock = _find_clock(run, stream, stops, matching, nominal, feeds, len(passes))
@@ -435,9 +431,7 @@ def _find_clock(
 def _find_other_feeds(
     stream: Stream, nominal: NominalPath, passes: Sequence[Pass]
 ) -> dict[int, float]:
-    """Ratio to the commanded feed; the control splits it over rotary axes in its own
-    way.
-    """
+    """Without rotary axes: each control splits the feed over them differently."""
     found: dict[int, float] = {}
     for each in passes:
         if not each.is_steady or nominal.turn_deg[each.row] > 0.0:

@@ -24,11 +24,11 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import select_rows
 from truepath_drivers.interfaces.records import Path
 
-MOST_PLACES = 3  # that are compared
-_NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
-_REPEATS_MM = 0.003  # machine and reflector, come from the same side
+MOST_PLACES = 3  # compared, at most
+_NOISE = 0.25  # of one sample's: after a second of samples, air included
+_REPEATS_MM = 0.003  # machine and reflector, approached from the same side
 _LIMIT = 4.0  # of the standard uncertainty of a difference
-_SEARCHED_MM = 20.0  # a target that is farther from its place was not knocked
+_SEARCHED_MM = 20.0  # a larger distance is no shift of the set-up
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.numerics.rigid import fit_rigid
 
-_NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
+_NOISE = 0.25  # of one sample's: after a second of samples, air included
 _REPEATS_MM = 0.003  # machine and reflector, within minutes
 _LIMIT = 4.0  # of the standard uncertainty of a point
-_MOVED = 0.2  # of the way that the tracker was asked to go
+_MOVED = 0.2  # of the planned move of the tracker
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,7 @@ class StationCheck:
 
 
 def measure_points(run: Run, specification: TrackerSpecification) -> KnownPoints:
-    """Points of a Run at standstill, with standard uncertainties. Raises
-    AlignmentError.
+    """Points of a Run at standstill, with uncertainties. Raises AlignmentError.
 
     specification : of the tracker's systematic errors
     """

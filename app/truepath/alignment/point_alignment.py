@@ -37,7 +37,7 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FEWEST, _TRIES = 4, 30  # points among which the first pose is sought
+_FEWEST, _TRIES = 4, 30  # points for the first pose: at least, at most
 
 
 class PointAlignment:
@@ -50,8 +50,8 @@ class PointAlignment:
         nothing = PointRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3, 3)))
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
         self._points = nothing
-        self._near: list[int] = []  # points that are where their rows are
-        self._waiting: list[int] = []  # of these, whose targets' seats are not known
+        self._near: list[int] = []  # points near their rows
+        self._waiting: list[int] = []  # of these, with targets' seats not settled
         self._astray: list[LeftOut] = []
         self._known = KnownSeats()
         self._reach_mm = TOLERANCE_MM
@@ -65,8 +65,7 @@ class PointAlignment:
         return self._known.seats
 
     def list_astray(self) -> tuple[LeftOut, ...]:
-        """Points off their rows since the last good one, as one record; empty below
-        three.
+        """Points off their rows since the last good one, as one; none below three.
 
         Those before it are reported with the observations.
         """
@@ -100,9 +99,7 @@ class PointAlignment:
             self._refine_pose()
 
     def add(self, block: PointBlock) -> list[CellBlock]:
-        """Cells of the points that are near their rows, once their target's seat is
-        settled.
-        """
+        """Cells of points near their rows, once the target's seat is settled."""
         before = len(self._run.tracker)
         tracker = TrackerSamples.join([self._run.tracker, block.samples])
         self._run = replace(self._run, tracker=tracker)
@@ -143,7 +140,7 @@ class PointAlignment:
                 seating=seating,
             )
         except AlignmentError:
-            return  # too little so far: more points may tell
+            return  # too few so far: more points may suffice
         same = found.stop[found.stop == found.waypoint]
         if len(same) >= _FEWEST and is_wide(
             self._place_mm[waypoints[same]], self._place_mm

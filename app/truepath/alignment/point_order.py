@@ -17,8 +17,7 @@ from truepath.motion.configurations import Configurations
 def order_shots(
     machine: Machine, points: Configurations, tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> Int64[np.ndarray, " n"] | None:
-    """Row of each shot, −1 of one at no point; None where shots do not follow the
-    points.
+    """Row of each shot, −1 off all points; None if shots do not follow them.
 
     Consecutive shots at one position are of one point; any point may be missing.
     """

@@ -42,9 +42,9 @@ from truepath.motion.workspace.line_of_sight import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
+_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning needs
 _FEWEST = 3  # standstills that fix a pose
-_TRIES = 30  # standstills among which the first matching is sought
+_TRIES = 30  # standstills for the first matching, at most
 _MOST_KEPT_S = 600.0  # of one line
 
 
@@ -65,7 +65,7 @@ class StreamingAlignment:
         self._begun_s: list[float] = []  # of each of these
         self._astray: list[tuple[int, float]] = []  # the newest, and how far off
         self._was_astray: list[LeftOut] = []
-        self._delivered = 0  # matched standstills up to which all is handed on
+        self._delivered = 0  # matched standstills up to which all cells are delivered
         self._passes: list[Pass] = []
         self._is_over = False
         self._unusable: list[LeftOut] = []
@@ -98,9 +98,7 @@ class StreamingAlignment:
         return (*self._was_astray, *((now,) if now else ()))
 
     def _describe_astray(self) -> LeftOut | None:
-        """Standstills off the path since the last matched one, as one record; None
-        below three.
-        """
+        """Standstills off the path since the last match; None below three."""
         if len(self._astray) < FEWEST_ASTRAY:
             return None
         first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
@@ -206,7 +204,7 @@ class StreamingAlignment:
                 join_stops(stops, 0), nominal_mm, ordered_by=names, seating=seating
             )
         except AlignmentError:
-            return  # too little so far, or another path: the batch will say
+            return  # too few so far, or another path: the batch decides
         if is_wide(nominal_mm[found.waypoint], self._place_mm):
             pairs = zip(found.stop.tolist(), found.waypoint.tolist(), strict=True)
             self._matched, self.pose = list(pairs), found.pose
@@ -234,9 +232,7 @@ class StreamingAlignment:
             self._note_astray(index, begin)
 
     def _note_astray(self, index: int, begin: int) -> None:
-        """Records a standstill that is neither at a point ahead nor on the way there.
-        begin : the next point
-        """
+        """Records a standstill off all points ahead and the way to them."""
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         place = self.pose.invert().apply(self._stream.stops[index].position_mm)
         away_mm = np.linalg.norm(self._known.seated_mm[begin:] - place, axis=1)

@@ -1,5 +1,4 @@
-"""Effects missing in the model: where it deviates, which effect explains it, the
-evidence.
+"""Effects missing in the model: where it deviates, their names and evidence.
 
 Here: search, evidence, names, open questions. Not here: the effects themselves
 (`kinematics.effects`), documents and report of a discovery (`answers.discovery`).

@@ -28,7 +28,7 @@ from truepath.estimation.problem.information import Information, compute_posteri
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 
-_FREE = 100.0  # times the usual size: a fitted term has hardly a prior
+_FREE = 100.0  # times the typical size: a fitted term has hardly a prior
 
 
 def prior_precision(

@@ -171,9 +171,7 @@ def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -
 
 
 def _find_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
-    """Root mean square of noise alone in a cell of all Runs: as found, and as
-    specified.
-    """
+    """Root mean square of noise alone in a cell: as found, as specified."""
     square, usual, cells = 0.0, 0.0, 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation

@@ -38,7 +38,7 @@ CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
-_SIGMAS = 4.0  # of what chance makes of the squared gap
+_SIGMAS = 4.0  # of the scatter of the squared gap by chance
 _MOST_FREE = 4  # free forms in the place of a name
 
 

@@ -41,7 +41,7 @@ TRACKER = "an error of the tracker"  # beyond its specification, that imitates i
 _THIN = LEAST_EVIDENCE + 3.0
 _NEARLY = 0.5 * LEAST_EVIDENCE
 _MOST_QUESTIONS = 3
-_NEGLIGIBLE_MM = 3e-5  # root mean square displacement of a shape that is left out
+_NEGLIGIBLE_MM = 3e-5  # root mean square displacement of a dropped shape
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,7 @@ def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
 def _list_questions(
     found: Discovery, gram: Float64[np.ndarray, "m m"]
 ) -> Iterator[Question]:
-    """Possible names against free forms, rivals, then weak evidence for one effect less
-    or more.
-    """
+    """Possible names against free forms, rivals, then weak evidence."""
     best, fitter = found.fit, found.fitter
     named = found.tried.named
     for finding in found.possible:

@@ -29,8 +29,8 @@ EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 _REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
 _HOPELESS = -4.0  # evidence that no finer scan raises enough
-_DOUBT = 3.0  # times what a tracker is stated to be off by: few are
-_MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
+_DOUBT = 3.0  # times the tracker's specification: few trackers exceed it
+_MOST_PROMISING = 12  # terms of a ranking that may replace another later
 
 
 @dataclass(frozen=True, eq=False)

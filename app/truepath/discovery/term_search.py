@@ -1,6 +1,4 @@
-"""Stepwise search for terms: added on evidence, then tested for exchange and
-removal.
-"""
+"""Stepwise search for terms: addition, exchange and removal by evidence."""
 
 from __future__ import annotations
 
@@ -17,8 +15,8 @@ LEAST_EVIDENCE = 8.0
 _MOST_TERMS = 6
 _MOST_LARGE, _CLOSED = 3, 1.03  # terms, or gap over that of a complete model
 _MOST_FREE = 3  # without a cause: more describe nothing better
-LEAST_PURITY = 0.85  # of the evidence that causes bring alone, structure beside them
-_TRIED = 2  # terms that held-out lines may refuse before the search ends
+LEAST_PURITY = 0.85  # of the evidence, by causes alone, with structure in addition
+_TRIED = 2  # terms that held-out lines may reject before the search ends
 
 _Among = Sequence[CandidateTerm] | None
 

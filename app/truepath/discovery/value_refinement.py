@@ -202,9 +202,7 @@ def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Ter
 def _move_values(
     data: TermData, terms: _Terms, fit: Posterior, steps: Mapping[int, float]
 ) -> _Terms:
-    """Clipped to the range of their scans. fit : of the terms and, last, of the changes
-    of the values
-    """
+    """Clipped to the range of their scans; `fit` has the changes last."""
     moved = list(terms)
     sigma = np.sqrt(np.diag(fit.covariance)[-len(steps) :])
     for (k, step), value_sigma in zip(steps.items(), sigma.tolist(), strict=True):

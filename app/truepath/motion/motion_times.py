@@ -16,8 +16,8 @@ from truepath_drivers.interfaces.records import Path
 DEFAULT_FEED_MM_MIN = 6000.0
 USUAL_MOTION = MotionLimits()
 FASTEST_DEG_MIN = 1800.0  # of a rotary axis on a line
-_SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
-# What alignment leaves out at either end beside ramp and settling.
+_SHORTEST_MM = 100.0  # path of a target on a line while rotary axes turn
+# Excluded by alignment at either end, in addition to ramp and settling.
 _SETTLE_S = 0.02
 _LEAST_S = 1e-9  # a gain beyond rounding
 
@@ -240,7 +240,7 @@ def _find_best_reversal(
     n = len(order)
     if n < 3:
         return 0.0, 0, 0
-    step = np.append(np.diagonal(between, 1), 0.0)  # nothing follows the last stop
+    step = np.append(np.diagonal(between, 1), 0.0)  # no move after the last stop
     after = np.hstack([between[:, 1:], np.zeros((n, 1))])
     # Before: i−1 → i … j → j+1; turned round: i−1 → j … i → j+1.
     gain = step[:-1, None] + step[None, 1:] - between[:-1, 1:] - after[1:, 1:]

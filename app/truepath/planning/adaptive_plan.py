@@ -112,7 +112,7 @@ class AdaptivePlanner:
         return planner
 
     def _make_design(self, found: LiveFindings) -> DesignState:
-        # Few lines may show no jitter of the feed at all; there is always some.
+        # Few lines may show no jitter of the feed, but there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)
         assumed = replace(

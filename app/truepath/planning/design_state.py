@@ -110,9 +110,7 @@ class DesignState(ABC):
     def conditions(
         self, position: Float64[np.ndarray, "n a"], approach: Float64[np.ndarray, "n a"]
     ) -> Conditions:
-        """Conditions of the design's target; approach : signs of the motions towards
-        them.
-        """
+        """For the design's target, approached by motions of these signs."""
         at = observe_targets(self.model.machine, position, [self.target])
         return replace(at, approach=approach)
 

@@ -60,13 +60,13 @@ from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 from truepath_drivers.interfaces.records import Path
 
 _NAMED = 3  # of the weakest error motions
-_CURVE = 24  # places along the plan at which the uncertainty is stated
-# Of the tracker, before enough lines locate it: a millimetre, a milliradian.
+_CURVE = 24  # rows of the plan at which the uncertainty is given
+# Of the tracker's pose before enough lines locate it: a millimetre, a milliradian.
 _POSE = {"mm": 1.0, "rad": 1e-3}
-# Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
-# ones, in the median of their error motions; and to have less lost motion.
+# Estimates find machines smoother than their prior: by 3 to 9 on simulated
+# ones, in the median of their error motions, and with less lost motion.
 _SMOOTHER, _LESS_LOST = 6.0, 4.0
-_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # that the rank of rows is looked at by
+_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # for the rank of rows
 _POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
 
 
@@ -257,8 +257,7 @@ def _build_model(
 def predict_undetermined(
     machine: Machine, commanded: Commanded, station_mm: Float64[np.ndarray, "3"]
 ) -> str:
-    """Sentence on shapes that rows alone do not determine, as in the estimate; else
-    empty.
+    """Sentence on shapes that rows alone do not determine; else empty.
 
     By the rank of their information on straight shapes, of which no prior knows, with
     the tracker's pose and the timing of the lines unknown.

@@ -55,10 +55,10 @@ from truepath.planning.remedies import Remedy, append_line, find_best_line
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
-_INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
+_INTERVALS = 2 * _SHAPES  # finer shapes are bridged by the prior
 _NAMED = 3  # weakest motions
 # What any measurement shows of the tracker's pose: 1 mm, 10 mrad. Less drowns in
-# rounding where a set-up tells hardly anything.
+# rounding where a set-up determines hardly anything.
 _ROUGH_POSE = {"mm": 1.0, "rad": 1e-2}
 
 

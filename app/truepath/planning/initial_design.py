@@ -39,10 +39,10 @@ from truepath.planning.predicted_cells import (
     predict_cells,
 )
 
-INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
-_ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # nobody knows where the tracker stands
+INTERVALS = 6  # of the knots: enough for the choice; the forecast uses all
+_ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # the tracker's pose is unknown
 _ANY_LAG_S = 1e-3  # of an axis behind its command
-_JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
+_JITTER_CELL_S = 0.2  # over which the feed's jitter is averaged
 
 
 def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
@@ -63,9 +63,7 @@ def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
 
 
 def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
-    """The given station, or a typical one, in the frame that the tracker is mounted
-    on.
-    """
+    """The given or a typical station, in the frame that it is mounted on."""
     if workspace.tracker_mm is not None:
         return np.array(workspace.tracker_mm, np.float64)
     return assume_stations_mm(machine)[2]

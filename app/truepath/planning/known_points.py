@@ -16,7 +16,7 @@ from truepath.motion.workspace.workspace import Workspace, moving_targets
 
 DWELL_S = 1.5
 _POINTS, _FEWEST = 5, 4
-_APART_MM = 50.0  # beside the line that the points lie on: else they show no turn
+_APART_MM = 50.0  # off the line through the points: else they determine no turn
 
 
 def choose_known_points(

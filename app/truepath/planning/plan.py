@@ -1,6 +1,4 @@
-"""A plan chosen by the planner for one station and evaluated by the estimator's
-model.
-"""
+"""A plan for one station, evaluated by the estimator's model."""
 
 from __future__ import annotations
 
@@ -47,9 +45,9 @@ from truepath.planning.stations.station_choice import (
 from truepath.planning.stations.station_information import StationJudge, Survey
 from truepath_drivers.interfaces.records import Path
 
-_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
+_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # for the evaluation of stations
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
-# Where stops were moved all axes would go on every line.
+# If stops were moved, all axes would move on every line.
 _TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
 
 

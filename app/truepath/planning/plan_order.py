@@ -27,9 +27,9 @@ from truepath.planning.stations.station_choice import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
-_FEEDS, _LOWER = 4, 0.63  # among so many a line has its own, each lower by so much
+_FEEDS, _LOWER = 4, 0.63  # number of feeds, and the ratio of neighbours
 _LEAST_FEED_MM_MIN = 10.0
-# A plan of lines near the longest alone leaves two to six times as much.
+# Only lines near the longest give two to six times the uncertainty.
 _OF_LONGEST = 0.5
 
 
@@ -136,7 +136,7 @@ class PlanOrder:
             )
         for feed_mm_min in self.feeds_mm_min:
             check_feed(machine, feed_mm_min)
-        if self.max_feed_mm_min is not None:  # above what it can it limits nothing
+        if self.max_feed_mm_min is not None:  # else the machine limits
             check_feed(
                 machine, min(self.max_feed_mm_min, machine.motion.max_feed_mm_min)
             )

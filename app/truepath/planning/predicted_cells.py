@@ -31,18 +31,17 @@ from truepath.motion.motion_times import Drive, Stops, row_times_s
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers.interfaces.records import Path
 
-# Usual of trackers in a shop; what a Run shows is estimated once there is one.
+# Typical of trackers in a shop; a Run's own noise is estimated later.
 EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 2e-4)
 _CELL_MM, _CELL_S = 16.0, 0.25
 _MOST_CELLS = 4000  # then cells are longer
 _AHEAD = 1e-4  # of a line, to see where the target is going
-_POINT_TO_POINT_S = 2.0  # usual time of a move between standstill points
+_POINT_TO_POINT_S = 2.0  # typical time of a move between standstill points
 
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Part of a line, or a dwell: shares of the line to its row, and times of its
-    cells.
+    """Part of a line, or a dwell: shares of the line, and times of its cells.
 
     rate : of the share, per second; 0 for a dwell
     change : of the rate, per second, on a ramp; None elsewhere
@@ -128,12 +127,12 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
     yield from _dwell(0, path.dwell_s[0], end_s[0])
     for k in range(len(legs)):
         row, begin_s = k + 1, end_s[k]
-        if path.arc and path.arc[row] is not None:  # which tells an estimate nothing
+        if path.arc and path.arc[row] is not None:  # of no use to an estimate
             yield from _dwell(row, path.dwell_s[row], end_s[row])
             continue
         moving_s = row_s[row] - path.dwell_s[row]
         span_s = 0.5 * (moving_s - steady_s[k])
-        ramp = None  # on a curve it tells nothing
+        ramp = None  # on a curve it has no information
         if not turns[k]:
             ramp = _ramp(row, lost[k], span_s, ramp_s[k], cell / length[k])
         if ramp is not None:

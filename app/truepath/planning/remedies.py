@@ -32,7 +32,7 @@ from truepath_drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell
-_TURNS_RAD = (0.5 * np.pi, np.pi)  # of the base: cycles once and twice a turn change
+_TURNS_RAD = (0.5 * np.pi, np.pi)  # of the base: errors once and twice a turn change
 _TURN_S = 300.0  # to turn the base, and to let it settle
 _FACE_S = 60.0  # to turn the head over and to lock again
 _PLACES = {"low": "low end", "middle": "middle", "high": "high end"}

@@ -23,12 +23,12 @@ from truepath.alignment.stream.stops import StopSequence, standstill_speed_mm_s
 from truepath.files.bundle.run import Run
 from truepath.numerics.rigid import RigidTransform
 
-STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the least
-_TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end
+STANDSTILL_SETTLE_S = 0.05  # excluded at both ends of a standstill, at the least
+_TO_REST = 4.0  # times distance over speed there: even soft jerks end
 _FEWEST_SAMPLES = 5  # of a standstill
-_PARABOLA = 5  # samples before and after, through which one is laid
+_PARABOLA = 5  # samples before and after, for a local parabola
 _CREEP_SIGMAS = 5.0  # of a quarter of a standstill: rare samples are no creep
-_CREEP_MM = 0.03  # several times what the air does in a second
+_CREEP_MM = 0.03  # several times the effect of air in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,7 @@ class CellBlock:
 
     @property
     def is_ramp(self) -> bool:
-        """True if the feed changes: positions on the line are then the measured
-        ones.
-        """
+        """True if the feed changes: positions are then measured ones."""
         return self.acceleration is not None
 
 

@@ -16,10 +16,10 @@ from truepath.alignment.observations.reduction import Cells, beam_frame
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
-USUAL_OU = 0.15  # correlated part of the noise, of the stated one: hall and tracker
+USUAL_OU = 0.15  # correlated part of the specified noise: hall and tracker
 _BESIDE = 4  # cells on either side
 _LIMIT = 10.0  # standard deviations of a cell
-_LEAST_MM = 0.01  # what is smaller is left to the solve
+_LEAST_MM = 0.01  # smaller deviations are left to the solve
 
 
 def leave_out_cells(
@@ -85,9 +85,7 @@ def _stand_off_mm(
 def _median_of_neighbours(
     rest: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Running medians; towards the ends over as many cells on either side as there
-    are.
-    """
+    """Running medians, over fewer cells towards the ends."""
     n = len(rest)
     median = rest.copy()
     for beside in range(1, _BESIDE):

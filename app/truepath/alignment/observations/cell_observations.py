@@ -104,7 +104,7 @@ def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | 
 def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
     square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
     freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
-    # Single shots do not scatter: then the tracker's own figures stand.
+    # Single shots do not scatter: then the tracker's own figures hold.
     return np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), 1.0)
 
 

@@ -32,9 +32,7 @@ class KnownSeats:
     def refine(
         self, places_mm: Float64[np.ndarray, "k 3"], waypoints: Int64[np.ndarray, " k"]
     ) -> bool:
-        """Estimates the seats from the points so far; True if another target is
-        settled.
-        """
+        """Estimates the seats from all points; True if one more is settled."""
         if self.seating is None:
             return False
         self.seated_mm, found = seat_places(
@@ -43,7 +41,7 @@ class KnownSeats:
         settled = self.seating.list_settled(waypoints)
         if settled == self._settled:
             return False
-        # All anew with each target: the estimate is linear in the rest.
+        # All again with each target: the estimate is linear in the rest.
         self._settled = settled
         self.seats = {name: found[name] for name in found if name in settled}
         return True

@@ -63,7 +63,7 @@ def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
     frame = beam_frame(tracker_mm)[0]
     square = np.diag(frame @ points.covariance_mm2[sample] @ frame.T)
     sigma = run.machine.tracker.sigma_mm(np.linalg.norm(tracker_mm, axis=1))[0]
-    # A covariance that is not known says nothing of the scatter.
+    # An unknown covariance contains nothing on the scatter.
     free = float(points.count[sample] - 1) * bool(square.any())
     scatter = free * np.array([square[0], square[1] + square[2]]) / sigma**2
     cells = Cells(

@@ -149,9 +149,7 @@ class _Stretch:
         return np.linalg.norm(off, axis=1)
 
     def scatter(self, means: _Means) -> Float64[np.ndarray, "n 3"]:
-        """Deviation of each sample from its cell, in sigmas: beam, azimuth,
-        elevation.
-        """
+        """Deviation of each sample from its cell, in sigmas along the beam frame."""
         cell = self.cell
         lag = self.time_s - means.time_s[cell]
         off = self.rest_mm - means.rest_mm[cell]
@@ -177,9 +175,7 @@ def _slope(
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """(n, 3, 3), rows: unit beam, azimuth, elevation at points in the tracker's
-    frame.
-    """
+    """(n, 3, 3), rows: unit beam, azimuth, elevation in the tracker's frame."""
     beam = tracker_mm / np.linalg.norm(tracker_mm, axis=1, keepdims=True)
     azimuth = np.cross(np.array([0.0, 0.0, 1.0]), beam)
     flat = np.linalg.norm(azimuth, axis=1, keepdims=True)

@@ -30,8 +30,8 @@ _SHORTEST_S = 0.1  # a pass
 _FEWEST_SAMPLES = 8  # of a pass
 _FEWEST_ON_RAMP = 5
 RAMP_SETTLE_S = 0.03  # after a standstill, and before one
-_SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
-_AGREES = 0.05  # what is gone and how fast belong together
+_SLOW_PACE = 0.2  # of its mean speed: slower, the target does not give the share
+_AGREES = 0.05  # distance and speed have to agree
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +149,7 @@ def _find_steady(
     on: Bool[np.ndarray, " n"],
     curve: Curve,
 ) -> tuple[int, int, float, float] | None:
-    """First and last sample at constant feed, speed, and share at mid time; None where
-    there is no such part.
-    """
+    """First and last sample, speed, share at mid time; None without such a part."""
     speed, pace = speed_mm_s(time, points), curve.pace(share)
     counted = on & (pace > _SLOW_PACE)
     middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted

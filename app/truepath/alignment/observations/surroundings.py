@@ -82,7 +82,7 @@ def _since_reversal(
         travelled[row] = gone
         gone = gone + np.abs(move)
         sign = np.where(now != 0, now, sign)
-    first = np.searchsorted(owner, observations.row)  # of its way
+    first = np.searchsorted(owner, observations.row)  # of its motion
     before = position[np.maximum(first - 1, 0)]
     return travelled[first] + np.abs(observations.at.position_mm - before)
 

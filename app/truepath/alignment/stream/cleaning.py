@@ -16,13 +16,13 @@ _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _FASTEST_MM_S2 = 5000.0  # acceleration of a machine: no spike, however rare samples are
 _AROUND_S, _FEWEST = 0.042, 5  # of samples: hardly changes the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
-_CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
-_REPEATED = 5  # times in a row the same value, or next to one time: not measured
-STALLED = 0.1  # of the usual time from sample to sample
-_MOSTLY = 0.2  # of the samples: so the stamps are, nothing stalls
+_CLOSED = 0.3  # of the jumps: tolerance of a continuous motion
+_REPEATED = 5  # equal values, or almost equal times, in a row: not measured
+STALLED = 0.1  # of the typical time from sample to sample
+_MOSTLY = 0.2  # of the samples: such time stamps are normal
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _BRIEF_S = 5.0  # a target, if there are several, is measured for longer
-_ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
+_ROUNDS = 3  # a spike next to a spike shows once the larger one is removed
 GoesOn = Callable[
     [Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]], Bool[np.ndarray, " k"]
 ]
@@ -120,7 +120,7 @@ def _aside(
     usual = _usual(speed, around)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = _limit_mm(off, time_s)
-    # The usual speed is off as well beside a jump, by far less.
+    # The typical speed deviates next to a jump as well, by far less.
     jumps = np.flatnonzero(off > limit)
     nearby = sliding_window_view(np.pad(off, around), 2 * around + 1)[jumps]
     jumps = jumps[off[jumps] > _BESIDE * nearby.max(axis=1, initial=0.0)]
@@ -221,7 +221,7 @@ def _spikes(
     return spikes
 
 
-_CLOSE = 2.0  # a size within this factor of a unit's is of that unit
+_CLOSE = 2.0  # a size within this factor of a unit's has that unit
 _FAR = 8.0  # no path, hand-carried part or pause changes a size by this factor
 _LENGTHS = {"m": 1e-3, "inch": 1.0 / 25.4, "µm": 1e3}
 _TIMES = {"ms": 1e3, "µs": 1e6, "ns": 1e9}

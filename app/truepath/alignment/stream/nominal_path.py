@@ -24,11 +24,11 @@ from truepath_drivers.interfaces.records import Path
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
 _STRAIGHT_MM = 1e-6  # off the chord: rounding
-_BRANCH = 0.05  # weight of what was travelled against what is near
+_BRANCH = 0.05  # weight of the path length against the distance
 
 
-MIN_MOTION_MM = 1.0  # a target that moves less far is not looked at on the way
-_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
+MIN_MOTION_MM = 1.0  # smaller motions of a target are not evaluated
+_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, to be distinguished from rest
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Curve:
         point_mm: Float64[np.ndarray, "n 3"],
         travelled_mm: Float64[np.ndarray, " n"] | None,
     ) -> Int64[np.ndarray, " n"]:
-        # Imported where a line is bent, as below: few are, and all would wait for it.
+        # Imported for curved lines only: they are rare, and the import is slow.
         from scipy.spatial import KDTree
 
         step = np.linalg.norm(np.diff(self.node_mm, axis=0), axis=1)

@@ -20,11 +20,11 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import cross_matrix
 from truepath_drivers.interfaces.records import Path
 
-MOST_SIGMAS = 6.0  # that a target may sit off
-_LARGE_MM = 0.3  # below it levers and curves are as good as stated
+MOST_SIGMAS = 6.0  # largest shift of a target
+_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _SAME_TURN = 1e-9
-_SETTLED = 6  # standstills of a target: then it is known where it sits
-_ROUGH_MM = 0.1  # machine errors, of which nothing is known yet
+_SETTLED = 6  # standstills of a target: then its seat is known
+_ROUGH_MM = 0.1  # machine errors, still unknown
 
 Seats = Mapping[str, Float64[np.ndarray, "3"]]
 

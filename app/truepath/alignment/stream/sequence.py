@@ -21,12 +21,12 @@ from truepath.errors import AlignmentError
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 
 TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
-_WIDER_MM = 2.5, 5.0  # of a machine that is far off
+_WIDER_MM = 2.5, 5.0  # for a machine with large errors
 _CLEAR = 0.9  # of the standstills: so many in a row are no chance
-_SPREAD = 4.0  # of the median of what the pose leaves
-_BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
+_SPREAD = 4.0  # of the median residual of the pose
+_BESIDE_MM = 10.0  # of another target's position, with the present pose
 _FEW = 3  # lost standstills of a target: by chance
-_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
+_WIDE = 0.1  # of the volume: standstills with this spread determine the pose
 _ROUNDS = 3  # pose and seats of targets in turn
 
 
@@ -65,7 +65,7 @@ def match_stops(
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
     seats: Seats = {}
     if seating is not None:
-        # A target of few rows in the chain, or of none, is found by its places.
+        # A target with few rows in the chain, or none, is found by its positions.
         seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
         pose = fit_rigid(seated[waypoint], places[stop])
         near_mm = TOLERANCE_MM + seating.reach_mm
@@ -118,8 +118,7 @@ def _recognise(
     slack_mm: float | Float64[np.ndarray, "w w"],
     ordered_by: str,
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """The longest chain; with wider tolerance for a machine with large errors if it is
-    then nearly complete.
+    """The longest chain; a wider tolerance only if it makes it nearly complete.
 
     slack_mm : additional tolerance of distances
     """

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
-FEWEST_ASTRAY = 3  # standstills in a row at no place; fewer a machine makes by itself
+FEWEST_ASTRAY = 3  # standstills in a row off all points; fewer occur on any machine
 
 
 def find_longest_chain(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-_BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means tell a speed
+_BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means give a speed
 _QUIET_S = 0.06  # noise of a sample over the speed of rest, that of two means
 SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
@@ -81,9 +81,7 @@ def find_stops(
 
 
 def standstill_speed_mm_s(slowest_mm_s: float) -> float:
-    """Limit below which the machine is at rest: a fifth of the slowest motion, 0.5 to
-    20.
-    """
+    """Limit of rest: a fifth of the slowest motion, from 0.5 to 20."""
     return float(np.clip(0.2 * slowest_mm_s, 0.5, 20.0))
 
 
@@ -129,7 +127,7 @@ def _merge(
 
 
 ARRIVED_S = 0.2  # at rest for so long: noted before the next motion
-_ENOUGH = 2000  # samples that tell the place of a standstill
+_ENOUGH = 2000  # enough samples for the position of a standstill
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,10 +154,10 @@ class StopStream:
         self._threshold_mm_s = standstill_speed_mm_s(slowest_mm_s)
         self._time_s = np.empty(0)
         self._point_mm = np.empty((0, 3))
-        self._dropped = 0  # samples that are forgotten
-        self._judged = 0  # samples of which it is known whether they are at rest
+        self._dropped = 0  # samples that were dropped
+        self._judged = 0  # samples classified as at rest or moving
         self._rest_since: int | None = None
-        self._is_noted = False  # the standstill under way is among the stops
+        self._is_noted = False  # the present standstill is among the stops
         self.stops: list[Stop] = []
 
     def __len__(self) -> int:

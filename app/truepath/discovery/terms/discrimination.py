@@ -39,14 +39,14 @@ from truepath_drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
 MOST_LINES = 9
-_FEWEST_LINES = 4  # determine the tracker's new place well
+_FEWEST_LINES = 4  # determine the tracker's new pose well
 _DWELL_S = 0.35
 _SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
 _RANDOM_ENDS = 10
 _LEAST_MOTION = 30.0  # mm; less may be lost on the way, so the axis rests instead
 _SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
 _UNKNOWN_POSE = {"mm": 1.0, "rad": 1e-3}
-# The first lines decide nothing while the tracker's place is open. What they will
+# The first lines decide nothing while the tracker's pose is unknown. What they will
 # decide once it is known guides their choice.
 _KNOWN_POSE, _GUIDANCE = {"mm": 0.02, "rad": 2e-5}, 0.2
 _POSE = TrackerPose((0.0, 0.0, 0.0)).parameters

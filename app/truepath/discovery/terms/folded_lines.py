@@ -26,7 +26,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
 
 FOLDS = 8  # of lines, each held out once
-_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place
+_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's pose
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 
 

@@ -65,7 +65,7 @@ class WhitenedBlocks:
         return self.rows.shape[1]
 
     def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
-        """Copy of some columns, in Fortran order."""
+        """Some of the columns, in Fortran order."""
         return WhitenedBlocks(np.asfortranarray(self.rows[:, own]), self.begin)
 
     def between(self, first: int, last: int) -> WhitenedBlocks:

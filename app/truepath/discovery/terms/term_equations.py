@@ -16,7 +16,7 @@ from truepath.estimation.problem.information import Information
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect
 
-_KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
+_KEPT = 256  # effects with cached columns: a catalogue, and those on trial
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,7 @@ class _Term:
 
 
 class TermEquations:
-    """Normal equations of candidate effects over all lines; keeps the latest
-    columns.
-    """
+    """Normal equations of candidate effects; keeps the latest columns."""
 
     def __init__(self, lines: FoldedLines) -> None:
         self.lines = lines
@@ -95,7 +93,7 @@ class TermEquations:
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """On machine, poses, effects and data; the last result is cached."""
-        # Many effects on offer are ranked beside the same ones.
+        # Many candidates are ranked with the same known effects.
         if self._latest is None or self._latest[0] != tuple(effects):
             self._latest = tuple(effects), self._add_up(effects)
         return self._latest[1]
@@ -209,9 +207,7 @@ class TermEquations:
         begin: Int64[np.ndarray, " e"],
         effects: Sequence[Effect],
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-        """Adds fast effects within cells to `total`; gives their squares and
-        freedom.
-        """
+        """Adds fast effects within cells to `total`; their squares and freedom."""
         square, freedom = np.zeros((2, FOLDS))
         for within, is_held in self.lines.within:
             fast, columns = within.sums(effects, FOLDS)

@@ -27,10 +27,10 @@ KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-
 LOST_MOTION, RANGE = "lost-motion-changed", "range-offset-changed"
 LASTING = (DRIFT, GROWTH)
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
-_MOST = 3  # changes that are told apart
-_OF_LARGEST = 0.03  # of its gain: a smaller change may be its doing, and waits
+_MOST = 3  # changes that are distinguished
+_OF_LARGEST = 0.03  # of its gain: a smaller change may be its effect, and waits
 _NEAR = 3  # lines and standstills: changes as near as that are one
-_NEWEST, _OLDER = 60, 60  # lines since which a change is looked for: all, and some
+_NEWEST, _OLDER = 60, 60  # lines tested as the start of a change: all, and some
 _DRIFT_ONSETS = 4
 _SETTLES = 3.0  # times that a drift which settles falls by e
 _UNSEEN_OFFSET = 1e-8  # of its information: rounding
@@ -64,17 +64,13 @@ class Trial(ScoredColumns):
 
     @cached_property
     def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
-        """For a new range offset, nearly all information is in the specification's
-        prior.
-        """
+        """A new range offset is nearly determined by the specification."""
         if self.course.kind != RANGE:
             return super().score
         return compute_score(self.left, self.raw, self.pulled, _UNSEEN_OFFSET)
 
     def leave_out(self, onset: int) -> Trial:
-        """Ignores starts within 3 lines of a change already found; lasting changes
-        stay.
-        """
+        """Ignores starts within 3 lines of a change found; lasting kinds stay."""
         near = np.abs(np.array(self.course.onset) - onset) <= _NEAR
         if self.course.kind in LASTING:
             return self
@@ -131,7 +127,7 @@ class ChangeSearch:
             if change.gain < max(change.limit, _OF_LARGEST * largest):
                 break
             found.append(change)
-            for number in (k, k - 1, k + 1):  # it came somewhere between
+            for number in (k, k - 1, k + 1):  # its true start is between
                 if 0 <= number < len(trials[which].course.onset):
                     given = trials[which].select_one(number)
                     explained += float(given.gain[0])
@@ -205,9 +201,7 @@ class ChangeSearch:
     def _find_best(
         self, trials: Sequence[Trial], explained: float
     ) -> tuple[int, int, Change]:
-        """Index of the trial with most gain over its limit, index within it, the
-        change.
-        """
+        """Trial with most gain over its limit, index within it, the change."""
         excess: list[float] = []
         best: list[int] = []
         for trial in trials:
@@ -216,7 +210,7 @@ class ChangeSearch:
             excess.append(float(gain.max()) - self._limit(trial))
         first = int(np.argmax(excess))
         kind = trials[first].course.kind
-        # A drift is growth of size 0: it holds where that of the axes is not asked for.
+        # A drift is growth of size 0: it holds where growth of the axes is not needed.
         rival = max(
             value
             for k, (value, trial) in enumerate(zip(excess, trials, strict=True))
@@ -257,5 +251,5 @@ class ChangeSearch:
         gram = gram / sums.cells[moved].sum()
         size_mm = float(np.sqrt(value @ gram @ value))
         slope = root.T @ gram @ value / max(size_mm, 1e-12)
-        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # it is half a width to each
+        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # half the width to each side
         return ways * size_mm, ways * float(np.linalg.norm(slope))

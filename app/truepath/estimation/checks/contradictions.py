@@ -30,9 +30,9 @@ from truepath.estimation.checks.step_kinds import RANGE
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
-_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more beside them
+_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more given them
 MOST = 0.2  # of the cells of a Run; more are no disturbance
-_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
+_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its effect
 
 
 def remove_plainest(

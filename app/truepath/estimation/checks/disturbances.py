@@ -108,7 +108,7 @@ def estimate_checked(
     return solved.state(len(observed))
 
 
-# Parts of Runs, and the shares of progress from which and to which it goes.
+# Parts of Runs, and the shares of progress at its begin and end.
 _Solve = Callable[[Sequence[RunPart], float, float], Estimate]
 
 
@@ -210,7 +210,7 @@ def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
         try:
             found = solve(fewer, 0.8 + 0.02 * turn, 0.82 + 0.02 * turn)
         except Unidentifiable:
-            break  # too little is left: the verdict says what contradicts
+            break  # too few data remain: the verdict reports the contradiction
         solved = _Solved.of(fewer, found)
     return solved
 
@@ -289,5 +289,5 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
         knock = measure_knock((before, after), poses, middle)
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
         if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
-            knocks.append(knock)  # else what was between is left out, and all as before
+            knocks.append(knock)  # a smaller step only excludes the cells between
     return knocks

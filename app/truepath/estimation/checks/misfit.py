@@ -124,7 +124,7 @@ def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> Misfit:
     examination = _Examination(fit, number)
     lines = examination.seen.lines
     begin = np.array(lines, np.int64)[:, 0]
-    within = np.arange(*lines[0], _STRIDE)  # else looked at from its end
+    within = np.arange(*lines[0], _STRIDE)  # other lines are tested from their end
     found = examination.assess(np.concatenate([within, begin[1:]]), 0)
     limit = 0.7 * compute_step_limit(len(lines))
     limit = max(limit, OF_LINE * float(found.line.max(initial=0.0)))
@@ -135,9 +135,7 @@ def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> Misfit:
 
 
 class _Examination:
-    """One Run linearised about the solution, with noise limited to the typical
-    level.
-    """
+    """One Run linearised about the solution, its noise limited to typical levels."""
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
@@ -313,9 +311,7 @@ class _Examination:
     def _prepare_steps(
         self, sums: StepSums, later: Sequence[StepSums], drift: Drift
     ) -> tuple[Prospects, Callable[[int], Prospects], Callable[[int], Shared]]:
-        """Steps over the Run, those near one of them, products shared. `later` as in
-        `_sum_blocks`.
-        """
+        """Steps over the Run, those near one of them, and products shared."""
         # A step before all cells is a matter of the pose.
         steps = drift.prepare(sums.select(slice(1, None)))
         ends = np.append(sums.cell[1:], len(self.seen))

@@ -19,7 +19,7 @@ from truepath.estimation.problem.information import Information
 
 UNNAMED = "something-changed"
 _LIKELY, _CERTAIN = 8.0, 20.0  # by how much the next kind explains less
-_FEWEST, _FEWEST_POINTS = 8, 24  # that tell enough of machine and noise
+_FEWEST, _FEWEST_POINTS = 8, 24  # enough to determine machine and noise
 _NEAR = 2  # rows: changes as near as that are one
 
 
@@ -92,7 +92,7 @@ def revise(
     notices = {each.number: replace(each, is_over=True) for each in before}
     known: set[int] = set()
     told = [_describe(change, len(before) + 1, row, time_s) for change in found]
-    # What had no name yet may turn out to have begun elsewhere.
+    # An unnamed change may turn out to have begun elsewhere.
     vague = [
         n
         for n in before

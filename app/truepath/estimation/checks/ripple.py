@@ -31,14 +31,14 @@ from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import DIRECTION, is_turn
 from truepath.numerics.rigid import RigidTransform
 
-_PLACE_MM = 1.0  # lines meet at one place within this
-_BLOCK = 2.0  # knots: what is longer, the error motions follow
-_FEWEST_CELLS = 4  # of a line, whose fit is followed between cells
+_PLACE_MM = 1.0  # lines meet at one position within this
+_BLOCK = 2.0  # knots: longer waves are followed by the error motions
+_FEWEST_CELLS = 4  # of a line whose fit is interpolated between cells
 _LEAST_SHARE = 0.2  # of a line, along an axis
 _OUTLIER = 5.0  # of the median residual of a line
-_GAP = 1.6  # cells: beyond, cells between were left out
+_GAP = 1.6  # cells: beyond, cells between were excluded
 _SURE = 3.0  # standard deviations of the variance found; less is chance
-_GRID = 101  # places of an axis
+_GRID = 101  # positions of an axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +132,7 @@ def _follow(
 def _find_variance(
     motion: ErrorMotion, names: Sequence[str], lines: Sequence[_LineRest]
 ) -> float:
-    """Common variance of the lines at positions of the motion's axis, mm²; 0 if it may
-    be chance.
-    """
+    """Common variance of the lines along the axis, mm²; 0 if it may be chance."""
     number, direction = names.index(motion.axis.name), DIRECTION[motion.symbol[1]]
     block_mm = _BLOCK * float(np.diff(motion.spline.knots).mean())
     places = int((motion.axis.high - motion.axis.low) / _PLACE_MM) + 1
@@ -173,8 +171,6 @@ def _take_off_blocks(
 
 
 def _spread(motion: ErrorMotion, variance: float) -> float:
-    """Variance of each parameter that gives this variance, on average, at a
-    position.
-    """
+    """Variance of each parameter for this mean variance of a position."""
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
     return variance / float((rows**2).sum(axis=1).mean())

@@ -21,9 +21,9 @@ from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
-LEAST_KNOCK_MM = 0.002  # less is the air's
+LEAST_KNOCK_MM = 0.002  # smaller shifts are due to air
 _FEWEST_CELLS = 4  # of a line that was cut
-_LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
+_LEAST_SPREAD_MM = 10.0  # root mean square, of points that determine a pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,9 +94,7 @@ class ScoredColumns:
         own: Float64[np.ndarray, "l j k"],
         score: Float64[np.ndarray, " j"],
     ) -> Self:
-        """Eliminates columns by their whitened products `own`; `known` includes
-        them.
-        """
+        """Eliminates columns by whitened products `own`, part of `known`."""
         return replace(
             self,
             known=known,

@@ -14,13 +14,13 @@ from jaxtyping import Float64, Int64
 
 from truepath.estimation.checks.step_candidates import Prospects, Shared
 
-POSE = "pose"  # of the tracker, at once turned and shifted
+POSE = "pose"  # of the tracker, rotated and shifted at once
 _SWEEPS = 1
-_OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
-_COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to pay for
+_OF_LARGEST = 0.05  # of its gain: smaller ones may be its effect, and wait
+_COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to exceed
 _NO_DRIFT = 1.5  # of the least gain of a step, in 36 parameters
 _APART_S = 5.0  # nearer steps have more in common than is counted
-_ABOUT = 6  # lines and standstills on which each cell is tried
+_ABOUT = 6  # lines and standstills of which each cell is tested
 
 
 @dataclass(frozen=True, slots=True)

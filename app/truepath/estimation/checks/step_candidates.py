@@ -106,9 +106,7 @@ class Shared:
     value: Float64[np.ndarray, "n 7 7"]
 
     def look_up(self, candidates: Candidates) -> Float64[np.ndarray, "l 7 7"]:
-        """Candidates before the block get the full product, later ones that of their
-        cell.
-        """
+        """The first product for candidates before the block, `whole` for later ones."""
         inside = candidates.cell - self.first
         near = self.value[np.clip(inside, 0, len(self.value) - 1)]
         later = (inside >= len(self.value))[:, None, None]

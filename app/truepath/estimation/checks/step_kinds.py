@@ -21,7 +21,7 @@ from truepath.numerics.rigid import cross_matrix
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 PLACE, TILT, RANGE = "place", "tilt", "range"
-_PRICE = 8.0  # gain that each parameter has to pay for
+_PRICE = 8.0  # gain that each parameter has to exceed
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 
 

@@ -31,17 +31,15 @@ from truepath.estimation.problem.prior import guess_prior
 from truepath.estimation.problem.runs import RunInput, collect_information
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
-_UNUSUAL = 0.1  # of the usual precision of bending
-_FEW_CELLS = 1000  # that a few wrong ones may lead astray
+_UNUSUAL = 0.1  # of the typical precision of bending
+_FEW_CELLS = 1000  # fewer may be dominated by a few wrong ones
 _RISK, _MARGIN = 0.003, 2.0  # of a clean measurement; noise has longer tails than χ²
 _MOST = 0.1  # of the lines
 _MEDIAN = 2.366  # of χ² of three
 
 
 def is_doubtful(fit: Fit) -> bool:
-    """True if wrong points may have bent the motions, or data are too few to show
-    it.
-    """
+    """True if wrong points may have bent the motions, or data are too few."""
     return bends_freely(fit) or fit.direction != "none"
 
 
@@ -164,9 +162,7 @@ def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
 
 
 def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
-    """Products of the columns of a line with themselves and the residual, timing taken
-    out.
-    """
+    """Normal matrix of a line with the residual, its timing taken out."""
     every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
     whitener = line.whiten(noise)
     timing, weighted = line.fit_timing(whitener, every)

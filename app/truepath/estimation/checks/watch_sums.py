@@ -170,9 +170,7 @@ class WatchSums:
 
 
 def _cut_at_locks(seen: Observations) -> Iterator[tuple[int, int]]:
-    """First cell and one past the last of lines and standstills, also cut at beam
-    losses.
-    """
+    """First cell and one past the last of lines, also cut at beam losses."""
     ends = np.union1d([last for _, last in seen.lines], seen.new_locks)
     return pairwise([0, *ends.astype(np.int64).tolist()])
 

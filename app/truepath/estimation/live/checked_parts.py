@@ -204,9 +204,7 @@ def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
 
 
 def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
-    """Earlier exclusions within the interval of a step, which were not examined
-    again.
-    """
+    """Earlier exclusions within a step's interval, not examined again."""
     return [
         each
         for each in said

@@ -82,5 +82,5 @@ def refine_run(
     coarse = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
     try:
         return refine_runs(coarse, (start,), known)[0]
-    except Unidentifiable:  # too few lines to tell: as loud as is usual
+    except Unidentifiable:  # too few lines to determine it: typical noise
         return RunInput(cells, cells.pose, raise_noise(guess))

@@ -63,9 +63,9 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
-_FORETELL = 8  # lines or points; fewer foretell too little of the next
-_HELD = 3  # lines in a row that do not fit, or 6, 12 …: look at all lines together
+_FIRST_LOOK = 4  # stretches before pose and noise are first refined
+_FORETELL = 8  # lines or points; fewer predict the next too poorly
+_HELD = 3  # lines in a row that do not fit, or 6, 12 …: examine all lines together
 
 
 class LiveEstimator:
@@ -93,7 +93,7 @@ class LiveEstimator:
         self._model = LiveModel.start(machine, commanded, self._known)
         self._prior = self._model.guess_prior()
         self._earlier = self._runs = self._model.nothing
-        self._seats = self._alignment.seats  # that the sums are about
+        self._seats = self._alignment.seats  # of the linearisation
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
@@ -107,11 +107,11 @@ class LiveEstimator:
             for each in earlier
         ]
         self._tail, self._locks_s = TrackerSamples.empty(), list[float]()
-        self._pose: RigidTransform | None = None  # of the tracker, when last looked at
-        self._foretold: Posterior | None = None  # of machine and pose, about the sums
+        self._pose: RigidTransform | None = None  # at the last refinement
+        self._foretold: Posterior | None = None  # from the present sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
-        self._astray_s = -np.inf  # when the last of it came that is at no place
+        self._astray_s = -np.inf  # time of the last standstill off the path
         self._next_look = _FIRST_LOOK  # at so many stretches
 
     def extend(self, commanded: Path | Configurations) -> None:
@@ -341,7 +341,7 @@ class LiveEstimator:
         watched = about.restrict(model.watched)
         self._watch.start_again(watched, [*(part.seen for part in parts), held_back])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
-        self._foretold = None  # the pose that it was about is another now
+        self._foretold = None  # it referred to the previous pose
         self._check = replace(
             check,
             used_samples=sum(int(part.seen.count.sum()) for part in parts),

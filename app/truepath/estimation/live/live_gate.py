@@ -124,7 +124,7 @@ def compute_innovation(
     _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
     left = rest - explain_timing(design, whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
-    left -= along[:, None] * design.travel  # a ramp tells nothing along its way
+    left -= along[:, None] * design.travel  # a ramp has no information along the line
     return Innovation(
         _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
         np.linalg.norm(left, axis=1),

@@ -102,7 +102,7 @@ class _Solution:
         half = self.factor.solve_half(total[:p, p])
         self.square = float(total[p, p] + of.known.square - half @ half)
         theta = self.theta = self.factor.solve(total[:p, p])
-        # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
+        # V⁻¹A; the residual, and its Ornstein–Uhlenbeck part.
         self.columns = weighted[:, :p]
         self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
         self.ou = ou[:, :p]

@@ -35,24 +35,24 @@ from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _FEWEST_OF_LINE = 4  # merged cells
-_CELLS = 1000  # as many tell the noise to a few parts in a hundred
+_CELLS = 1000  # enough for the noise to a few percent
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
-# Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
+# Few data hardly determine the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
-_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three sizes of the stated noise, time in s
+_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three relative sizes, time in s
 _USUAL_SPREAD = 1.2
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
-_STIFFEST = 4.0  # times as curved as the average information says
+_STIFFEST = 4.0  # times as curved as the average information
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
-_LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
+_LEAST = 1e-3  # curvature of undetermined parameters, such as zero jitter
 _LONGEST_S = 60.0
 _FEWEST_TRIPLES = 100
 _MEDIAN = 0.455  # of χ² of one
-_FAST = 1.2  # times what samples scatter, of their means
+_FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
 _BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
@@ -94,7 +94,7 @@ def refine_runs(
     found = list(collect_information(few, model))
     data = known.add_to(combine_runs(found), model)
     prior, result = guess_whole_prior(model).fit(data)
-    # The noise of one Run shifts what the others hold for the error motions.
+    # The noise of one Run shifts the error motions that the others determine.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
         others = found[:k] + found[k + 1 :]
         noise = _fit_noise(found[k], prior, others, known, longest_s)

@@ -26,7 +26,7 @@ from truepath.kinematics.effects.family import Wave
 from truepath.numerics.spectrum import transform
 
 _OUTLIER = 5.0
-_KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial
+_KEPT = 8  # fast effects with cached columns: those chosen, and one on trial
 
 
 @dataclass(frozen=True)

@@ -45,10 +45,10 @@ from truepath.numerics.scaled_cholesky import ScaledCholesky
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}
 _FIRST_ROUNDS, _ROUNDS, _POPULATION = 5, 3, 7  # 2^7 draws a round
-_WIDER = 1.3  # than the last population: tails are not to be missed
+_WIDER = 1.3  # than the last population, so that tails are sampled
 _RESIZINGS = 6
 _SCATTER = 2.5  # of the log of the precisions of shapes
-_DRAWS = 64  # that answer stands for
+_DRAWS = 64  # in the mixture
 _ROUNDING = 1e-9  # of the variance of a course
 
 
@@ -150,9 +150,7 @@ class DriftPosterior:
     def _continue(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, "t k"], Float64[np.ndarray, "t t"]]:
-        """Weights of z in the process at these times, and a root of the residual
-        covariance.
-        """
+        """Weights of z in the process at these times, and a root of the rest."""
         across = self.sizes.compute_covariance(self.data.at, at)
         half = solve_triangular(self.root, across, lower=True, check_finite=False)
         own = self.sizes.compute_covariance(at, at)
@@ -196,9 +194,7 @@ class Drift:
     def draw(
         self, at: Course, columns: Float64[np.ndarray, "p r"], count: int
     ) -> Float64[np.ndarray, "c t r"]:
-        """Random courses of the parameters times `columns`, `count` from each
-        component.
-        """
+        """Random courses of the parameters times `columns`, `count` a component."""
         rng = np.random.default_rng(1)
         return np.concatenate(
             [share.draw(at, columns, count, rng) for share in self.shares]
@@ -219,7 +215,7 @@ def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
         data = DriftData.of(basis, at, shapes * _size_shapes(found, shapes))
     sizes, unit = _draw_populations(data, sizes, _ROUNDS)
     weight = sizes.weight
-    # Systematic resampling: each draw as often as its weight says.
+    # Systematic resampling: each sample in proportion to its weight.
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.searchsorted(np.cumsum(weight), places).clip(max=len(unit) - 1)
     known = {k: DriftPosterior.of(data, make_sizes(unit[k])) for k in set(chosen)}

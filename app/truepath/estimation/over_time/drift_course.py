@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import norm
 
-# Logarithms: median and standard deviation of what surprises nobody. A size of 1 is
+# Logarithms: median and standard deviation of plausible sizes. A size of 1 is
 # 10 µm or 20 µrad over the travel.
 _USUAL = (
     (1.0, 1.2),  # size of the quick part
@@ -28,7 +28,7 @@ _USUAL = (
     (0.5, 1.0),  # quick time constant, h
     (3.0, 0.7),  # how many times slower the slow one is, beyond 1.5
     (0.03, 1.2),  # walk in one hour
-    (0.5, 0.3),  # what a day of the hall does, of what settles
+    (0.5, 0.3),  # daily cycle of the hall, of the settling parts
     (0.2, 1.0),  # for one K
 )
 SIZES = len(_USUAL)

@@ -46,13 +46,13 @@ from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.kinematics.model import MachineModel
 
-_WEIGHT = 2.0  # w: a usual size counts as much as two that are told
-# σ₀ of what a motion changes by from end to end, and of a number: a location, an angle.
+_WEIGHT = 2.0  # w: a typical size counts as much as two determined ones
+# σ₀ of a motion's change from end to end, and of a number: a location, an angle.
 _USUAL_CHANGE = {"mm": 0.02, "rad": 4e-5}
 _USUAL_NUMBER = {"mm": 0.05, "rad": 5e-5}
 _FREE = 1e-9  # of the largest bending: none
 _ROUNDS = 4  # in which precisions of the smoothest shapes settle
-_COUNTED = 1  # shape that tells how large a motion is: the smoothest is what is large
+_COUNTED = 1  # shape that gives the size of a motion: the smoothest is the largest
 _SMOOTH = 4  # shapes of a motion: two waves around, or two over the travel
 
 
@@ -75,8 +75,7 @@ def _list_confounded(model: MachineModel) -> Iterator[Effect]:
 
 @dataclass(frozen=True)
 class WholePrior:
-    """Prior with precisions from the determined effects, for all effects of the
-    machine.
+    """Prior of all effects, with precisions from the determined ones.
 
     told : of the effects that the fit needs; they come first in the model
     whole : of all effects, including those that the targets do not determine
@@ -171,9 +170,7 @@ def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
 
 
 def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]:
-    """Precision from smooth shapes, scaled to a typical size of 1: of each kind, and of
-    each kind on each axis.
-    """
+    """Precisions by smooth shapes at typical size 1: by kind, and by kind and axis."""
     energies: dict[str, list[float]] = {}
     for motion in model.error_motions:
         part, charge = model.slices[motion.name], motion.prior()
@@ -221,9 +218,7 @@ def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
 def _list_told(
     model: MachineModel, result: Posterior
 ) -> Iterator[tuple[str, float, float]]:
-    """Kind, typical size and value of all effects determined to better than that
-    size.
-    """
+    """Kind, typical size and value of all effects determined to better."""
     for effect in model.effects:
         if not effect.iso_symbol or effect.name in model.confounded:
             continue
@@ -235,9 +230,7 @@ def _list_told(
 
 
 def _find_free(effect: Effect) -> tuple[str, float, Float64[np.ndarray, " p"]]:
-    """Kind, typical size and rows of the shapes of an effect that bending leaves
-    free.
-    """
+    """Kind, typical size and rows of the shapes that bending leaves free."""
     unit = effect.parameters[0].unit
     if not isinstance(effect, ErrorMotion):
         return f"number in {unit}", _USUAL_NUMBER[unit], np.ones(1)

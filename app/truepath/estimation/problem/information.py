@@ -183,8 +183,7 @@ class OwnParameters:
     def restore(
         self, known: Posterior
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
-        """All parameters, and the covariance of these, from the posterior of those
-        before.
+        """All parameters, with the covariance of these, from those before.
 
         The reverse of `eliminate`.
         """

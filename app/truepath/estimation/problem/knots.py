@@ -32,7 +32,7 @@ _HIDDEN = 0.01  # of a motion's variance, between its knots
 _CLOSEST_MM = 1.05 * KNOT_SPACING_MM
 _FASTEST = 5.0  # times as many knots in one step
 _MOST = 1500  # parameters of all error motions: time grows with their cube
-_GRID = 101  # places of an axis
+_GRID = 101  # positions of an axis
 
 
 def join_cells(

@@ -76,8 +76,7 @@ class KnownEffects:
     def compute_chances(
         self, model: MachineModel, result: Posterior
     ) -> tuple[float | None, ...]:
-        """Probability of a change at least this large if nothing has changed, by
-        effect.
+        """Probability of at least this change if nothing has changed, by effect.
 
         result : of the model, with the Run. None where the Run does not determine the
             effect.

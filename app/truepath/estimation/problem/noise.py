@@ -11,7 +11,7 @@ from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
 
 _OF_SHOWN = 1.15
-_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
+_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the specified noise: tests detect more
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,7 @@ class NoiseModel:
 
     @property
     def usual(self) -> NoiseModel:
-        """Specified white noise and typical correlated noise, with this Run's feed
-        jitter.
-        """
+        """Specified white and typical correlated noise, with this feed jitter."""
         return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU, USUAL_OU))
 
 
@@ -149,7 +147,5 @@ def limit_noise(noise: NoiseModel) -> NoiseModel:
 
 
 def raise_noise(noise: NoiseModel) -> NoiseModel:
-    """Correlated noise at the limit of typical levels: few lines do not determine
-    it.
-    """
+    """Correlated noise at its typical limit: few lines do not determine it."""
     return replace(noise, ou=(_MOST_OU, _MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

@@ -27,9 +27,9 @@ from truepath.kinematics.machine.symbols import SQUARENESS, is_turn
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
 
-USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
-_POOR = 0.5  # standard deviation of a usual machine that the data leave, at least
-_RELEVANT_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+USUAL = {"mm": 0.1, "rad": 1e-3}  # of shapes without bending: slopes, squarenesses
+_POOR = 0.5  # remaining share of a typical machine's standard deviation
+_RELEVANT_MM = 1e-3  # at the tool; smaller shapes are harmless
 _BLIND = 0.9999  # remaining: all but rounding
 _TAKES_PART = 0.25  # of the largest part, at the tool
 _MOST = 3  # shapes that are named
@@ -37,7 +37,7 @@ _MOST_PARTNERS = 3  # more motions than these are not named
 _STRAIGHT = 0.05  # of a slope's square: below it a motion is straight
 _BLIND_SHARE = 1e-10  # of the best determined straight shape: rounding
 _STILL = 0.02  # of its travel: an axis that rests
-_GRID = 41  # places of an axis at which its form is looked at
+_GRID = 41  # positions of an axis at which its form is evaluated
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def find_poorly_observable(
     blind : include shapes that the data do not determine at all
     """
     prior = usual_precision_matrix(model)
-    # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
+    # Vᵀ P V = 1: each shape is one standard deviation of a typical machine.
     value, vector = eigh(information, prior)
     remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
     size = remaining * np.sqrt(

@@ -30,11 +30,11 @@ from truepath.kinematics.effects.base import Parameter, QuadraticPrior
 from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.model import MachineModel
 
-USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
+USUAL_PRECISION = 8.0  # of an effect of typical size 1, before any data
 _ROUNDS = 40  # at most
 _SETTLED = 0.15  # change of a log precision that no table shows
 _SPREAD = 1.2  # τ: standard deviation of log precision within a kind
-_STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
+_STRAIGHT = 1e-5  # of the typical size, squared: below it an error counts as 0
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
             continue
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
-        # An effect that is nothing within the noise, or not seen yet, keeps a finite
+        # An effect that is zero within the noise, or not observed yet, keeps a finite
         # precision.
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:

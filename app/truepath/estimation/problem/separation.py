@@ -25,17 +25,17 @@ from truepath.kinematics.machine.machine import Machine, Target
 from truepath.kinematics.machine.symbols import DIRECTION, describe_symbol, is_turn
 from truepath.kinematics.model import MachineModel
 
-_ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
-_STEP_MM = 10.0  # in which lengths are stated
+_ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a typical turn at k = 2
+_STEP_MM = 10.0  # resolution of lengths in sentences
 _TRIAL_MM = 93.7  # by which a trial target is farther: no target is likely there
-_SHAPES = 4  # intervals of the knots: few do, as what merges does not depend on them
-_GRID = 25  # places of an axis, to average over
-# What is tried, in this order: the first that separates is asked for.
+_SHAPES = 4  # intervals of the knots: confounding does not depend on them
+_GRID = 25  # positions of an axis, to average over
+# Trials in this order: the first that separates is proposed.
 _TRIALS = {
     "tool{} longer or shorter": (0.0, 0.0, 1.0),
     "target{} to the side, in X or Y,": (0.6, 0.8, 0.0),
 }
-_LONGEST_MM = 500.0  # that is asked for
+_LONGEST_MM = 500.0  # longest proposal
 
 
 def describe_confounded(

@@ -153,9 +153,7 @@ def _state(
     known: KnownEffects,
     perpendicular_only: bool,
 ) -> Estimate:
-    """The covariance includes the uncertainty of the prior's precisions. shapes : used
-    for observability
-    """
+    """The covariance includes the uncertainty of the prior's precisions."""
     tracker = {e.name for e in fit.model.effects if is_of_instrument(e)}
     found = fit.prior.precision.items()
     result = widen_by_unknown_precision(fit.prior, fit.result)
@@ -193,9 +191,7 @@ def _fit_linear(
     models: RunModels,
     known: KnownEffects,
 ) -> tuple[tuple[RunInput, ...], Fit]:
-    """The Runs and their joint fit; a machine with large errors is linearised again
-    about the first fit.
-    """
+    """A machine with large errors is linearised again about the first fit."""
     fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     if all(is_linear(each, fit.model, fit.result) for each in seen):
         return inputs, fit
@@ -247,9 +243,7 @@ def _fit(
     nested: NestedModels,
     known: KnownEffects,
 ) -> Fit:
-    """Refines the knots until the error motions need no more. seen : of each Run, in
-    the shortest cells
-    """
+    """Refines the knots as needed. `seen` has the shortest cells of each Run."""
     fit = select_fit(inputs, nested, known)
     while intervals := find_intervals(fit.model, fit.prior.precision, fit.result):
         nested = replace(nested, alone=refine_motions(nested.alone, intervals))
@@ -269,9 +263,9 @@ def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
 
 
 # A Run of a machine with large errors as one whose small errors add. The estimate takes
-# error motions where the command was, and adds their displacements: of a machine that
-# errs by a millimetre neither holds to micrometres. A first estimate shows both: where
-# on its line the machine was, and what its motions do to one another.
+# error motions at the commanded position, and adds their displacements: for a machine
+# with errors of a millimetre neither holds to micrometres. A first estimate gives both:
+# the actual position on the line, and the effect of error motions on each other.
 def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
     """True if the errors of the machine are small enough to superpose."""
     return adds_up(model, seen.at, machine.theta)
@@ -324,9 +318,9 @@ def _find_lead(
     return lead
 
 
-# How far ramps scatter beyond the noise: a machine that swings after each jerk, say.
-# What is in proportion to the acceleration is solved for beside the error motions. What
-# else acceleration does has no model: data of ramps then count by how far they are off.
+# Scatter of ramps beyond the noise: a machine that vibrates after each jerk, say.
+# The part in proportion to the acceleration is solved for with the error motions. The
+# rest has no model: data of ramps are then weighted by their scatter.
 _TOLERATED = 0.3  # of the variance of noise: less is chance
 _CLOSE = 0.1  # of the variance that ramps have already
 

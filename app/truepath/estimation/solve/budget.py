@@ -52,7 +52,7 @@ thermal effects, and others, known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
 _KNOWN = 1e9  # precision of a parameter of size 1: as good as fixed
-_STEP = 1e-3  # of a variance: small beside it, large beside rounding
+_STEP = 1e-3  # of a variance: small against it, large against rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +150,7 @@ def _propagate(
     C: Float64[np.ndarray, "p p"],
     scales: Sequence[Callable[[NoiseModel, float], NoiseModel]],
 ) -> list[Float64[np.ndarray, "p p"]]:
-    """−C (∂A/∂s) C of each source; the factor 1 + s makes it exact for a single
-    source.
-    """
+    """−C (∂A/∂s) C of each source; 1 + s makes it exact for a single source."""
     size = len(C)
     change = np.zeros((len(scales), size, size))
     for run in runs:

@@ -35,9 +35,9 @@ from truepath.kinematics.model import MachineModel
 # An estimate shows about half of the curvature that is there: twice 3 κ² d.
 _DENSITY = 6.0
 _STEEPER = 2.0  # one standard deviation of the slope, in steepest slopes observed
-_OWN = 0.5  # weight of the motion's own variation against that of its kind
+_OWN = 0.5  # weight of the motion's variation against that of its kind
 _FEWEST_INTERVALS = 2  # of the knots; a shorter end is known by its neighbourhood
-_GRID = 60  # places at which a slope is averaged
+_GRID = 60  # positions at which a slope is averaged
 
 Ranges = dict[str, tuple[float, float]]
 """By axis, the lowest and the highest position that was measured, mm or deg."""

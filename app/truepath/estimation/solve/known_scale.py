@@ -31,7 +31,7 @@ from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.model import MachineModel
 
 _CONTRADICTED = 3.0  # standard uncertainties
-_ANY = 300e-6  # a hall from vacuum: what was taken for the air is not what it was
+_ANY = 300e-6  # a hall from vacuum: the assumed air was wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def settle_scale(
     ]
     H = np.vstack([one.rows for one in told])
     off = np.concatenate([one.off for one in told]) - H @ estimate.theta
-    # One bar, most often: what its best length is uncertain by, all have in common.
+    # One bar, most often: all share the uncertainty of its best length.
     common = np.concatenate([one.common for one in told])
     noise = np.concatenate([one.noise for one in told])
     least = float(common.min()) ** 2
@@ -124,7 +124,7 @@ class _Told:
         noise_mm = run.tracker.sigma_mm(distance_mm.ravel()).reshape(-1, 2, 2)
         square = (noise_mm[..., 0] * cosine) ** 2
         square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
-        # Before or after the measurement, whose mean scale the estimate has.
+        # Before or after the measurement, which determines the mean scale.
         drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
         return _Told(
             measured / length - 1.0,

@@ -102,9 +102,7 @@ class GCodeReader:
             self.control.move(line, ends, self.feed, exact_stop=exact_stop)
 
     def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
-        """Removes the word of a dwell from the words of its block; s, −1 without
-        one.
-        """
+        """Removes the word of a dwell from its block; s, −1 without one."""
         word = words.pop(self.dwell_letter, None)
         return -1.0 if word is None else word.value
 
@@ -113,9 +111,7 @@ class GCodeReader:
         return word.value
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
-        """Hook: reject motions that this control would not execute as the path
-        specifies.
-        """
+        """Hook: reject motions that this control would execute differently."""
 
     def apply_codes(self, line: int, codes: set[str]) -> None:
         """Stop, end or change modes by the codes of a block."""

@@ -235,9 +235,7 @@ def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
 def _write_header(
     kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
 ) -> tuple[str, ...]:
-    """Facts for the operator, in lines that fit every screen. planned : the path before
-    it was rounded
-    """
+    """Facts for the operator; `planned` is the path before it was rounded."""
     feeds = f"{path.feed_mm_min.min():.0f} TO {path.feed_mm_min.max():.0f} MM/MIN"
     minutes, seconds = divmod(round(travel_time_s(path, machine.motion)), 60)
     rounded = float(np.abs(path.position - planned.position).max())

@@ -21,7 +21,7 @@ TURN_DEG = 732.0  # 186 to run in, 360, 186 to run out
 FEED_MM_MIN = 3000.0
 DWELL_S = 1.0
 _RADIUS = 0.4  # of the shorter travel of a plane
-_MOST_ACCELERATION = 0.1  # of what the machine can
+_MOST_ACCELERATION = 0.1  # of the machine's limit
 _SMALLEST_MM = 10.0
 
 Row = Float64[np.ndarray, " a"]

@@ -61,7 +61,7 @@ def _tour() -> Float64[np.ndarray, "s 3"]:
         here = tour[-1]
         ahead = [c for c in range(8) if tuple(sorted((here, c))) in left]
         if ahead:
-            # Where most lines are left to drive, so that the tour rarely gets stuck.
+            # To the corner with most lines left, so that the tour rarely gets stuck.
             corner = max(ahead, key=lambda c: sum(c in pair for pair in left))
         else:
             corner = min(left)[0]

@@ -41,7 +41,7 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
         again = _REPEATED if len(names) > 1 else 0
         position = _turn_all_axes(machine, count, rng, again)
         if any(names):
-            # Half of the first target's points at the end: a knock in between shows.
+            # Half of the first target's points at the end: a shift in between shows.
             own = np.arange(count) * len(names) // count
             target = tuple(names[k] for k in np.roll(own, -np.sum(own == 0) // 2))
     else:

@@ -12,7 +12,7 @@ from truepath.motion.paths.driven_again import IsFree, drive_again
 from truepath_drivers.interfaces.records import Path
 
 _PART = 2  # lines or points
-_FARTHEST = 6  # lines or points that are driven again
+_FARTHEST = 6  # lines or points that are repeated
 _OFTEN = 3  # times in a measurement: it has to end
 
 

@@ -31,7 +31,7 @@ _FEWEST_TARGETS, _TARGETS_PER_M = 5, 5.0
 _OVERRUN = 0.02  # of the travel, beyond the outer targets
 _VERTICES = 24
 _RADIUS = 0.4  # of the shorter travel of a plane
-_DRAWS = 1_000  # until a place is taken for full
+_DRAWS = 1_000  # until the workspace counts as full
 _FORBIDDEN_MM = 1e9
 _ANYWHERE = Workspace()
 

@@ -112,8 +112,7 @@ def touch_beam(
     target: tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]],
     box: Box,
 ) -> Bool[np.ndarray, " n"]:
-    """Mask of the beams that touch a box on the way from begin to end, seen from the
-    box.
+    """Mask of the beams that touch a box on the way, seen from the box.
 
     Of tracker and target the one that moves less is taken as fixed in the middle of its
     motion, and the box as larger by half of that motion.

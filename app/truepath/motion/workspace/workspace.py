@@ -103,8 +103,7 @@ class Workspace:
     def refuse(
         self, machine: Machine, commanded: Commanded, remedy: str = REPLAN
     ) -> None:
-        """Raise PlanningError if a motion of the plan is not allowed; names row and
-        reason.
+        """Raise PlanningError if a motion is not allowed; names row and reason.
 
         Rows are counted from 1; a single row is a standstill.
         """
@@ -127,9 +126,7 @@ class Workspace:
         name: str,
         remedy: str,
     ) -> None:
-        """Raise PlanningError if one straight motion is not allowed, with the
-        reason.
-        """
+        """Raise PlanningError if a straight motion is not allowed, with reason."""
         for breaks, reason in self._check_rules(machine, begin[None], end[None]):
             if breaks[0]:
                 raise PlanningError(f"{name} {reason}; {remedy}")

@@ -65,7 +65,7 @@ def default_path(
         raise PlanningError(
             f"feed {feed_mm_min:g} mm/min, {lines} lines: both must be above 0"
         )
-    # Where stops were moved all axes would go on every line.
+    # If stops were moved, all axes would move on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
     shares = [

@@ -21,11 +21,11 @@ from truepath.motion.workspace.travel import DECIMALS
 from truepath.numerics.design_criteria import IntegratedVariance
 from truepath.planning.design_state import DesignState, inverse
 
-_MOVES = 24  # places that are judged for each stop, half of them near it
+_MOVES = 24  # positions evaluated for each stop, half of them near it
 _NEAR = 0.15  # of the travel
 _PINNED = 0.55  # share of coordinates at an end of their travel
-_FORBIDDEN_S = 1e6  # that a leg which is not allowed is taken to last
-_WORTH = 2e-3  # of J · T that a round of moves must bring
+_FORBIDDEN_S = 1e6  # assumed time of a leg that is not allowed
+_WORTH = 2e-3  # of J · T that a round of moves must gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class LegChoice:
             if self.design.order_is_free:
                 stops = self._reorder(stops)
             stops = self._fill(stops, budget_s, legs)
-            # Legs that no longer fit are gone: what is left may tell less.
+            # Legs that no longer fit are gone: the rest may have less information.
             best = min(best, stops, key=self._predict_left)
             if gained < _WORTH:
                 break

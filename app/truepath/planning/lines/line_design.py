@@ -17,9 +17,9 @@ from truepath.planning.design_state import DesignState
 from truepath.planning.predicted_cells import find_slopes_mm
 from truepath_drivers.interfaces.records import Path
 
-_STEADY = 10  # places along a line: error motions of few knots bend less often
+_STEADY = 10  # positions along a line: error motions of few knots bend less often
 _MIDDLES = (np.arange(_STEADY) + 0.5) / _STEADY - 0.5  # of the steady part
-# The mean place on a ramp and what settles after it, in shares of its length, and how
+# The mean position on a ramp and settling after it, in shares of its length, and how
 # fast the machine is there.
 _ON_RAMP, _PACE = 0.35, 0.7
 _PLACES = _STEADY + 3  # two ramps, and the standstill at the end
@@ -67,7 +67,7 @@ class LineDesignState(DesignState):
         """Time that each point of a line represents."""
         moving_s = self.drive.times_s(legs) - self.drive.dwell_s
         ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
-        ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp tells nothing
+        ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp has no information
         dwell_s = max(self.drive.dwell_s - 2.0 * STANDSTILL_SETTLE_S, 0.0)
         each = [steady_s / _STEADY, ramp_s, np.full(len(legs), dwell_s)]
         return np.repeat(np.stack(each, axis=1), [_STEADY, 2, 1], axis=1)

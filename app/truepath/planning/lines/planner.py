@@ -24,7 +24,7 @@ from truepath.planning.design_state import DesignState
 from truepath.planning.lines.leg_choice import LegChoice, SearchEffort, SearchRegion
 from truepath_drivers.interfaces.records import Path
 
-_STARTS = 400  # places that are tried where no corner is allowed
+_STARTS = 400  # positions tried where no corner is allowed
 
 
 @dataclass(frozen=True)

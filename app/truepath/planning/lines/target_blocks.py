@@ -21,7 +21,7 @@ from truepath.planning.lines.leg_choice import SearchEffort
 from truepath.planning.lines.planner import Planner
 
 CHANGE_S = 5.0  # for the tracker to turn to another target
-_REPEATED = 3  # legs, which tell the pose of a rigid body
+_REPEATED = 3  # legs, which determine the pose of a rigid body
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from truepath.planning.design_state import inverse
 from truepath.planning.lines.planner import Planner
 from truepath.planning.lines.target_blocks import PlanShare
 
-_LEGS = 40  # of each target, before those are left out that cannot be measured
+_LEGS = 40  # of each target, before those that cannot be measured are dropped
 _LEAST_S = 10.0  # of a block of legs of one target: a few
 _ROUNDS = 20
 

@@ -26,7 +26,7 @@ from truepath.planning.design_state import DesignState
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 
-_DRAWS = 80  # places judged for each that climbs
+_DRAWS = 80  # positions evaluated for each that climbs
 _CLIMB_ON = 0.4  # of those that have climbed each axis once
 _ROUNDS = 30  # of all axes, at most
 _RISEN = 1e-4  # relative rise of a round that is worth another

@@ -26,11 +26,11 @@ from truepath.planning.stations.station_information import (
     StationVariance,
 )
 
-_PLACES = 64  # judged first; those that climb are judged beside
+_PLACES = 64  # evaluated first; those of the climb come in addition
 _WIDER = 1.2  # than the areas: so much of it comes to lie on their borders
 _CLIMBERS, _HALVINGS = 2, 3
 MOST_STATIONS = 3
-_WORTH = 0.9  # of what one place leaves, or below: further stations pay
+_WORTH = 0.9  # of the sigma of one station, or below: further stations pay
 APART_MM = 300.0  # of stations: nearer ones see much the same
 _UNSEEN = 0.02  # share of the travel that is worth a station
 

@@ -39,8 +39,8 @@ from truepath.planning.predicted_cells import predict_cells
 from truepath_drivers.interfaces.records import Path
 
 INTERVALS = 6  # of the knots, as lines are chosen by
-_CELLS_ACROSS = 16  # of the longest diagonal: as many as knots tell apart
-_GRID = 6  # places an axis at which it is asked what is seen
+_CELLS_ACROSS = 16  # of the longest diagonal: as many as knots resolve
+_GRID = 6  # positions of each axis at which visibility is checked
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,7 @@ class StationJudge:
         )
 
     def judge(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
-        """Information from a station; None where it does not even determine its own
-        pose.
-        """
+        """None where the station does not even determine its own pose."""
         survey = self.survey
         workspace = survey.workspace.place_tracker(place_mm)
         cells = predict_cells(
