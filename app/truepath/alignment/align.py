@@ -188,7 +188,6 @@ def _match_or_explain(
 def _match(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
-    """The path with targets at their seats, the standstills, and their matching."""
     machine, path = run.machine, run.commanded
     nominal = compute_nominal_path(machine, path)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
@@ -342,7 +341,6 @@ def drop_measured_elsewhere(
 def _add_driven_elsewhere(
     number: int, runs: Sequence[Run], observed: Sequence[Observations]
 ) -> Driving | None:
-    """Executed rows, extended to where other Runs of the path begin and end."""
     driving = observed[number].driving
     if driving is None or driving.is_whole:
         return driving
@@ -361,7 +359,6 @@ def _add_driven_elsewhere(
 
 
 def _describe_row(run: Run, row: int) -> tuple[object, ...]:
-    """Identity of a line or point: its ends or position, and its target."""
     path = run.commanded
     first = row - 1 if isinstance(path, Path) else row
     ends = np.round(path.position[max(first, 0) : row + 1], _DECIMALS)
@@ -463,7 +460,6 @@ def _find_holds(
 def _is_on_line(
     nominal: NominalPath, row: int, place_mm: np.ndarray, matching: Matching
 ) -> bool:
-    """True for points on a line, away from both ends."""
     curve = nominal.curve(row)
     share, off_mm = curve.nearest(place_mm[None])
     way_mm = float(share[0]) * curve.length_mm

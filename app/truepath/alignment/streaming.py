@@ -98,7 +98,6 @@ class StreamingAlignment:
         return (*self._was_astray, *((now,) if now else ()))
 
     def _describe_astray(self) -> LeftOut | None:
-        """Standstills off the path since the last match; None below three."""
         if len(self._astray) < FEWEST_ASTRAY:
             return None
         first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
@@ -245,7 +244,6 @@ class StreamingAlignment:
             self._astray.append((index, float(away_mm.min())))
 
     def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
-        """Tolerance for targets whose seats are not settled yet."""
         ahead = range(*places.indices(len(self._place_mm)))
         if self._is_over or self._known.seating is None:
             return np.zeros(len(ahead))

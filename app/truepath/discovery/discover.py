@@ -72,7 +72,6 @@ def align_runs(runs: Sequence[Run]) -> tuple[AlignedRun, ...]:
 
 
 def _measure_way(run: Run) -> float:
-    """Path length of the linear axes of a Run, mm."""
     linear = {axis.name for axis in run.machine.linear_axes}
     columns = [name in linear for name in run.commanded.axes]
     steps = np.diff(run.commanded.position[:, columns], axis=0)

@@ -22,8 +22,6 @@ _ROUNDS = 4  # the best time moves into a line, to its end, and beyond
 
 @dataclass(frozen=True)
 class _Trials:
-    """Trial times, the intervals between them, and their log Bayes factors."""
-
     time_s: Float64[np.ndarray, " v"]
     width_s: Float64[np.ndarray, " v"]
     log_bayes: Float64[np.ndarray, " v"]
@@ -38,11 +36,9 @@ class _Trials:
 
     @property
     def best_s(self) -> float:
-        """Time of greatest evidence."""
         return float(self.time_s[np.argmax(self.log_bayes)])
 
     def sigma_s(self) -> float:
-        """Standard uncertainty of the best time, by the weight of all."""
         weight = np.exp(self.log_bayes - self.log_bayes.max()) * self.width_s
         square = (self.time_s - self.best_s) ** 2 + self.width_s**2 / 12.0
         return float(np.sqrt(weight @ square / weight.sum()))
@@ -79,7 +75,6 @@ def locate_event(
 def _try_line(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm, line: int
 ) -> _Trials:
-    """Times between the cells of a line, and in the pause before it."""
     edges_s = data.equations.lines.edges_s(line)
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):

@@ -71,7 +71,6 @@ def baseline_model(found: Discovery) -> ExtendedModel:
 
 
 def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
-    """The effects of the machine, and the slices of their parameters."""
     of_machine = [e for e in base.effects if not is_of_instrument(e)]
     return [(effect, base.slices[effect.name]) for effect in of_machine]
 
@@ -84,7 +83,6 @@ def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
 
 
 def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
-    """Each effect once, even if it was found again."""
     once = {effect.name: effect for effect in reversed(effects)}
     names = dict.fromkeys(effect.name for effect in effects)
     return replace(base, effects=tuple(once[name] for name in names))

@@ -139,7 +139,6 @@ class NameTrial:
     def _doubt_tracker(
         self, best: TermFit, names: Sequence[CandidateTerm]
     ) -> dict[str, Support]:
-        """Support for names if the tracker may exceed its specification threefold."""
         if not self._fitter.has_tracker_errors:
             return {}
         fitter = self._fitter.doubt_tracker()
@@ -193,7 +192,6 @@ class NameTrial:
     def _find_purity(
         self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
     ) -> float:
-        """Share of the evidence of both that the name alone has."""
         kept = [t for t in best.terms if t is not name and t not in beside]
         nothing = self._fitter.fit(kept, refine=False)
         alone = self._fitter.fit([*kept, name])
@@ -201,7 +199,6 @@ class NameTrial:
         return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
 
     def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
-        """True if names explain the lines only with structure, or too little."""
         beside = [t for t in fit.terms if t not in names and not t.has_cause]
         if not beside and not is_open(fit):
             return False
@@ -216,11 +213,9 @@ class NameTrial:
 
 
 def _excess(left: HeldOutMisfit, *, fast: bool) -> float:
-    """Mean squared misfit above that of a complete model."""
     return left.measure_ratio(fast=fast) ** 2 - left.expect_ratio(fast=fast) ** 2
 
 
 def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
-    """True for free forms of the quantity that the name depends on."""
     kind = name.family.varies_with
     return not term.has_cause and bool(kind) and term.family.varies_with == kind

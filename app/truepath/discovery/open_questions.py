@@ -133,7 +133,6 @@ def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
 def _list_questions(
     found: Discovery, gram: Float64[np.ndarray, "m m"]
 ) -> Iterator[Question]:
-    """Possible names against free forms, rivals, then weak evidence."""
     best, fitter = found.fit, found.fitter
     named = found.tried.named
     for finding in found.possible:
@@ -181,7 +180,6 @@ def _form_question(
 
 
 def _foresee_run(found: Discovery) -> Linearisation:
-    """The problem with a further Run, its tracker where the first one's is."""
     return replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
 
 

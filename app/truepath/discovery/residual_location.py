@@ -176,7 +176,6 @@ def _find_share(
     weight: Float64[np.ndarray, " n"],
     group: Int64[np.ndarray, " n"],
 ) -> float:
-    """Share of the weighted squares in the groups' means."""
     _, index = np.unique(group, return_inverse=True)
     total = np.bincount(index, weight)
     means = np.stack([np.bincount(index, weight * c) / total for c in residual_mm.T])

@@ -49,7 +49,6 @@ def scan_term(term: CandidateTerm, residuals: Sequence[Residual]) -> CandidateTe
 def _best_wave(
     term: CandidateTerm, scan: Scan, wave: Wave, residuals: Sequence[Residual]
 ) -> float:
-    """Also interpolates between the waves of the scan."""
     best = int(np.argmax(_wave_gains(term, wave.waves, residuals)))
     around = slice(max(best - 1, 0), best + 2)
     order = np.argsort(wave.waves[around])
@@ -63,7 +62,6 @@ def _best_wave(
 def _best_value(
     term: CandidateTerm, scan: Scan, residuals: Sequence[Residual]
 ) -> float:
-    """Best value of the grid, refined between its neighbours."""
     if term.family.happens_once:
         gains = _moment_gains(term, residuals, scan.values)
     else:
@@ -82,7 +80,6 @@ def _best_value(
 
 
 def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> float:
-    """Quick log Bayes factor of a term at a value."""
     candidate = term.with_value(value).candidate
     data, information = np.zeros(term.size), np.zeros((term.size, term.size))
     for one in residuals:
@@ -138,7 +135,6 @@ def _wave_gains(
     waves: Float64[np.ndarray, " v"],
     residuals: Sequence[Residual],
 ) -> Float64[np.ndarray, " v"]:
-    """Quick log Bayes factor at all frequencies of a wave at once."""
     data, information = np.zeros(len(waves), complex), np.zeros(len(waves))
     for one in residuals:
         wave = term.wave(one.at)

@@ -231,7 +231,6 @@ class TermFitter:
         return 0.5 * (gains[0] + gains[1])
 
     def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
-        """Log evidence of all terms of a fit, less the search's cost."""
         known = self._data(prior).precision
         usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
         own = np.arange(len(known), len(known) + len(usual))
@@ -248,7 +247,6 @@ class TermFitter:
     def _scan(
         self, fit: TermFit, among: Sequence[CandidateTerm]
     ) -> list[CandidateTerm]:
-        """Terms that are not in a fit, at the best values of a quick scan."""
         known = self._scanned.setdefault(fit, {})
         present = {term.label for term in fit.terms}
         wanted = [term for term in among if term.label not in present]
@@ -259,7 +257,6 @@ class TermFitter:
         return [known[term.label] for term in wanted]
 
     def _sharpen(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
-        """The term at its best value with the machine integrated out."""
         if (fit, term) not in self._sharpened:
             best = self._sharpen_value(fit, term)
             self._sharpened |= {(fit, term): best, (fit, best): best}

@@ -59,7 +59,6 @@ class TermSearch:
         return best
 
     def _add_term(self, best: TermFit, among: _Among) -> TermFit | None:
-        """None if there is no evidence for one more."""
         free = sum(not term.has_cause for term in best.terms)
         if free >= _MOST_FREE:
             every = self._fitter.catalogue if among is None else among
@@ -74,7 +73,6 @@ class TermSearch:
         return None
 
     def _exchange_term(self, best: TermFit, among: _Among) -> TermFit:
-        """Exchanges or removes a term that later ones have made worse or needless."""
         for term in best.terms[:-1]:
             without = self._fitter.fit(best.other_terms(term), refine=False)
             ranked = self._fitter.rank_promising(without, among)

@@ -131,7 +131,6 @@ def _average_value(
 
 
 def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
-    """The terms; those without a slope at the best of many values."""
     found = list(terms)
     for k, term in enumerate(terms):
         if term.candidate.value is None or term.family.is_smooth:
@@ -160,7 +159,6 @@ def _take_best_of_grid(
     term: CandidateTerm,
     reach: float,
 ) -> CandidateTerm:
-    """The term at the best of values around its own, with their spread."""
     at = data.conditions_of(term)
     middle = term.candidate.value or 0.0
     values = np.linspace(middle - reach, middle + reach, _GRID)
@@ -179,7 +177,6 @@ def _take_best_of_grid(
 
 
 def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Terms:
-    """Gauss–Newton on the smooth values."""
     fit = _fit(data, terms, [], np.empty(0))
     for _ in range(_ROUNDS):
         spacing = np.array(
@@ -218,7 +215,6 @@ def _move_values(
 
 
 def _columns(data: TermData, terms: _Terms, number: int) -> slice:
-    """Columns of a term in a fit of all."""
     begin = len(data.precision) + sum(t.size for t in terms[:number])
     return slice(begin, begin + terms[number].size)
 
@@ -247,7 +243,6 @@ def _clip(
 
 
 def _spacing(term: CandidateTerm, at: Conditions) -> float:
-    """Distance of neighbours of the scan at the present value."""
     scan, value = term.scan(at), term.candidate.value
     if scan is None or value is None or len(scan.values) < 2:
         return 1.0

@@ -235,7 +235,6 @@ def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " 
 def _find_best_reversal(
     time_s: Float64[np.ndarray, "n n"], order: Int64[np.ndarray, " n"]
 ) -> tuple[float, int, int]:
-    """Gain of the best reversal, and its stretch first … last."""
     between = time_s[np.ix_(order, order)]
     n = len(order)
     if n < 3:

@@ -134,7 +134,6 @@ class AdaptivePlanner:
 
     @property
     def _horizon_s(self) -> float:
-        """Planning horizon: a number of the longest legs."""
         low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
         slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])

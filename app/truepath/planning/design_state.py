@@ -87,7 +87,6 @@ class DesignState(ABC):
         return np.empty((0, len(here)))
 
     def _name_target(self, rows: int) -> tuple[str, ...]:
-        """Empty where the target has no name."""
         return (self.target.name,) * rows if self.target.name else ()
 
     @property

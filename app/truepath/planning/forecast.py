@@ -318,7 +318,6 @@ def _trace_curve(
 def _hold(
     covariance: Float64[np.ndarray, "p p"], fixed: Bool[np.ndarray, " p"]
 ) -> Float64[np.ndarray, "p p"]:
-    """Covariance if some parameters are known exactly."""
     if not fixed.any():
         return covariance
     factor = ScaledCholesky.of(covariance[np.ix_(fixed, fixed)])

@@ -163,7 +163,6 @@ class _Criterion:
         )
 
     def _marginalise_pose(self, cells: Observations) -> Float64[np.ndarray, "p p"]:
-        """Information of one Run on the machine, the tracker's pose integrated out."""
         base = linearise(cells, self.model, cells.pose, self.noise)
         matrix = compute_information(cells, base).matrix
         p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters

@@ -72,7 +72,6 @@ def _list_moves(
 
 
 def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
-    """Points of the whole travel; rotary axes at zero."""
     low, high = inner_travel(machine)
     unit = np.array(list(product((0.0, 0.5, 1.0), repeat=len(machine.linear_axes))))
     linear = unit.shape[1]
@@ -82,7 +81,6 @@ def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
 
 
 def _spread(places: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "m a"]:
-    """Each point as far as possible from those before it."""
     if not len(places):
         return np.zeros((1, places.shape[1]))
     chosen = places[:1]

@@ -172,7 +172,6 @@ class PlanAttempt:
         return corner_path(self.machine, self.order.feeds(self.machine)[0], dwell_s)
 
     def _choose(self, budget_s: float) -> Commanded:
-        """A block for each target that is worth it, one after another."""
         change_s = CHANGE_S if self.order.is_on_the_fly else 0.0
         shares = share_among_targets(
             self._planners, budget_s, change_s, self.order.seed
@@ -182,7 +181,6 @@ class PlanAttempt:
 
     @property
     def _turns(self) -> bool:
-        """True if rotary axes turn on lines."""
         order = self.order
         return order.is_on_the_fly and bool(order.moving(self.machine).rotary_axes)
 
@@ -196,13 +194,11 @@ class PlanAttempt:
 
     @property
     def _tells_lags(self) -> bool:
-        """True if lags are to be distinguished from effects independent of the feed."""
         known = self.assumed.known.effects
         return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
 
     @cached_property
     def _planners(self) -> tuple[Planner, ...]:
-        """One for each target that may be measured."""
         machine, order = self.machine, self.order
         if order.is_on_the_fly and not self._turns:
             return (self._make_planner(None),)
@@ -243,7 +239,6 @@ class PlanAttempt:
         return Planner(machine, design, order.workspace, feeds, is_free)
 
     def _share(self, commanded: Commanded) -> tuple[list[Planner], list[Commanded]]:
-        """Blocks of one target each, with the planner of that target."""
         known = {one.design.target.name: one for one in self._planners}
         blocks = split_by_target(commanded)
         first = self._planners[0]

@@ -71,7 +71,6 @@ def _add_remedies(
     elsewhere_mm: Sequence[NDArray[np.float64]],
     move_s: float,
 ) -> Plan:
-    """Adds the remedies against the tracker's errors."""
     last = plan.at_stations[-1]
     remedies = find_set_up_remedies(
         attempt.order.moving(attempt.machine),
@@ -87,7 +86,6 @@ def _add_remedies(
 
 
 def _list_usual_places(plan: Plan) -> list[NDArray[np.float64]]:
-    """Typical stations, away from the tracker's, that see all of a plan."""
     found: list[NDArray[np.float64]] = []
     for place in assume_stations_mm(plan.machine):
         if np.linalg.norm(place - plan.station_mm) >= APART_MM:
@@ -101,7 +99,6 @@ def _list_usual_places(plan: Plan) -> list[NDArray[np.float64]]:
 def _plan_stations(
     attempt: PlanAttempt, choice: StationChoice, on_progress: Progress
 ) -> Plan:
-    """The plan from the first station, with those from further stations."""
     order, plans = attempt.order, list[Plan]()
     share_s = order.budget_s / order.stations
     for number, station in enumerate(choice.choose_stations(order.stations)):
@@ -126,7 +123,6 @@ def _plan_as_ordered(attempt: PlanAttempt, on_progress: Progress) -> Plan:
 def _plan_for_target(
     attempt: PlanAttempt, target_um: float, longest_s: float, on_progress: Progress
 ) -> Plan:
-    """The shortest plan found that reaches the target, or the longest."""
     budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
     planned = attempt.plan_within(budget_s)
     for number in range(1, _TRIES):

@@ -166,6 +166,5 @@ class PlanOrder:
 
 
 def _round_down(feed_mm_min: float) -> float:
-    """To three digits."""
     step = 10.0 ** (math.floor(math.log10(feed_mm_min)) - 2)
     return step * math.floor(feed_mm_min / step + 1e-9)

@@ -108,14 +108,12 @@ def _face(
     station_mm: Float64[np.ndarray, "3"],
     turn_rad: float,
 ) -> RigidTransform:
-    """Pose of a level tracker at a station that looks at a point."""
     x, y, _ = point_mm - station_mm
     rotation = build_rotation(np.array([0.0, 0.0, turn_rad - np.arctan2(y, x)]))
     return RigidTransform(rotation, -rotation @ station_mm)
 
 
 def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
-    """Each line, at constant feed and on its ramps, and the dwell at its end."""
     row_s = row_times_s(path, limits=machine.motion)
     end_s = np.cumsum(row_s)
     drive = Drive.of(path.axes, 0.0, machine.motion)
@@ -180,7 +178,6 @@ def _ramp(
 
 
 def _dwell(row: int, dwell_s: float, end_s: float) -> Iterator[_Stretch]:
-    """Nothing where the dwell is too short."""
     span_s = dwell_s - 2.0 * STANDSTILL_SETTLE_S
     if span_s <= 0.0:
         return

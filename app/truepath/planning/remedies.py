@@ -208,7 +208,6 @@ def _rows(
 
 
 def _sigma_mm(seen: Observations) -> float:
-    """Standard deviation of one component of a cell."""
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     white, ou = EXPECTED_NOISE.white[1], EXPECTED_NOISE.ou[1]

@@ -148,7 +148,6 @@ def _follow(
 def _reduce_steady(
     run: Run, line: int, each: Pass, stream: Stream, curve: Curve, cell_mm: float
 ) -> CellBlock:
-    """Cells at constant feed, which gives their positions."""
     part = slice(each.first, each.last)
     time = stream.time_s[part]
     middle, rate = 0.5 * float(time[0] + time[-1]), each.speed_mm_s / curve.length_mm
@@ -195,7 +194,6 @@ def _aside_mm(
     lag_s: Float64[np.ndarray, " n"],
     rate: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Distance of each sample of a pass from its line."""
     share = each.share + rate * lag_s
     slope = curve.slope_mm(share)
     away = stream.points_mm(each.first, each.last) - curve.point_mm(share)
@@ -286,7 +284,6 @@ def reduce_standstills(
 def _find_settled(
     stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
 ) -> Int64[np.ndarray, " m"]:
-    """`wait_s` is excluded at begin and end, at the least."""
     time = stream.time_s[first:last]
     begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
     settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)

@@ -67,7 +67,6 @@ def describe_cells(
 def _stand_off_mm(
     cells: Cells, expected_mm: Float64[np.ndarray, "n 3"], tracker: TrackerNoise
 ) -> Float64[np.ndarray, " n"]:
-    """Deviation of each cell from its neighbours; 0 within the limit."""
     n = len(cells.time_s)
     if n < 3:
         return np.zeros(n)
@@ -85,7 +84,6 @@ def _stand_off_mm(
 def _median_of_neighbours(
     rest: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Running medians, over fewer cells towards the ends."""
     n = len(rest)
     median = rest.copy()
     for beside in range(1, _BESIDE):

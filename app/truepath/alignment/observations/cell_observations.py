@@ -58,7 +58,6 @@ def join_blocks(
 def _collect_conditions(
     run: Run, parts: list[CellBlock], own: Int64[np.ndarray, " n"], seats: Seats
 ) -> Conditions:
-    """`own` is the number of the block of each cell."""
     machine = run.machine
     row = np.array([p.row for p in parts])[own]
     velocity = np.concatenate([p.velocity_mm_s for p in parts])

@@ -262,7 +262,6 @@ class CellMeans:
 
 
 def _count_up(cells: int, together: int) -> Int64[np.ndarray, " m"]:
-    """First cell of each group, groups as even as possible."""
     parts = -(-cells // together)
     return np.arange(parts) * cells // parts
 

@@ -121,8 +121,6 @@ class _Means:
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Samples without the nominal motion, and the cell of each."""
-
     time_s: Float64[np.ndarray, " n"]
     rest_mm: Float64[np.ndarray, "n 3"]
     cell: Int64[np.ndarray, " n"]

@@ -125,7 +125,6 @@ def _split_by_place(
 
 
 def _recognise_pass(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
-    """None where there is next to nothing of the line."""
     if curve.length_mm < MIN_MOTION_MM:
         return None  # the target changed, or hardly moves
     first, last = part.first, part.last

@@ -176,7 +176,6 @@ def _list_aside(
 def _limit_mm(
     off_mm: Float64[np.ndarray, " m"], time_s: Float64[np.ndarray, " n"]
 ) -> float:
-    """Allowed deviation of a sample from the motion of its neighbours."""
     bent = 0.5 * _FASTEST_MM_S2 * float(np.median(np.diff(time_s))) ** 2
     return max(_SPIKE_MM, 10.0 * float(np.median(off_mm)), bent)
 
@@ -269,7 +268,6 @@ def _size(ends: Float64[np.ndarray, "2 3"]) -> float:
 
 
 def _unit(ratio: float, units: dict[str, float]) -> str:
-    """The unit that makes a size `ratio` times too large, empty if none does."""
     if 1.0 / _FAR < ratio < _FAR:
         return ""
     fitting = (u for u, r in units.items() if 1.0 / _CLOSE < ratio / r < _CLOSE)

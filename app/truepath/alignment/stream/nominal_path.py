@@ -284,7 +284,6 @@ def _find_bends(
     before: Float64[np.ndarray, "w a"],
     turn_deg: Float64[np.ndarray, " w"],
 ) -> dict[int, Curve]:
-    """Curves of the rows on which the target does not go straight at constant speed."""
     rows = np.flatnonzero(turn_deg)
     if not len(rows):
         return {}

@@ -207,7 +207,6 @@ def _find_measured(
     expect: Callable[[str], Float64[np.ndarray, "l 3"]],
     places: Float64[np.ndarray, "u 3"],
 ) -> str:
-    """Phrase naming the target that was measured instead; empty if none matches."""
     for name in names:
         expected = expect(name)
         found, _ = match_places(places, expected, _BESIDE_MM)

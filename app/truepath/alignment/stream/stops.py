@@ -233,7 +233,6 @@ class StopStream:
         self._rest_since = None
 
     def _note(self, first: int, last: int) -> None:
-        """Extends the last standstill where only a frame was lost in between."""
         begin = max(first, self._dropped)
         inside = self.part(begin, min(last, begin + _ENOUGH))[1]
         stop = Stop(first, last, rest_position_mm(inside))
@@ -265,7 +264,6 @@ def join_stops(stops: list[Stop], origin: int) -> StopSequence:
 def _runs(
     flags: Bool[np.ndarray, " n"], origin: int
 ) -> Iterator[tuple[int, int, bool]]:
-    """(first, last, flag) of stretches of equal flags."""
     edges = np.flatnonzero(np.diff(flags)) + 1
     begins = [0, *edges.tolist()]
     for first, last in zip(begins, [*edges.tolist(), len(flags)], strict=True):

@@ -140,7 +140,6 @@ class _Draft:
 
     @property
     def is_recognisable(self) -> bool:
-        """True if its stops differ enough to be matched, and to locate the tracker."""
         if self.lines < _FEWEST_LINES:
             return False
         position = self.stops.position
@@ -219,7 +218,6 @@ class LineChoice:
         return tuple(q.expect_log_bayes(s, pose_sigma) for q, s in pairs)
 
     def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
-        """Ends of the next line and feeds: back, along an axis, anywhere."""
         low, high = inner_travel(remove_rotary_axes(self.machine))
         position = draft.stops.position
         here = position[-1]

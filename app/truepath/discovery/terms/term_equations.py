@@ -75,7 +75,6 @@ class _Term:
 
     @cached_property
     def total(self) -> Float64[np.ndarray, "q p"]:
-        """Sums with base and data over all lines."""
         return self.cross.sum(axis=0)
 
     @cached_property
@@ -244,7 +243,6 @@ class TermEquations:
 
 
 def _tell_apart(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:
-    """The moments on a line, the last one before it and the first one after."""
     first, last = np.searchsorted(moment_s, at.time_s[[0, -1]], "right").tolist()
     return slice(max(first - 1, 0), min(last + 1, len(moment_s)))
 

@@ -114,8 +114,6 @@ _Solve = Callable[[Sequence[RunPart], float, float], Estimate]
 
 @dataclass(frozen=True, slots=True)
 class _Solved:
-    """Parts of Runs, their estimate, and the residuals of each."""
-
     parts: list[RunPart]
     found: Estimate
     misfits: tuple[Misfit, ...]
@@ -278,7 +276,6 @@ def _leave_out_lines(
 
 
 def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
-    """Steps between parts of one Run, sized by the difference of the solved poses."""
     knocks: list[Knock] = []
     for k in range(1, len(parts)):
         before, after = parts[k - 1], parts[k]

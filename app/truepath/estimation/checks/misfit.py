@@ -311,7 +311,6 @@ class _Examination:
     def _prepare_steps(
         self, sums: StepSums, later: Sequence[StepSums], drift: Drift
     ) -> tuple[Prospects, Callable[[int], Prospects], Callable[[int], Shared]]:
-        """Steps over the Run, those near one of them, and products shared."""
         # A step before all cells is a matter of the pose.
         steps = drift.prepare(sums.select(slice(1, None)))
         ends = np.append(sums.cell[1:], len(self.seen))

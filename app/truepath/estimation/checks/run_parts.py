@@ -202,7 +202,6 @@ def _leave_out_all(
     time_s: Float64[np.ndarray, " n"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> RunPart:
-    """Times and residuals are of the cells of the whole Run."""
     seen = part.seen
     off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
     edges = np.arange(len(seen) + 1, dtype=np.int64)
@@ -226,7 +225,6 @@ def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
 
 
 def _join(first: RunPart, second: RunPart) -> RunPart:
-    """At most one of the two has cells."""
     kept = max(first, second, key=lambda part: len(part.seen))
     left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
     offered = first.seen.offered + second.seen.offered

@@ -111,7 +111,6 @@ class StepKinds:
     def _solve(
         self, parts: Sequence[StepPart]
     ) -> tuple[float, Float64[np.ndarray, " k"]]:
-        """Gain of a drift and parts together, and their parameters."""
         drift = np.eye(len(self.pulled))[:, : self._first]
         turn = np.concatenate([drift, *(part.turned for part in parts)], axis=1)
         # A millimetre, a radian: what the fit explains wholly stays at 0.

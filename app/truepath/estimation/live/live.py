@@ -205,7 +205,6 @@ class LiveEstimator:
         )
 
     def _goes_astray(self) -> bool:
-        """True if more data off the path have arrived."""
         before_s = self._astray_s
         for each in self._alignment.list_astray()[-1:]:
             self._astray_s = each.end_s
@@ -247,7 +246,6 @@ class LiveEstimator:
         return True
 
     def _let_in(self, sums: RecursiveEstimator, seen: Observations) -> None:
-        """Adds the lines that pass the gate."""
         if self._foretold is None:
             self.estimate()
         assert self._foretold is not None  # noqa: S101 (the estimate has set it)
@@ -281,7 +279,6 @@ class LiveEstimator:
         return cells
 
     def _know(self, *beside: Effect) -> None:
-        """Updates the model by the instrument errors known now."""
         self._model = self._model.know(*beside)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.nothing

@@ -223,7 +223,6 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
 
 
 def _leave_out_ramps(observations: Observations) -> Observations:
-    """Without ramps, if enough rows remain."""
     others = observations.leave_out_ramps()
     return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
 
@@ -254,7 +253,6 @@ def _count_to_merge(observations: Observations) -> int:
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    """Newton's method with steps halved where too long."""
     x = _pack(noise)
     low, high = _BOUNDS[: len(x)].T
     high = np.minimum(high, [*[np.inf] * 3, np.log(longest_s), np.inf][: len(x)])

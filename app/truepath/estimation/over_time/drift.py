@@ -264,7 +264,6 @@ class _Normal:
 def _draw_populations(
     data: DriftData, known: _Normal, rounds: int
 ) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
-    """The last population and its samples; each is proposed from the one before."""
     unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
     for number in range(rounds):
         z = _draw_normal(number)

@@ -198,7 +198,6 @@ def straight_precision(
 
 
 def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
-    """σ of each kind with a determined member."""
     told: dict[str, list[float]] = {}
     usual_size: dict[str, float] = {}
     for kind, usual, value in _list_told(model, result):

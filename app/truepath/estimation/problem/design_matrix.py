@@ -171,7 +171,6 @@ class Linearisation:
     def _build_local(
         self, observations: Observations, solved: Float64[np.ndarray, " p"] | None
     ) -> tuple[int, Float64[np.ndarray, "n 3 q"], tuple[int, ...]]:
-        """Number of fixed columns, rows in the workpiece frame, and the timed lines."""
         p, at = self.size if solved is None else 0, observations.at
         lines = self._list_lines(observations)
         timing = TimingLaw(lines)

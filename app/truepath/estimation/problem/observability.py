@@ -227,7 +227,6 @@ def _find_mending_lines(
 
 
 def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
-    """Null space of the effect's prior."""
     charge, size = effect.prior(), len(effect.parameters)
     if charge is None:
         return np.eye(size)

@@ -62,7 +62,6 @@ def _find_still_merged(
     measured: Float64[np.ndarray, "t 3"],
     way: Float64[np.ndarray, "3"],
 ) -> set[str]:
-    """Symbols that stay confounded with one more target on the tool."""
     on_tool = next((t for t in machine.targets if t.on == "tool"), None)
     added = np.array(on_tool.offset_mm if on_tool else (0.0, 0.0, 0.0))
     added = added + _TRIAL_MM * way

@@ -256,7 +256,6 @@ def _fit(
 
 
 def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
-    """Unit vectors in the beam frame."""
     seen = run.observations
     turned = seen.direction @ run.linearisation.pose.rotation.T
     return np.einsum("nij,nj->ni", seen.beam_frame, turned)

@@ -112,7 +112,6 @@ def _split_noise(
     C: Float64[np.ndarray, "p p"],
     total: Float64[np.ndarray, "p p"],
 ) -> list[Float64[np.ndarray, "p p"]]:
-    """Shares of white noise, correlated noise and all others in their total."""
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
         (white,) = _propagate(runs, C, [_scale_white])

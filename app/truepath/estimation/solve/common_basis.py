@@ -85,7 +85,6 @@ def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
 def _find_precision(
     model: MachineModel, fits: Sequence[Fit]
 ) -> Float64[np.ndarray, "p p"]:
-    """Geometric mean over the Runs."""
     total = np.zeros((model.size, model.size))
     for effect in model.effects:
         name, part = effect.name, model.slices[effect.name]

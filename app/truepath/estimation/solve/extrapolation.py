@@ -148,7 +148,6 @@ def _interval(motion: ErrorMotion) -> float:
 def _away(
     position: Float64[np.ndarray, " n"], measured: tuple[float, float]
 ) -> Float64[np.ndarray, " n"]:
-    """Distance to the range, 0 inside it."""
     low, high = measured
     return np.maximum(np.maximum(low - position, position - high), 0.0)
 

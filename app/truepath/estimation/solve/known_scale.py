@@ -173,6 +173,5 @@ def _trace_errors(
 def _find_common(
     off: Float64[np.ndarray, " n"], covariance: Float64[np.ndarray, "n n"]
 ) -> tuple[float, float]:
-    """Least-squares mean of correlated values, and its standard uncertainty."""
     weight = np.linalg.solve(covariance, np.ones(len(off)))
     return float(weight @ off / weight.sum()), float(weight.sum() ** -0.5)

@@ -82,7 +82,6 @@ class Fanuc(Dialect):
 
 
 def _write_guard(index: int, name: str) -> str:
-    """Alarm where work and machine position of an axis differ."""
     machine, work = _MACHINE + index, _WORK + index
     return (
         f"IF [ABS[#{machine}-#{work}] GT 0.001] "

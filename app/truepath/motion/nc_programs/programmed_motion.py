@@ -176,7 +176,6 @@ class SimulatedControl:
     def _divide_linear_by_whole(
         self, before: tuple[float, ...] | None, end: tuple[float, ...]
     ) -> float:
-        """Share of the linear axes in the programmed feed."""
         if before is None or not self._counts_degrees:
             return 1.0
         step = [(n, b - a) for n, a, b in zip(self._axes, before, end, strict=True)]

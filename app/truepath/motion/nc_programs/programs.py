@@ -202,7 +202,6 @@ def _compare(
 
 
 def _round_path(path: Path, kind: Dialect) -> Path:
-    """Positions, feeds and dwells as the program gives them."""
     position = np.round(path.position, kind.decimals) + 0.0  # no negative zero
     dwell_s: Float64[np.ndarray, " n"] = np.maximum(path.dwell_s, kind.least_dwell_s)
     rounded = replace(path, position=position, dwell_s=np.round(dwell_s, 3))
@@ -235,7 +234,6 @@ def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
 def _write_header(
     kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
 ) -> tuple[str, ...]:
-    """Facts for the operator; `planned` is the path before it was rounded."""
     feeds = f"{path.feed_mm_min.min():.0f} TO {path.feed_mm_min.max():.0f} MM/MIN"
     minutes, seconds = divmod(round(travel_time_s(path, machine.motion)), 60)
     rounded = float(np.abs(path.position - planned.position).max())
@@ -319,7 +317,6 @@ def _clean_comment(text: str) -> str:
 
 
 def _clean_name(text: str) -> str:
-    """Letters, digits and underscores, a letter first."""
     kept = re.sub(r"[^A-Z0-9]+", "_", text.upper()).strip("_")
     # Two letters first: a Siemens control takes no other names.
     named = kept if re.match(r"[A-Z]{2}", kept) else f"TP_{kept}"
@@ -362,7 +359,6 @@ def _format_number(value: Float64[np.ndarray, ""] | float) -> str:
 
 
 def _word_target_change(path: Path, index: int) -> str:
-    """Empty unless the target differs from the row before."""
     if not path.target or index == 0 or path.target[index] == path.target[index - 1]:
         return ""
     return _clean_comment(

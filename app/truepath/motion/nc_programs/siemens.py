@@ -124,7 +124,6 @@ class _Reader(GCodeReader):
         super().read_block(line, block)
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
-        """Rejects a motion whose feed belongs to axes that do not move."""
         has_linear = any(name in "XYZ" for name in self.feed_group)
         rotary_only = self.control.moves_rotary_only(ends)
         if not self.feed_group or rotary_only == has_linear:

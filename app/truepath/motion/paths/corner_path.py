@@ -54,7 +54,6 @@ def corner_path(machine: Machine, feed_mm_min: float, dwell_s: float) -> Path:
 
 
 def _tour() -> Float64[np.ndarray, "s 3"]:
-    """Corners of the unit cube in an order with all 28 lines."""
     left = set(combinations(range(8), 2))
     tour = [0]
     while left:

@@ -85,7 +85,6 @@ class _Step:
     is_back: bool = False
 
     def find_arc(self, driven: Path) -> Arc | None:
-        """Its sense is that of the step."""
         arc = driven.arc[self.line]
         return _turn_back(arc) if self.is_back else arc
 
@@ -107,7 +106,6 @@ def _leave_out_loops(
 
 
 def _find_place(driven: Path, steps: Sequence[_Step], step: _Step) -> int | None:
-    """Number of the step that leads to the same position of the same target."""
     here = driven.position[step.place]
     for k, each in enumerate(steps):
         is_same = np.abs(driven.position[each.place] - here).max() < _SAME

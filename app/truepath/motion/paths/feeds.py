@@ -36,7 +36,6 @@ def _find_possible(
 
 
 def _find_highest(machine: Machine) -> float:
-    """From the machine file, else the highest that any control reads, mm/min."""
     if "max_feed_mm_min" in machine.motion.assumed:
         return LARGEST_FEED_MM_MIN
     return machine.motion.max_feed_mm_min

@@ -128,7 +128,6 @@ def _draw_points(
     high: Limits,
     rng: np.random.Generator,
 ) -> Rows:
-    """Random points of all axes, in an order of short allowed moves."""
     points = np.empty((0, len(low)))
     for _ in range(_DRAWS):
         drawn = rng.uniform(low, high, (RANDOM_POINTS, len(low)))

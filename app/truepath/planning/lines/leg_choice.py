@@ -95,7 +95,6 @@ class LegChoice:
         return best
 
     def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
-        """Adds stops while time remains, or removes those beyond it."""
         times = self.design.drive.times_s(stops.legs)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.select(slice(fits + 1))
@@ -174,7 +173,6 @@ class LegChoice:
         total: Float64[np.ndarray, "p p"],
         cost: float,
     ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
-        """The stops with one moved, their information, and J · T."""
         old = stops.select(slice(k - 1, k + 2))
         others = total - self._inform(old)
         rest_s = self._duration_s(stops) - self._duration_s(old)
@@ -205,7 +203,6 @@ class LegChoice:
         return Stops(position, feed), total, float(costs[best])
 
     def _reorder(self, stops: Stops) -> Stops:
-        """Order of short moves, unless it has less information."""
         n = len(stops)
         legs = Legs(
             np.repeat(stops.position, n, 0),
@@ -227,7 +224,6 @@ class LegChoice:
         places: Float64[np.ndarray, "n a"],
         feeds_mm_min: Float64[np.ndarray, " n"],
     ) -> list[Legs]:
-        """Legs into and out of a stop, for candidates of it; feeds are towards it."""
         position, feed = stops.position, stops.feed_mm_min
         found = [_join_legs(position[k - 1], places, feeds_mm_min)]
         if k + 1 < len(stops):
@@ -235,7 +231,6 @@ class LegChoice:
         return found
 
     def _draw_places(self, count: int) -> Float64[np.ndarray, "n a"]:
-        """On faces, edges and corners of the region, and inside it."""
         low, high = self.region.low, self.region.high
         share = self.rng.random((count, len(low)))
         pinned = self.rng.random(share.shape) < _PINNED
@@ -271,6 +266,5 @@ def _join_legs(
     end: Float64[np.ndarray, "*n a"],
     feed: float | Float64[np.ndarray, " n"],
 ) -> Legs:
-    """From one point to each of several, or from each to one."""
     begin, end = np.broadcast_arrays(begin, end)
     return Legs(begin, end, np.broadcast_to(np.float64(feed), len(begin)).copy())

@@ -64,7 +64,6 @@ class LineDesignState(DesignState):
     def _share_time(
         self, legs: Legs, steady_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n k"]:
-        """Time that each point of a line represents."""
         moving_s = self.drive.times_s(legs) - self.drive.dwell_s
         ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
         ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp has no information

@@ -121,7 +121,6 @@ class Planner:
         return bool(design.fits(Stops(ends, np.full(2, feed)).legs)[0])
 
     def _hindrance(self) -> str:
-        """Why not even the diagonal of the travel can be measured."""
         if self.design.model.machine.rotary_axes:
             return (
                 f"target {self.design.target.name} hardly moves where the tracker "
@@ -146,7 +145,6 @@ class Planner:
     def _first_stop(
         self, region: SearchRegion, rng: np.random.Generator
     ) -> Float64[np.ndarray, " a"]:
-        """The first allowed corner, or else any allowed point."""
         low, high = region.low, region.high
         corners = np.array(list(product(*zip(low, high, strict=True))))
         anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)

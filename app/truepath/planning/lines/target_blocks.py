@@ -116,7 +116,6 @@ def _return_to(
 
 
 def _choose_repeated(first: Commanded, share: PlanShare) -> Commanded:
-    """As many of the first legs as there is time for; possibly none."""
     for legs in range(min(_REPEATED, len(first) - 1), 0, -1):
         rows = select_rows(first, slice(legs + 1))
         in_time = _duration_s(share.planner, rows) <= share.budget_s
@@ -140,7 +139,6 @@ def _leads_to(
     here: Float64[np.ndarray, " a"],
     there: Float64[np.ndarray, " a"],
 ) -> bool:
-    """True if the machine may go straight from one point to another."""
     machine = planner.design.model.machine
     columns = len(machine.axes)
     begin, end = here[None, :columns], there[None, :columns]

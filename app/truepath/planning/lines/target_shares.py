@@ -95,7 +95,6 @@ class ExpectedLegs:
 def _share(
     planner: Planner, rates: Sequence[Float64[np.ndarray, "p p"]], time_s: float
 ) -> Float64[np.ndarray, " t"]:
-    """Shares of a time, with sum 1, for the least integrated variance."""
     design = planner.design
     share = np.full(len(rates), 1.0 / len(rates))
     for _ in range(_ROUNDS):

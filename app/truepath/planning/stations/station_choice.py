@@ -168,7 +168,6 @@ class StationChoice:
         )
 
     def _find_weakest(self, one: StationVariance, several: StationVariance) -> str:
-        """Error motion that gains most from several stations."""
         before, after = map(self.judge.motion_sigmas_mm, (one, several))
         return max(before, key=lambda name: before[name] ** 2 - after[name] ** 2)
 
@@ -238,7 +237,6 @@ class _StationSearch:
     def judge_places(
         self, place_mm: Float64[np.ndarray, "n 3"]
     ) -> list[StationInformation]:
-        """Without stations that are not allowed."""
         found = map(self.judge.judge, place_mm[self.areas.allow(place_mm)])
         return [one for one in found if one is not None]
 
@@ -246,7 +244,6 @@ class _StationSearch:
         return sorted(judged, key=self._predict_left_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
-        """Stations evaluated on the way from one to better ones near it."""
         low, high = _hull(self.areas)
         best, found = start, list[StationInformation]()
         step = 0.25 * (high - low)

@@ -210,7 +210,6 @@ class StationJudge:
 
     @property
     def _grid(self) -> Float64[np.ndarray, "v a"]:
-        """Points of the whole travel; rotary axes at zero."""
         machine = self.survey.machine
         ticks = [np.linspace(a.low, a.high, _GRID) for a in machine.linear_axes]
         places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
