@@ -1,9 +1,9 @@
-"""Find the noise of every Run from the Runs themselves.
+"""Estimate the noise of every Run from the Runs themselves.
 
-500 Hz samples are correlated in time; who counts them as independent states intervals
-that hold the truth far too seldom. The white part is what samples scatter about their
+500 Hz samples are correlated in time; treating them as independent gives intervals that
+contain the truth far too rarely. The white part is the scatter of samples about their
 cell. The Ornstein–Uhlenbeck part, its correlation time and the jitter of the feed
-maximise the evidence of the whole problem, so that what the error motions take up is
+maximise the evidence of the whole problem, so that what the error motions absorb is
 accounted for.
 """
 
@@ -35,31 +35,31 @@ from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _FEWEST_OF_LINE = 4  # merged cells
-_CELLS = 1000  # as many tell the noise to a few parts in a hundred
+_CELLS = 1000  # enough for the noise to a few percent
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
-# Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
+# Few data hardly determine the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
-_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three sizes of the stated noise, time in s
+_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three relative sizes, time in s
 _USUAL_SPREAD = 1.2
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
-_STIFFEST = 4.0  # times as curved as the average information says
+_STIFFEST = 4.0  # times as curved as the average information
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
-_LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
+_LEAST = 1e-3  # curvature of undetermined parameters, such as zero jitter
 _LONGEST_S = 60.0
 _FEWEST_TRIPLES = 100
 _MEDIAN = 0.455  # of χ² of one
-_FAST = 1.2  # times what samples scatter, of their means
+_FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
 _BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
-    """Return the tracker's noise: this Run's scatter, a usual correlated part."""
+    """Starting values: scatter of this Run, a typical correlated part."""
     white = (float(observations.scatter[0]), float(observations.scatter[1]))
     is_timed = any(p.is_steady for p in observations.passes)
     along = 2e-4 if is_timed and not perpendicular_only else np.inf
@@ -73,15 +73,17 @@ def refine_runs(
     *,
     longest_s: float = _LONGEST_S,
 ) -> tuple[RunInput, ...]:
-    """Return the Runs with a better pose and the noise of greatest evidence.
+    """Runs with a refined pose and the noise of greatest evidence.
 
-    model : coarse, with all that must not pass for Ornstein–Uhlenbeck noise
+    model : coarse, with everything that must not be absorbed by Ornstein–Uhlenbeck
+        noise
     known : effects of the machine known from an earlier measurement
-    longest_s : correlation time; what is slower is structure, not noise
+    longest_s : correlation time; slower changes are structure, not noise
 
-    The rough pose is off by the machine's errors. Every Run has a noise of its own;
-    what the error motions are, all Runs tell. Some lines and coarse splines tell both
-    well, at a fraction of the cost.
+    The initial pose includes the machine's errors. Every Run has separate noise; all
+    Runs determine the error motions. A selection of lines and coarse splines determine
+    both well, at a fraction of the cost.
+
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or KnownEffects()
@@ -92,7 +94,7 @@ def refine_runs(
     found = list(collect_information(few, model))
     data = known.add_to(combine_runs(found), model)
     prior, result = guess_whole_prior(model).fit(data)
-    # The noise of one Run shifts what the others hold for the error motions.
+    # The noise of one Run shifts the error motions that the others determine.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
         others = found[:k] + found[k + 1 :]
         noise = _fit_noise(found[k], prior, others, known, longest_s)
@@ -138,10 +140,11 @@ def _fit_noise(
 def _raise_fast(
     seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> NoiseModel | None:
-    """Return the noise with what is fast in its cells; None where there is none of it.
+    """Noise with its fast part raised; None if there is none.
 
-    Samples scatter less than their means where noise lasts for some samples: a swing of
-    some hertz. Second differences of neighbours show it, which slow noise leaves small.
+    Samples scatter less than their means where noise lasts for some samples: a
+    vibration of some hertz. Second differences of neighbours show it; slow noise hardly
+    affects them.
     """
     time_s, before = seen.at.time_s, np.array(noise.fast)
     sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
@@ -166,10 +169,9 @@ def _raise_fast(
 def _find_shown(
     seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
-    """Return how large the correlated part is, by neighbours in space of other lines.
-
-    Where machine errors are alike, approached alike, but the time is another. By the
-    smaller of the differences: a step of the set-up is in many of the others.
+    """Size of the correlated part, from pairs of neighbours in space on different
+    lines: machine errors and approach are alike there, but the time differs. A low
+    quantile of the differences: a step of the set-up is in many of the others.
     """
     white, _ = split_sigma_mm(seen, noise)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
@@ -204,9 +206,9 @@ def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
 def estimate_residual_noise(
     observations: Observations, about: Linearisation, theta: Float64[np.ndarray, " p"]
 ) -> NoiseModel:
-    """Return the noise that the residuals of an estimate show.
+    """Noise from the residuals of an estimate.
 
-    Quick, for the live estimate: what the estimate has taken up of it is not counted.
+    Fast, for the live estimate: the share absorbed by the estimate is not corrected.
     """
     design = _merge_design(observations, about)
     timing = _select_independent(design)[:, :, design.fixed :]
@@ -221,7 +223,6 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
 
 
 def _leave_out_ramps(observations: Observations) -> Observations:
-    """Return the cells where nothing swings, if these are enough."""
     others = observations.leave_out_ramps()
     return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
 
@@ -237,9 +238,9 @@ def _select_lines(observations: Observations) -> Observations:
 
 
 def _count_to_merge(observations: Observations) -> int:
-    """Return how many cells are still short against the correlation time.
+    """Number of cells still short against the correlation time.
 
-    A line has phase and speed of its own: of few cells it tells hardly more than these.
+    A line has separate phase and speed: few cells determine hardly more than these.
     """
     length = (
         float(np.median(observations.count)) / observations.at.machine.tracker.rate_hz
@@ -252,7 +253,6 @@ def _count_to_merge(observations: Observations) -> int:
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    """Return the noise model of least cost: Newton's steps, halved where too long."""
     x = _pack(noise)
     low, high = _BOUNDS[: len(x)].T
     high = np.minimum(high, [*[np.inf] * 3, np.log(longest_s), np.inf][: len(x)])
@@ -278,9 +278,9 @@ def _maximise(
 def _compare_curvature(
     here: Slope, there: Slope, step: Float64[np.ndarray, " k"]
 ) -> float:
-    """Return how much more the cost curves along a step than its slope here says.
+    """Ratio of observed to predicted curvature along a step.
 
-    The average information may be too small: steps would go beyond their aim each time.
+    The average information may be too small: every step would overshoot.
     """
     expected = float(step @ here.curvature @ step)
     found = float((there.gradient - here.gradient) @ step)
@@ -290,7 +290,6 @@ def _compare_curvature(
 def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
-    """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.evaluate(_unpack(x, noise))
     off = (x[:4] - _USUAL) / _USUAL_SPREAD**2
     gradient, curvature = found.gradient.copy(), found.curvature.copy()
@@ -317,10 +316,7 @@ def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:
-    """Return columns of all parameters, but of timing only what is independent.
-
-    A line of one cell has a phase, but no speed beside it.
-    """
+    """A line of one cell has a phase, but no separate speed."""
     n, count = len(design.rows), max(len(design.lines), 1)
     timing = design.timing.reshape(n, 3, count, -1)
     gram = np.einsum("nilj,nilk->ljk", timing, timing)
