@@ -101,9 +101,9 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class ReadingTry:
-    """A channel read in one of several ways.
+    """What a channel shows when it is read in one of several ways.
 
-    how : the way, as in the settings; value : None where it gives no number
+    how : the way, as settings say it; value : None where it gives no number
     is_set : the way of the settings; is_likely : the one that seems right
     """
 

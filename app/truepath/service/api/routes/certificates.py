@@ -1,4 +1,4 @@
-"""Certificates of a result: issued once, numbered, kept with it, never changed."""
+"""Certificates of a result: numbered, stored with it, never changed."""
 
 from __future__ import annotations
 
@@ -270,7 +270,7 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
 def _find_account(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
-    """Return the account of the files that are named, else of those verified."""
+    """Those named in the request, else those that were verified."""
     from truepath.compensation.kept_files import find_file
 
     if body.compensation_id is not None:
@@ -290,7 +290,7 @@ def _find_account(
 def _keep_identity(
     service: Service, result: Path, body: CertificateRequest
 ) -> Identity:
-    """Return what is stated now, or stands in the registry of machines."""
+    """New entries take precedence over those of the registry."""
     given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
     machine = _find_machine(service, result)
     return keep_identity(machine, given, service.setup.registry)

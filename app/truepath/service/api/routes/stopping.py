@@ -98,7 +98,7 @@ async def stop_by_message(websocket: WebSocket) -> None:
 
 
 async def _post(websocket: WebSocket, path: str) -> str:
-    """Post to this service itself, as whoever has opened the WebSocket."""
+    """With the credentials of the WebSocket's client."""
     answer = bytearray()
 
     async def receive() -> Message:
@@ -120,9 +120,8 @@ async def _post(websocket: WebSocket, path: str) -> str:
 async def _hide_from_strangers(
     stopped: Stopped, request: Request, service: Service
 ) -> Stopped:
-    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
-
-    Looked up after the stop and not for long: neither waits for the catalogue.
+    """Omits the jobs without login, or if they cannot be looked up. Looked up after the
+    stop and not for long: neither waits for the catalogue.
     """
     if not service.access.rules.log_in_required:
         return stopped
@@ -139,10 +138,7 @@ async def _hide_from_strangers(
 
 
 def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
-    """Return what was stopped, and what the controllers say of themselves.
-
-    What one has said before its job has ended tells nothing of the stop.
-    """
+    """A controller status from before the job ended does not count for the stop."""
     ending = {job.machine for job in jobs}
     stands = {
         one.id: (None, NOT_READ) if one.id in ending else one.cell.tell_standstill()
