@@ -210,7 +210,7 @@ def _print_machine(found: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _read_stated(stated: list[str] | None) -> dict[str, Any]:
-    """Return what `FIELD=TEXT` state. Raises BadInput naming the field."""
+    """Raises BadInput naming the field of `FIELD=TEXT`."""
     content: dict[str, Any] = {}
     for each in stated or ():
         name, equals, text = (part.strip() for part in each.partition("="))
@@ -250,17 +250,13 @@ def _read_object(file: Path) -> dict[str, Any]:
 def _summarise_machine(
     record: Mapping[str, Any], history: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return a machine with its newest usable calibration, None where there is none.
-
-    history : its volumetric error over all calibrations
-    """
+    """With the newest usable calibration of the history of volumetric errors."""
     usable = [c for c in history["calibrations"] if c["verdict"] != _NOT_USABLE]
     newest = _summarise_calibration(usable[-1], history) if usable else None
     return {**record, "calibration": newest, "standing": None}
 
 
 def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
-    """Print a line a machine."""
     rows = [
         [
             one["id"],
@@ -277,7 +273,6 @@ def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_details(one: Mapping[str, Any]) -> None:
-    """Print who a machine is, its axes and devices, and how it stands."""
     measured, age, error = _describe_calibration(one["calibration"])
     devices = one["devices"]
     rows = [
@@ -304,7 +299,6 @@ def _print_details(one: Mapping[str, Any]) -> None:
 
 
 def _print_history(found: Mapping[str, Any]) -> None:
-    """Print a quantity over the calibrations, an entry a column."""
     columns = [
         "measured",
         *(_name_entry(e) for e in found["entries"]),
@@ -330,7 +324,6 @@ def _print_history(found: Mapping[str, Any]) -> None:
 
 
 def _print_comparison(found: Mapping[str, Any]) -> None:
-    """Print one quantity of several machines, the smallest first."""
     rows = [
         [
             one["machine"],
@@ -371,7 +364,7 @@ def _describe_state(one: Mapping[str, Any]) -> str:
 
 
 def _describe_calibration(one: Mapping[str, Any] | None) -> tuple[str, str, str]:
-    """Return when it was, how long ago, and the error with its uncertainty (k = 2)."""
+    """Date, age, and error with its uncertainty (k = 2)."""
     if one is None:
         return "never", "", _NONE
     hours = one["age_hours"]

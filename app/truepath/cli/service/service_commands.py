@@ -1,4 +1,4 @@
-"""The commands that bring devices up: the service, the demo, simulators, recording."""
+"""The commands that start devices: the service, the demo, simulators, recording."""
 
 from __future__ import annotations
 

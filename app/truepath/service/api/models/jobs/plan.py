@@ -100,7 +100,7 @@ class PlanRequest(RequestBody):
         return self
 
     def order(self) -> dict[str, Any]:
-        """The request as stored and computed: without None, `model_id` and `machine`."""
+        """The request as stored: without None, `model_id` and `machine`."""
         return self.model_dump(exclude_none=True, exclude={"model_id", "machine"})
 
 
