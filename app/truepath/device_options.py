@@ -75,6 +75,7 @@ def make_device(
     """Unconnected device of a driver, with its options checked.
 
     word : `tracker`, `motion` or `thermometer`; limits_s : as in `guard`
+
     Raises BadInput naming setting, value and remedy for an unknown driver or option,
     one that is missing, and one of the wrong type; PluginFailed if it makes none.
     """

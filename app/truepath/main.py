@@ -88,6 +88,7 @@ def serve(
     moves.
 
     listening : receives the service's address once it answers, in a separate thread
+
     Raises BadInput, InUse.
     """
     configure_log(settings.log_level, settings.log_format, settings.log)

@@ -62,6 +62,7 @@ def configure_log(level: str, log_format: str, file: LogFile | None = None) -> N
 
     log_format : `json`, else lines to read
     file : receives each line as JSON as well
+
     Raises BadInput where the file cannot be written.
     """
     _configure_structlog(*_SHARED)

@@ -38,6 +38,7 @@ class AsyncClient:
     token : of a session or an API key, where the service requires a login
     verify : of HTTPS: a file of trusted certificates, in addition to the system's
     transport : in place of the network, for tests
+
     Raises Problem where the service refuses, Unreachable without an answer.
     """
 
@@ -116,6 +117,7 @@ class AsyncClient:
 
     async def arm(self, job: Job, token: str | None = None) -> Job:
         """Let a job move the machine, in the version read. Raises StaleVersion.
+
         token : of an arming that was checked; None requests and uses a new one
         """
         return await self._run(arm(job, token))

@@ -62,6 +62,7 @@ def wait_for(
     """Read a job until it is in one of the states.
 
     wanted : empty for `succeeded`
+
     Raises JobEnded in another final state, JobNotReached after `timeout_s`.
     """
     states = wanted or ("succeeded",)

@@ -39,6 +39,7 @@ class Client:
     token : of a session or an API key, where the service requires a login
     verify : of HTTPS: a file of trusted certificates, in addition to the system's
     transport : in place of the network, for tests
+
     Raises Problem where the service refuses, Unreachable without an answer.
     """
 
@@ -115,6 +116,7 @@ class Client:
 
     def arm(self, job: Job, token: str | None = None) -> Job:
         """Let a job move the machine, in the version read. Raises StaleVersion.
+
         token : of an arming that was checked; None requests and uses a new one
         """
         return self._run(arm(job, token))

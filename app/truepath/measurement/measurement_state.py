@@ -37,11 +37,11 @@ class HoldReason(StrEnum):
     DISK = "disk"
     DISK_STAYED_SLOW = "disk-stayed-slow"  # for a person to release
     CONTROL = "control"  # it does not answer, or that it is busy
-    SERVICE = "service"  # nobody could stop the machine by it
+    SERVICE = "service"  # it could not stop the machine
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
 
 
-# What a controller says of a hold that we have asked for.
+# Reasons that a controller reports for a hold by the service.
 _OWN_HOLDS = frozenset({"", "command"})
 
 
@@ -125,7 +125,7 @@ class MeasurementState:
         """The service did not request this hold."""
         if self.state is CellState.RUNNING:
             return True
-        # A person who resumes takes back what the machine still says for a moment.
+        # A resume by an operator overrides the hold still reported for a moment.
         asked = self.state is CellState.RESUMING and self._may_release_machine
         return hold_reason not in _OWN_HOLDS and not asked
 

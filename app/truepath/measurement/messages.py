@@ -112,10 +112,10 @@ class CellVerb(StrEnum):
 
     CONNECT = "connect"  # to tracker and controller
     PAUSE = "pause"  # hold the feed; acknowledged by the state `paused`
-    RESUME = "resume"  # go on after a hold; acknowledged by `running`
-    CONCLUDE = "conclude"  # finish the line or point under way, leave out the rest
-    ABORT = "abort"  # stop and forget the path; acknowledged by `aborted`
-    BEAT = "beat"  # the service can be reached; who says it once has to go on
+    RESUME = "resume"  # resume after a hold; acknowledged by `running`
+    CONCLUDE = "conclude"  # finish the current line or point, omit the rest
+    ABORT = "abort"  # stop and discard the path; acknowledged by `aborted`
+    BEAT = "beat"  # the service can be reached; once sent, has to be repeated
     CLOSE = "close"  # end the process
 
 

@@ -21,7 +21,7 @@ from truepath.motion.motion_times import row_times_s
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_TRUST_S = 3.0  # before it the pace so far says little
+_TRUST_S = 3.0  # before it the pace so far is too uncertain
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class ProgressEstimator:
     def follow(self, line: int) -> None:
         """Set the line of its part that a controller reports."""
         if self._is_loaded:
-            return  # it still says where the part before has ended
+            return  # it still reports the end of the part before
         if self._schedule.unit == "lines" and self.stage == "measuring":
             row = line + self.first_row
             self.row = min(max(self.row, row), self._schedule.total)

@@ -6,7 +6,7 @@ from collections import deque
 
 from truepath.measurement.progress import ProgressEstimator
 
-_TICKS_HIT = 12  # looks, a tenth of a second each, over which damage is noticed late
+_TICKS_HIT = 12  # looks of 0.1 s over which damage is detected late
 
 
 class RowsToRepeat:

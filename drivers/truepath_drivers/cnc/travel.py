@@ -20,6 +20,7 @@ def arrange_path(path: Path, axes: tuple[str, ...], *, drives_arcs: bool) -> Pat
     """A path in the axis order of a machine.
 
     drives_arcs : whether the control does
+
     Raises Refused for other axes, and for arcs where it does not.
     """
     if any(path.arc) and not drives_arcs:

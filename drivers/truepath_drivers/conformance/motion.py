@@ -29,7 +29,7 @@ from truepath_drivers.interfaces.records import MotionState, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
-STAND = 1e-3  # how far an axis that stands may move, mm or deg
+STAND = 1e-3  # tolerated motion of an axis at rest, mm or deg
 
 _UNASKED_SHARE = 0.6  # of the silence, in which it may still drive
 _BLOCKED_S = 3.0  # the service waits no longer

@@ -17,7 +17,7 @@ from truepath_drivers.interfaces.tracker_records import PointMeasurement
 DWELL_S = 0.3
 LATE_S = 10.0  # what an instrument may take for its last shot
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
-SAME_MM = 1.0  # a target that stands, twice
+SAME_MM = 1.0  # a target at rest, twice
 
 MakePolled = Callable[[], PolledTracker]
 

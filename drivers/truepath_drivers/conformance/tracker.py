@@ -17,9 +17,9 @@ from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker import Tracker
 
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
-_HIDDEN = 0.005  # share of the steps; a link that loses so few tells nothing
+_HIDDEN = 0.005  # share of the steps; a link that loses so few is no evidence
 _REPEATED = 0.3  # share; the resolution of a text may let some be alike
-LEAST = 50  # samples over which rate and times are looked at, for a second
+LEAST = 50  # samples for the check of rate and times, for a second
 
 MakeTracker = Callable[[], Tracker]
 

@@ -10,7 +10,7 @@ from truepath_drivers.transport.byte_port import BytePort
 
 _END = b"\r\n"
 _KEPT_BYTES = 1 << 20
-_LONGEST = 1 << 12  # of a line; more without an end is no text of ours
+_LONGEST = 1 << 12  # of a line; more without an end is noise
 
 
 class LineLink:

@@ -19,11 +19,11 @@ from truepath_drivers.interfaces.errors import (
     Refused,
 )
 
-# Our errors tell what failed; without this the library's log goes to the terminal.
+# Our errors carry the cause; without this the library's log goes to the terminal.
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
 # The library's own 3 s and 3 repeats are 12 s of blindness. The caller repeats what may
-# be repeated, unless somebody waits to hold the feed.
+# be repeated, unless a hold is waiting.
 TIMEOUT_S = 0.2
 RETRIES = 0
 
@@ -96,6 +96,7 @@ class ModbusLink:
     """Registers of units on one line. For one thread at a time: drivers lock.
 
     unit : default unit of requests
+
     A connection that broke stays broken until `open`: the library would reopen it
     automatically, and another device may answer by then. A connection that is only
     silent is kept: what was sent on it would otherwise be obeyed after what is sent on

@@ -231,7 +231,7 @@ def _read_number(text: str) -> float | None:
 def _read_machine_file(file: Path) -> dict[str, Any]:
     from truepath.files.bundle.machine_file import read_machine
 
-    read_machine(file)  # says what is wrong by the name of the file
+    read_machine(file)  # names the file in its errors
     return _read_object(file)
 
 

@@ -16,7 +16,7 @@ from truepath.catalogue.errors import ArmTokenExpired, ArmTokenOther, ArmTokenUs
 from truepath_drivers import host_clock
 
 VALID_S = 60.0
-MAX_TOKENS = 1024  # of all jobs; the oldest are forgotten
+MAX_TOKENS = 1024  # of all jobs; the oldest are dropped
 _BYTES = 24
 
 

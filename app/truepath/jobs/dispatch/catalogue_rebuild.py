@@ -98,6 +98,7 @@ def check_against_disk(
     """Schema and counts of a catalogue, its differences from the disk; read-only.
 
     with_hashes : read every Run, and name those changed since they were catalogued
+
     Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew, SchemaTooOld.
     """
     revision = database.check()

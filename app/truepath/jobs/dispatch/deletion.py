@@ -75,6 +75,7 @@ class Deletion:
         """Delete an ended job with its answer; its Runs stay.
 
         note : is called in the same transaction
+
         Raises NotFound, StillNeeded.
         """
         self._refuse_certified(job_id)
@@ -96,6 +97,7 @@ class Deletion:
 
         with_results : delete the jobs too whose answers were made from it
         note : is called in the same transaction, for each
+
         Raises NotFound, StillNeeded.
         """
         record = self._catalogue.get(run_id)

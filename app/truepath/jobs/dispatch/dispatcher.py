@@ -113,6 +113,7 @@ class Dispatcher:
         """Accept a job; False if this key has made it before.
 
         owner : name of the requesting user
+
         Raises BadInput, NotFound, CellBusy, KeyReused, NoMachine, QueueFull.
         """
         earlier = self._context.store.find_by_key(key) if key is not None else None
@@ -132,6 +133,7 @@ class Dispatcher:
         """Summary of a motion that waits to be armed, with a token for it.
 
         by : name of the requesting user; None without login
+
         Raises IllegalTransition, NotInControl.
         """
         active = self._under_way.require(job_id, Verb.ARM)
@@ -214,6 +216,7 @@ class Dispatcher:
         """Continue after a hold.
 
         then : action on the newest notice, done first; by : as in `arm`
+
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
         active = self._under_way.require(job_id, Verb.RESUME)

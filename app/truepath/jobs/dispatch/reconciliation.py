@@ -58,6 +58,7 @@ def reconcile(
 
     No measurement may be active. Gives the reason by identifier of each Run that cannot
     be catalogued. Raises StorageUnavailable.
+
     skip : Runs to ignore; most : largest number of Runs to read
     """
     failed: dict[str, str] = {}

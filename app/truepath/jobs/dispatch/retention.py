@@ -139,7 +139,7 @@ class Retention:
             return 0
         except StorageUnavailable:
             raise
-        except TruepathError as error:  # of this one: the others go on
+        except TruepathError as error:  # of this one: the others continue
             log.warning("not deleted", reason=str(error))
             return 0
         return 1

@@ -324,7 +324,7 @@ def _require_compensation(
         )
     machine = context.driven or context.machines.choose(None)
     loaded = context.read_loaded_files(machine.id)
-    if loaded.compensation_id is None:  # that the control says itself
+    if loaded.compensation_id is None:  # reported by the control itself
         return
     if (loaded.job_id, loaded.compensation_id) != (job.id, name):
         raise BadInput(

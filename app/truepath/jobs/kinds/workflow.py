@@ -227,7 +227,7 @@ class _JobSteps:
             return
         machine = driven.machine
         rate_hz, aims = machine.tracker.rate_hz, len(machine.targets) > 1
-        with suppress(CellDown):  # that is a condition of its own
+        with suppress(CellDown):  # that is a separate condition
             driven.cell.hear_tracker(rate_hz, aims=aims)
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:

@@ -293,7 +293,7 @@ class ActiveJob:
                     self.job_id, self._stage, progress, self._health
                 )
             except StorageUnavailable as error:
-                # Progress is a convenience: the measurement goes on without it.
+                # Progress is a convenience: the measurement continues without it.
                 self.show_unstored(error)
             else:
                 if self._unstored is not None:

@@ -48,9 +48,9 @@ CONFIRM_S = {
     State.PAUSING: 30.0,  # a standstill point may be finished first
     State.RESUMING: 30.0,
     State.ABORTING: 10.0,
-    State.CANCELLING: 60.0,  # beyond the time of the line or point under way
+    State.CANCELLING: 60.0,  # beyond the time of the current line or point
 }
-LINE_TIMES = 2.0  # of the line or point under way, that cancelling may last
+LINE_TIMES = 2.0  # of the current line or point, that cancelling may last
 CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1

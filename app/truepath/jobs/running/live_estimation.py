@@ -240,7 +240,7 @@ class LiveSteering:
         if part is None:
             self.cell.send(CellVerb.CONCLUDE)
             return
-        if planned.total > total:  # what goes on after an interruption counts by them
+        if planned.total > total:  # needed to resume
             self.on_again(planned.rows)
         self.live.extend(part)
         self.cell.extend(part)

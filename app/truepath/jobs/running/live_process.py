@@ -179,7 +179,7 @@ class _PartChooser:
             )
         now, found = self._live.estimate(), self._live.findings()
         if now is None or found is None:
-            return Part(None)  # what is known so far is not enough to go on
+            return Part(None)  # too little is known so far to continue
         part = self._choice.next(found, now.volumetric_sigma_mm)
         self._live.extend(self._choice.commanded)
         self.total += part.rows

@@ -12,7 +12,7 @@ from truepath.motion.paths.feeds import check_feed
 from truepath.motion.workspace.workspace import Workspace
 from truepath_drivers.interfaces.records import Path
 
-_FEWEST = 3  # places that fix where the tracker stands
+_FEWEST = 3  # points that determine the tracker's pose
 
 
 def command_measurable_rows(

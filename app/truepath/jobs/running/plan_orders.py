@@ -205,6 +205,7 @@ def check_plan_to_drive(
     """Rows of a plan, checked again for the job that executes them.
 
     count : only its first rows, those of several stations one after another
+
     Raises PlanningError if it is of the other mode, was made for another state of the
     machine file, or leaves the travel.
     """
@@ -275,6 +276,7 @@ def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[st
     In the form of `encode_commanded_json`.
 
     folder, job_id : of the discovery
+
     Raises PlanningError if the discovery proposes none, if its Runs are of another
     machine, or if the lines leave the travel; NotFound if its model is gone.
     """

@@ -38,7 +38,7 @@ from truepath_drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
 _SAME = 1e-5  # mm or deg: as rows are rounded where they are kept
-_FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
+_FEWEST = 6  # lines or points of a part: fewer do not determine its pose
 CLOSURE_CODE = "closure"
 _REMEDY = (
     "Look at reflector, its nest and the tracker: one of them has moved since. Put it "
@@ -77,7 +77,9 @@ def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
 def _join_told(plan: Json, base: int, told: Commanded) -> Commanded:
     """A measurement that chooses rows as it moves may have commanded more than the plan
     could store.
+
     base : row of the plan that the Run begins with
+
     Raises MeasurementFailed where the plan is another one.
     """
     planned = decode_commanded_json(plan)
@@ -181,7 +183,7 @@ class ResumedSteps:
         commanded = _join_told(plan, base, decode_commanded_json(last["commanded"]))
         rows = [base + row for row in last["row"]]
         first, _ = _find_target(commanded, rows[-1])
-        rows = [row for row in rows if row >= first]  # nobody changes the target
+        rows = [row for row in rows if row >= first]  # no target is changed
         resumption = {
             "first_row": choose_first_row(commanded, base + last["next_row"]),
             "kept_run_ids": [parts[k]["run_id"] for k in usable],

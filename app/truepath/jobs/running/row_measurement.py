@@ -26,6 +26,7 @@ def measure_rows(
     """Measure rows; the Run is catalogued in any case.
 
     what : label in the name of the Run; gives_up : as in `CellMeasurement`
+
     Raises as `CellMeasurement.run`, and CellDown.
     """
     machine = context.require_machine()

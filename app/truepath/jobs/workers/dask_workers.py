@@ -46,6 +46,7 @@ def dask_map(
     width : concurrent blocks; 0 for one per thread of the cluster
     patience_s : for the first reply, and for later absences of the cluster
     open_home : opens the local executor once the cluster is lost
+
     Raises WorkersAway if no scheduler answers at the address, or if it has no workers.
     The `map` raises WorkerDied where a block ends each worker that it is given to.
     """

@@ -20,6 +20,7 @@ class OfUnchangedRuns:
     """A task that first compares each file with its SHA-256.
 
     Raises BundleError where one has been changed since it was catalogued.
+
     sha256 : of the catalogue, by file
     """
 

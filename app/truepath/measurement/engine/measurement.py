@@ -166,7 +166,7 @@ class Measurement:
         order = self._order
         check_travel(order.machine, order.commanded)
         status = self._check_controller()
-        self._motion.abort()  # what an earlier order has left there must not go on
+        self._motion.abort()  # the rest of an earlier order must not continue
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
         header = self._make_header(status)

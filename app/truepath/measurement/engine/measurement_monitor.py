@@ -382,7 +382,7 @@ class StreamMonitor:
             self._feed.hold(HoldReason.BEAM, BEAM_LOST)
             self._rows.note_loss()
         elif state is StreamState.GOOD:
-            # Too short for anybody to have walked up to the machine: go on by itself.
+            # Too short for an operator to be at the machine: resume automatically.
             for reason in {HoldReason.SILENCE, HoldReason.DAMAGE} & self._state.holds:
                 self._feed.release(reason, "the stream is good again")
         lacks_samples = self._stream.take_gap_s() > _BREAK_S

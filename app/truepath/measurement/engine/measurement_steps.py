@@ -98,8 +98,8 @@ class MeasurementSteps(ABC):
         self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self.is_concluding = False  # the rest is to be left out
-        self._has_arrived = False  # at the end of the line under way then
-        self._target = ""  # that the tracker was told to measure
+        self._has_arrived = False  # at the end of the current line then
+        self._target = ""  # that the tracker is to measure
         self._end: NDArray[np.float64] | None = None  # where the last motion ended
 
     @property
@@ -147,6 +147,7 @@ class MeasurementSteps(ABC):
 
         last : the line that ends there, if the machine moves by our order
         may_end : whether, at a status, the rest is to be omitted now
+
         Raises Fault if it stops elsewhere, or moves on from there.
         """
         grace_by_s = host_clock.now_s() + self.settings.confirm_s
@@ -247,7 +248,7 @@ class MeasurementSteps(ABC):
             return
         here = np.array(status.position)
         if self._state.must_stand:
-            self._end = here  # somebody may move it by hand meanwhile
+            self._end = here  # an operator may move it by hand meanwhile
         elif (np.abs(here - self._end) > OVERSHOT).any():
             raise make_runs_on_fault(self.motion.axes, status)
 

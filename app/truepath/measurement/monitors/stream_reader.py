@@ -32,7 +32,7 @@ class StreamState(Enum):
 
     GOOD = "good"
     SILENT = "silent"  # nothing came for a while: hold the feed
-    DEAD = "dead"  # nothing came for so long that it will not come by itself
+    DEAD = "dead"  # silent for so long that it will not recover
     DAMAGED = "damaged"  # too many samples are bad or lost: hold the feed
     BEAM_LOST = "beam-lost"  # samples come, none of them valid
 
@@ -191,6 +191,7 @@ def record_stream(
     stream afterwards. The caller closes the recorder.
 
     is_over : waits at most this many seconds; true ends the recording
+
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
     DeviceError of the driver; data recorded by then are kept.
     """
@@ -207,7 +208,7 @@ def record_stream(
                     "cable, then run the program again"
                 )
     except BaseException:
-        # A tracker that is gone cannot be told to stop: what went wrong first counts.
+        # A lost tracker cannot be stopped: the first error counts.
         with contextlib.suppress(DeviceError):
             reader.stop()
         raise

@@ -57,7 +57,7 @@ class Cell:
         self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
         self._drivers = f"{config.tracker_driver}, {config.motion_driver}"
         self._events: list[CellEvent] = []
-        self._machine: Machine | None = None  # of the order under way
+        self._machine: Machine | None = None  # of the current order
         self._is_death_reported = self._closed = False
 
     @property
@@ -167,7 +167,7 @@ class Cell:
             while self._process.link.poll(0.0 if events else timeout_s):
                 events.append(self._process.link.recv())
         except (EOFError, OSError):
-            # The process has gone, or is about to: `alive` will say so.
+            # The process has ended, or is about to: `alive` will report it.
             self._process.join(timeout_s)
         return events
 

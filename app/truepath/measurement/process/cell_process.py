@@ -144,8 +144,8 @@ class _CellServer:
 
     @property
     def is_spoilt(self) -> bool:
-        """A driver call does not end, so another process has to replace this one. The
-        caller that connects or measures has the reply.
+        """True after a driver call that does not end: another process has to replace
+        this one. The caller that connects or measures has the reply.
         """
         tried = self._has_tried and not self._measuring
         return tried and bool(find_stuck(self._tracker, self._motion))

@@ -88,6 +88,7 @@ class Recorder:
     samples, lost_samples : handed over so far, and missing between by their counter
     gaps : number of gaps between samples
     commits : duration of each commit, waiting for the disk included
+
     Raises MeasurementFailed if the file cannot be begun.
     """
 

@@ -51,7 +51,7 @@ from truepath_drivers.interfaces.records import (
 )
 
 _SQLITE = b"SQLite format 3\0"
-NAMED_PROBLEMS = 100  # beyond them nobody reads on
+NAMED_PROBLEMS = 100  # more would not be read
 _ROWS = "row", "count", "covariance_mm2"
 TORN = "torn"  # outcome of a Run whose writer was killed
 _AIR_OF_POINTS = {

@@ -91,7 +91,7 @@ class TargetSearch:
         if self._task is not None:
             return self._follow(self._task, key, see, lost_s)
         if see is not None and see() is not None:
-            return None  # it is back by itself: a person resumes
+            return None  # it came back without a search: an operator resumes
         if self._tries and self._waiting.measure_s() < _PAUSE_S:
             return None
         return self._try(position, name, key, lost_s)
@@ -175,9 +175,9 @@ class TargetSearch:
 
 
 _KEPT = 50
-_APART_MM = 5.0  # nearer to another one it tells nothing new
-_FEWEST, _WIDE_MM = 4, 50.0  # places, and their spread across, that tell a pose
-_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a knock
+_APART_MM = 5.0  # nearer to another one it adds no information
+_FEWEST, _WIDE_MM = 4, 50.0  # points, and their spread across, that determine a pose
+_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a shift
 
 _Vector = NDArray[np.float64]
 

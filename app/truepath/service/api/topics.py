@@ -57,6 +57,7 @@ def parse_topics(
     """Topics of `job:ID,machine:ID`; all for an empty text.
 
     require_job, require_machine : raise NotFound where there is none
+
     Raises BadInput naming the topic.
     """
     named: dict[str, set[str]] = {"job": set(), "machine": set()}

@@ -61,6 +61,7 @@ class LinuxCncController(MotionController):
     prologue : blocks before each motion, separated by `;`, such as RTCP off
     reset_at_connect, home_at_connect : clear the emergency stop and switch the drives
         on; home unhomed joints. The machine may move
+
     Every verb may be called from any thread; `hold` and `abort` take precedence and
     take the command back from any other client of linuxcncrsh.
     """
@@ -178,7 +179,7 @@ class LinuxCncController(MotionController):
         with self._lock.hold():
             self._motion.prepare("auto")
             if not self._session.holds_program(file):
-                self._session.open_program(file)  # somebody has opened another one
+                self._session.open_program(file)  # a client has opened another
             if not self._prologue:
                 self._session.require_joint_coordinates()
         self._motion.begin("run", program, aborts)

@@ -10,7 +10,7 @@ from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.records import MotionState
 
-# Longer than the usual cycle of LinuxCNC's task, after which its status is new.
+# Longer than the typical cycle of LinuxCNC's task, after which its status is new.
 _FRESH_S = 0.025
 _LOOKS = 3  # that agree: the task may have been late for one
 _STILL = 1e-6  # mm or deg between two looks

@@ -33,7 +33,7 @@ from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatu
 from truepath_drivers.transport.modbus_link import TIMEOUT_S, ModbusLink
 
 FIRST_S, LONGEST_S = 0.1, 1.0
-_LEAST_SHARE = 0.5  # of the pause, drawn at random up to the whole
+_LEAST_SHARE = 0.5  # of the pause, random up to the full one
 
 
 class BackOff:
@@ -67,7 +67,7 @@ _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
 _BUSY_S = 0.2  # that a look or a beat waits: by 0.5 s without a look the feed is held
 _SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
-_URGENT_S = 0.45  # by then a hold that does not reach the controller says so
+_URGENT_S = 0.45  # limit to report a hold that does not reach the controller
 _REASONS: dict[int, str] = {
     r.Result.WRONG_STATE: "not in this state",
     r.Result.NO_PATH: "no path is loaded",

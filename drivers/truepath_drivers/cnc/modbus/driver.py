@@ -50,6 +50,7 @@ class ModbusController(MotionController):
     command_timeout_s : longest wait for the acknowledgement of a command
     watchdog_s : longest silence in motion, 0.1 to 10; set and read back at `connect`
     poll_s : time between two readings of `wait`
+
     Every verb may be called from any thread; `hold` and `abort` overtake the others. A
     command carries a number and runs once, however often it is sent.
     """

@@ -25,7 +25,7 @@ ROWS_A_BLOCK = 7
 POSITION_COUNTS = 10_000  # a mm or a deg
 OVERRIDE_COUNTS = 1_000  # a factor of 1
 FEED_COUNTS = 1_000  # a mm/min, or a deg/min where only rotary axes move
-DWELL_COUNTS = 1_000  # a second
+DWELL_COUNTS = 1_000  # per second
 LONGEST_DWELL_S = (2**31 - 1) / DWELL_COUNTS
 DEFAULT_WATCHDOG_S = 1.0
 
@@ -115,7 +115,7 @@ class HoldReason(IntEnum):
     COMMAND = 3
 
 
-# Bits of `features`: what a device tells, and can, beside the rest.
+# Bits of `features`: optional reports and abilities of a device.
 TELLS_OVERRIDE, TELLS_REFERENCED, TELLS_COMPENSATION, DRIVES_ARCS = 1, 2, 4, 8
 # Bits of `readiness`.
 IS_REFERENCED, IS_COMPENSATING = 1, 2
@@ -282,7 +282,7 @@ BY_NAME: dict[str, Register] = {register.name: register for register in REGISTER
 
 IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
-READINESS = Block(124, 1)  # of devices whose `features` tell it, read with the status
+READINESS = Block(124, 1)  # where `features` include it, read with the status
 ALARM_TEXT = Block(130, 32)
 CONTROL = Block(180, 2)
 LIMITS = Block(182, 1)  # which not every device has

@@ -159,7 +159,7 @@ class ModbusRegisters(Thermometers):
             except DeviceError:
                 shy.add(way.unit)
                 self._open_anew()
-        # Beside it another sensor may be: its own address comes first.
+        # Its neighbour may be another sensor: its own address comes first.
         fault = each.channel.find_fault
         may = [i for i, v in enumerate(values) if v != 0.0 and not fault(v)]
         own = [i for i in may if i < each.count] or may

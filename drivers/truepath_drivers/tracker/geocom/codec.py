@@ -16,7 +16,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-TRANSACTIONS = 1 << 15  # then numbers begin anew
+TRANSACTIONS = 1 << 15  # then numbers begin again
 _TURN_RAD = 6.2832
 _DIGITS = 15  # more than six are cut by the format: so do public clients
 _VALUE = re.compile(rb'(?:"[^"]*"|[^,])*')

@@ -38,7 +38,7 @@ class GeoComSession:
 
     def __init__(self, link: LineLink, reply_timeout_s: float) -> None:
         self.link, self._reply_timeout_s = link, reply_timeout_s
-        # Not from 0: a reply that is left over in a serial line belongs to no request.
+        # Not from 0: a reply left in a serial line must belong to no request.
         self._transaction = random.randrange(TRANSACTIONS)  # noqa: S311
         self._lock = threading.RLock()
 

@@ -178,7 +178,7 @@ class Unwrapper:
 
     def __init__(self) -> None:
         self.lost = 0
-        self._sequence = -1  # last one, whole
+        self._sequence = -1  # last one, unwrapped
         self._wrapped: int | None = None  # last one, as on the wire
         self._clock_us = 0
         self._period_us = 0.0

@@ -42,6 +42,7 @@ class CommandLink:
         """Send a command until its reply comes; a repeat has the same number.
 
         build : makes the command from its number; longer_s : additional time
+
         Raises DeviceTimeout without a reply, ConnectionLost, Refused or NotHomed.
         """
         command = build(next(self._transactions) & 0xFF)

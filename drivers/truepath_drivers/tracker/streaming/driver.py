@@ -81,6 +81,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
     compact : request the short frames, 10 nm and 2.9 nrad, on a slow line
     reply_timeout_s : longest wait for the reply to a command, sent twice in that time
     turn_s : additional time to turn, to search and to change its target
+
     Verbs other than those of the stream need version 2 of the protocol. It is requested
     with the first of them; a device of version 1 stays as it is, and refuses. `read`
     and `take_link_bytes` are for one thread, the other verbs for any.
@@ -342,6 +343,7 @@ def greet(
     """Identity reported by the device.
 
     serial_number : required; any if empty
+
     Raises WrongDevice if it is another one or none of this kind, DeviceTimeout or
     ConnectionLost if nothing answers.
     """
@@ -380,7 +382,7 @@ def _explain_silence(
     return error
 
 
-_MOST = 1000  # kept; nobody takes them
+_MOST = 1000  # kept without a reader
 _MESSAGES: dict[int, tuple[TrackerEventKind, str]] = {
     EventCode.BEAM_BROKEN: (TrackerEventKind.BEAM_LOST, "the beam was broken"),
     EventCode.BEAM_LOCKED: (TrackerEventKind.BEAM_LOCKED, "the beam is locked again"),

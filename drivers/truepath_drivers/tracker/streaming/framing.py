@@ -77,6 +77,7 @@ class FrameReader:
 
     frames, crc_errors : frames that passed and pieces that did not
     skipped_bytes : bytes between delimiters that belong to no good frame
+
     Bytes before the first delimiter may be the tail of a frame that began before the
     start of reading: they are skipped, but are no CRC error.
     """

@@ -40,6 +40,7 @@ class TextLineTracker(Tracker, ByteLink):
         detectable
     start_command, stop_command : lines to send, empty if it streams without
     name, serial_number : of the instrument, for the Run
+
     Other options are those of `LineLayout`. A damaged digit makes another number: text
     has no checksum, so use a link that has one.
     """
@@ -336,7 +337,7 @@ def _byte_port(
 
 
 _WINDOW_S = 5.0
-_MOST = 0.1  # of a window; whoever states a wrong rate or unit is farther off
+_MOST = 0.1  # of a window; a wrong rate or unit deviates by more
 
 
 class Pace:

@@ -42,7 +42,7 @@ from truepath.service.api.thread_pools import on_threads
 
 router = APIRouter(tags=["certificates"])
 
-# One at a time: each is laid out in a process of its own.
+# One at a time: each is laid out in a separate process.
 _TURN = Lock()
 _ISSUING = CapacityLimiter(2)
 
@@ -283,7 +283,7 @@ def _find_account(
         return None
     kept = service.results / str(asked["result_id"]) / "compensations"
     file = kept / str(asked["compensation_id"]) / "compensation.json"
-    # Deleted since: the certificate then says that no account was given.
+    # Deleted since: the certificate then states that no record was given.
     return file if file.is_file() else None
 
 

@@ -173,7 +173,7 @@ class Session:
     def _is_let_in(self) -> bool:
         try:
             return self._access.identify(self._token) is not None
-        except StorageUnavailable:  # a disk is no reason to close anybody's eyes
+        except StorageUnavailable:  # a disk error must not hide the present state
             return True
 
 

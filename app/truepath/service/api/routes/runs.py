@@ -44,7 +44,7 @@ _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 _CSV = {"text/csv": {"schema": {"type": "string"}}}
 
 
-# Threads of their own: what is slow to read keeps nobody else waiting.
+# Separate threads: slow reading delays no other request.
 _UPLOADING = CapacityLimiter(4)
 _PACKING = CapacityLimiter(2)
 

@@ -31,7 +31,7 @@ router = APIRouter(tags=["jobs"])
 _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 _LOOKING_UP = CapacityLimiter(8)
-_LOOK_UP_S = 1.0  # of whoever stops
+_LOOK_UP_S = 1.0  # of the sender of a stop
 
 MOST_CHANNELS = 256
 _open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
@@ -82,7 +82,7 @@ async def stop_by_message(websocket: WebSocket) -> None:
     A channel that is open already waits for no other request of its browser.
     """
     await websocket.accept()
-    while len(_open) >= MOST_CHANNELS:  # whoever comes last is the one who looks
+    while len(_open) >= MOST_CHANNELS:  # the newest one is in use
         oldest = _open.pop(next(iter(_open)))
         with suppress(RuntimeError):
             await oldest.close(TRY_LATER)

@@ -110,7 +110,7 @@ class Guard:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if scope["method"] == "POST" and _find_stop(scope, _STOP):
-            # It can only hold: whoever sends it, by whichever name, with whatever body.
+            # It can only hold: any sender, by any host name, with any body.
             await self._app(scope, _leave_body(scope, receive), answer.send)
         elif not self._is_ours(host):
             detail = f"{host!r} is not a name of this service"

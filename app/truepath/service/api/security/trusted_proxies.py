@@ -84,7 +84,7 @@ class ForwardedHeaders:
         if scheme in _SCHEMES:
             is_socket = scope["type"] == "websocket"
             scope["scheme"] = _SCHEMES[scheme] if is_socket else scheme
-        # Each proxy adds to the end: what stands before a stranger is his own word.
+        # Each proxy appends: entries before a stranger's are unverified.
         for one in reversed(",".join(headers.getlist(_FOR)).split(",")):
             address = _read_address(one)
             if address is None:
