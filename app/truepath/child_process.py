@@ -116,7 +116,7 @@ class ChildProcess:
             self._process.kill()
 
     def _end_at_exit(self) -> None:
-        """By force: nothing would end it afterwards."""
+        """By force: nothing would end the process afterwards."""
         self.terminate()
         self._process.join(_LAST_S)
         self.kill()
@@ -172,7 +172,6 @@ def _run_child(
 
 
 def _show_name(name: str) -> None:
-    """Name in `ps` and `top`, where the system supports it."""
     with suppress(OSError):
         Path("/proc/self/comm").write_text(f"truepath-{name}"[:_LONGEST_NAME])
 

@@ -116,7 +116,7 @@ def _parameters(factory: Any) -> list[inspect.Parameter]:
 
 
 def _read_hints(factory: Any) -> dict[str, Any]:
-    """Empty where they cannot be resolved."""
+    """Empty where annotations cannot be resolved."""
     function = factory.__init__ if inspect.isclass(factory) else factory
     try:
         return get_type_hints(function)
@@ -125,7 +125,6 @@ def _read_hints(factory: Any) -> dict[str, Any]:
 
 
 def _validate(value: Any, kind: Any, place: str) -> Any:
-    """Raises BadInput."""
     try:
         return TypeAdapter(kind).validate_python(value)
     except PydanticSchemaGenerationError:

@@ -131,8 +131,6 @@ def list_origins(**devices: object) -> dict[str, PluginOrigin]:
 
 
 class _Border:
-    """A device with monitored calls. As the device, for any thread."""
-
     def __init__(
         self, device: Device, point: EntryPoint, limits_s: Mapping[str, float]
     ) -> None:
@@ -159,7 +157,6 @@ class _Border:
         )
 
     def list_stuck(self) -> list[str]:
-        """Overdue calls that have not ended since."""
         overdue = self._overdue.copy().items()
         return [name for name, call in overdue if not call.is_over]
 
@@ -215,7 +212,6 @@ class _Border:
             raise self._fault(text) from error
 
     def _convert(self, name: str, answer: Any) -> Any:
-        """As records of the interfaces. Raises ValueError."""
         device: Any = self._device
         if name == "read" and isinstance(device, Thermometers):
             readings = tuple(_rebuild(Reading, one) for one in answer)

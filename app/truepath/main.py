@@ -125,7 +125,7 @@ def serve(
 
 @contextmanager
 def _bound_end() -> Iterator[Callable[[], None]]:
-    """Yields the start of the limit for leaving, after which the process is killed."""
+    """Yields a function that starts the time limit for leaving."""
     try:
         yield partial(faulthandler.dump_traceback_later, _END_S, exit=True)
     finally:
@@ -196,7 +196,7 @@ def _begin_to_reconcile(
 
 
 def _begin_to_judge(calibrations: Calibrations, stack: ExitStack) -> None:
-    """In a thread: the service answers meanwhile."""
+    """In a thread, so that the service answers meanwhile."""
     look = threading.Thread(target=calibrations.judge_all, name="standing")
     look.start()
     stack.callback(look.join)
@@ -364,7 +364,7 @@ def _start_bench(
 
 @contextmanager
 def _redirect_temporary_files(folder: Path) -> Iterator[None]:
-    """The system's folder may be in memory."""
+    """The system's temporary folder may be in memory."""
     folder.mkdir(exist_ok=True)
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
     try:

@@ -155,7 +155,7 @@ class Guarded:
     """Object made by a foreign plug-in; its failures are PluginFailed.
 
     check : takes the name of a call and its answer, gives the value to pass on; raises
-        ValueError. The answer of a call of an answer is `NAME()`
+        ValueError. The name of a call of such an answer is `NAME()`
     """
 
     def __init__(

@@ -131,7 +131,6 @@ class Demo:
             raise BadInput(str(error)) from error
 
     def _compensate(self, bench: Any) -> dict[str, Any]:
-        """Gives the content of `verification.json`."""
         result = self.output / "result.json"
         account = export_files(result, _FORMAT, self.output / "compensation" / "tables")
         error = account["volumetric_error_um"]

@@ -100,7 +100,6 @@ def record_run(
 
 @contextmanager
 def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
-    """Set by Ctrl-C, the end of the process, or the time."""
     end = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.signal(n, lambda *_: end.set()) for n in numbers}

@@ -126,7 +126,6 @@ def _describe_trials(trials: Result) -> str:
 
 
 def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
-    """Symbol, unit, lowest, highest, largest uncertainty of each table."""
     for symbol, table in result["error_tables"].items():
         unit = find_unit(table, "value")
         value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]

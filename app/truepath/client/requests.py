@@ -129,7 +129,6 @@ def _verb(
 
 
 def _create(path: str, body: Json, key: str | None) -> Request[Any]:
-    """Created once, however often the request is sent."""
     headers = {"Idempotency-Key": key or str(uuid.uuid4())}
     return Request("POST", f"{PREFIX}{path}", read_json, body=body, headers=headers)
 

@@ -122,7 +122,6 @@ class MeasurementState:
             self._enter(state, text)
 
     def _is_external_hold(self, hold_reason: str) -> bool:
-        """The service did not request this hold."""
         if self.state is CellState.RUNNING:
             return True
         # A resume by an operator overrides the hold still reported for a moment.

@@ -58,7 +58,7 @@ class RowSchedule:
         return float(self.row_s[row]) * (self._find_pace(row, active_s) or 1.0)
 
     def _find_pace(self, row: int, active_s: float) -> float | None:
-        """Actual by planned time; None early on, when it is only noise."""
+        """Actual over planned time; None early on, when it is only noise."""
         planned_s = float(self.row_s[:row].sum())
         # Later it knows overrides and speed-ups.
         if planned_s < _TRUST_S or active_s <= 0:

@@ -100,5 +100,5 @@ def holdings() -> set[str]:
 
 
 def _open_files() -> list[str]:
-    """Without that of the listing itself."""
+    """Excludes the descriptor of the listing itself."""
     return [n for n in os.listdir("/proc/self/fd") if os.path.exists(f"/dev/fd/{n}")]

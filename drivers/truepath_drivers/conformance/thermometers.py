@@ -98,7 +98,6 @@ THERMOMETER_CHECKS: tuple[Callable[[MakeThermometers], None], ...] = (
 
 
 def _read_cycles(group: Thermometers) -> list[Reading]:
-    """Until every channel was read, for some periods at least."""
     names = {channel.name for channel in group.channels}
     readings: list[Reading] = []
     deadline_s = host_clock.now_s() + CYCLES * group.period_s + TERMS.get().patience_s

@@ -210,7 +210,6 @@ def _print_machine(found: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _read_stated(stated: list[str] | None) -> dict[str, Any]:
-    """Raises BadInput naming the field of `FIELD=TEXT`."""
     content: dict[str, Any] = {}
     for each in stated or ():
         name, equals, text = (part.strip() for part in each.partition("="))
@@ -250,7 +249,6 @@ def _read_object(file: Path) -> dict[str, Any]:
 def _summarise_machine(
     record: Mapping[str, Any], history: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """With the newest usable calibration of the history of volumetric errors."""
     usable = [c for c in history["calibrations"] if c["verdict"] != _NOT_USABLE]
     newest = _summarise_calibration(usable[-1], history) if usable else None
     return {**record, "calibration": newest, "standing": None}
@@ -364,7 +362,6 @@ def _describe_state(one: Mapping[str, Any]) -> str:
 
 
 def _describe_calibration(one: Mapping[str, Any] | None) -> tuple[str, str, str]:
-    """Date, age, and error with its uncertainty (k = 2)."""
     if one is None:
         return "never", "", _NONE
     hours = one["age_hours"]

@@ -209,7 +209,7 @@ class AuditBroken(TruepathError):
 
 @contextmanager
 def _open(config: Path | None, data_dir: Path | None) -> Iterator[Database]:
-    """A service may run meanwhile; made if there is none."""
+    """A service may run meanwhile."""
     from truepath.catalogue.store.database import Database
     from truepath.settings import load_settings
 

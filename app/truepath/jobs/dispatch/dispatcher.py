@@ -409,7 +409,7 @@ class _JobsUnderWay:
             active.interrupt()
 
     def join(self, deadline_s: float) -> None:
-        """deadline_s : monotonic clock."""
+        """Until a time of the monotonic clock."""
         with self._lock:
             threads = list(self._threads)
         for thread in threads:

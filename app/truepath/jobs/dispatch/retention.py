@@ -91,7 +91,6 @@ class Retention:
         return count
 
     def _is_plausible(self, now: datetime) -> bool:
-        """A wrong clock would delete."""
         newest = self._context.store.find_newest_created()
         if newest is None or newest <= now <= newest + MOST_AHEAD:
             return True

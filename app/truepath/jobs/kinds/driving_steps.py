@@ -147,8 +147,8 @@ class DrivingSteps:
     def _start_live_estimate(
         self, commanded: Commanded, rows: int
     ) -> LiveEstimation | None:
-        """Extra lines alone carry too little information for it; a verification
-        compares with a result and fits nothing.
+        """None for extra lines, which alone carry too little information, and for a
+        verification, which fits nothing.
         """
         without = JobKind.MEASURE_EXTRA, JobKind.VERIFY
         if self.context.live is None or self.job.kind in without:

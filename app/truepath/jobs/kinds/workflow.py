@@ -251,7 +251,6 @@ class _JobSteps:
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
     ) -> None:
-        """The state of the task's verdict is stored with the job."""
         files, task = self._name_files(run_ids), self._guard(task, run_ids)
         folder = str(self.context.results / self.job.id)
         model = self._find_model()
@@ -317,7 +316,6 @@ class _JobSteps:
         return [str(self.context.runs.file(run_id)) for run_id in run_ids]
 
     def _guard(self, task: Task, run_ids: Sequence[str]) -> Task:
-        """The task refuses files that have been changed."""
         digests = [self.context.runs.get(run_id).sha256 for run_id in run_ids]
         files = self._name_files(run_ids)
         return OfUnchangedRuns(task, dict(zip(files, digests, strict=True)))

@@ -226,7 +226,7 @@ class ActiveJob:
         return self._change(change)
 
     def show_failure(self, failure: Failure | None) -> None:
-        """Store why the machine is held if it was resuming; None when it moves."""
+        """Store why the machine does not move, None when it does; ends a resume."""
         self._change(lambda job: set_failure(job, failure))
 
     def end(self, state: State, failure: Failure | None) -> Job:

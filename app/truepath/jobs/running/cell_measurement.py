@@ -139,7 +139,6 @@ class CellMeasurement:
             self._handle_event(event)
 
     def _wait_until_closed(self) -> None:
-        """Even where the catalogue cannot be written."""
         deadline = host_clock.now_s() + CLOSE_RUN_S
         while (left_s := deadline - host_clock.now_s()) > 0:
             try:
@@ -255,7 +254,6 @@ class CellMeasurement:
             self._kill_cell("run-not-closed", "the cell has not closed its Run in time")
 
     def _stop_cancelling(self) -> None:
-        """Holds the feed: the line or point has not ended in time."""
         lasted_s = self._job.state_lasts_s
         log.error("cancel overdue", job_id=self._job.job_id, lasted_s=lasted_s)
         self._is_overdue = True

@@ -191,8 +191,9 @@ def _count(commanded: Commanded) -> int:
 
 
 class _Stream:
-    """begun_s : the tracker's clock at the first sample, None before it.
+    """Blocks of the link, gathered for `_GATHER_S`.
 
+    begun_s : the tracker's clock at the first sample, None before it
     is_asked : a part has been requested after the blocks so far
     """
 
@@ -257,7 +258,7 @@ def estimate_json(now: Any) -> dict[str, Any]:
 
 
 def _state_rows(live: LiveEstimator) -> dict[str, Any]:
-    """Predicted positions around the newest line; {} for points."""
+    """Predicted positions in the tracker's frame; {} for points."""
     found, places = live.findings(), live.find_commanded_mm()
     if found is None or places is None:
         return {}

@@ -121,7 +121,6 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
-    """Computed once per worker process."""
     from truepath.planning.lines.default_path import default_path
 
     return default_path(machine, feed_mm_min)

@@ -192,8 +192,6 @@ class _Blocks:
 
 
 class _SentOnce(Executor):
-    """Sends bound arguments to the workers once."""
-
     def __init__(self, client: Client) -> None:
         self._client = client
         self._executor = client.get_executor(pure=False, retries=_RETRIES)

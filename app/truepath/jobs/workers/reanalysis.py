@@ -224,8 +224,6 @@ def write_summary(folder: Path, outcomes: Sequence[Json]) -> None:
 
 
 class _Clock:
-    """Remaining time at the pace since the beginning."""
-
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
         self._begun_s = host_clock.now_s()

@@ -323,7 +323,6 @@ def prepare() -> None:
 
 
 def _replace(final: Path, write: Callable[[Path], object]) -> None:
-    """Writes into a neighbouring folder, then renames it."""
     part = final.with_name(f"{final.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

@@ -272,7 +272,6 @@ class Measurement:
         return TargetSearch(self._tracker, machine, self._settings)
 
     def _settle_override(self, override: float | None) -> None:
-        """Lowers a feed override above 100 %; reports any other."""
         if override is None or abs(override - 1.0) < _SAME_OVERRIDE:
             return
         if override > 1.0:

@@ -266,7 +266,6 @@ class DiskMonitor:
             self._feed.release(HoldReason.DISK, "the disk has caught up")
 
     def _follow_hold(self) -> None:
-        """After a long hold only an operator resumes."""
         if HoldReason.DISK not in self._state.holds:
             self._held.reset()
         elif self._held.measure_s() > BY_ITSELF_S:
@@ -438,7 +437,6 @@ class TargetRecovery:
                 self._apply(step)
 
     def _apply(self, step: SearchStep) -> None:
-        """After a success the lost line is repeated."""
         self._events.record("found" if step.has_found else "search", step.text)
         if step.has_found:
             self._rows.repeat_loss()

@@ -285,7 +285,6 @@ class MeasurementSteps(ABC):
         self._recorder.event("concluded", text)
 
     def _end_motion(self) -> None:
-        """The controller discards the rest of its path."""
         self.leave_out_rest(is_row_done=self._has_arrived)
         stand_by_s = host_clock.now_s() + self.settings.confirm_s
         while True:

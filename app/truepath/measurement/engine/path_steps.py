@@ -75,7 +75,6 @@ class PathSteps(MeasurementSteps):
         return [Stretch(0, part)]
 
     def _drive(self, stretches: Sequence[Stretch], part_row: int) -> None:
-        """part_row : the first row of their part."""
         for stretch in stretches:
             if self._progress.is_cut_short:
                 return
@@ -114,7 +113,6 @@ class PathSteps(MeasurementSteps):
         return self._repeat(first, lambda: drive_again(self._commanded, first))
 
     def _take_broken_arcs(self) -> list[int]:
-        """Rows of arcs that were recently interrupted or not observed completely."""
         rows, path = self._monitor.rows.take_broken(), self._commanded
         if not isinstance(path, Path):
             return []
@@ -128,7 +126,6 @@ class PathSteps(MeasurementSteps):
         return self._repeat(rows[0], lambda: drive_arcs_again(driven, rows))
 
     def _repeat(self, first: int, make: Callable[[], Commanded]) -> Commanded | None:
-        """In a growing order, the service makes the part."""
         if self._order.grows:
             self._monitor.report(LinesDamaged(first, None))
             return self.request_part()
@@ -150,7 +147,6 @@ class PathSteps(MeasurementSteps):
         self.wait_motion(end, last, lambda now: self._is_line_done(now, path))
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
-        """The line that was active at `conclude`."""
         moving = status.state is MotionState.RUNNING and not self._state.must_stand
         if not self.is_concluding or not moving:
             return False

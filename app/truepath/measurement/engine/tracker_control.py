@@ -148,7 +148,7 @@ class TrackerControl:
         return True
 
     def _home(self, refusal: NotHomed) -> None:
-        """Once; homing moves no machine."""
+        """Not repeated; homing moves no machine."""
         tracker = self._tracker
         if self._is_homed or not isinstance(tracker, TargetFinder):
             raise classify_fault(refusal) from refusal
@@ -202,7 +202,6 @@ class TrackerControl:
         return self._record_point(reader, row, here, target)
 
     def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
-        """The machine is where it was, and no hold is active."""
         is_running = status is not None and status.state is MotionState.RUNNING
         return not is_running and self._monitor.is_at(here)
 

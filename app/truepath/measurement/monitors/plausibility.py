@@ -43,7 +43,7 @@ _TIMES, _APART_MM = 3.0, 20.0  # of two distances that do not disagree
 
 
 def find_impossible(motion: MotionController, position: tuple[float, ...]) -> str:
-    """Description of an axis outside its travel; empty if there is none."""
+    """Axis that is not finite or outside its travel, as text; else empty."""
     for axis, (low, high), value in zip(
         motion.axes, motion.travel, position, strict=False
     ):
@@ -216,7 +216,6 @@ class PlaceCheck:
         return observe_targets(self._machine, row, [target]).point_mm[0]
 
     def _find_frozen(self, stated: _Vector, seen: SeenPlace) -> Fault | None:
-        """New samples stay constant while the target moves."""
         if self._still is None or self._still[0] != seen.changes:
             self._still, self._away_s = (seen.changes, stated), None
             return None
@@ -231,7 +230,6 @@ class PlaceCheck:
     def _find_apart(
         self, axes: dict[str, float], stated: _Vector, place_mm: _Vector, now_s: float
     ) -> Fault | None:
-        """Distances from the first look do not fit."""
         self._recent.append((now_s, stated))
         while len(self._recent) > 2 and self._recent[1][0] < now_s - _LAG_S:
             self._recent.popleft()

@@ -230,8 +230,6 @@ _WINDOW_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """Samples lost before or in one block, and the number of gaps."""
-
     device_time_s: float
     lost: int
     gaps: int

@@ -125,7 +125,7 @@ def _leave(_signal: int, _frame: FrameType | None) -> None:
 
 
 class _CellServer:
-    """Belongs to the thread that commands."""
+    """One thread only."""
 
     def __init__(self, config: CellConfig, outbox: Outbox) -> None:
         self._config, self._outbox = config, outbox
@@ -151,7 +151,6 @@ class _CellServer:
         return tried and bool(find_stuck(self._tracker, self._motion))
 
     def look_at_controller(self) -> None:
-        """Not during a measurement, which reads the controller itself."""
         now_s = host_clock.now_s()
         if self._motion is None or not self._identities or self._measuring:
             return
@@ -280,7 +279,6 @@ class _CellServer:
         self._state(CellState.READY)
 
     def _connect_thermometers(self) -> None:
-        """Without a reply a measurement tries again, and reports it."""
         if self._thermometers is not None:
             refused = ""
             try:
@@ -389,7 +387,6 @@ class Outbox:
         host_clock.join(self._thread, timeout_s)
 
     def _send(self) -> None:
-        """Ends with the parent, too."""
         while (event := self._next()) is not None:
             try:
                 self._link.send(event)

@@ -250,7 +250,6 @@ class Recorder:
         return tuple(batches)
 
     def _count_samples(self, samples: TrackerSamples) -> int:
-        """Gives their first number."""
         sequence = samples.sequence
         first, before = int(sequence[0]), self._last_sequence
         steps = np.diff(sequence, prepend=first - 1 if before is None else before)

@@ -115,7 +115,7 @@ def _read_table(
     file: Path,
     problems: list[str],
 ) -> list[Row]:
-    """One by one where a page is damaged."""
+    """Row by row where a page is damaged."""
     query = f"SELECT {columns} FROM {table}"  # noqa: S608
     try:
         return database.execute(f"{query} ORDER BY rowid").fetchall()

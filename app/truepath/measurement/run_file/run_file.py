@@ -4,11 +4,9 @@
 with a CRC-32, `event` the events. Streams:
 
 tracker : records of `TRACKER`; seq0 is the device's counter of the first sample
-
 tracker.link : bytes as the tracker's port received them; seq0 counts bytes
 tracker.point : records of `POINT`, one per sample of a polled tracker; seq0 is the
-number of that sample
-
+    number of that sample
 axes : host_time_s and one position per axis, all <f8; seq0 counts rows
 environment : host_time_s and one reading per channel, all <f8, NaN where there is none;
     seq0 counts rows

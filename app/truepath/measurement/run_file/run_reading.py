@@ -214,8 +214,8 @@ def _read_air(points: NDArray[np.void] | None) -> dict[str, NDArray[np.float64]]
 def _read_channels(
     batches: list[Batch], channels: tuple[str, ...]
 ) -> dict[str, Series]:
-    """On the tracker's clock. Both clocks meet where a batch of samples was handed
-    over, at most some tenths of a second after its last sample.
+    """Series on the tracker's clock. Both clocks meet where a batch of samples was
+    handed over, at most some tenths of a second after its last sample.
     """
     rows = [
         unpack_environment(b.payload, len(channels))
@@ -245,7 +245,7 @@ def _to_device(
     host_s: NDArray[np.float64],
     device_s: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Beyond the ends at the host's rate."""
+    """Host times beyond the ends are extrapolated at the host's rate."""
     span_s = host_s[-1] - host_s[0]
     rate = (device_s[-1] - device_s[0]) / span_s if span_s > 0.0 else 1.0
     inside = np.interp(at_s, host_s, device_s)

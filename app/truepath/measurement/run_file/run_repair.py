@@ -49,7 +49,6 @@ def repair_run(file: str | Path) -> RunClosed:
 
 
 def _salvage(file: Path, content: RunContent) -> str:
-    """The damaged file is kept as `.torn`."""
     draft = file.with_name(file.name + ".salvage")
     draft.unlink(missing_ok=True)
     database = create_run_file(draft, content.manifest)

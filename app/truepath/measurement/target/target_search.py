@@ -244,8 +244,6 @@ class SeenPlaces:
 
 
 class _Pairs:
-    """Stated positions and the observed ones."""
-
     def __init__(self) -> None:
         self._stated: deque[_Vector] = deque(maxlen=_KEPT)
         self._seen: deque[_Vector] = deque(maxlen=_KEPT)

@@ -82,7 +82,7 @@ def _has_compensation(joint: Mapping[str, str]) -> bool:
 
 
 def _parse_sections(text: str) -> Mapping[str, dict[str, str]]:
-    """First value of each entry; an INI file of LinuxCNC repeats entries."""
+    """Only the first value of each entry; an INI file of LinuxCNC repeats entries."""
     sections: defaultdict[str, dict[str, str]] = defaultdict(dict)
     section = ""
     for line in text.splitlines():
@@ -106,7 +106,6 @@ def _list_joints(sections: Mapping[str, dict[str, str]]) -> list[str]:
 def _read_travel(
     sections: Mapping[str, dict[str, str]], axis: str, letters: list[str]
 ) -> tuple[float, float]:
-    """The range that axis and joint both allow."""
     joint = sections[f"JOINT_{letters.index(axis)}"]
     both = (sections[f"AXIS_{axis}"], joint)
     low = max(float(entry.get("MIN_LIMIT", -_WORKAREA)) for entry in both)

@@ -104,7 +104,6 @@ def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
 
 
 def _lie_apart(rsh: RshLink, machine: LinuxCncAxes) -> bool:
-    """Compares with a reading of the joints before and one after."""
     before = read_position(rsh, machine)
     world = _numbers(rsh.read("abs_act_pos"))
     after = read_position(rsh, machine)

@@ -234,7 +234,6 @@ class CommandChannel:
         return controller
 
     def _keeps(self, register: str, value: int) -> bool:
-        """True if the device reads back the value."""
         asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
@@ -340,7 +339,7 @@ class CommandChannel:
         return words
 
     def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
-        """Once, longer while the device reports that it is busy. No repeat where a hold
+        """One repeat, more while the device reports that it is busy. None where a hold
         is waiting, or a gateway reports that it cannot reach the device.
         """
         patience_s = self._timeout_s if limit_s is None else limit_s

@@ -213,7 +213,6 @@ class ModbusController(MotionController):
         return controller
 
     def _check(self, path: Path) -> Path:
-        """Raises Refused for a path that the device cannot execute."""
         controller = self._require_controller()
         drives_arcs = controller.identity.drives_arcs
         path = arrange_path(path, controller.axes, drives_arcs=drives_arcs)

@@ -186,7 +186,6 @@ class ModbusRegisters(Thermometers):
         return each.decode(words)
 
     def _open_anew(self) -> str:
-        """Gives the failure, empty if it is open."""
         if self._link.is_open:
             return ""
         try:

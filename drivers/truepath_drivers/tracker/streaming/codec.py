@@ -147,8 +147,8 @@ def _measurement_type(body: bytes) -> int | None:
 
 
 def _positions(raw: RawSamples) -> tuple[np.ndarray, np.ndarray]:
-    """mm, and a status in which 0 is valid. Where a device sends a number that is not
-    finite the position is 0 and the status indicates it.
+    """mm, and a status in which 0 is valid. Numbers that are not finite become 0, with
+    a status that indicates it.
     """
     with np.errstate(invalid="ignore"):
         position_mm = spherical_to_cartesian_mm(
@@ -227,7 +227,6 @@ class Unwrapper:
             self._period_us = float(np.median(neighbours))
 
     def _is_plain(self, steps: NDArray[np.int64], ticks: NDArray[np.int64]) -> bool:
-        """Every sample follows its predecessor: the common case."""
         first = 1 if self._fresh else 0
         shortest_turn_us = self._period_us * _TURN / 2
         return bool(

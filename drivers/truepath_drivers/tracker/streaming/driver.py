@@ -264,7 +264,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._port.close()
 
     def _do(self, build: Callable[[int], Verb]) -> Ack:
-        """Requests version 2 first, once."""
         with self._lock:
             receiver = self._require_receiver()
             try:

@@ -115,7 +115,6 @@ class FrameReader:
         return body
 
     def _keep(self, rest: bytes) -> None:
-        """Never more than the largest frame."""
         if self._overlong or len(rest) > MAX_FRAME:
             self._overlong = True
             self.skipped_bytes += len(rest)

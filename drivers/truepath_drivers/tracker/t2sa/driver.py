@@ -128,7 +128,6 @@ class T2saTracker(LineInstrument):
         return self._mm * place, math.nan
 
     def _ask_free(self, command: str) -> Reply:
-        """Repeats while the application is busy."""
         deadline_s = host_clock.now_s() + self._shot_s
         while True:
             reply = self._ask(command, self._shot_s)
@@ -169,7 +168,6 @@ class T2saTracker(LineInstrument):
         raise Refused(f"{self._link.name}: the measurement was stopped")
 
     def _expect(self, reply: Reply) -> str:
-        """Raises BeamLost or Refused for an error."""
         if self._stopping.is_set() and self._identity is not None:
             raise Refused(f"{self._link.name}: the measurement was stopped")
         if reply.is_good:

@@ -189,7 +189,7 @@ class TextLineTracker(Tracker, ByteLink):
             self._port.write(command.encode() + b"\r\n")
 
     def _await_line(self) -> None:
-        """The first line may have begun before the start."""
+        """The first line may be unreadable: it may have begun before the start."""
         deadline_s = host_clock.now_s() + _FIRST_LINE_S
         while True:
             whole = self._rest.split(b"\n")[:-1]
@@ -238,7 +238,6 @@ class TextLineTracker(Tracker, ByteLink):
         self._health = replace(old, **sums)
 
     def _stamp(self, block: LineBlock) -> TrackerSamples:
-        """Sequence and clock rise; other lines count as bad."""
         if not len(block):
             return TrackerSamples.empty()
         if self._layout.has_time and self._last_sequence < 0:
@@ -306,7 +305,7 @@ class TextLineTracker(Tracker, ByteLink):
         return True
 
     def _spread(self, count: int) -> NDArray[np.float64]:
-        """Lines that came at once, at the nominal rate up to now."""
+        """Times of lines that came at once, at the nominal rate up to now."""
         now_s, period_s = host_clock.now_s(), 1.0 / self._rate_hz
         first_s = now_s - (count - 1) * period_s
         if first_s <= self._last_time_s:

@@ -270,7 +270,6 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
 def _find_account(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
-    """Those named in the request, else those that were verified."""
     from truepath.compensation.kept_files import find_file
 
     if body.compensation_id is not None:

@@ -102,7 +102,7 @@ class Subscription:
     async def _read_events(
         self, last_event_id: str
     ) -> AsyncGenerator[ServerSentEvent | None]:
-        """None when there was no event for a while."""
+        """Yields None when there was no event for a while."""
         service, topics = self.service, self._topics
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)
@@ -134,7 +134,6 @@ class Subscription:
             await self._wait(min(next_tick - host_clock.now_s(), ASK_S))
 
     def _take(self) -> tuple[bool, list[JobEvent]]:
-        """Whether the catalogue has news, and the live events."""
         with self._lock:
             news, self._news = self._news, False
             waiting = list(self._waiting)
@@ -274,7 +273,6 @@ def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
 def _read_present(
     service: Service, topics: Topics, newest: int
 ) -> list[ServerSentEvent]:
-    """For a client without earlier events."""
     store = service.store
     unfinished = {job.id: job for job in store.list_unfinished()}
     named = {job_id: store.get(job_id) for job_id in sorted(topics.jobs)}

@@ -246,7 +246,6 @@ def download_machine_temperature(
 def _choose_calibrations(
     service: ServiceDep, machine_id: str, jobs: Sequence[str]
 ) -> Sequence[Calibration]:
-    """All usable calibrations where no job is named."""
     service.setup.registry.get(machine_id)
     chosen = [service.calibrations.find(machine_id, one) for one in jobs]
     return chosen or service.calibrations.list_usable(machine_id)

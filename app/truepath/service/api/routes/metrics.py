@@ -165,7 +165,7 @@ class _ServiceCollector(Collector):
         self._service = service
 
     def describe(self) -> Iterable[Metric]:
-        """The registry would collect from the service at registration otherwise."""
+        """Empty: the names are not read before the first scrape."""
         return ()
 
     def collect(self) -> Iterator[Metric]:

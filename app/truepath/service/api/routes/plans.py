@@ -211,7 +211,6 @@ def download_nc_program(
 def _read_set_up(
     job: Job, service: Service, missing: str, station: int | None = None
 ) -> tuple[Machine, Commanded]:
-    """Raises NotFound with the text `missing`."""
     plan = service.store.read_plan(job.id)
     if plan is None:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")

@@ -98,7 +98,6 @@ async def stop_by_message(websocket: WebSocket) -> None:
 
 
 async def _post(websocket: WebSocket, path: str) -> str:
-    """With the credentials of the WebSocket's client."""
     answer = bytearray()
 
     async def receive() -> Message:

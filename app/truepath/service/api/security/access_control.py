@@ -162,7 +162,6 @@ class _AuditedAnswer:
         self._route = route
 
     async def send(self, message: Message) -> None:
-        """The row is written before the first message."""
         if message["type"] == "http.response.start":
             await self._record(message)
         await self._send(message)

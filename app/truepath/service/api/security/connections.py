@@ -160,7 +160,6 @@ class Connections:
         return list(self._state.connections | self._opening.keys())
 
     def _close_for_another(self, some: list[Any], reason: str) -> None:
-        """In a crowd several at once."""
         if self._seldom.is_due():
             log.warning("connections closed", reason=reason, held=len(some))
         some.sort(key=_rank)

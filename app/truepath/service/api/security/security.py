@@ -141,7 +141,6 @@ class _Answer:
         self._is_bare = False
 
     async def send(self, message: Message) -> None:
-        """The first message gets the headers."""
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             is_plain = headers.get("content-type", "").startswith("text/plain")
@@ -159,7 +158,6 @@ class _Answer:
             await self._send_problem(find_kind_of_status(self._status))
 
     async def refuse(self, kind: ProblemKind, detail: str = "") -> None:
-        """Unless the answer has begun."""
         if not self._status:
             await self._send_problem(kind, detail)
 
@@ -168,7 +166,6 @@ class _Answer:
         await response(self._scope, _receive_disconnect, self.send)
 
     def log(self) -> None:
-        """One line per request; a successful read is for debugging."""
         is_check = self._scope["path"].endswith(":check")
         is_safe = is_check or self._scope["method"] not in _UNSAFE
         is_quiet = is_safe and self._status < 400
@@ -184,8 +181,8 @@ class _Answer:
 
 
 def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
-    """The address is then normalised: a proxy may have added a prefix, a slash at the
-    end, or doubled one.
+    """The address is then normalised: a proxy may have added a prefix, or a final or
+    double slash.
     """
     found = pattern.search(re.sub("/{2,}", "/", scope["path"]))
     if found:
@@ -194,7 +191,6 @@ def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
 
 
 def _leave_body(scope: Scope, receive: Receive) -> Receive:
-    """The body is never read."""
     of_body = (b"content-length", b"content-type", b"transfer-encoding")
     scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in of_body]
     empty: Message = {"type": "http.request", "body": b"", "more_body": False}
@@ -207,7 +203,6 @@ def _leave_body(scope: Scope, receive: Receive) -> Receive:
 
 
 def _is_guarded(scope: Scope) -> bool:
-    """Whether a request changes something, or opens a stream of events."""
     method = scope["method"]
     return method in _UNSAFE or find_route(method, scope["path"]) in LONG_LIVED
 

@@ -97,7 +97,7 @@ class ForwardedHeaders:
 def _read_address(
     given: str,
 ) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Of `address`, `address:port` or `[address]:port`."""
+    """Accepts `address`, `address:port` and `[address]:port`."""
     given = given.strip()
     for host in (lambda: given, lambda: urlsplit(f"//{given}").hostname or ""):
         with suppress(ValueError):

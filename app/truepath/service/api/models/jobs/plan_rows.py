@@ -248,7 +248,6 @@ class PlanOut(BaseModel):
 
 
 def _list_keep_out(plan: Mapping[str, Any]) -> list[Any] | None:
-    """None of a Run, which has none."""
     if "request" not in plan:
         return None
     workspace = plan["request"].get("workspace") or {}
