@@ -1,10 +1,9 @@
 """Child processes: the one module that starts, limits, signals, logs and ends them.
 
 Every child is spawned, never forked, and
-
-- runs linear algebra on one thread where the user has set no other number;
+- runs linear algebra on one thread unless the user has set another number;
 - ignores Ctrl+C, which a terminal sends to every process: the parent decides;
-- bears its name, `truepath-cell` say, where processes are listed;
+- has its own name, such as `truepath-cell`, in lists of processes;
 - sends its log records to the log of its parent;
 - does not outlive its parent.
 """
@@ -35,7 +34,7 @@ from truepath.thread_limits import choose_thread_limits
 log = structlog.get_logger(__name__)
 
 BACKGROUND_NICENESS = 10
-"""Of processes that compute: the reader of the tracker's port goes first."""
+"""Of processes that compute: the reader of the tracker's port has priority."""
 _END_S, _LAST_S = 5.0, 3.0
 _LONGEST_NAME = 15  # that Linux keeps
 _SPAWN = get_context("spawn")
@@ -46,9 +45,10 @@ class ChildProcess:
     """One child process, from `start` to `close`.
 
     name : of the process, in the log
-    run : its body, a function of a module, called with what follows and then `link`
-    niceness : how far its work stands behind that of other processes
-    ends_with_parent : the process is ended where its parent is; else it notices by
+    run : its body, a function of a module, called with the further arguments and then
+        `link`
+    niceness : added to that of the parent
+    ends_with_parent : the process is killed with its parent; else it detects the end
         itself
     link : the parent's end of the pipe whose other end the child has
     """
@@ -79,21 +79,21 @@ class ChildProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process lives."""
+        """Whether the process is alive."""
         return not self._is_closed and self._process.is_alive()
 
     @property
     def process_id(self) -> int | None:
-        """Identifier of the process, None before `start`."""
+        """None before `start`."""
         return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """How the process has ended, None while it lives."""
+        """None while it is alive; negative for a signal."""
         return self._process.exitcode
 
     def start(self) -> None:
-        """Start the process."""
+        """Start process and log thread."""
         with _child_environment():
             self._process.start()
         self._log.start()
@@ -102,27 +102,27 @@ class ChildProcess:
         self._exit = Finalize(None, self._end_at_exit, exitpriority=10)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait for the end of the process."""
+        """Wait for the end of the process, at most `timeout_s`."""
         self._process.join(timeout_s)
 
     def terminate(self) -> None:
-        """Ask the process to end: SIGTERM."""
+        """Request the end of the process: SIGTERM."""
         if self.alive:
             self._process.terminate()
 
     def kill(self) -> None:
-        """End the process at once, whatever it does: SIGKILL. Idempotent."""
+        """End the process at once: SIGKILL. Idempotent."""
         if self.alive:
             self._process.kill()
 
     def _end_at_exit(self) -> None:
-        """End it, however it resists: nobody would end it afterwards."""
+        """By force: nothing would end the process afterwards."""
         self.terminate()
         self._process.join(_LAST_S)
         self.kill()
 
     def close(self) -> None:
-        """Release the process, ended by force where it still lives. Idempotent."""
+        """Release the process, ended by force if it is still alive. Idempotent."""
         if self._is_closed:
             return
         if self.process_id is not None:
@@ -139,10 +139,9 @@ class ChildProcess:
 
 @contextmanager
 def _child_environment() -> Iterator[None]:
-    """Let a child that is spawned meanwhile use one thread and never receive Ctrl+C.
-
-    Both hold from its first instruction: NumPy reads the variables at its import, and
-    the mask of signals is inherited.
+    """Children spawned in the block use one thread and never receive Ctrl+C. Both hold
+    from the first instruction: NumPy reads the variables at its import, and the mask of
+    signals is inherited.
     """
     before_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     with _ENVIRONMENT:
@@ -162,7 +161,6 @@ def _run_child(
     run: Callable[..., None],
     arguments: tuple[object, ...],
 ) -> None:
-    """Body of every child."""
     niceness, ends_with_parent, records = setup
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _show_name(current_process().name)
@@ -174,7 +172,6 @@ def _run_child(
 
 
 def _show_name(name: str) -> None:
-    """Name this process in `ps` and `top`, where the system can."""
     with suppress(OSError):
         Path("/proc/self/comm").write_text(f"truepath-{name}"[:_LONGEST_NAME])
 
@@ -188,7 +185,7 @@ def _end_with_parent() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """From the process: the value of the call, or what it has raised."""
+    """Sent by the process: the value of the call, or its error."""
 
     value: Any = None
     error: Exception | None = None
@@ -212,9 +209,9 @@ class WorkerProcess:
     def call(
         self, function: Callable[..., Any], on_progress: Progress | None = None
     ) -> Any:
-        """Return the value of a function, or raise what it raises, or WorkerDied.
+        """Value of a function; raises its error, or WorkerDied.
 
-        on_progress : passed to the function if given; what it raises is logged
+        on_progress : passed to the function if given; an error of it is logged
         """
         self._is_busy = True
         try:
@@ -229,7 +226,7 @@ class WorkerProcess:
         return answer.value
 
     def kill(self) -> None:
-        """End the process, whatever it does. Idempotent, any thread."""
+        """End the process. Idempotent, any thread."""
         self._process.kill()
 
     def close(self) -> None:
@@ -268,7 +265,6 @@ class WorkerProcess:
 
 
 def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
-    """Body of the process: call what comes until nobody is there to ask."""
     if prepare is not None:
         try:
             prepare()

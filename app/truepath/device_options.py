@@ -1,7 +1,7 @@
-"""The options of drivers, checked against what each driver takes.
+"""The options of drivers, checked against each driver's signature.
 
-They are the parameters of its factory: names, types and defaults are those of its
-signature, and settings are checked against them before anything is opened.
+They are the parameters of its factory, with names, types and defaults; settings are
+checked against them before anything is opened.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DEVICES = {
     "motion": "truepath.motion_controllers",
     "thermometer": "truepath.thermometers",
 }
-"""Entry-point groups of drivers, by the word that their settings begin with."""
+"""Entry-point groups of drivers, by the prefix of their settings."""
 _INTERFACES: Mapping[str, tuple[type, ...]] = {
     "tracker": (Tracker, PolledTracker),
     "motion": (MotionController,),
@@ -39,7 +39,7 @@ _INTERFACES: Mapping[str, tuple[type, ...]] = {
 class DriverOption:
     """An option of a driver.
 
-    kind : its type in words; default : REQUIRED where it has to be given
+    kind : its type as text; default : REQUIRED where it has to be given
     """
 
     name: str
@@ -48,17 +48,17 @@ class DriverOption:
 
     @property
     def is_required(self) -> bool:
-        """Whether it has to be given."""
+        """Whether there is no default."""
         return self.default is REQUIRED
 
 
 def list_options(group: str, name: str) -> tuple[DriverOption, ...]:
-    """Return the options of a driver. Raises BadInput if it is not installed."""
+    """Options of a driver. Raises BadInput if it is not installed."""
     return read_options(name, load(group, name))
 
 
 def read_options(_name: str, factory: Any) -> tuple[DriverOption, ...]:
-    """Return the options that the factory of a driver takes."""
+    """Options from the signature of a driver's factory."""
     return tuple(
         DriverOption(one.name, _name_kind(one.annotation), one.default)
         for one in _parameters(factory)
@@ -72,9 +72,9 @@ def make_device(
     options: Mapping[str, Any],
     limits_s: Mapping[str, float] | None = None,
 ) -> Any:
-    """Return a device of a driver, its options checked against what the driver takes.
+    """Unconnected device of a driver, with its options checked.
 
-    word : `tracker`, `motion` or `thermometer`; limits_s : as `guard` takes them
+    word : `tracker`, `motion` or `thermometer`; limits_s : as in `guard`
 
     Raises BadInput naming setting, value and remedy for an unknown driver or option,
     one that is missing, and one of the wrong type; PluginFailed if it makes none.
@@ -116,7 +116,7 @@ def _parameters(factory: Any) -> list[inspect.Parameter]:
 
 
 def _read_hints(factory: Any) -> dict[str, Any]:
-    """Return the types of the parameters; none where they cannot be resolved."""
+    """Empty where annotations cannot be resolved."""
     function = factory.__init__ if inspect.isclass(factory) else factory
     try:
         return get_type_hints(function)
@@ -125,7 +125,6 @@ def _read_hints(factory: Any) -> dict[str, Any]:
 
 
 def _validate(value: Any, kind: Any, place: str) -> Any:
-    """Return a value as its type has it. Raises BadInput."""
     try:
         return TypeAdapter(kind).validate_python(value)
     except PydanticSchemaGenerationError:

@@ -1,8 +1,8 @@
-"""The border of the service to a driver: what comes of it in time and as it was agreed.
+"""The border of the service to a driver: time limits and valid answers.
 
-Each call is made in a thread of its own, and whoever calls waits no longer than the
-service allows, whatever the driver promises. What a driver raises beside device errors,
-and what it must not answer, is one DriverFault that names it.
+Each call is made in a separate thread, and the caller waits no longer than the service
+allows, whatever the driver promises. Errors other than device errors, and invalid
+answers, become one DriverFault that names the call.
 """
 
 from __future__ import annotations
@@ -80,9 +80,9 @@ _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
 
 
 class Call:
-    """A call under way in a thread of its own. Begins at once.
+    """A call in a separate thread. Begins at once.
 
-    answer : once it is over; failure : what it raised instead
+    answer : once it is over; failure : its error instead
     """
 
     def __init__(self, verb: Callable[[], Any]) -> None:
@@ -98,7 +98,7 @@ class Call:
         return not self._thread.is_alive()
 
     def await_end(self, timeout_s: float) -> None:
-        """Wait for its end, at most so long."""
+        """Wait for its end, at most `timeout_s`."""
         host_clock.join(self._thread, timeout_s)
 
     def _run(self) -> None:
@@ -111,28 +111,26 @@ class Call:
 def guard(
     device: D, point: EntryPoint, limits_s: Mapping[str, float] | None = None
 ) -> D:
-    """Return a device behind the border. It can still be asked with `isinstance`.
+    """A device behind the border; `isinstance` still works on it.
 
-    limits_s : of calls that may take another time, beyond what they are asked to take
+    limits_s : by call, in place of the default limit, beyond its requested time
     """
     return cast(D, _Border(device, point, limits_s or {}))
 
 
 def find_stuck(*devices: object) -> str:
-    """Return the first call of guarded devices that has not ended in its time."""
+    """First overdue call of guarded devices, as text; empty without one."""
     borders = (one for one in devices if type(one) is _Border)
     return next((call for one in borders for call in one.list_stuck()), "")
 
 
 def list_origins(**devices: object) -> dict[str, PluginOrigin]:
-    """Return the plug-ins of guarded devices, by the names given to them."""
+    """Plug-ins of guarded devices, by the names given to them."""
     borders = ((word, one) for word, one in devices.items() if type(one) is _Border)
     return {word: one.origin for word, one in borders}
 
 
 class _Border:
-    """A device whose calls are watched. As the device, for any thread."""
-
     def __init__(
         self, device: Device, point: EntryPoint, limits_s: Mapping[str, float]
     ) -> None:
@@ -159,7 +157,6 @@ class _Border:
         )
 
     def list_stuck(self) -> list[str]:
-        """Return the calls that are overdue and have not ended since."""
         overdue = self._overdue.copy().items()
         return [name for name, call in overdue if not call.is_over]
 
@@ -215,7 +212,6 @@ class _Border:
             raise self._fault(text) from error
 
     def _convert(self, name: str, answer: Any) -> Any:
-        """Return an answer as records of the interfaces have it. Raises ValueError."""
         device: Any = self._device
         if name == "read" and isinstance(device, Thermometers):
             readings = tuple(_rebuild(Reading, one) for one in answer)
@@ -240,7 +236,7 @@ def _adapt(kind: Any) -> TypeAdapter[Any]:
 
 
 def _rebuild(kind: Any, value: Any) -> Any:
-    """Return a value as its kind has it; a record as one of that very class."""
+    """A record of a subclass becomes one of exactly this class."""
     parts = _take_apart(kind, value) if is_dataclass(kind) else value
     return _adapt(kind).validate_python(parts)
 

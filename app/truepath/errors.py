@@ -1,4 +1,4 @@
-"""Families of errors of the service; each says what is wrong, where, the remedy."""
+"""Families of errors of the service; texts give problem, place and remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class TruepathError(Exception):
 
 
 class BadInput(TruepathError):
-    """Something a user gave cannot be used: exit status 2, or 4xx over HTTP."""
+    """Input of a user that cannot be used: exit status 2, or 4xx over HTTP."""
 
 
 class BundleError(BadInput):
@@ -42,11 +42,11 @@ class BundleError(BadInput):
 
 
 class ActiveTablesUnknown(BadInput):
-    """The control compensated as it was measured, and nobody says by which tables."""
+    """The control compensated during the measurement, by unknown tables."""
 
 
 class NotUsable(BadInput):
-    """A result that says of itself that it is not to be used."""
+    """A result whose verdict forbids its use."""
 
 
 class PlanningError(BadInput):
@@ -58,7 +58,7 @@ class OutOfTravel(PlanningError):
 
 
 class EstimationError(TruepathError):
-    """The data do not carry the answer that was asked of them."""
+    """The data do not determine the requested answer."""
 
 
 class AlignmentError(EstimationError):
@@ -66,11 +66,11 @@ class AlignmentError(EstimationError):
 
 
 class Unidentifiable(EstimationError):
-    """Parameters that no data of this kind can tell; named in the text."""
+    """Parameters that no data of this kind determine; named in the text."""
 
 
 class JobError(TruepathError):
-    """A job that cannot do what was asked of it."""
+    """A job that cannot satisfy a request."""
 
 
 class IllegalTransition(JobError):
@@ -82,7 +82,7 @@ class NotFound(JobError):
 
 
 class MeasurementFailed(TruepathError):
-    """A measurement that ended before its path did; what was recorded is kept."""
+    """A measurement that ended before its path did; recorded data are kept."""
 
 
 class WorkerDied(TruepathError):

@@ -1,4 +1,4 @@
-"""The settings of one machine: its file, and how its devices are reached."""
+"""The settings of one machine: its file, and the access to its devices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from truepath_drivers.interfaces.tracker_records import Light
 
 ONLY_MACHINE = "default"
-"""Identifier of the machine whose settings stand outside of any table."""
+"""Identifier of the machine whose settings are outside of any table."""
 MACHINE_ID = r"^[a-z0-9][a-z0-9-]{0,31}$"
 RESERVED_IDS = frozenset({"current", "compare"})
 _PATIENCE = ("silent", "dead", "beam", "late", "point", "search")
@@ -67,7 +67,7 @@ class DeviceConfiguration(BaseModel):
 
     @property
     def light(self) -> Light | None:
-        """What `tracker_light` states. Raises ValueError if it is no light."""
+        """Light of `tracker_light`, None if empty. Raises ValueError."""
         stated = dict(self.tracker_light)
         if not stated:
             return None
@@ -87,7 +87,7 @@ class MachineSettings(DeviceConfiguration):
 
 
 def check_machine_id(machine_id: str) -> str:
-    """Return it; raise ValueError for what cannot be the identifier of a machine."""
+    """The identifier, unchanged; raises ValueError for an invalid or reserved one."""
     if machine_id in RESERVED_IDS or not re.match(MACHINE_ID, machine_id):
         raise ValueError(
             f"{machine_id!r} cannot name a machine; use up to 32 of a-z, 0-9 and -, "

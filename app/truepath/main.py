@@ -83,10 +83,11 @@ def serve(
 ) -> None:
     """Run the service until SIGTERM or Ctrl+C; both hold the feed before all else.
 
-    What does not end within a minute is ended by force, and says where it stood: its
-    children end with it, and the watchdog of the machine holds what still moves.
+    A shutdown of more than a minute is ended by force, and the stacks are logged:
+    children end with the process, and the watchdog of the machine holds what still
+    moves.
 
-    listening : receives the service's address once it answers, in a thread of its own
+    listening : receives the service's address once it answers, in a separate thread
 
     Raises BadInput, InUse.
     """
@@ -124,7 +125,7 @@ def serve(
 
 @contextmanager
 def _bound_end() -> Iterator[Callable[[], None]]:
-    """Yield what lets the process end by force if leaving takes too long from then."""
+    """Yields a function that starts the time limit for leaving."""
     try:
         yield partial(faulthandler.dump_traceback_later, _END_S, exit=True)
     finally:
@@ -195,7 +196,7 @@ def _begin_to_reconcile(
 
 
 def _begin_to_judge(calibrations: Calibrations, stack: ExitStack) -> None:
-    """Look how all machines stand, in a thread: the service answers meanwhile."""
+    """In a thread, so that the service answers meanwhile."""
     look = threading.Thread(target=calibrations.judge_all, name="standing")
     look.start()
     stack.callback(look.join)
@@ -363,7 +364,7 @@ def _start_bench(
 
 @contextmanager
 def _redirect_temporary_files(folder: Path) -> Iterator[None]:
-    """Spool uploads on the disk of the data: the system's place may be memory."""
+    """The system's temporary folder may be in memory."""
     folder.mkdir(exist_ok=True)
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
     try:

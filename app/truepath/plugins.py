@@ -1,7 +1,7 @@
-"""Finds drivers, effects, formats and simulators by entry point; ours the same way.
+"""Drivers, effects, formats and simulators by entry point; ours the same way.
 
-Each is loaded and asked by itself. One that fails is left out of lists, and whoever
-names it gets an error with plug-in, distribution and remedy.
+Each is loaded and called separately. One that fails is omitted from lists, and naming
+it raises an error with plug-in, distribution and remedy.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ T = TypeVar("T")
 REMEDY = "update, replace or remove that package"
 PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 left_out = set[str]()
-"""Why plug-ins were left out of lists, those of this process so far."""
+"""Reasons for which plug-ins were omitted from lists of this process so far."""
 
 
 @dataclass(frozen=True, slots=True)
 class PluginOrigin:
-    """Which plug-in something is of.
+    """Plug-in of an object.
 
-    interface_version : of the interface that it keeps, 0 where it does not tell
+    interface_version : of the interface that it implements, 0 where it gives none
     """
 
     name: str
@@ -39,11 +39,11 @@ class PluginOrigin:
 
 
 class PluginFailed(BadInput):
-    """A plug-in does not load, failed in a way of its own, or answered nonsense."""
+    """A plug-in fails to load, to run as agreed, or to give a valid answer."""
 
 
 def find_plugins(group: str) -> dict[str, EntryPoint]:
-    """Return what is installed in an entry-point group, by name; ours first of all."""
+    """Installed plug-ins of an entry-point group, by name; ours first."""
     try:
         points = list(entry_points(group=group))
     except Exception:  # a distribution whose list is broken hides no other's
@@ -67,17 +67,17 @@ def _read_lists() -> Iterator[Any]:
 
 
 def is_ours(point: EntryPoint) -> bool:
-    """Tell whether a plug-in is a part of Truepath."""
+    """Whether a plug-in is part of Truepath."""
     return point.value.startswith("truepath.")
 
 
 def load(group: str, name: str) -> Any:
-    """Return the factory called `name`; an unknown name tells what is installed."""
+    """Factory of a plug-in. Raises BadInput listing the installed ones."""
     return load_point(find_point(group, name))
 
 
 def find_point(group: str, name: str) -> EntryPoint:
-    """Return the plug-in called `name`. Raises BadInput, telling what is installed."""
+    """Plug-in of a name. Raises BadInput listing the installed ones."""
     known = find_plugins(group)
     if name not in known:
         raise BadInput(
@@ -88,13 +88,13 @@ def find_point(group: str, name: str) -> EntryPoint:
 
 
 def load_point(point: EntryPoint) -> Any:
-    """Return the factory of a plug-in. Raises PluginFailed."""
+    """Factory of a plug-in. Raises PluginFailed."""
     with guarding(point, "being loaded"):
         return point.load()
 
 
 def gather(group: str, ask: Callable[[str, Any], T]) -> dict[str, T]:
-    """Return what each plug-in of a group answers, by name, less those that fail.
+    """Answers of the plug-ins of a group by name, without those that fail.
 
     ask : called with name and factory
     """
@@ -115,13 +115,13 @@ def _leave_out(why: str) -> None:
 
 
 def describe_plugin(point: EntryPoint) -> str:
-    """Return which plug-in it is, of which distribution in which version."""
+    """Plug-in with its distribution and version, as text."""
     by = f" of {point.dist.name} {point.dist.version}" if point.dist else ""
     return f"{point.group.removeprefix('truepath.')} plug-in {point.name!r}{by}"
 
 
 def find_origin(point: EntryPoint, made: object) -> PluginOrigin:
-    """Return the origin of a plug-in. made : by it, or its factory."""
+    """Origin of a plug-in. made : by it, or its factory."""
     stated = getattr(made, "interface_version", 0)
     return PluginOrigin(
         point.name,
@@ -132,7 +132,7 @@ def find_origin(point: EntryPoint, made: object) -> PluginOrigin:
 
 
 def word_error(error: BaseException) -> str:
-    """Return an error of somebody else in words, whatever it does when it is asked."""
+    """Foreign error as text, even if its own conversion fails."""
     try:
         return f"{type(error).__name__}: {error}"
     except Exception:
@@ -141,7 +141,7 @@ def word_error(error: BaseException) -> str:
 
 @contextmanager
 def guarding(point: EntryPoint, call: str) -> Iterator[None]:
-    """Turn what a plug-in raises, beside errors of the service, into PluginFailed."""
+    """Turn errors of a plug-in, except those of the service, into PluginFailed."""
     try:
         yield
     except TruepathError:
@@ -152,10 +152,10 @@ def guarding(point: EntryPoint, call: str) -> Iterator[None]:
 
 
 class Guarded:
-    """What a plug-in of somebody else has made; its failures are PluginFailed.
+    """Object made by a foreign plug-in; its failures are PluginFailed.
 
-    check : takes the name of a call and its answer, returns what is passed on; raises
-        ValueError. What an answer does when it is called is `NAME()`
+    check : takes the name of a call and its answer, gives the value to pass on; raises
+        ValueError. The name of a call of such an answer is `NAME()`
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class Guarded:
 
     @property
     def __class__(self) -> type:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Of what was made, for `isinstance`."""
+        """Class of the guarded object, for `isinstance`."""
         return type(self._made)
 
     def __getattr__(self, name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What repeats is logged once in a while."""
+"""Rate limit for repeated log messages."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from truepath_drivers import host_clock
 
 
 class Seldom:
-    """Says whether it is time to log again; any thread."""
+    """Limits the rate of a repeated message; any thread."""
 
     def __init__(self, every_s: float = 10.0) -> None:
         self._every_s, self._next_s = every_s, -float("inf")
         self._lock = threading.Lock()
 
     def is_due(self) -> bool:
-        """Return True the first time, and then once in `every_s`."""
+        """True the first time, and then once in `every_s`."""
         now_s = host_clock.now_s()
         with self._lock:
             if now_s < self._next_s:
@@ -24,5 +24,5 @@ class Seldom:
             return True
 
     def reset(self) -> None:
-        """Be due at the next time: what repeated is over."""
+        """Be due at the next call: the repeated event is over."""
         self._next_s = -float("inf")

@@ -3,9 +3,8 @@
 A child sends its records through a pipe and its parent handles them as if they were its
 own, so that every line passes the same level and the same format. A record names the
 process it comes from. Writing a record never waits for the parent: a thread of the
-child sends it. If the parent is gone, the record goes to the child's standard error.
-
-So the parent alone writes to the log file, and can set a full one aside.
+child sends it. If the parent is gone, the record goes to the child's standard error. So
+the parent alone writes to the log file, and can rotate a full one.
 """
 
 from __future__ import annotations
@@ -41,10 +40,10 @@ _SHARED: tuple[structlog.typing.Processor, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """Where lines are kept beside standard error.
+    """Log file in addition to standard error.
 
     max_bytes : of one file; a full one becomes `NAME.1`, the one before `NAME.2`, …
-    count : of files that are kept beside the one that is written
+    count : of older files that are kept
     """
 
     path: Path
@@ -52,7 +51,7 @@ class LogFile:
     count: int
 
     def list_files(self) -> list[Path]:
-        """Return the files that are there, the newest first."""
+        """Existing files, the newest first."""
         names = (f"{self.path.name}.{n}" for n in range(1, self.count + 1))
         files = [self.path, *(self.path.with_name(name) for name in names)]
         return [file for file in files if file.is_file()]
@@ -62,7 +61,7 @@ def configure_log(level: str, log_format: str, file: LogFile | None = None) -> N
     """Send every line, ours and the libraries', through structlog to standard error.
 
     log_format : `json`, else lines to read
-    file : where each line is kept as JSON as well
+    file : receives each line as JSON as well
 
     Raises BadInput where the file cannot be written.
     """
@@ -78,15 +77,15 @@ def configure_log(level: str, log_format: str, file: LogFile | None = None) -> N
 
 
 def read_log_settings() -> tuple[int, bool]:
-    """Return the level of the log, and whether structlog writes to it or prints."""
+    """Level of the log, and whether structlog writes to it or prints."""
     return logging.getLogger().level, structlog.is_configured()
 
 
 @contextmanager
 def send_log(records: Connection, settings: tuple[int, bool]) -> Iterator[None]:
-    """Send what this process logs to its parent until the end of the block.
+    """Send log records of this process to its parent until the end of the block.
 
-    settings : of the parent, as `read_log_settings` returns them
+    settings : of the parent, from `read_log_settings`
     """
     level, is_structured = settings
     waiting: queue.SimpleQueue[logging.LogRecord | None] = queue.SimpleQueue()
@@ -143,8 +142,6 @@ def _open_file(file: LogFile) -> logging.Handler:
 
 
 class _QueueHandler(logging.Handler):
-    """Makes records ready to be pickled and puts them in a queue."""
-
     def __init__(self, waiting: queue.SimpleQueue[logging.LogRecord | None]) -> None:
         super().__init__()
         self._waiting = waiting
@@ -162,7 +159,6 @@ class _QueueHandler(logging.Handler):
 def _send_records(
     waiting: queue.SimpleQueue[logging.LogRecord | None], records: Connection
 ) -> None:
-    """Body of a thread of the child."""
     while (record := waiting.get()) is not None:
         try:
             records.send(record)
@@ -186,7 +182,6 @@ def _configure_structlog(*processors: structlog.typing.Processor) -> None:
 def _add_process(
     _logger: object, _method: str, event_dict: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """Name the child process that a record comes from."""
     record = event_dict.get("_record")
     if record is not None and record.processName != _MAIN_PROCESS:
         event_dict["process"] = record.processName
@@ -196,7 +191,6 @@ def _add_process(
 def _add_trace(
     _logger: object, _method: str, event_dict: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """Add the trace of an error that a child has formatted."""
     record = event_dict["_record"]
     if record.exc_text and not record.exc_info:
         event_dict["exception"] = record.exc_text

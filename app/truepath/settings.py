@@ -213,7 +213,7 @@ class Settings(DeviceConfiguration, BaseSettings):
         return given
 
     def list_machines(self) -> dict[str, MachineSettings]:
-        """Return the machines by their identifiers, the single one first."""
+        """Machines by their identifiers, the single one first."""
         if self.machine_file is None:
             return dict(self.machines)
         stated = self.model_dump(include=set(MachineSettings.model_fields))
@@ -228,7 +228,7 @@ class Settings(DeviceConfiguration, BaseSettings):
 
     @property
     def log_in_required(self) -> bool:
-        """Whether somebody has to log in."""
+        """Whether requests need a login."""
         if self.log_in == "beyond-this-computer":
             return not self.is_loopback
         return self.log_in == "always"
@@ -261,12 +261,12 @@ class Settings(DeviceConfiguration, BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Return the sources in order of precedence: given, environment, file."""
+        """Sources in order of precedence: given, environment, file."""
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
 
 
 def load_settings(config: Path | None = None, **given: Any) -> Settings:
-    """Return the settings; `given` (command line) beats environment beats file.
+    """Settings; `given` (command line) overrides environment, then file.
 
     A given value of None counts as not given. Raises BadInput naming the setting.
     """

@@ -1,6 +1,6 @@
-"""One thread of linear algebra a process, where the user has set no other number.
+"""One thread of linear algebra per process, unless the user has set another number.
 
-The threads of several processes only fight over the cores (measured: 11.1 s against
+The threads of several processes only compete for the cores (measured: 11.1 s against
 0.58 s for the same work) and would delay the reader of the tracker's port.
 """
 
@@ -18,7 +18,7 @@ _THREAD_LIMITS = (
 
 
 def choose_thread_limits() -> dict[str, str]:
-    """Return the limits that the user has not set: that for OpenMP, else one thread.
+    """Limits that the user has not set: that for OpenMP, else one thread.
 
     NumPy reads these variables of the environment at its import.
     """

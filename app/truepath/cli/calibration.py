@@ -1,4 +1,4 @@
-"""A calibration through the REST interface of a service, told in the terminal."""
+"""A calibration through the REST interface of a service, shown in the terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ READY_TIMEOUT_S = 60.0
 
 
 def follow(client: Client, job_id: str, *, period_s: float = 0.5) -> Iterator[Job]:
-    """Yield the job again and again, the last time in a final state."""
+    """Yield the job every `period_s`, the last time in a final state."""
     while True:
         job = client.get_job(job_id)
         yield job
@@ -24,7 +24,7 @@ def follow(client: Client, job_id: str, *, period_s: float = 0.5) -> Iterator[Jo
 
 
 def calibrate(address: str) -> None:
-    """Do the main job over REST and say how it goes; a failure is a line."""
+    """Calibrate over REST and print the progress; a failure is one line."""
     try:
         with Client(address) as client:
             job_id = measure_on_the_fly(client)
@@ -45,10 +45,10 @@ def calibrate(address: str) -> None:
 
 
 def measure_on_the_fly(client: Client) -> str:
-    """Connect, plan and arm a measurement on the fly; return the job's identifier.
+    """Connect, plan and arm a measurement on the fly; gives the job's identifier.
 
-    It is of the only or first machine that the service drives. Arming is the last
-    step: from here on the machine moves.
+    Of the only or first machine of the service. Arming is the last step: from here on
+    the machine moves.
     """
     client.connect()
     first = client.list_machines()[0]["id"]

@@ -1,4 +1,4 @@
-"""The command line: its commands, and from an error to one line and an exit status."""
+"""The command line: its commands, and mapping of errors to exit statuses."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def main() -> NoReturn:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit status: 0, 2 for bad input, else 1."""
+    """Exit status of one command line: 0, 2 for bad input, else 1."""
     return run_command(lambda: app(args=list(arguments), standalone_mode=False))
 
 
@@ -119,10 +119,10 @@ app.add_typer(user_commands.audit, name="audit")
 
 
 def run_command(call: Callable[[], int | None]) -> int:
-    """Run a command; say in one line why it failed, and return its exit status.
+    """Exit status of a command; a failure is printed in one line.
 
-    What is caught here is what a user can do something about. Anything else is a fault
-    of the program: it passes through with its traceback.
+    Only errors that a user can remedy are caught. Any other is a defect of the program:
+    it passes through with its traceback.
     """
     try:
         return _map_status(call() or SUCCESS)
@@ -145,7 +145,7 @@ def _map_status(status: int) -> int:
 
 
 def _report_file(error: OSError) -> int:
-    """A file that is not there or not ours to use is bad input; a full disk is not."""
+    """A missing file or one without permission is bad input; a full disk is not."""
     if error.filename is None or not error.strerror:
         raise error
     mistaken = FileNotFoundError | FileExistsError | PermissionError

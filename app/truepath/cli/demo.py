@@ -1,7 +1,7 @@
-"""The main job without a service: simulated devices, real links, a Run, error tables.
+"""Calibration without a service: simulated devices, real links, a Run, error tables.
 
-The simulated machine knows its true errors, so at the end the result is held against
-them: what a machine of iron never tells.
+The simulated machine knows its true errors, so at the end the result is compared with
+them.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ _SEED = 7  # of the points, which the measurement does not use
 class TruthComparison:
     """Volumetric error at points all over the travel, without rigid motion.
 
-    before_um, after_um : mean length of the true error, and of what the result leaves
-    covered : share of all components that lie within two standard uncertainties
+    before_um, after_um : mean length of the true error, and of the residual one
+    covered : fraction of all components that lie within two standard uncertainties
     """
 
     before_um: float
@@ -78,15 +78,15 @@ class TruthComparison:
 
     @property
     def share_left(self) -> float:
-        """Share of the error that calibration leaves."""
+        """Residual as a fraction of the original error."""
         return self.after_um / self.before_um
 
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """What to show, as the options of the command say.
+    """Demonstration according to the options of the command.
 
-    minutes : on the machine's clock; None for the usual path
+    minutes : on the machine's clock; None for the default path
     """
 
     output: Path
@@ -100,7 +100,7 @@ class Demo:
     compensate: bool = False
 
     def run(self, *, as_json: bool) -> None:
-        """Measure, analyse, compare with the truth, and print what came of it."""
+        """Measure, analyse, compare with the truth, and print the results."""
         self.output.mkdir(parents=True, exist_ok=True)
         with self._bench() as bench:
             run, lost = self._measure(bench)
@@ -131,10 +131,6 @@ class Demo:
             raise BadInput(str(error)) from error
 
     def _compensate(self, bench: Any) -> dict[str, Any]:
-        """Load the result's tables into the controller, measure and hold what is left.
-
-        Returns the content of `verification.json`.
-        """
         result = self.output / "result.json"
         account = export_files(result, _FORMAT, self.output / "compensation" / "tables")
         error = account["volumetric_error_um"]
@@ -182,7 +178,6 @@ class Demo:
         return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
-        """Return within what an adaptive measurement is planned."""
         if not self.adaptive:
             return None
         minutes = self.minutes or ADAPTIVE_MINUTES
@@ -201,7 +196,7 @@ def _configure(bench: Any) -> CellConfig:
 
 
 def plan_path(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:
-    """Return the usual path, or one of as many lines as take `minutes`."""
+    """The default path, or one of as many lines as take `minutes`."""
     path = default_path(machine, feed_mm_min)
     if minutes is not None:
         line_s = travel_time_s(path) / (len(path) - 1)
@@ -253,11 +248,9 @@ def _run_measurement(
     target_um: float | None,
     request: Mapping[str, Any] | None,
 ) -> RunClosed:
-    """Measure and return what the cell said of the closed Run.
+    """Limits of further parts are in `request`, as in `plan_orders`.
 
-    request : within what further parts are planned, as `plan_orders` states it
-
-    Raises DeviceError, MeasurementFailed. Stops the machine on the way out in any case.
+    Raises DeviceError, MeasurementFailed. Stops the machine in any case.
     """
     with ExitStack() as stack:
         on_progress = stack.enter_context(show_progress("measure"))

@@ -1,4 +1,4 @@
-"""Record a tracker beside a CNC without any link."""
+"""Recording of a tracker with a CNC without link."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def record_run(
     thermometers: Thermometers | None = None,
     light: Light | None = None,
 ) -> RunClosed:
-    """Record until Ctrl-C, or for so many seconds; close the Run whatever happens.
+    """Record until Ctrl-C, or for so many seconds; close the Run in any case.
 
-    Raises DeviceError; what was recorded by then is in the Run file.
+    Raises DeviceError; data recorded by then are in the Run file.
     """
     with (
         tracker,
@@ -100,7 +100,6 @@ def record_run(
 
 @contextmanager
 def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
-    """Give what tells the end: Ctrl-C, the end of the process, or the time."""
     end = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.signal(n, lambda *_: end.set()) for n in numbers}

@@ -1,4 +1,4 @@
-"""What the commands share that speak to a running service over REST."""
+"""Common part of the commands that use a running service over REST."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _MISTAKEN = (404, 422)
 def open_client(
     address: str, key_file: Path | None, ca_file: Path | None = None
 ) -> Iterator[Client]:
-    """Yield a client of the service; what it refuses becomes an error of a command.
+    """Yield a client of the service; refusals become errors of a command.
 
-    Raises BadInput for what is wrong in the request, JobError for all else.
+    Raises BadInput for errors of the request, JobError for all else.
     """
     from truepath.client import Client, ClientError, Problem
 

@@ -1,4 +1,4 @@
-"""A result in a few numbers, and an effect in a line: for scripts and for a person."""
+"""A result in a few numbers, and an effect in a line: as JSON and as text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KINDS = ("lowest", "highest", "uncertainty")
 
 
 def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
-    """Return what a script looks at first; the rest is in `result.json`."""
+    """Main figures for scripts; the rest is in `result.json`."""
     return {
         "schema": "summary/1",
         "machine": result["machine"]["name"],
@@ -52,7 +52,7 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
 
 
 def print_result(result: Result, folder: Path) -> None:
-    """Print the verdict, the error tables in short, and what stayed unseen."""
+    """Print the verdict, a summary of the error tables, and unobserved parameters."""
     print_verdict(result["verdict"])
     rows = [
         (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", UNITS[unit])
@@ -89,14 +89,14 @@ def print_result(result: Result, folder: Path) -> None:
 
 
 def warn_of_verdict(stated: Result, what: str = "the result") -> None:
-    """Say on standard error that a result is not simply usable, if it is not."""
+    """Warn on standard error if a result is not usable without reservation."""
     objection = verdict_from_json(stated).objection
     if objection:
         say(f"warning: {what} is {objection}")
 
 
 def print_verdict(stated: Result) -> None:
-    """Print what a result says of itself, the worst first; nothing if it is nothing."""
+    """Print verdict and reasons, the worst first; nothing for an unreserved one."""
     verdict = verdict_from_json(stated)
     if verdict.objection:
         print(f"*** {verdict.title.upper()} ***")
@@ -126,7 +126,6 @@ def _describe_trials(trials: Result) -> str:
 
 
 def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield (symbol, unit, lowest, highest, largest uncertainty) of each table."""
     for symbol, table in result["error_tables"].items():
         unit = find_unit(table, "value")
         value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
@@ -134,12 +133,12 @@ def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float
 
 
 def find_unit(content: Mapping[str, Any], quantity: str) -> str:
-    """Return the unit that stands in the key of a quantity: um, else urad."""
+    """Unit in the key of a quantity: um, else urad."""
     return "um" if f"{quantity}_um" in content else "urad"
 
 
 def describe_effect(effect: Mapping[str, Any]) -> str:
-    """Return name, keys and numbers of an effect as `discovery.json` states it."""
+    """Name, keys and numbers of an effect of `discovery.json`, as text."""
     keys = [effect[key] for key in _EFFECT_KEYS if key in effect]
     numbers = [_describe_number(name, m) for name, m in effect["parameters"].items()]
     return f"{' '.join(keys)}: {', '.join(numbers)} (k = 2)"

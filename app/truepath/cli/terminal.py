@@ -1,4 +1,4 @@
-"""What commands share: options, progress on standard error, tables on the output."""
+"""Common to commands: options, progress on standard error, tables on the output."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ ResultFile = Annotated[
 ]
 
 NotedProgress = Callable[..., None]
-"""Receives the share done, 0 to 1, the stage, and what else to show (`note`)."""
+"""Receives the fraction done, 0 to 1, the stage, and further text (`note`)."""
 
 
 @contextmanager
 def show_progress(title: str) -> Iterator[NotedProgress]:
-    """Show a bar while the block runs; a line a stage where no person is watching.
+    """Show a bar while the block runs; one line per stage without a terminal.
 
     Yields the callback of the work.
     """
@@ -72,7 +72,7 @@ def show_progress(title: str) -> Iterator[NotedProgress]:
 def print_stages(
     describe: Callable[[float, str, str], str], *, steps: int = 0
 ) -> NotedProgress:
-    """Return a callback that says a line a stage, and one at each step of its share."""
+    """Callback that prints a line per stage, and one at each step of its fraction."""
     last = ("", 0)
 
     def on_progress(share: float, stage: str, note: str = "") -> None:
@@ -91,7 +91,7 @@ def say(text: str) -> None:
 
 
 def print_json(summary: Mapping[str, Any]) -> None:
-    """Write one JSON object to standard output; paths in it are texts."""
+    """Write one JSON object to standard output; paths become strings."""
     text = json.dumps(summary, indent=1, allow_nan=False, default=os.fspath)
     print(text, flush=True)
 
@@ -112,12 +112,12 @@ def print_table(
 
 
 def list_files(folder: Path) -> list[Path]:
-    """Return the files of a folder, sorted."""
+    """Files of a folder, sorted."""
     return sorted(path for path in folder.iterdir() if path.is_file())
 
 
 def print_files(files: Iterable[Path | str]) -> None:
-    """Write the places of files to standard output, a line each."""
+    """Write paths to standard output, one per line."""
     for file in files:
         print(file)
 
@@ -129,9 +129,9 @@ def require_folder(output: Path, content: str) -> None:
 
 
 def collect_seldom() -> None:
-    """Look for cycles of objects seldom, in a command that computes and soon ends.
+    """Raise the thresholds of garbage collection, for a command that soon ends.
 
-    Imports make many objects that stay; looking through them again and again costs it
-    a twentieth of its time.
+    Imports make many objects that stay; scanning them repeatedly costs a twentieth of
+    the time.
     """
     gc.set_threshold(100_000, 50, 50)

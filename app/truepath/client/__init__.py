@@ -5,11 +5,11 @@
         job = client.wait_for(job["id"], "ready", timeout_s=60)
         client.arm(job)
 
-`requests` says what is sent for each verb and what comes back; `steps` what a verb does
-that needs several requests, as a generator that neither sends nor waits. The two faces,
-`sync_client` and `async_client`, drive these. Answers are the JSON of the interface,
-typed in `bodies`; keys that this version does not know stay in them. Refusals are
-raised as `problems`. Nothing here imports the service.
+`requests` has the request of each verb and decodes its answer; `steps` the verbs that
+need several requests, as generators that neither send nor wait. `sync_client` and
+`async_client` run these. Answers are the JSON of the interface, typed in `bodies`; keys
+that are unknown to this version are kept. Refusals are raised as `problems`. Nothing
+here imports the service.
 """
 
 from truepath.client.async_client import AsyncClient

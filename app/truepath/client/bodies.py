@@ -1,6 +1,7 @@
-"""What the interface answers, in its own keys; `docs/openapi.json` describes them.
+"""Answers of the interface, in its own keys; `docs/openapi.json` describes them.
 
-Keys name their units. States, kinds and verdicts are open: keep to what you know.
+Keys name their units. Further states, kinds and verdicts may be added: handle those
+that you know.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ FINAL_STATES = frozenset(
 
 
 class Problem(TypedDict):
-    """What went wrong and the way out (RFC 9457)."""
+    """Problem and remedy (RFC 9457)."""
 
     type: str
     title: str
@@ -29,7 +30,7 @@ class Problem(TypedDict):
 
 
 class Progress(TypedDict):
-    """How far the stage is; positions in mm and deg."""
+    """Progress of the stage; positions in mm and deg."""
 
     done: float
     total: float
@@ -41,7 +42,7 @@ class Progress(TypedDict):
 
 
 class Health(TypedDict):
-    """What the tracker's link has seen."""
+    """Counts of the tracker's link."""
 
     samples: int
     lost_samples: int
@@ -51,7 +52,7 @@ class Health(TypedDict):
 
 
 class JobLinks(TypedDict):
-    """Where else to look; `verbs` is what may be asked of the job as it is."""
+    """Addresses; `verbs` are those permitted in the present state."""
 
     self: str
     events: str
@@ -61,7 +62,7 @@ class JobLinks(TypedDict):
 
 
 class ResultLinks(TypedDict):
-    """Where the result is."""
+    """Addresses of a result."""
 
     result: str
     error_tables_json: str
@@ -70,7 +71,7 @@ class ResultLinks(TypedDict):
 
 
 class Job(TypedDict):
-    """A job. Further keys are in it; these are what most programs need."""
+    """A job. It has further keys; these are what most programs need."""
 
     id: str
     name: str
@@ -146,7 +147,7 @@ class Squareness(TypedDict):
 
 
 class Verdict(TypedDict):
-    """Whether something may be used, and why not."""
+    """Whether a document may be used, and reasons if not."""
 
     state: str
     reasons: list[str]
@@ -154,7 +155,7 @@ class Verdict(TypedDict):
 
 
 class ErrorTables(TypedDict):
-    """Error tables by ISO 230-1 symbol, with the verdict on them."""
+    """Error tables by ISO 230-1 symbol, with their verdict."""
 
     machine: Json
     verdict: Verdict
@@ -164,10 +165,10 @@ class ErrorTables(TypedDict):
 
 
 class Estimate(TypedDict):
-    """The newest estimate of a measurement under way.
+    """The newest estimate of an active measurement.
 
-    commanded : of straight lines to one target: `first_row`, and in `tracker_mm` where
-        the tracker should see the rows from it on
+    commanded : of straight lines to one target: `first_row`, and in `tracker_mm` the
+        predicted positions of the rows from it on
     """
 
     job_id: str
@@ -183,10 +184,10 @@ class Estimate(TypedDict):
 
 
 class Condition(TypedDict):
-    """Something that has to be so before the machine moves.
+    """A requirement for a motion of the machine.
 
-    temperatures : of `temperature-steady`: of each thermometer `channel`,
-        `value_degC`, `change_degC`, `over_s`
+    temperatures : of `temperature-steady`: of each thermometer `channel`, `value_degC`,
+        `change_degC`, `over_s`
     """
 
     type: str
@@ -199,10 +200,10 @@ class Condition(TypedDict):
 
 
 class Arming(TypedDict):
-    """What will move once a job is armed. Further keys are in it.
+    """Motion of a job once it is armed. Further keys exist.
 
     envelope : of each axis `axis`, `unit`, `low`, `high`; obstacles : types of the
-    conditions that stand in the way
+        unmet conditions
     """
 
     job: str
@@ -233,7 +234,7 @@ class System(TypedDict):
 
 
 class Machine(TypedDict):
-    """A machine of the registry: who it is, and what holds it."""
+    """A machine of the registry: its identity, and the job that holds it."""
 
     id: str
     origin: str
@@ -254,7 +255,7 @@ class Machine(TypedDict):
 
 
 class MachineRecord(Machine):
-    """A machine with its configuration, and those that it had."""
+    """A machine with its present and earlier configurations."""
 
     machine_file: Json
     devices: Json

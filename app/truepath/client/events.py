@@ -1,4 +1,4 @@
-"""Events of the service, and what a client knows of its stream when it breaks."""
+"""Events of the service, and the state of a stream across interruptions."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from truepath.client.problems import Unreachable, make_problem
 from truepath.client.requests import PREFIX, Answer, parse_json
 
 SILENCE_S = 10.0
-"""The service ticks every second: a stream that is silent for so long is broken."""
+"""The service sends a tick every second: a stream silent for so long is broken."""
 _PASSING = frozenset({429, 503})
 _PAUSES_S = (0.1, 0.5, 1.0, 2.0, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One event. `id` is that of the last kept one, by which a client catches up."""
+    """One event. `id` is that of the last stored one, from which a client resumes."""
 
     type: str
     data: dict[str, Any]
@@ -26,10 +26,10 @@ class Event:
 
 @dataclass(slots=True)
 class EventStream:
-    """Where a stream is, over all its connections.
+    """State of a stream, over all its connections.
 
-    last_event_id : of the last kept event that was received
-    most_breaks : connections that may fail one after another before it is given up
+    last_event_id : of the last stored event that was received
+    most_breaks : consecutive failures of connections before it is given up
     """
 
     job_id: str | None = None
@@ -39,22 +39,22 @@ class EventStream:
 
     @property
     def path(self) -> str:
-        """The address of the stream."""
+        """Path of the stream, with the prefix."""
         return f"{PREFIX}/{'' if self.job_id is None else f'jobs/{self.job_id}/'}events"
 
     @property
     def headers(self) -> dict[str, str]:
-        """What a connection is opened with."""
+        """Headers of the next connection."""
         return {"Last-Event-ID": self.last_event_id} if self.last_event_id else {}
 
     def receive(self, event_type: str, data: str, event_id: str) -> Event:
-        """Take an event."""
+        """Decode an event and store its identifier."""
         self._breaks = 0
         self.last_event_id = event_id or self.last_event_id
         return Event(event_type, json.loads(data), self.last_event_id)
 
     def refuse(self, answer: Answer) -> None:
-        """Take a refusal. Raises its Problem, unless it passes by itself."""
+        """Handle a refusal. Raises its Problem, unless it is temporary."""
         problem = make_problem(
             answer.status, parse_json(answer.body), answer.headers.get("retry-after")
         )
@@ -62,7 +62,7 @@ class EventStream:
             raise problem
 
     def count_break(self, reason: str) -> float:
-        """Return how long to wait before the stream is opened again.
+        """Time to wait before the stream is opened again.
 
         Raises Unreachable where it broke too often without an event between.
         """

@@ -1,4 +1,4 @@
-"""What a client raises: refusals of the service (RFC 9457), and no answer at all."""
+"""Errors of a client: refusals of the service (RFC 9457), and missing answers."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ Content = Mapping[str, Any]
 
 
 class ClientError(Exception):
-    """Anything that a client raises."""
+    """Base of all errors of a client."""
 
 
 class Unreachable(ClientError):
-    """Nobody answers at the address, or the answer broke off.
+    """No answer at the address, or a broken one.
 
-    What was asked may have been done; read before it is asked again.
+    The request may have been executed; read before it is sent again.
     """
 
 
 class Problem(ClientError):
-    """The service refuses, or fails. The text is what people need to know.
+    """The service refuses, or fails. The text is for the user.
 
     status : of the answer; code : for programs, such as `busy`
-    detail, action : what is wrong, and the way out; request_id : as in the log
-    content : every member of the problem; retry_after_s : None if it says nothing
+    detail, action : problem and remedy; request_id : as in the log
+    content : every member of the problem; retry_after_s : None if not given
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Problem(ClientError):
 
 
 class Refused(Problem):
-    """The request cannot be done as it is (4xx)."""
+    """The request cannot be executed as it is (4xx)."""
 
 
 class NotLoggedIn(Refused):
@@ -49,15 +49,15 @@ class NotLoggedIn(Refused):
 
 
 class Forbidden(Refused):
-    """The role does not allow it, or a person has to do it (403)."""
+    """The role does not permit it, or a person has to do it (403)."""
 
 
 class NotFound(Refused):
-    """There is no such thing, or not yet (404)."""
+    """Does not exist, or not yet (404)."""
 
 
 class Conflict(Refused):
-    """The state of a job, of the machine or of a device does not allow it (409)."""
+    """The state of a job, of the machine or of a device does not permit it (409)."""
 
 
 class Busy(Conflict):
@@ -65,7 +65,7 @@ class Busy(Conflict):
 
     @property
     def current_job(self) -> str:
-        """Address of the job that holds the machine."""
+        """Address of the job that holds the machine; empty if unknown."""
         return str(self.content.get("current_job") or "")
 
 
@@ -74,14 +74,14 @@ class StaleVersion(Refused):
 
     @property
     def current_version(self) -> int | None:
-        """The version that the job has now."""
+        """Present version of the job."""
         return self.content.get("current_version")
 
 
 class BadInput(Refused):
-    """The input is wrong (422): `file`, `row` and `column` say where, as far as known.
+    """The input is wrong (422): `file`, `row` and `column` locate it, where known.
 
-    `errors` lists what a request has that is not as documented.
+    `errors` lists the deviations from the documented request.
     """
 
     @property
@@ -98,7 +98,7 @@ class BadInput(Refused):
 
 
 class TooManyRequests(Refused):
-    """Too much in a short time (429); `retry_after_s` says how long to wait."""
+    """Too many requests in a short time (429); wait `retry_after_s`."""
 
 
 class ServiceProblem(Problem):
@@ -110,7 +110,7 @@ class DeviceProblem(ServiceProblem):
 
 
 class JobEnded(ClientError):
-    """A job has ended in another state than was waited for; `job` says why."""
+    """A job has ended in another state than expected; `job` gives the reason."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
@@ -119,7 +119,7 @@ class JobEnded(ClientError):
 
 
 class JobNotReached(ClientError):
-    """A job has not come to a state in time; `job` is what it is now."""
+    """A job has not reached a state in time; `job` is its present one."""
 
     def __init__(self, job: Job, wanted: str, timeout_s: float) -> None:
         self.job = job
@@ -145,9 +145,9 @@ _BY_STATUS: Mapping[int, type[Problem]] = {
 def make_problem(
     status: int, content: object, retry_after: str | None = None
 ) -> Problem:
-    """Return the exception that a refusal is; the most particular one.
+    """The most specific exception for a refusal.
 
-    content : JSON of the answer, or whatever came in its place
+    content : JSON of the answer, or the content received in its place
     """
     members: Content = {}
     if isinstance(content, Mapping):
@@ -160,7 +160,7 @@ def make_problem(
 
 
 def describe_problem(content: Content | None) -> str:
-    """Return detail and action of a problem; empty where it has neither."""
+    """Detail and action of a problem; empty where it has neither."""
     content = content or {}
     said = (content.get("detail") or content.get("title"), content.get("action"))
     return "; ".join(str(part) for part in said if part)

@@ -1,4 +1,4 @@
-"""One request and what its answer means, for each address of the interface."""
+"""Requests to each address of the interface, with the decoding of the answers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Filters = Mapping[str, "str | int | bool | list[str] | list[float] | None"]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came back."""
+    """Answer of the service."""
 
     status: int
     headers: Mapping[str, str]
@@ -42,9 +42,9 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Request(Generic[T]):
-    """What is sent, and how its answer is read.
+    """A request, and the decoding of its answer.
 
-    may_repeat : again does no harm, so a request whose answer was lost is sent again
+    may_repeat : a repeat does no harm, so the request is sent again after a lost answer
     upload : file that is sent as `bundle`
     """
 
@@ -58,26 +58,26 @@ class Request(Generic[T]):
     upload: Path | None = None
 
     def decode(self, answer: Answer) -> T:
-        """Return what the answer means. Raises a Problem where it is a refusal."""
+        """The decoded answer. Raises a Problem for a refusal."""
         if answer.status >= 400:
             after = answer.headers.get("retry-after")
             raise make_problem(answer.status, parse_json(answer.body), after)
         return self.read(answer)
 
     def open_upload(self, files: ExitStack) -> dict[str, IO[bytes]] | None:
-        """Open the file that is sent, to be closed with the others."""
+        """Open the file to be sent, to be closed with the others."""
         if self.upload is None:
             return None
         return {"bundle": files.enter_context(self.upload.open("rb"))}
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The query, without what is None."""
+        """The query, without None."""
         return {name: v for name, v in self.query.items() if v is not None}
 
 
 def make_tls_context(certificates: Path | None) -> ssl.SSLContext | bool:
-    """Return how HTTPS is verified: by the system, and by certificates of a file."""
+    """Verification of HTTPS: by the system, and by certificates of a file."""
     if certificates is None:
         return True
     context = ssl.create_default_context()
@@ -86,7 +86,7 @@ def make_tls_context(certificates: Path | None) -> ssl.SSLContext | bool:
 
 
 def parse_json(body: bytes) -> Any:
-    """Return the JSON of an answer; None where it is none."""
+    """None where the body is no JSON."""
     try:
         return json.loads(body)
     except ValueError:
@@ -94,12 +94,12 @@ def parse_json(body: bytes) -> Any:
 
 
 def read_json(answer: Answer) -> Any:
-    """Return the JSON of an answer."""
+    """Body of an answer."""
     return parse_json(answer.body)
 
 
 def read_items(answer: Answer) -> Any:
-    """Return the items of a list."""
+    """Items of a list."""
     return parse_json(answer.body)["items"]
 
 
@@ -108,19 +108,19 @@ def _bytes(answer: Answer) -> bytes:
 
 
 def read_nothing(answer: Answer) -> None:
-    """Return None: such an answer has no body."""
+    """For an answer without a body."""
     return None
 
 
 def get(path: str, read: Callable[[Answer], T], **query: Any) -> Request[T]:
-    """Ask for what stands at an address below the prefix."""
+    """Request of an address below the prefix."""
     return Request("GET", f"{PREFIX}{path}", read, query=query)
 
 
 def _verb(
     job_id: str, verb: str, version: int | None = None, body: Json | None = None
 ) -> Request[Job]:
-    """Ask something of a job. What moves the machine is never sent twice."""
+    """Verbs that move the machine are never repeated."""
     headers = {} if version is None else {"If-Match": f'"{version}"'}
     path, again = f"{PREFIX}/jobs/{job_id}/{verb}", version is None
     return Request(
@@ -129,43 +129,42 @@ def _verb(
 
 
 def _create(path: str, body: Json, key: str | None) -> Request[Any]:
-    """Make something once, however often the request is sent."""
     headers = {"Idempotency-Key": key or str(uuid.uuid4())}
     return Request("POST", f"{PREFIX}{path}", read_json, body=body, headers=headers)
 
 
 def get_system() -> Request[System]:
-    """Ask what the service is and what holds the machine."""
+    """State of the service, and the job that holds the machine."""
     return cast(Request[System], get("/system", read_json))
 
 
 def create_job(body: Json, key: str | None = None) -> Request[Job]:
-    """Ask for a job."""
+    """`POST /jobs`."""
     return _create("/jobs", body, key)
 
 
 def get_job(job_id: str) -> Request[Job]:
-    """Ask for a job."""
+    """`GET /jobs/{id}`."""
     return get(f"/jobs/{job_id}", read_json)
 
 
 def list_jobs(filters: Filters) -> Request[Json]:
-    """Ask for a page of jobs."""
+    """One page of jobs."""
     return Request("GET", f"{PREFIX}/jobs", read_json, query=filters)
 
 
 def prepare_arming(job_id: str) -> Request[Arming]:
-    """Ask what a job will move, and for the token to arm it."""
+    """Summary of a job's motion, with the token to arm it."""
     return Request("POST", f"{PREFIX}/jobs/{job_id}/arming", read_json)
 
 
 def arm(job: Job, token: str) -> Request[Job]:
-    """Let a job move the machine, as it was read and as the token's arming showed."""
+    """Let a job move the machine, in its version and as the token's arming showed."""
     return _verb(job["id"], "arm", job["version"], {"token": token})
 
 
 def resume(job: Job) -> Request[Job]:
-    """Go on after a hold, as the job was read."""
+    """Resume after a hold, in the job's version."""
     return _verb(job["id"], "resume", job["version"])
 
 
@@ -185,12 +184,12 @@ def abort(job_id: str) -> Request[Job]:
 
 
 def acknowledge(job_id: str) -> Request[Job]:
-    """Prepare a measurement that was cut short to go on."""
+    """Prepare an interrupted measurement to resume."""
     return _verb(job_id, "acknowledge")
 
 
 def take_control(job_id: str) -> Request[Job]:
-    """Take over who may arm and resume a job."""
+    """Take over the right to arm and resume a job."""
     return _verb(job_id, "take-control")
 
 
@@ -205,24 +204,24 @@ def rename_run(run_id: str, naming: Json) -> Request[Run]:
 
 
 def delete_job(job_id: str) -> Request[None]:
-    """Delete a job that has ended. If the answer is lost, read whether it is gone."""
+    """Delete a job that has ended. If the answer is lost, check whether it exists."""
     return Request("DELETE", f"{PREFIX}/jobs/{job_id}", read_nothing, may_repeat=False)
 
 
 def delete_run(run_id: str, *, with_results: bool) -> Request[None]:
-    """Delete a Run. Where the answer is lost, read whether it is gone."""
+    """Delete a Run. If the answer is lost, check whether it exists."""
     path, query = f"{PREFIX}/runs/{run_id}", {"with_results": with_results}
     return Request("DELETE", path, read_nothing, query=query, may_repeat=False)
 
 
 def issue_certificate(job_id: str, body: Json) -> Request[Json]:
-    """Ask for a certificate. Twice would issue two."""
+    """Not repeated: twice would issue two."""
     path = f"{PREFIX}/jobs/{job_id}/certificates"
     return Request("POST", path, read_json, body=body, may_repeat=False)
 
 
 def list_certificates(job_id: str) -> Request[list[Json]]:
-    """Ask for the certificates of a result."""
+    """Certificates of a result, the oldest first."""
     return cast(Request[list[Json]], get(f"/jobs/{job_id}/certificates", read_items))
 
 
@@ -232,66 +231,66 @@ def stop() -> Request[Json]:
 
 
 def get_job_plan(job_id: str) -> Request[Json]:
-    """Ask what a job commands."""
+    """Rows that a job commands."""
     return get(f"/jobs/{job_id}/plan", read_json)
 
 
 def get_estimate(job_id: str) -> Request[Estimate | None]:
-    """Ask for the newest estimate of a measurement under way."""
+    """Newest estimate of an active measurement."""
     return cast(Request["Estimate | None"], get(f"/jobs/{job_id}/estimate", read_json))
 
 
 def get_document(job_id: str, name: str) -> Request[Json]:
-    """Ask for `result`, `discovery` or `trend` of a job."""
+    """`result`, `discovery`, `verification`, `reanalysis` or `trend` of a job."""
     return get(f"/jobs/{job_id}/{name}", read_json)
 
 
 def get_error_tables(job_id: str) -> Request[ErrorTables]:
-    """Ask for the error tables of a job."""
+    """Error tables of a job, with their verdict."""
     path = f"/jobs/{job_id}/result/error-tables.json"
     return cast(Request[ErrorTables], get(path, read_json))
 
 
 def download(path: str) -> Request[bytes]:
-    """Ask for a file by its address, as `links` of the interface state it."""
+    """Content of a file by its address, as in `links` of the interface."""
     return Request("GET", path, _bytes)
 
 
 def create_plan(body: Json, key: str | None = None) -> Request[Plan]:
-    """Ask for a plan."""
+    """`POST /plans`."""
     return _create("/plans", body, key)
 
 
 def get_plan(plan_id: str) -> Request[Plan]:
-    """Ask for a plan."""
+    """`GET /plans/{id}`."""
     return get(f"/plans/{plan_id}", read_json)
 
 
 def upload_bundle(bundle: Path) -> Request[Run]:
-    """Send a zipped bundle in. Twice would make two Runs."""
+    """Upload a zipped bundle. Not repeated: twice would make two Runs."""
     path = f"{PREFIX}/runs"
     return Request("POST", path, read_json, upload=bundle, may_repeat=False)
 
 
 def get_run(run_id: str) -> Request[Run]:
-    """Ask for a Run."""
+    """`GET /runs/{id}`."""
     return get(f"/runs/{run_id}", read_json)
 
 
 def list_runs(filters: Filters) -> Request[Json]:
-    """Ask for a page of Runs."""
+    """One page of Runs."""
     return Request("GET", f"{PREFIX}/runs", read_json, query=filters)
 
 
 def make_compensation(job_id: str, body: Json) -> Request[Json]:
-    """Ask for the files of a controller; the same request makes the same ones."""
+    """Files of a controller; the same request makes the same ones."""
     return Request(
         "POST", f"{PREFIX}/jobs/{job_id}/compensations", read_json, body=body
     )
 
 
 def log_in(name: str, password: str) -> Request[Json]:
-    """Ask for a token."""
+    """Token of a new session."""
     body = {"name": name, "password": password}
     return Request("POST", f"{PREFIX}/session", read_json, body=body, may_repeat=False)
 
@@ -307,29 +306,29 @@ def connect(machine_id: str) -> Request[Json]:
 
 
 def get_machine() -> Request[Json]:
-    """Ask for the machine file and who has answered."""
+    """Machine file, and identities of the connected devices."""
     return get("/machines/current", read_json)
 
 
 def list_conditions(machine_id: str) -> Request[list[Condition]]:
-    """Ask what has to be so before the machine moves."""
+    """Conditions for a motion of the machine."""
     return cast(
         Request[list[Condition]], get(f"/machines/{machine_id}/conditions", read_items)
     )
 
 
 def list_machines() -> Request[list[Machine]]:
-    """Ask for all machines."""
+    """All machines."""
     return cast(Request[list[Machine]], get("/machines", read_items))
 
 
 def get_machine_record(machine_id: str) -> Request[MachineRecord]:
-    """Ask for a machine of the registry, with its configuration."""
+    """A machine of the registry, with its configuration."""
     return cast(Request[MachineRecord], get(f"/machines/{machine_id}", read_json))
 
 
 def add_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
-    """Add a machine to the registry. Again would be refused, as it is known then."""
+    """Add a machine to the registry. Not repeated: it would exist by then."""
     content = {"id": machine_id, **body}
     return Request(
         "POST", f"{PREFIX}/machines", read_json, body=content, may_repeat=False
@@ -337,12 +336,12 @@ def add_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
 
 
 def change_machine(machine_id: str, body: Json) -> Request[MachineRecord]:
-    """Change who a machine is, its tolerance or its reference."""
+    """Change identity, tolerance or reference of a machine."""
     return Request("PATCH", f"{PREFIX}/machines/{machine_id}", read_json, body=body)
 
 
 def remove_machine(machine_id: str, version: int) -> Request[None]:
-    """Remove a machine, as it was read. If the answer is lost, list the machines."""
+    """Remove a machine, in its version. If the answer is lost, list the machines."""
     return Request(
         "DELETE",
         f"{PREFIX}/machines/{machine_id}",
@@ -353,7 +352,7 @@ def remove_machine(machine_id: str, version: int) -> Request[None]:
 
 
 def set_machine_file(machine_id: str, machine_file: Json) -> Request[MachineRecord]:
-    """Describe a machine anew."""
+    """Replace the machine file."""
     path, body = f"/machines/{machine_id}/machine-file", {"machine_file": machine_file}
     return Request("PUT", f"{PREFIX}{path}", read_json, body=body)
 
@@ -365,25 +364,25 @@ def set_machine_devices(machine_id: str, body: Json) -> Request[MachineRecord]:
 
 
 def get_machine_history(machine_id: str, query: dict[str, Any]) -> Request[Json]:
-    """Ask for a quantity over all calibrations of a machine."""
+    """A quantity over all calibrations of a machine."""
     return get(f"/machines/{machine_id}/history", read_json, **query)
 
 
 def get_machine_changes(machine_id: str, query: dict[str, Any]) -> Request[Json]:
-    """Ask what has changed between two calibrations of a machine."""
+    """Changes between two calibrations of a machine."""
     return get(f"/machines/{machine_id}/changes", read_json, **query)
 
 
 def get_machine_temperature(machine_id: str, query: dict[str, Any]) -> Request[Json]:
-    """Ask how the errors of a machine depend on its temperature."""
+    """Dependence of the errors of a machine on its temperature."""
     return get(f"/machines/{machine_id}/temperature", read_json, **query)
 
 
 def get_machine_standing(machine_id: str) -> Request[Json]:
-    """Ask how a machine stands by its newest usable calibration."""
+    """Status of a machine by its newest usable calibration."""
     return get(f"/machines/{machine_id}/standing", read_json)
 
 
 def compare_machines(query: dict[str, Any]) -> Request[Json]:
-    """Ask for one quantity of several machines."""
+    """One quantity of several machines."""
     return get("/machines:compare", read_json, **query)

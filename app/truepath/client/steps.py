@@ -1,6 +1,6 @@
-"""What a verb does that needs several requests: generators that never send or wait.
+"""Verbs that need several requests: generators that never send or wait.
 
-A face sends each Request that is yielded and sends its Answer back in, throws
+A client sends each Request that is yielded and sends its Answer back in, throws
 Unreachable in where there is none, and waits where a Pause is yielded.
 """
 
@@ -23,7 +23,7 @@ REPEATS_S = (0.2, 1.0, 3.0)
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Wait so long."""
+    """Wait this time."""
 
     duration_s: float
 
@@ -33,7 +33,7 @@ Steps = Generator[Step, Answer, T]
 
 
 def ask(request: Request[T]) -> Steps[T]:
-    """Send a request, again if it may be and its answer was lost.
+    """Send a request; repeat it after a lost answer if permitted.
 
     Raises Problem, Unreachable.
     """
@@ -49,7 +49,7 @@ def ask(request: Request[T]) -> Steps[T]:
 
 
 def arm(job: Job, token: str | None) -> Steps[Job]:
-    """Arm a job, with the token of an arming that was looked at, or of a new one."""
+    """Arm a job, with the token of an arming that was checked, or of a new one."""
     if token is None:
         arming = yield from ask(requests.prepare_arming(job["id"]))
         token = arming["token"]
@@ -61,7 +61,7 @@ def wait_for(
 ) -> Steps[Job]:
     """Read a job until it is in one of the states.
 
-    wanted : `succeeded` if none is named
+    wanted : empty for `succeeded`
 
     Raises JobEnded in another final state, JobNotReached after `timeout_s`.
     """
@@ -79,5 +79,5 @@ def wait_for(
 
 
 def read_page(list_page: Any, filters: Filters, after: str | None) -> Steps[Json]:
-    """Read one page of a list."""
+    """One page of a list, after this cursor."""
     return ask(list_page({**filters, "after": after}))

@@ -34,13 +34,13 @@ T = TypeVar("T")
 
 
 class Client:
-    """Speaks to one service at `http://host:port`.
+    """Client of one service at `http://host:port`.
 
-    token : of a session or an API key, where the service asks for a log-in
-    verify : of HTTPS: a file of certificates to trust, beside those of the system
+    token : of a session or an API key, where the service requires a login
+    verify : of HTTPS: a file of trusted certificates, in addition to the system's
     transport : in place of the network, for tests
 
-    Raises Problem where the service refuses, Unreachable where nobody answers.
+    Raises Problem where the service refuses, Unreachable without an answer.
     """
 
     def __init__(
@@ -62,11 +62,9 @@ class Client:
         self._use_token(token)
 
     def __enter__(self) -> Self:
-        """Return the client itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close the connections."""
         self.close()
 
     def close(self) -> None:
@@ -74,7 +72,7 @@ class Client:
         self._http.close()
 
     def log_in(self, name: str, password: str) -> Json:
-        """Log in; the session's token goes with every request from now on."""
+        """Log in; the session's token is sent with every request from now on."""
         session = self._run(ask(requests.log_in(name, password)))
         self._use_token(session["token"])
         return session
@@ -85,41 +83,41 @@ class Client:
         self._use_token(None)
 
     def get_system(self) -> System:
-        """Return what the service is and what holds the machine."""
+        """Version and state of the service, and the job that holds the machine."""
         return self._run(ask(requests.get_system()))
 
     def connect(self, machine_id: str = "current") -> Json:
-        """Open the ports of a machine and return who answers. Moves nothing."""
+        """Open the ports of a machine and identify its devices. Moves nothing."""
         return self._run(ask(requests.connect(machine_id)))
 
     def get_machine(self) -> Json:
-        """Return the machine file and who has answered."""
+        """Machine file, and identities of the connected devices."""
         return self._run(ask(requests.get_machine()))
 
     def list_conditions(self, machine_id: str = "current") -> list[Condition]:
-        """Return what has to be so before the machine moves, as it is now."""
+        """Conditions for a motion of the machine, with their present state."""
         return self._run(ask(requests.list_conditions(machine_id)))
 
     def create_job(self, *, idempotency_key: str | None = None, **order: Any) -> Job:
-        """Take on a job; `kind` and the rest are those of `POST /jobs`.
+        """Create a job; `kind` and further keys are those of `POST /jobs`.
 
-        One call makes one job, however often its request has to be sent; a key of
-        your own makes one job of several calls.
+        One call makes one job, however often its request has to be sent; a key of the
+        caller makes one job of several calls.
         """
         return self._run(ask(requests.create_job(order, idempotency_key)))
 
     def get_job(self, job_id: str) -> Job:
-        """Return a job."""
+        """Present state of a job."""
         return self._run(ask(requests.get_job(job_id)))
 
     def prepare_arming(self, job_id: str) -> Arming:
-        """Return what a job will move, to be looked at, and the token to arm it."""
+        """Summary of the motion of a job, to be checked, and the token to arm it."""
         return self._run(ask(requests.prepare_arming(job_id)))
 
     def arm(self, job: Job, token: str | None = None) -> Job:
-        """Let a job move the machine, as it was read. Raises StaleVersion.
+        """Let a job move the machine, in the version read. Raises StaleVersion.
 
-        token : of an arming that was looked at; without it one is asked for and used
+        token : of an arming that was checked; None requests and uses a new one
         """
         return self._run(arm(job, token))
 
@@ -128,11 +126,11 @@ class Client:
         return self._run(ask(requests.pause(job_id)))
 
     def resume(self, job: Job) -> Job:
-        """Go on after a hold, as the job was read. Raises StaleVersion."""
+        """Resume after a hold, in the version that was read. Raises StaleVersion."""
         return self._run(ask(requests.resume(job)))
 
     def cancel(self, job_id: str) -> Job:
-        """End a job in order; the line or point under way is finished."""
+        """End a job in order; its current line or point is finished."""
         return self._run(ask(requests.cancel(job_id)))
 
     def abort(self, job_id: str) -> Job:
@@ -140,11 +138,11 @@ class Client:
         return self._run(ask(requests.abort(job_id)))
 
     def acknowledge(self, job_id: str) -> Job:
-        """Prepare a measurement that was cut short to go on. Moves nothing."""
+        """Prepare an interrupted measurement to resume. Moves nothing."""
         return self._run(ask(requests.acknowledge(job_id)))
 
     def take_control(self, job_id: str) -> Job:
-        """Take over who may arm and resume a job. Moves nothing."""
+        """Take over the right to arm and resume a job. Moves nothing."""
         return self._run(ask(requests.take_control(job_id)))
 
     def rename_job(self, job_id: str, **naming: str) -> Job:
@@ -160,15 +158,15 @@ class Client:
         self._run(ask(requests.delete_job(job_id)))
 
     def delete_run(self, run_id: str, *, with_results: bool = False) -> None:
-        """Delete a Run, and where that is asked the results that depend on it."""
+        """Delete a Run, and with `with_results` the results that depend on it."""
         self._run(ask(requests.delete_run(run_id, with_results=with_results)))
 
     def list_machines(self) -> list[Machine]:
-        """Return all machines, those that the service drives first."""
+        """All machines, those with devices of this service first."""
         return self._run(ask(requests.list_machines()))
 
     def get_machine_record(self, machine_id: str) -> MachineRecord:
-        """Return a machine of the registry, with its configuration and its versions."""
+        """A machine of the registry, with its configuration and its versions."""
         return self._run(ask(requests.get_machine_record(machine_id)))
 
     def add_machine(self, machine_id: str, **content: Any) -> MachineRecord:
@@ -176,15 +174,15 @@ class Client:
         return self._run(ask(requests.add_machine(machine_id, content)))
 
     def change_machine(self, machine_id: str, **change: Any) -> MachineRecord:
-        """Change who a machine is, its tolerance or its reference; the rest stays."""
+        """Change identity, tolerance or reference of a machine; the rest stays."""
         return self._run(ask(requests.change_machine(machine_id, change)))
 
     def remove_machine(self, machine_id: str, version: int) -> None:
-        """Drive a machine no more, as it was read; what was measured of it stays."""
+        """Remove a machine, in the version that was read; its measurements stay."""
         self._run(ask(requests.remove_machine(machine_id, version)))
 
     def set_machine_file(self, machine_id: str, machine_file: Json) -> MachineRecord:
-        """Describe a machine anew by its machine file. Moves nothing."""
+        """Replace the machine file of a machine. Moves nothing."""
         return self._run(ask(requests.set_machine_file(machine_id, machine_file)))
 
     def set_machine_devices(self, machine_id: str, **devices: Any) -> MachineRecord:
@@ -192,13 +190,13 @@ class Client:
         return self._run(ask(requests.set_machine_devices(machine_id, devices)))
 
     def get_machine_history(self, machine_id: str, **query: Any) -> Json:
-        """Return a quantity over all calibrations; `quantity`, `position`."""
+        """A quantity over all calibrations; `quantity`, `position`."""
         return self._run(ask(requests.get_machine_history(machine_id, query)))
 
     def get_machine_changes(
         self, machine_id: str, since: str, until: str | None = None
     ) -> Json:
-        """Return what has changed since the calibration of a job, and how surely.
+        """Changes since the calibration of a job, with their significance.
 
         until : job of the later calibration; None for the newest usable one
         """
@@ -206,11 +204,11 @@ class Client:
         return self._run(ask(requests.get_machine_changes(machine_id, query)))
 
     def get_machine_temperature(self, machine_id: str, **query: Any) -> Json:
-        """Return how its errors depend on temperature; `sensor`, `job`, …"""
+        """Dependence of its errors on temperature; `sensor`, `job`, …."""
         return self._run(ask(requests.get_machine_temperature(machine_id, query)))
 
     def get_machine_standing(self, machine_id: str) -> Json:
-        """Return whether a machine is within its tolerance and as it was."""
+        """Whether a machine is within its tolerance and unchanged."""
         return self._run(ask(requests.get_machine_standing(machine_id)))
 
     def compare_machines(self, **query: Any) -> Json:
@@ -218,7 +216,7 @@ class Client:
         return self._run(ask(requests.compare_machines(query)))
 
     def get_verification(self, job_id: str) -> Json:
-        """Return `verification.json`."""
+        """Content of `verification.json`."""
         return self._run(ask(requests.get_document(job_id, "verification")))
 
     def issue_certificate(self, job_id: str, **order: Any) -> Json:
@@ -226,7 +224,7 @@ class Client:
         return self._run(ask(requests.issue_certificate(job_id, order)))
 
     def list_certificates(self, job_id: str) -> list[Json]:
-        """Return the certificates of a result, the oldest first."""
+        """Certificates of a result, the oldest first."""
         return self._run(ask(requests.list_certificates(job_id)))
 
     def stop(self) -> Json:
@@ -234,51 +232,51 @@ class Client:
         return self._run(ask(requests.stop()))
 
     def get_job_plan(self, job_id: str) -> Json:
-        """Return what a job commands."""
+        """Rows that a job commands."""
         return self._run(ask(requests.get_job_plan(job_id)))
 
     def get_estimate(self, job_id: str) -> Estimate | None:
-        """Return the newest live estimate; None while there is none yet."""
+        """The newest live estimate; None before the first."""
         return self._run(ask(requests.get_estimate(job_id)))
 
     def get_result(self, job_id: str) -> Json:
-        """Return `result.json`."""
+        """Content of `result.json`."""
         return self._run(ask(requests.get_document(job_id, "result")))
 
     def get_error_tables(self, job_id: str) -> ErrorTables:
-        """Return the error tables with the verdict on them."""
+        """Error tables with their verdict."""
         return self._run(ask(requests.get_error_tables(job_id)))
 
     def get_discovery(self, job_id: str) -> Json:
-        """Return `discovery.json`."""
+        """Content of `discovery.json`."""
         return self._run(ask(requests.get_document(job_id, "discovery")))
 
     def get_trend(self, job_id: str) -> Json:
-        """Return `trend.json`."""
+        """Content of `trend.json`."""
         return self._run(ask(requests.get_document(job_id, "trend")))
 
     def get_reanalysis(self, job_id: str) -> Json:
-        """Return what has become of every Run that was analysed again."""
+        """Outcome of every Run that was analysed again."""
         return self._run(ask(requests.get_document(job_id, "reanalysis")))
 
     def download(self, address: str) -> bytes:
-        """Return a file by its address, as links of jobs and Runs state it."""
+        """Content of a file by its address, as in links of jobs and Runs."""
         return self._run(ask(requests.download(address)))
 
     def create_plan(self, *, idempotency_key: str | None = None, **order: Any) -> Plan:
-        """Ask for a plan; a job of its identifier computes it."""
+        """Request a plan; a job with its identifier computes it."""
         return self._run(ask(requests.create_plan(order, idempotency_key)))
 
     def get_plan(self, plan_id: str) -> Plan:
-        """Return a plan."""
+        """Present state of a plan."""
         return self._run(ask(requests.get_plan(plan_id)))
 
     def upload_bundle(self, bundle: Path) -> Run:
-        """Take in a zipped measurement bundle."""
+        """Upload a zipped measurement bundle."""
         return self._run(ask(requests.upload_bundle(bundle)))
 
     def get_run(self, run_id: str) -> Run:
-        """Return a Run."""
+        """Record of a Run."""
         return self._run(ask(requests.get_run(run_id)))
 
     def make_compensation(self, job_id: str, **order: Any) -> Json:
@@ -292,7 +290,7 @@ class Client:
         timeout_s: float | None = None,
         period_s: float = 0.5,
     ) -> Job:
-        """Return the job once it is in one of the states, `succeeded` if none is named.
+        """The job once it is in one of the states; `succeeded` if none is named.
 
         Raises JobEnded in another final state, JobNotReached after `timeout_s`.
         """
@@ -309,12 +307,11 @@ class Client:
     def events(
         self, job_id: str | None = None, *, last_event_id: str = ""
     ) -> Iterator[Event]:
-        """Yield what happens, of one job or of all, for as long as it is asked.
+        """Yield events of one job or of all, without end.
 
-        A stream that breaks is opened again and goes on after the last kept event. The
-        service ticks every second: one that is silent is taken for broken.
-
-        Raises Problem where the stream is refused, Unreachable where it stays away.
+        A broken stream is reopened and continues after the last stored event. The
+        service sends a tick every second: a silent stream counts as broken. Raises
+        Problem where the stream is refused, Unreachable where it stays away.
         """
         stream = EventStream(job_id, last_event_id)
         while True:

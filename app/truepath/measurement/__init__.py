@@ -1,16 +1,15 @@
-"""Measuring: drive the machine, record the tracker, leave a Run on disk.
+"""Measurement: motion of the machine, recording of the tracker, a Run on disk.
 
 Here: all that runs in the cell process, up to the closed Run. Not here: its supervisor
-(`machines`), drivers (`truepath_drivers`), what samples mean (`alignment`).
+(`machines`), drivers (`truepath_drivers`), the meaning of samples (`alignment`).
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
-time. There are two ways to measure: the controller drives a path (`path_steps`) by
-itself while the tracker streams, or the machine stands. All waiting is
-the `tick` of `measurement_monitor`, which feeds the controller's watchdog: if the
-engine hangs, the machine holds. What the tracker is asked for meanwhile is in
-`tracker_control`.
+time. There are two ways to measure: the controller executes a path (`path_steps`) while
+the tracker streams, or the machine is at rest. All waiting is the `tick` of
+`measurement_monitor`, which feeds the controller's watchdog: if the engine hangs, the
+machine holds. Requests to the tracker are in `tracker_control`.
 
-A sample's way: the driver decodes it; `stream_reader` collects blocks of 20 ms into
+Path of a sample: the driver decodes it; `stream_reader` collects blocks of 20 ms into
 batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file`)
 before anything else sees it; then it goes to the display and to the live estimate. A
 Run therefore survives the death of its process: `run_reading` opens what was committed.

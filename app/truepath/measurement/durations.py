@@ -1,4 +1,4 @@
-"""How long something took, counted by classes: what a histogram of a plant shows."""
+"""Durations counted by class, for histograms of a monitoring system."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BOUNDS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 class Durations:
     """Durations by class.
 
-    counts : up to each of `BOUNDS_S` and above the one before, then those above all
+    counts : above the previous of `BOUNDS_S` and up to this one; the last class is open
     total_s : their sum
     """
 
@@ -20,12 +20,12 @@ class Durations:
     total_s: float = 0.0
 
     def add(self, duration_s: float) -> Durations:
-        """Return these and one more."""
+        """A copy with one more duration."""
         counts = list(self.counts)
         counts[bisect_left(BOUNDS_S, duration_s)] += 1
         return replace(self, counts=tuple(counts), total_s=self.total_s + duration_s)
 
     def join(self, other: Durations) -> Durations:
-        """Return these and the others."""
+        """Class by class sum."""
         counts = tuple(a + b for a, b in zip(self.counts, other.counts, strict=True))
         return Durations(counts, self.total_s + other.total_s)

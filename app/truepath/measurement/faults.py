@@ -1,4 +1,4 @@
-"""Why a measurement ends before its path does."""
+"""Reasons for which a measurement ends early."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from truepath_drivers.interfaces.records import UNABLE, MotionStatus
 
 
 class Aborted(MeasurementFailed):
-    """Somebody asked for the end."""
+    """An operator requested the end."""
 
 
 class Fault(MeasurementFailed):
-    """Something went wrong.
+    """Error with a code and a remedy.
 
-    code : for programs; text : what happened; action : what to do now
-    latched : somebody has to look at the machine before anything goes on
+    code : for programs; text : description; action : remedy
+    latched : an operator has to check the machine before anything continues
     """
 
     def __init__(
@@ -59,7 +59,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
 
 
 def classify_fault(error: BaseException) -> Fault:
-    """Return the fault that an error of a device or of the service amounts to."""
+    """The fault that corresponds to an error of a device or of the service."""
     if isinstance(error, Fault):
         return error
     for family, code, action, latched in _FAMILIES:
@@ -181,12 +181,15 @@ STILL_HELD = Fault(
 
 
 def make_beam_fault(text: str) -> Fault:
-    """Return the fault of a lost beam, in words of its own."""
+    """Lost beam, with a specific text."""
     return Fault(BEAM_LOST.code, text, BEAM_LOST.action)
 
 
 def make_override_fault(override: float) -> Fault:
-    """Return the fault of feeds that are not those of the plan."""
+    """Feeds differ from the plan; at 0 % the machine does not move.
+
+    override : 1 is 100 %
+    """
     if override == 0.0:
         return STALLED
     return Fault(
@@ -197,7 +200,7 @@ def make_override_fault(override: float) -> Fault:
 
 
 def make_target_fault(name: str, misfit_mm: float) -> Fault:
-    """Return the fault of a point that is not of the stated target."""
+    """A point does not belong to the expected target."""
     return Fault(
         "wrong-target",
         f"the point is not that of target {name}: it lies {misfit_mm:.1f} mm from "
@@ -208,7 +211,7 @@ def make_target_fault(name: str, misfit_mm: float) -> Fault:
 
 
 def make_late_fault(error: DeviceError) -> Fault:
-    """Return the fault of a controller whose last valid status is too old."""
+    """The last valid status of the controller is too old."""
     busy = isinstance(error, DeviceBusy)
     what = "says that it is busy" if busy else "has sent no valid status in time"
     return Fault(
@@ -219,7 +222,7 @@ def make_late_fault(error: DeviceError) -> Fault:
 
 
 def make_held_fault(reason: str, late: Fault | None = None) -> Fault:
-    """Return the fault of a machine that is held without a request of ours.
+    """The machine is held without a request of the service.
 
     late : why its watchdog got no beats
     """
@@ -234,7 +237,7 @@ def make_held_fault(reason: str, late: Fault | None = None) -> Fault:
 def make_ended_early_fault(
     axes: Sequence[str], status: MotionStatus, goal: Iterable[float]
 ) -> Fault:
-    """Return the fault of a machine that stands where it was not sent."""
+    """The machine stopped short of its goal."""
     there = ", ".join(f"{value:.3f}" for value in goal)
     return Fault(
         "ended-early",
@@ -246,7 +249,7 @@ def make_ended_early_fault(
 
 
 def make_runs_on_fault(axes: Sequence[str], status: MotionStatus) -> Fault:
-    """Return the fault of a machine that leaves the end of what was ordered."""
+    """The machine moved on after the end of its path."""
     return Fault(
         "runs-on",
         "the machine has moved on from the end of its path to "
@@ -262,7 +265,7 @@ def _name_place(axes: Sequence[str], status: MotionStatus) -> str:
 
 
 def make_unable_fault(status: MotionStatus, *, latched: bool) -> Fault:
-    """Return the fault of a machine that cannot be driven."""
+    """The machine cannot be moved: its state and alarm give the reason."""
     why = UNABLE[status.state]
     said = status.alarm.strip()
     text = f"{why.text}: {said}" if said and said != str(why) else why.text
@@ -271,7 +274,7 @@ def make_unable_fault(status: MotionStatus, *, latched: bool) -> Fault:
 
 
 def make_silence_fault(after_s: float) -> Fault:
-    """Return the fault of a stream that has been silent for too long."""
+    """The stream has been silent for too long."""
     return Fault(
         "tracker-silent",
         f"no sample has come for {after_s:g} s",
@@ -281,7 +284,7 @@ def make_silence_fault(after_s: float) -> Fault:
 
 
 def make_position_fault(doubt: str) -> Fault:
-    """Return the fault of a controller whose positions are not to be believed."""
+    """The controller's positions are implausible."""
     return Fault(
         "position-implausible",
         f"the controller's positions are not to be believed: {doubt}",
@@ -290,7 +293,7 @@ def make_position_fault(doubt: str) -> Fault:
 
 
 def make_frozen(moved_mm: float) -> Fault:
-    """Return the fault of a tracker that shows one place while its target moves."""
+    """The tracker's position is constant while its target moves."""
     return Fault(
         "tracker-frozen",
         f"the tracker shows the same place, to the last digit, while the target has "
@@ -300,7 +303,7 @@ def make_frozen(moved_mm: float) -> Fault:
 
 
 def make_disagreement_fault(by_tracker_mm: float, by_axes_mm: float) -> Fault:
-    """Return the fault of distances that differ between tracker and controller."""
+    """Target displacements differ between tracker and controller."""
     return Fault(
         "tracker-disagrees",
         f"the target has gone {by_tracker_mm:.0f} mm by the tracker and "

@@ -1,8 +1,8 @@
-"""The state of one measurement, and the reasons to hold the feed. For any thread.
+"""State of one measurement, and the reasons to hold the feed. For any thread.
 
 Verbs are absolute and idempotent. The machine may move only while there is no reason to
-hold. A hold that has begun is completed: the machine stands before it goes on, so that
-a late hold never overtakes the resume after it.
+hold. A hold that has begun is completed: the machine stops before it resumes, so that a
+late hold never overtakes the resume after it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TRANSITIONS: dict[CellState, frozenset[CellState]] = {
 
 
 class HoldReason(StrEnum):
-    """Why the service wants the machine to stand."""
+    """Reason for which the service holds the machine."""
 
     OPERATOR = "operator"
     SILENCE = "silence"
@@ -37,19 +37,19 @@ class HoldReason(StrEnum):
     DISK = "disk"
     DISK_STAYED_SLOW = "disk-stayed-slow"  # for a person to release
     CONTROL = "control"  # it does not answer, or that it is busy
-    SERVICE = "service"  # nobody could stop the machine by it
+    SERVICE = "service"  # it could not stop the machine
     MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
 
 
-# What a controller says of a hold that we have asked for.
+# Reasons that a controller reports for a hold by the service.
 _OWN_HOLDS = frozenset({"", "command"})
 
 
 class MeasurementState:
-    """State of one measurement.
+    """State and hold reasons.
 
     changed : receives every new state with a text, in the thread that caused it
-    holds : the reasons to stand
+    holds : reasons in force
     """
 
     def __init__(self, changed: Callable[[CellState, str], None]) -> None:
@@ -71,7 +71,7 @@ class MeasurementState:
         return self.state in (CellState.PAUSING, CellState.PAUSED)
 
     def hold(self, reason: HoldReason, text: str) -> bool:
-        """Request a hold; tell whether it is a new one."""
+        """Request a hold; true if it is a new one."""
         with self._lock:
             if reason in self.holds or self.state in ENDS:
                 return False
@@ -81,9 +81,9 @@ class MeasurementState:
             return True
 
     def release(self, *reasons: HoldReason, text: str) -> None:
-        """Give up these reasons to hold.
+        """Withdraw these reasons to hold.
 
-        Only who names the machine as well may undo a hold of its own.
+        Only with MACHINE among them is the machine's own hold released too.
         """
         with self._lock:
             self.holds -= set(reasons)
@@ -92,7 +92,7 @@ class MeasurementState:
                 self._enter(CellState.RESUMING, text)
 
     def observe(self, motion: MotionState, hold_reason: str) -> None:
-        """Compare the reasons with what the controller does, and change the state."""
+        """Compare the reasons with the controller's state, and change the state."""
         with self._lock:
             held = motion is MotionState.HELD
             running = motion is MotionState.RUNNING
@@ -111,7 +111,7 @@ class MeasurementState:
                 self._enter(CellState.RUNNING, "")
 
     def fall_back(self, text: str) -> None:
-        """Give up resuming: the controller keeps holding."""
+        """Give up a resume: the controller keeps holding."""
         with self._lock:
             if self.state is CellState.RESUMING:
                 self._hold_by_machine(text)
@@ -122,10 +122,9 @@ class MeasurementState:
             self._enter(state, text)
 
     def _is_external_hold(self, hold_reason: str) -> bool:
-        """Tell whether a hold is none that we have asked for."""
         if self.state is CellState.RUNNING:
             return True
-        # A person who resumes takes back what the machine still says for a moment.
+        # A resume by an operator overrides the hold still reported for a moment.
         asked = self.state is CellState.RESUMING and self._may_release_machine
         return hold_reason not in _OWN_HOLDS and not asked
 

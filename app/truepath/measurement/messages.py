@@ -1,7 +1,7 @@
-"""What crosses the border of the cell process: its set-up, commands and events.
+"""Messages across the border of the cell process: set-up, commands, events.
 
-A command is a verb or the record that it is about; an event is a frozen record, one
-class a kind.
+A command is a verb or a record of its subject; an event is a frozen record, one class
+per kind.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 
 class CellState(StrEnum):
-    """Where a cell is. The last four end an order; another may follow."""
+    """State of a cell. The last four end an order; another may follow."""
 
     CONNECTING = "connecting"
     READY = "ready"
@@ -43,12 +43,12 @@ class CellState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CellConfig:
-    """Which drivers a cell uses, by their names as plug-ins, and how they are made.
+    """Drivers of a cell by plug-in name, with their options.
 
-    timeouts : for how long the tracker's stream may be less than good
-    allow_no_watchdog : move a machine that does not hold the feed by itself
-    thermometer_driver : empty where there are none
-    light : of a tracker that does not correct for the air; None where it does, or its
+    timeouts : tolerated times of a degraded tracker stream
+    allow_no_watchdog : move a machine that does not hold the feed automatically
+    thermometer_driver : empty without thermometers
+    light : of a tracker without correction for the air; None where it corrects, or its
         driver knows
     """
 
@@ -67,16 +67,16 @@ class CellConfig:
 class MeasurementOrder:
     """One measurement to make.
 
-    run_file : where the Run is recorded; must not exist
-    commanded : a path is streamed on the fly, points are stepped through
+    run_file : new file of the Run; must not exist
+    commanded : a path is measured on the fly, points at rest
     feed_mm_min : feed of the approach and between standstill points
     reserve_bytes : space that must stay free on the disk
-    live : report recorded blocks, for an estimate and for eyes on the way
-    grows : after the last row request a further part, and stand until there is one or
-        the measurement is concluded
+    live : report recorded blocks, for live estimate and display
+    grows : after the last row request a further part, and wait at rest until there is
+        one or the measurement is concluded
     job_id, machine_id, machine_version : of the job that measures and its machine, for
         the Run to name
-    active_tables : SHA-256 by name of the files that the control is known to have
+    active_tables : SHA-256 by name of the compensation files known to be in the control
     """
 
     run_name: str
@@ -96,10 +96,10 @@ class MeasurementOrder:
 
 @dataclass(frozen=True, slots=True)
 class TrackerTrial:
-    """Listen to the tracker for a moment; nothing moves.
+    """Short test of the tracker without motion.
 
-    duration_s : of the stream; a polled tracker measures one point instead, unless
-        `streams_only`: then it measures nothing
+    duration_s : of the stream; a polled tracker measures one point instead, or nothing
+        with `streams_only`
     """
 
     rate_hz: float
@@ -108,19 +108,19 @@ class TrackerTrial:
 
 
 class CellVerb(StrEnum):
-    """Commands that need no argument."""
+    """Commands without an argument."""
 
     CONNECT = "connect"  # to tracker and controller
     PAUSE = "pause"  # hold the feed; acknowledged by the state `paused`
-    RESUME = "resume"  # go on after a hold; acknowledged by `running`
-    CONCLUDE = "conclude"  # finish the line or point under way, leave out the rest
-    ABORT = "abort"  # stop and forget the path; acknowledged by `aborted`
-    BEAT = "beat"  # the service can be reached; who says it once has to go on
+    RESUME = "resume"  # resume after a hold; acknowledged by `running`
+    CONCLUDE = "conclude"  # finish the current line or point, omit the rest
+    ABORT = "abort"  # stop and discard the path; acknowledged by `aborted`
+    BEAT = "beat"  # the service can be reached; once sent, has to be repeated
     CLOSE = "close"  # end the process
 
 
 MeasurementCommand = CellVerb | Commanded
-"""A verb for a measurement under way, or a further part to go on with."""
+"""A verb for an active measurement, or a further part of it."""
 CellCommand = MeasurementCommand | MeasurementOrder | TrackerTrial
 """The same, a measurement to begin, or a trial of the tracker."""
 
@@ -145,12 +145,12 @@ class ConnectRefused:
 
 @dataclass(frozen=True, slots=True)
 class TrackerTried:
-    """Event: what the tracker has sent in a trial.
+    """Event: samples of a trial of the tracker.
 
-    usable : samples that it calls valid; distance_mm : their mean distance from the
-        tracker, None where none is usable
+    usable : valid samples; distance_mm : their mean distance from the tracker, None
+        without any
     rate_hz : of the samples by the device's clock, None where they are too few
-    streams : false of a polled tracker that was not asked to measure
+    streams : false of a polled tracker that was not requested to measure
     """
 
     samples: int
@@ -163,7 +163,7 @@ class TrackerTried:
 
 @dataclass(frozen=True, slots=True)
 class StateChanged:
-    """Event: the cell is in another state; `text` says why."""
+    """Event: new state of the cell, with its reason in `text`."""
 
     state: CellState
     text: str = ""
@@ -171,14 +171,14 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementProgress:
-    """Event: how far a measurement is, several times a second.
+    """Event: progress of a measurement, several times per second.
 
-    unit : what is counted, `lines` or `points`
+    unit : `lines` or `points`
     stage : `preparing`, `measuring`, `closing`
-    line_s : time of the line or point under way, from its beginning, at the pace so far
-    gaps : places where samples are missing; lost_samples : how many are
+    line_s : expected duration of the current line or point, at the pace so far
+    gaps : number of gaps in the stream; lost_samples : number of missing samples
     crc_errors : since the tracker was connected
-    queue_depth : what waits to be written; commits : how long each commit took
+    queue_depth : transactions waiting to be written; commits : duration of each
     """
 
     done: int
@@ -202,7 +202,7 @@ class LivePoints:
     """Event: some of the recorded points, for display.
 
     axes : controller position
-    environment : newest reading of each sensor that shows one, by its channel
+    environment : newest reading of each working sensor, by channel
     """
 
     tracker_mm: list[list[float]]
@@ -213,9 +213,9 @@ class LivePoints:
 
 @dataclass(frozen=True, slots=True)
 class BlockRecorded:
-    """Event: a block that is on disk, for estimate and eyes; only if asked for.
+    """Event: a block that is on disk, for estimate and display; only if requested.
 
-    block : of the stream, or points of a tracker that is polled
+    block : of the stream, or points of a polled tracker
     """
 
     block: TrackerSamples | PointBlock
@@ -223,17 +223,17 @@ class BlockRecorded:
 
 @dataclass(frozen=True, slots=True)
 class PartRequested:
-    """Event: the machine stands at the last row: go on with a part, or conclude."""
+    """Event: the machine is at rest at the last row: extend or conclude."""
 
     row: int
 
 
 @dataclass(frozen=True, slots=True)
 class LinesDamaged:
-    """Event: lines were driven without a whole stream; they are driven again.
+    """Event: lines lack part of their stream and are repeated.
 
     row : the first of them
-    again : what is driven now; None where the order grows: who extends it decides
+    again : rows to be repeated; None where the order grows: the service decides
     """
 
     row: int
@@ -242,9 +242,9 @@ class LinesDamaged:
 
 @dataclass(frozen=True, slots=True)
 class ControllerRead:
-    """Event: what the controller shows while nothing is measured.
+    """Event: controller status while no measurement is active.
 
-    status : None where it did not answer; `text` then says why
+    status : None without a reply; `text` gives the reason
     axes : names of the axes of its position, in their order
     """
 
@@ -255,16 +255,16 @@ class ControllerRead:
 
 @dataclass(frozen=True, slots=True)
 class TemperaturesRead:
-    """Event: what thermometers show while nothing is measured, by their channels."""
+    """Event: thermometer readings by channel while no measurement is active."""
 
     readings: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorsTried:
-    """Event: what each sensor shows by the ways to read it, as of the last connect.
+    """Event: trial readings of each sensor at the last connect, by way to read it.
 
-    refused : why the driver does not read them; empty where it does
+    refused : why the driver does not read them; else empty
     """
 
     tries: tuple[ReadingTry, ...] = ()
@@ -273,9 +273,9 @@ class SensorsTried:
 
 @dataclass(frozen=True, slots=True)
 class FaultReported:
-    """Event: something is wrong; the state says whether this is the end.
+    """Event: a fault; the state indicates whether it ends the measurement.
 
-    code : for programs; text : what happened; action : what to do now
+    code : for programs; text : description; action : remedy
     """
 
     code: str
@@ -287,11 +287,11 @@ class FaultReported:
 class RunClosed:
     """Event: the last one of a measurement, after its final state.
 
-    run_file : one read-only file, or as much of it as could be written; empty if none
-        was made
-    outcome : the final state; empty of a repaired Run
+    run_file : one read-only file, or as much of it as could be written; empty without
+        one
+    outcome : the final state; empty for a repaired Run
     sha256 : of the file; empty if it could not be closed properly
-    failure : why not; empty if all is well
+    failure : reason; empty if the file is complete
     """
 
     run_file: str
@@ -320,4 +320,4 @@ CellEvent = (
 )
 
 ReportEvent = Callable[[CellEvent], None]
-"""Takes an event. Called from any thread; returns at once."""
+"""Called from any thread; must return at once."""

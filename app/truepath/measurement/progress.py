@@ -1,4 +1,4 @@
-"""What a measurement reports on its way: how far it is, how long it takes, points."""
+"""Progress reports of a measurement: rows done, remaining time, points."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from truepath.motion.motion_times import row_times_s
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_TRUST_S = 3.0  # before it the pace so far says little
+_TRUST_S = 3.0  # before it the pace so far is too uncertain
 
 
 @dataclass(frozen=True, slots=True)
 class RowSchedule:
     """Planned time of each row, line towards it and dwell included.
 
-    unit : what is counted, `lines` or `points`
+    unit : `lines` or `points`
     target : name of the target measured at each row; empty for a single target
     """
 
@@ -42,11 +42,11 @@ class RowSchedule:
         return len(self.row_s) - (self.unit == "lines")
 
     def count_done(self, row: int) -> int:
-        """Return how many are done while the machine moves to a row or stands there."""
+        """Completed lines or points while the machine moves to a row or is at it."""
         return max(row - (self.unit == "lines"), 0)
 
     def remaining_s(self, row: int, active_s: float) -> float:
-        """Extrapolate: the planned rest, at the pace kept so far."""
+        """Planned time of the remaining rows, scaled by the pace so far."""
         planned_s = float(self.row_s[:row].sum())
         left_s = float(self.row_s[row:].sum())
         if (pace := self._find_pace(row, active_s)) is None:
@@ -54,11 +54,11 @@ class RowSchedule:
         return left_s * pace
 
     def line_s(self, row: int, active_s: float) -> float:
-        """Return how long the line to a row, or a point, takes at the pace so far."""
+        """Duration of the line to a row, or of a point, at the pace so far."""
         return float(self.row_s[row]) * (self._find_pace(row, active_s) or 1.0)
 
     def _find_pace(self, row: int, active_s: float) -> float | None:
-        """Return the time taken a planned second; early on it is only noise: None."""
+        """Actual over planned time; None early on, when it is only noise."""
         planned_s = float(self.row_s[:row].sum())
         # Later it knows overrides and speed-ups.
         if planned_s < _TRUST_S or active_s <= 0:
@@ -67,19 +67,19 @@ class RowSchedule:
 
 
 def schedule_rows(commanded: Path | Configurations, feed_mm_min: float) -> RowSchedule:
-    """Return the schedule of a path, or of points stepped through at a feed."""
+    """For a path, or for points with motions between them at a feed."""
     unit = "lines" if isinstance(commanded, Path) else "points"
     return RowSchedule(unit, row_times_s(commanded, feed_mm_min), commanded.target)
 
 
 class ProgressEstimator:
-    """Where a measurement is on its schedule.
+    """Position of a measurement on its schedule.
 
     stage : `preparing`, `measuring`, `closing`
-    row : the machine moves towards it or stands there
-    is_cut_short : the rows after it are left out
-    is_row_done : it was driven before they were
-    first_row : of the part that the controller drives
+    row : current goal or standstill
+    is_cut_short : the rows after it are omitted
+    is_row_done : it was completed before that
+    first_row : of the part that the controller executes
     """
 
     def __init__(self, schedule: RowSchedule, period_s: float) -> None:
@@ -95,7 +95,7 @@ class ProgressEstimator:
 
     @property
     def longest_row_s(self) -> float:
-        """Planned time of the slowest row, of all that are known so far."""
+        """Planned time of the slowest row known so far."""
         return float(self._schedule.row_s.max(initial=0.0))
 
     @property
@@ -109,47 +109,47 @@ class ProgressEstimator:
         return self.row if self._schedule.unit == "points" else None
 
     def begin(self, row: int = 0) -> None:
-        """Move towards a row from now on; the first call starts the clock."""
+        """Set the row that the machine moves to; the first call starts the clock."""
         if self.stage == "preparing":
             self._begun_s = self._received_s = host_clock.now_s()
             self._active_s = 0.0
         self.stage, self.row, self._is_loaded = "measuring", row, False
 
     def extend(self, schedule: RowSchedule) -> None:
-        """Go on with more rows; the earlier ones are in the schedule as well."""
+        """Use a longer schedule, which includes the earlier rows."""
         unit = schedule.unit
         self.first_row = len(self._schedule.row_s) - (unit == "lines")
         self._schedule, self.row, self._is_loaded = schedule, self.first_row, True
 
     def expect(self, row: int) -> None:
-        """The controller is to drive from this row on: it counts its lines from it."""
+        """Announce a part from this row on: the controller counts its lines from it."""
         self.first_row, self._is_loaded = row, True
 
     def follow(self, line: int) -> None:
-        """Take note of the line of its part that a controller says it is on."""
+        """Set the line of its part that a controller reports."""
         if self._is_loaded:
-            return  # it still says where the part before has ended
+            return  # it still reports the end of the part before
         if self._schedule.unit == "lines" and self.stage == "measuring":
             row = line + self.first_row
             self.row = min(max(self.row, row), self._schedule.total)
 
     def leave_out_rest(self, *, is_row_done: bool) -> None:
-        """No row follows the one that the machine moves towards, or stands at."""
+        """Omit all rows after the current one."""
         self.is_cut_short, self.is_row_done = True, is_row_done
 
     def end(self) -> None:
-        """All rows are done; report it at once."""
+        """All rows are done; the next report is due at once."""
         self.stage, self._reported_s = "closing", -np.inf
 
     def pass_time(self, *, active: bool) -> None:
-        """Keep the time without pauses, which the pace is reckoned from."""
+        """Accumulate time without pauses, the basis of the pace."""
         now_s = host_clock.now_s()
         if active:
             self._active_s += now_s - self._received_s
         self._received_s = now_s
 
     def next_report(self) -> MeasurementProgress | None:
-        """Return the progress, None if the last report is only a moment old."""
+        """None if the last report is too recent."""
         now_s = host_clock.now_s()
         if now_s - self._reported_s < self._period_s:
             return None
@@ -176,13 +176,13 @@ SPACING_S = 0.1
 
 
 class LiveView:
-    """Reports recorded blocks, thinned for the eye to points some 0.1 s apart.
+    """Reports recorded blocks, thinned for display to points some 0.1 s apart.
 
-    reports_blocks : the whole blocks are reported as well, for a live estimate
-    range_scale : of all that is reported, where ranges are corrected for the air
+    reports_blocks : complete blocks are reported as well, for a live estimate
+    range_scale : of all reported ranges, where these are corrected for the air
         afterwards
     axes : position of the controller
-    environment : newest reading of each sensor that shows one; replaced, never changed
+    environment : newest reading of each working sensor; replaced, never changed
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class LiveView:
         self.environment: Mapping[str, float] = {}
 
     def show_readings(self, readings: Mapping[str, float]) -> None:
-        """Keep what sensors show now; NaN of one that shows nothing. For any thread."""
+        """Store present readings; NaN removes a sensor. For any thread."""
         known = {**self.environment, **readings}
         self.environment = {k: v for k, v in known.items() if not math.isnan(v)}
 

@@ -1,4 +1,4 @@
-"""How long a measurement waits for what, and the clocks that measure it."""
+"""Time limits of a measurement, and the clocks that measure them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 @dataclass(frozen=True, slots=True)
 class StreamTimeouts:
-    """For how long, in seconds that the host has run, a stream may be less than good.
+    """Limits of a degraded stream, in seconds that the host has run.
 
-    damaged_share : of a second's samples that may be bad or lost; damaged_s : for how
-        long more may be, before the measurement ends
-    late_s : what counts at most of a time in which the host did not run: a suspended or
+    damaged_share : tolerated fraction of bad or lost samples in a second; damaged_s :
+        time above it that ends the measurement
+    late_s : most that counts of a time in which the host did not run: a suspended or
         starved process reads nothing, and finds all data waiting afterwards
-    point_s : how much longer than its dwell a point of a polled tracker may take
-    search_s : how long after a lost beam a tracker may find its target again for the
-        measurement to go on by itself: too short for anybody to be at the machine; at
-        0 it is never asked to
+    point_s : tolerated time of a point beyond its dwell, for a polled tracker
+    search_s : time after a lost beam in which a tracker may find its target again for
+        an automatic resume: too short for anybody to be at the machine; at 0 it never
+        searches
     """
 
     silent_s: float = 0.5
@@ -35,15 +35,15 @@ class StreamTimeouts:
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """Times of the host in seconds where nothing else is said.
+    """Times of the host in seconds unless a clock is named.
 
-    confirm_s : a hold, a cycle start or a resume is confirmed by then
+    confirm_s : limit for confirming a hold, a cycle start or a resume
     stale_s : a controller whose last valid status is older is not fed, and is held
     link_s : the controller may be out of reach for so long
-    stuck_s : a machine that runs moves, beyond the longest planned row
+    stuck_s : a running machine has to move within it, beyond the longest planned row
     lead_s : stream before the first and after the last motion, tracker's clock
     settle_s : between the end of a move and the dwell at a point, tracker's clock
-    arrival : how far from a commanded position an axis may stand, mm or deg
+    arrival : tolerated deviation of an axis from a commanded position, mm or deg
     point_tries : how often in a row a polled tracker may be out of reach
     axes_rows : controller positions that are written together
     allow_no_watchdog, light : as in `CellConfig`
@@ -67,10 +67,10 @@ class EngineSettings:
 
 
 class RunningClock:
-    """Counts the time in which this process ran. For any thread.
+    """Clock that counts only time in which this process ran. For any thread.
 
-    Read many times a second, it keeps up with the computer's. Of a longer step,
-    in which the process was suspended or starved, it counts `late_s` only.
+    Read many times per second, it follows the host's clock. Of a longer step, in which
+    the process was suspended or starved, it counts `late_s` only.
     """
 
     def __init__(self, late_s: float) -> None:
@@ -79,7 +79,7 @@ class RunningClock:
         self._read_s = self._now_s = host_clock.now_s()
 
     def __call__(self) -> float:
-        """Return seconds."""
+        """Seconds since an arbitrary origin."""
         with self._lock:
             read_s = host_clock.now_s()
             self._now_s += min(read_s - self._read_s, self._late_s)
@@ -94,12 +94,12 @@ class Stopwatch:
         self._begun_s: float | None = None
 
     def measure_s(self) -> float:
-        """Return the seconds since the first call after `reset`."""
+        """Seconds since the first call after `reset`."""
         now_s = host_clock.now_s()
         if self._begun_s is None:
             self._begun_s = now_s
         return now_s - self._begun_s
 
     def reset(self) -> None:
-        """Begin again at the next look."""
+        """Begin again at the next call of `measure_s`."""
         self._begun_s = None

@@ -1,5 +1,4 @@
 """HTTP: the interface (`api`) and the operator's page (`page`).
 
-Requests in, answers out. Not here: anything that is decided or computed; a client in
-Python is `truepath.client`.
+Not here: decisions and computations; a Python client is `truepath.client`.
 """

@@ -1,4 +1,4 @@
-"""Machine controllers, one folder a make.
+"""Machine controllers, one folder per make.
 
 Not here: ports (`transport`), compensation files and NC programs, which the service
 writes.

@@ -23,7 +23,7 @@ class PriorityLock:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether somebody urgent waits for it."""
+        """Whether an urgent taker waits for it."""
         return self._urgent > 0
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""What must not reach the machine: refused before the first byte."""
+"""Checks of commands, before the first byte is sent."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _HALF_STEP = 0.5e-4
 
 
 def arrange_path(path: Path, axes: tuple[str, ...], *, drives_arcs: bool) -> Path:
-    """Return a path in the axis order of a machine.
+    """A path in the axis order of a machine.
 
     drives_arcs : whether the control does
+
     Raises Refused for other axes, and for arcs where it does not.
     """
     if any(path.arc) and not drives_arcs:
@@ -37,9 +38,9 @@ def arrange_path(path: Path, axes: tuple[str, ...], *, drives_arcs: bool) -> Pat
 
 
 def check_arcs(path: Path, travel: Sequence[tuple[float, float]]) -> None:
-    """Raise Refused for the first arc that does not lead to its row.
+    """Raise Refused for the first arc that does not end at its row.
 
-    Raises OutOfTravel for one that leaves the travel on its way.
+    Raises OutOfTravel for one that leaves the travel.
     """
     for row, arc in enumerate(path.arc):
         if arc is None or row == 0:
@@ -86,7 +87,7 @@ def check_positions(
 def check_feeds(
     feed_mm_min: NDArray[np.float64], least_mm_min: float, most_mm_min: float
 ) -> None:
-    """Raise Refused for the first feed that the machine cannot drive."""
+    """Raise Refused for the first feed outside the machine's limits."""
     possible = (feed_mm_min >= least_mm_min) & (feed_mm_min <= most_mm_min)
     if not possible.all():
         row = int(np.argmin(possible))
@@ -97,7 +98,7 @@ def check_feeds(
 
 
 def check_dwells(dwell_s: NDArray[np.float64], longest_s: float) -> None:
-    """Raise Refused for the first dwell that is negative or endless."""
+    """Raise Refused for the first dwell that is negative or too long."""
     possible = (dwell_s >= 0) & (dwell_s <= longest_s)
     if not possible.all():
         row = int(np.argmin(possible))

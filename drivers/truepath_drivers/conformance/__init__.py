@@ -1,7 +1,7 @@
-"""What every driver keeps, as checks that any author can run against a device.
+"""Requirements on every driver, as checks that any author can run against a device.
 
-A check takes a factory that makes a fresh driver, not connected, for a device that
-answers; it returns nothing, or raises NotConforming, which says what was not kept. With
+A check takes a factory that makes a fresh, unconnected driver for a device that
+answers; it raises NotConforming, whose text names the violated requirement. With
 pytest:
 
     from truepath_drivers.conformance.tracker import TRACKER_CHECKS
@@ -11,5 +11,5 @@ pytest:
         check(lambda: MyTracker(port="/dev/ttyUSB0"))
 
 The checks of motion controllers MOVE THE AXES, by `REACH` mm or deg at `FEED_MM_MIN`
-from where they stand towards the middle of the travel: clear the machine first.
+from where they are towards the middle of the travel: clear the machine first.
 """

@@ -1,4 +1,4 @@
-"""What checks are made of: requirements, patience, what a process holds."""
+"""Parts of checks: requirements, time limits, resources of a process."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from truepath_drivers.interfaces.errors import DeviceError
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What the checks ask for, and how long they wait.
+    """Parameters and time limits of the checks.
 
     rate_hz : of streams
-    patience_s : beyond a timeout that was asked for, the scheduler of a busy computer
+    patience_s : tolerance beyond a requested timeout, for the scheduler of a busy
+        computer
     motion_s : longest motion of a few mm
-    watchdog_s : by then a watchdog that gets no beat holds the feed
+    watchdog_s : limit within which a watchdog without beats holds the feed
     """
 
     rate_hz: float = 500.0
@@ -35,7 +36,7 @@ TERMS: ContextVar[Terms] = ContextVar("TERMS", default=_USUAL)
 
 @contextmanager
 def on_terms(**terms: float) -> Iterator[None]:
-    """Run checks on other terms: `with on_terms(rate_hz=100.0): check(make)`."""
+    """Run checks with other terms: `with on_terms(rate_hz=100.0): check(make)`."""
     token = TERMS.set(Terms(**terms))
     try:
         yield
@@ -44,17 +45,17 @@ def on_terms(**terms: float) -> Iterator[None]:
 
 
 class NotConforming(AssertionError):
-    """A driver does not keep what `truepath_drivers.interfaces` promises."""
+    """A driver violates a requirement of `truepath_drivers.interfaces`."""
 
 
 def require(kept: bool, otherwise: str) -> None:
-    """Raise NotConforming if something was not kept."""
+    """Raise NotConforming with the text `otherwise` unless `kept`."""
     if not kept:
         raise NotConforming(otherwise)
 
 
 def expect(family: type[DeviceError], verb: Callable[[], object]) -> None:
-    """Require that a verb ends in an error of a family."""
+    """Require that a verb raises an error of a family."""
     try:
         verb()
     except family:
@@ -66,7 +67,7 @@ def expect(family: type[DeviceError], verb: Callable[[], object]) -> None:
 
 @contextmanager
 def soon(doing: str, limit_s: float) -> Iterator[None]:
-    """Require that what is done takes no longer than asked, with patience."""
+    """Require that the block ends within `limit_s` and the tolerance."""
     begin_s = host_clock.now_s()
     yield
     took_s = host_clock.now_s() - begin_s
@@ -75,7 +76,7 @@ def soon(doing: str, limit_s: float) -> Iterator[None]:
 
 @contextmanager
 def running(verb: Callable[[], None]) -> Iterator[None]:
-    """Run a verb in another thread meanwhile."""
+    """Run a verb in another thread during the block."""
     thread = threading.Thread(target=verb)
     thread.start()
     yield
@@ -83,7 +84,7 @@ def running(verb: Callable[[], None]) -> Iterator[None]:
 
 
 def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
-    """Wait for a condition, with patience."""
+    """Wait for a condition, at most `patience_s`."""
     deadline_s = host_clock.now_s() + TERMS.get().patience_s
     while not condition():
         require(host_clock.now_s() < deadline_s, otherwise)
@@ -91,7 +92,7 @@ def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
 
 
 def holdings() -> set[str]:
-    """Return the threads and open files of this process, by name and number."""
+    """Threads and open files of this process, by name and number."""
     holdings = {f"thread {thread.ident}" for thread in threading.enumerate()}
     if os.path.isdir("/proc/self/fd"):
         holdings |= {f"file {number}" for number in _open_files()}
@@ -99,5 +100,5 @@ def holdings() -> set[str]:
 
 
 def _open_files() -> list[str]:
-    """Return the numbers of open files, without that of the listing itself."""
+    """Excludes the descriptor of the listing itself."""
     return [n for n in os.listdir("/proc/self/fd") if os.path.exists(f"/dev/fd/{n}")]

@@ -1,4 +1,4 @@
-"""What every device keeps: construction, connection, identity, closing."""
+"""Requirements on every device: construction, connection, identity, closing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def construction_opens_nothing(make: MakeDevice) -> None:
 
 
 def connect_tells_who_answers(make: MakeDevice) -> None:
-    """`connect` returns an Identity with a model; not every device has a number."""
+    """`connect` returns an Identity with a model; the serial number may be empty."""
     with make() as device:
         identity = device.connect()
     require(isinstance(identity, Identity), f"connect returned {identity!r}")
@@ -48,7 +48,7 @@ def connect_twice_is_one_connection(make: MakeDevice) -> None:
 
 
 def close_is_idempotent_and_leaves_nothing(make: MakeDevice) -> None:
-    """`close` may come before `connect`, twice, and gives everything back."""
+    """`close` may come before `connect`, twice, and releases everything."""
     before = holdings()
     device = make()
     device.close()
@@ -59,7 +59,7 @@ def close_is_idempotent_and_leaves_nothing(make: MakeDevice) -> None:
 
 
 def a_closed_device_connects_again(make: MakeDevice) -> None:
-    """`close` is not the end of a driver."""
+    """`connect` works again after `close`."""
     device = make()
     identities = []
     for _ in range(2):

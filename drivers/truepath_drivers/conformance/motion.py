@@ -1,4 +1,4 @@
-"""What every motion controller keeps: travel, moves, paths, hold and abort."""
+"""Requirements on every motion controller: travel, moves, paths, hold and abort."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from truepath_drivers.interfaces.records import MotionState, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
-STAND = 1e-3  # how far an axis that stands may move, mm or deg
+STAND = 1e-3  # tolerated motion of an axis at rest, mm or deg
 
 _UNASKED_SHARE = 0.6  # of the silence, in which it may still drive
 _BLOCKED_S = 3.0  # the service waits no longer
@@ -39,7 +39,7 @@ Provoke = Callable[[], None]
 
 
 def axes_and_travel_are_known(make: MakeController) -> None:
-    """After `connect` each axis has a name of its own and a travel with an extent."""
+    """After `connect` each axis has a unique name and a travel with an extent."""
     with make() as controller:
         axes, travel = controller.axes, controller.travel
         position = controller.axis_positions()
@@ -73,7 +73,7 @@ def a_path_of_other_axes_is_refused(make: MakeController) -> None:
 
 
 def hold_and_abort_are_idempotent_in_any_state(make: MakeController) -> None:
-    """`hold` and `abort` before `connect`, twice, standing, after `close`."""
+    """`hold` and `abort` before `connect`, twice, at rest, after `close`."""
     controller = make()
     for verb in (controller.hold, controller.abort):
         verb()
@@ -110,7 +110,7 @@ def a_path_runs_to_its_last_row(make: MakeController) -> None:
 
 
 def hold_and_resume_are_absolute(make: MakeController) -> None:
-    """`hold` twice holds, `resume` twice goes on: neither is a toggle."""
+    """`hold` twice holds, `resume` twice resumes: neither is a toggle."""
     with make() as controller:
         controller.move_to(_near(controller), _slow())
         controller.hold()
@@ -125,7 +125,7 @@ def hold_and_resume_are_absolute(make: MakeController) -> None:
 
 
 def hold_means_standstill(make: MakeController) -> None:
-    """Once a status says HELD, the axes stand: none is still braking."""
+    """Once a status says HELD, the axes are at rest: none is still braking."""
     with make() as controller:
         controller.move_to(_near(controller), FEED_MM_MIN / 2)
         controller.hold()
@@ -138,7 +138,7 @@ def hold_means_standstill(make: MakeController) -> None:
 
 
 def the_line_is_the_row_moved_towards(make: MakeController) -> None:
-    """`line` tells on which row the axes are under way; at the end it is the last."""
+    """`line` is the row that the axes move to; at the end it is the last."""
     with make() as controller:
         here = np.array(controller.axis_positions())
         step = np.array(_near(controller)) - here
@@ -159,7 +159,7 @@ def the_line_is_the_row_moved_towards(make: MakeController) -> None:
 
 
 def resume_of_nothing_does_nothing(make: MakeController) -> None:
-    """`resume` where nothing is held moves nothing, and starts no path either."""
+    """`resume` without a hold moves nothing, and starts no path either."""
     with make() as controller:
         before = controller.status()
         controller.resume()
@@ -175,7 +175,7 @@ def resume_of_nothing_does_nothing(make: MakeController) -> None:
 
 
 def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
-    """`abort` during `wait` ends both; the path is forgotten."""
+    """`abort` during `wait` ends both; the path is discarded."""
     with make() as controller:
         here = list(controller.axis_positions())
         path = _path(controller, [here, _near(controller)], _slow())
@@ -188,7 +188,7 @@ def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
 
 
 def wait_ends_in_time(make: MakeController) -> None:
-    """`wait` for a motion that goes on is DeviceTimeout, within its time."""
+    """`wait` for a motion that continues is DeviceTimeout, within its time."""
     with make() as controller:
         controller.move_to(_near(controller), _slow())
         with soon("wait(0.1)", 0.1):
@@ -219,7 +219,7 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
 
 
 def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
-    """What is fed piece by piece stands soon where nobody asks or beats any more."""
+    """A motion fed piece by piece stops soon without requests or beats."""
     with make() as controller:
         if not controller.connect().stops_unasked:
             return
@@ -237,17 +237,17 @@ def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
 
 
 def an_alarm_ends_the_motion(make: MakeController, provoke: Provoke) -> None:
-    """An alarm is told with its text, and moves nothing until it is cleared."""
+    """An alarm is reported with its text, and prevents motion until it is cleared."""
     _require_hindrance(make, provoke, MotionState.ALARM)
 
 
 def an_open_door_ends_the_motion(make: MakeController, provoke: Provoke) -> None:
-    """An open door is told, and nothing moves meanwhile."""
+    """An open door is reported, and prevents motion."""
     _require_hindrance(make, provoke, MotionState.DOOR)
 
 
 def an_unhomed_machine_does_not_move(make: MakeController, provoke: Provoke) -> None:
-    """A machine that has lost its reference says so, and moves nothing."""
+    """A machine that has lost its reference reports it, and does not move."""
     _require_hindrance(make, provoke, MotionState.UNHOMED)
 
 
@@ -276,7 +276,7 @@ def a_lost_reply_moves_nothing_twice(make: MakeController, provoke: Provoke) -> 
 
 
 def a_blocked_device_is_told_in_time(make: MakeController, provoke: Provoke) -> None:
-    """A device that answers no more is a DeviceError, soon, from every verb."""
+    """A device that stops answering is a DeviceError, soon, from every verb."""
     with make() as controller:
         provoke()
         with soon("status of a blocked device", _BLOCKED_S):
@@ -288,7 +288,7 @@ def a_blocked_device_is_told_in_time(make: MakeController, provoke: Provoke) -> 
 
 
 def close_stops_the_motion(make: MakeController) -> None:
-    """`close` during a motion leaves a machine that comes to a stand."""
+    """`close` during a motion stops the machine."""
     controller = make()
     controller.connect()
     controller.move_to(_near(controller), _slow())
@@ -338,7 +338,7 @@ PROVOKED_CHECKS: tuple[Callable[[MakeController, Provoke], None], ...] = (
     a_lost_reply_moves_nothing_twice,
     a_blocked_device_is_told_in_time,
 )
-"""Each takes as well what brings its trouble about, at the machine or on the link."""
+"""Each also takes a function that causes its fault, at the machine or on the link."""
 
 
 def _require_hindrance(
@@ -361,7 +361,7 @@ def _require_hindrance(
 
 
 def _near(controller: MotionController) -> list[float]:
-    """Return a position `REACH` away, towards the middle of each travel."""
+    """`REACH` away, towards the middle of each travel."""
     near: list[float] = []
     here = controller.axis_positions()
     for at, (low, high) in zip(here, controller.travel, strict=True):
@@ -371,12 +371,12 @@ def _near(controller: MotionController) -> list[float]:
 
 
 def _slow() -> float:
-    """Return a feed at which the way to `_near` takes some seconds."""
+    """The motion to `_near` takes some seconds."""
     return 10 * REACH
 
 
 def _endless() -> float:
-    """Return a feed at which the way to `_near` takes a minute."""
+    """The motion to `_near` takes a minute."""
     return REACH
 
 

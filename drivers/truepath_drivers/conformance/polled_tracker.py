@@ -1,4 +1,4 @@
-"""What every tracker that measures point by point keeps. A target is in its beam."""
+"""Requirements on every point-by-point tracker. A target is in its beam."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from truepath_drivers.interfaces.tracker_records import PointMeasurement
 DWELL_S = 0.3
 LATE_S = 10.0  # what an instrument may take for its last shot
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
-SAME_MM = 1.0  # a target that stands, twice
+SAME_MM = 1.0  # a target at rest, twice
 
 MakePolled = Callable[[], PolledTracker]
 
 
 def it_says_that_it_is_polled(make: MakePolled) -> None:
-    """The capabilities say that nothing comes by itself."""
+    """The capabilities exclude streaming."""
     with make() as tracker:
         require(not tracker.capabilities.streams, "a polled tracker says it streams")
 
 
 def a_point_is_whole(make: MakePolled) -> None:
-    """A point is finite, in mm, with a covariance that is one."""
+    """A point is finite, in mm, with a valid covariance."""
     with make() as tracker:
         point = tracker.measure(DWELL_S)
     place, covariance = point.position_mm, point.covariance_mm2
@@ -57,7 +57,7 @@ def a_dwell_lasts(make: MakePolled) -> None:
 
 
 def points_rise_in_time_and_agree(make: MakePolled) -> None:
-    """A target that stands is at one place, each time later."""
+    """Points of a target at rest agree, each with a later time."""
     with make() as tracker:
         points = [tracker.measure(DWELL_S) for _ in range(2)]
     _require_agreement(points)
@@ -76,7 +76,7 @@ def stop_is_idempotent_in_any_state(make: MakePolled) -> None:
 
 
 def stop_from_another_thread_ends_a_measurement(make: MakePolled) -> None:
-    """`stop` ends a long dwell at once; the next point is as good as any."""
+    """`stop` ends a long dwell at once; the next point is valid."""
     with make() as tracker:
         before = tracker.measure(DWELL_S)
         timer = threading.Timer(0.3, tracker.stop)

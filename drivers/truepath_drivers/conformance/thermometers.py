@@ -1,4 +1,4 @@
-"""What every group of thermometers keeps. Its sensors are where a person can be."""
+"""Requirements on every group of thermometers. Its sensors are in a habitable room."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def channels_are_known_before_connect(make: MakeThermometers) -> None:
 
 
 def every_channel_is_read(make: MakeThermometers) -> None:
-    """Some calls read every channel, and none that is not there."""
+    """Some calls read every channel, and none that does not exist."""
     with make() as group:
         names = {channel.name for channel in group.channels}
         readings = _read_cycles(group)
@@ -39,7 +39,7 @@ def every_channel_is_read(make: MakeThermometers) -> None:
 
 
 def a_reading_is_a_plausible_number_or_a_fault(make: MakeThermometers) -> None:
-    """A value has no fault, a fault no value; a value is what a hall can have."""
+    """A value has no fault, a fault no value; a value is possible in a machine hall."""
     with make() as group:
         plausible = {c.name: c.plausible for c in group.channels}
         readings = _read_cycles(group)
@@ -69,7 +69,7 @@ def readings_are_stamped_by_the_hosts_clock(make: MakeThermometers) -> None:
 
 
 def read_is_bounded_in_time(make: MakeThermometers) -> None:
-    """A call comes back soon, whatever the sensors do."""
+    """A call returns soon, whatever the sensors do."""
     with make() as group:
         for _ in range(CYCLES):
             with soon("read", READ_S):
@@ -98,7 +98,6 @@ THERMOMETER_CHECKS: tuple[Callable[[MakeThermometers], None], ...] = (
 
 
 def _read_cycles(group: Thermometers) -> list[Reading]:
-    """Read until every channel came, for some periods at the least."""
     names = {channel.name for channel in group.channels}
     readings: list[Reading] = []
     deadline_s = host_clock.now_s() + CYCLES * group.period_s + TERMS.get().patience_s

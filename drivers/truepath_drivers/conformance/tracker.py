@@ -1,4 +1,4 @@
-"""What every tracker keeps: streams, silence, numbers, rates."""
+"""Requirements on every tracker: streams, silence, numbers, rates."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker import Tracker
 
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
-_HIDDEN = 0.005  # share of the steps; a link that loses so few tells nothing
+_HIDDEN = 0.005  # share of the steps; a link that loses so few is no evidence
 _REPEATED = 0.3  # share; the resolution of a text may let some be alike
-LEAST = 50  # samples over which rate and times are looked at, for a second
+LEAST = 50  # samples for the check of rate and times, for a second
 
 MakeTracker = Callable[[], Tracker]
 
@@ -73,11 +73,11 @@ def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
 
 
 def times_are_those_of_the_samples(make: MakeTracker) -> None:
-    """Numbers and times go on at the rate asked for, in seconds, evenly.
+    """Numbers and times advance at the requested rate, in seconds, evenly.
 
-    A driver that stamps by arrival, in ms, or streams at another rate is caught; one
-    whose device cannot do the rate refuses it. So is, where the link loses something,
-    one that counts what has come.
+    Fails for a driver that stamps by arrival, in ms, or streams at another rate; a
+    driver whose device cannot do the rate refuses it. Fails, where the link loses
+    something, for one that counts received samples.
     """
     period_s = 1.0 / TERMS.get().rate_hz
     with make() as tracker:
@@ -109,7 +109,7 @@ def a_target_at_rest_is_valid_and_in_mm(make: MakeTracker) -> None:
 
 
 def each_sample_is_measured_anew(make: MakeTracker) -> None:
-    """No coordinates stay as they were: not one number is frozen, none said twice."""
+    """No coordinates repeat: not one number is frozen, none sent twice."""
     with make() as tracker:
         tracker.start(TERMS.get().rate_hz)
         samples = _read(tracker, 100)
@@ -121,7 +121,7 @@ def each_sample_is_measured_anew(make: MakeTracker) -> None:
 
 
 def health_counts_what_has_come(make: MakeTracker) -> None:
-    """The health counts every frame, and as lost what the numbers lack, no more."""
+    """The health counts every frame, and as lost the gaps in the numbers, no more."""
     with make() as tracker:
         tracker.start(TERMS.get().rate_hz)
         samples = _read(tracker, 100)
@@ -136,7 +136,7 @@ def health_counts_what_has_come(make: MakeTracker) -> None:
 
 
 def start_twice_is_one_stream(make: MakeTracker) -> None:
-    """`start` at the rate that runs changes nothing."""
+    """`start` at the active rate changes nothing."""
     with make() as tracker:
         tracker.start(TERMS.get().rate_hz)
         before = _read(tracker, 20)
@@ -150,7 +150,7 @@ def start_twice_is_one_stream(make: MakeTracker) -> None:
 def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
     """Numbers and times of one connection rise over `stop` and `start`.
 
-    What has come before the stop is read after it.
+    Samples received before the stop are read after it.
     """
     with make() as tracker:
         blocks: list[TrackerSamples] = []

@@ -1,7 +1,7 @@
-"""Arcs of a path: their geometry, and the way along them in short chords.
+"""Arcs of a path: their geometry, and their approximation by short chords.
 
 Keep-out boxes and sight are checked along chords of a degree: they stay within 0.004 %
-of the radius of the arc. The travel is checked where an axis turns back on it.
+of the radius of the arc. The travel is checked where an axis reverses on it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def describe_bad_arc(
     end: NDArray[np.float64],
     arc: Arc,
 ) -> str:
-    """Return what is wrong with the arc between two rows, "" if nothing is."""
+    """Error of the arc between two rows, "" if there is none."""
     if arc.axes not in ARC_PLANES or not set(arc.axes) <= set(axes):
         return f"has an arc in {arc.axes}; planes are {', '.join(ARC_PLANES)}"
     if not np.isfinite([*arc.centre_mm, arc.turn_deg]).all() or arc.turn_deg == 0.0:
@@ -43,7 +43,7 @@ def describe_bad_arc(
 def measure_radius_mm(
     axes: Sequence[str], place: NDArray[np.float64], arc: Arc
 ) -> float:
-    """Return how far a position is from the centre of an arc."""
+    """Distance of a position from the centre of an arc, in its plane."""
     columns = [axes.index(name) for name in arc.axes]
     return float(np.linalg.norm(place[columns] - arc.centre_mm))
 
@@ -54,7 +54,7 @@ def turn_about(
     arc: Arc,
     turned_deg: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the positions (n, axes) after turning from the begin of an arc."""
+    """Positions (n, axes) after turning by (n,) angles from the begin of an arc."""
     columns = [axes.index(name) for name in arc.axes]
     centre = np.array(arc.centre_mm)
     x, y = begin[columns] - centre
@@ -66,7 +66,7 @@ def turn_about(
 
 
 def trace(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the positions of a path with its arcs as chords, and the row of each.
+    """Positions of a path with its arcs as chords, and the row of each.
 
     The last position of a row is that of the row itself.
     """
@@ -97,16 +97,16 @@ def _own_rows(path: Path) -> NDArray[np.int64]:
 def measure_length_mm(
     axes: Sequence[str], begin: NDArray[np.float64], arc: Arc
 ) -> float:
-    """Return the length of an arc from its begin."""
+    """Length of an arc from its begin to its end."""
     return measure_radius_mm(axes, begin, arc) * abs(float(np.radians(arc.turn_deg)))
 
 
 def find_reach(
     path: Path,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the outermost positions of each row, and the row of each.
+    """Outermost positions of each row, and the row of each.
 
-    Those of an arc are where an axis turns back on it, and its end.
+    Those of an arc are the reversals of its axes, and its end.
     """
     places, rows = [path.position], [np.arange(len(path))]
     for row, arc in enumerate(path.arc):

@@ -1,4 +1,4 @@
-"""What every device can do."""
+"""Verbs of every device."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Device(ABC):
 
     @abstractmethod
     def connect(self) -> Identity:
-        """Open the link and return who answers.
+        """Open the link and identify the device.
 
         Raises ConnectionLost, DeviceTimeout, or WrongDevice if another device answers.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Stop what runs and release the port. Idempotent."""
+        """Stop all activity and release the port. Idempotent."""
 
     def __enter__(self) -> Self:
         self.connect()

@@ -1,14 +1,14 @@
-"""Families of device errors. A text says what happened, why, and what to do."""
+"""Families of device errors. A text gives event, cause and remedy."""
 
 from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """Anything a device or its link did wrong."""
+    """Any fault of a device or its link."""
 
 
 class ConnectionLost(DeviceError):
-    """The link is gone: cable, power, port in use, or no such port."""
+    """The link is lost: cable, power, port in use, or no such port."""
 
 
 class DeviceTimeout(DeviceError):
@@ -16,15 +16,15 @@ class DeviceTimeout(DeviceError):
 
 
 class DeviceBusy(DeviceTimeout):
-    """The device answers that it has no time now."""
+    """The device reports that it has no time now."""
 
 
 class WrongDevice(DeviceError):
-    """Something else answers on the port."""
+    """Another device answers on the port."""
 
 
 class Refused(DeviceError):
-    """The device understood and said no."""
+    """The device understood and rejected the request."""
 
     def __init__(self, text: str, code: int = 0) -> None:
         super().__init__(text)
@@ -32,11 +32,11 @@ class Refused(DeviceError):
 
 
 class OutOfTravel(DeviceError):
-    """A position beyond the travel of an axis, refused before the first byte."""
+    """A position beyond the travel of an axis, rejected before the first byte."""
 
 
 class MotionFault(DeviceError):
-    """The controller is in alarm, or did not do what it was told."""
+    """The controller is in alarm, or its motion differs from the command."""
 
 
 class BeamLost(DeviceError):
@@ -52,4 +52,4 @@ class NotOffered(Refused):
 
 
 class DriverFault(DeviceError):
-    """The driver itself did not answer in time, failed, or answered nonsense."""
+    """The driver itself did not answer in time, failed, or gave an invalid answer."""

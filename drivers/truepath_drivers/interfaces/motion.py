@@ -12,7 +12,7 @@ from truepath_drivers.interfaces.records import MotionStatus, Path
 
 
 class MotionController(Device):
-    """Moves axes. The controller keeps time: nobody feeds setpoints against a clock."""
+    """Moves axes. The controller keeps time: no setpoints are fed against a clock."""
 
     interface_version: ClassVar[int] = 1
 
@@ -24,19 +24,19 @@ class MotionController(Device):
     @property
     @abstractmethod
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position of each axis, known after `connect`."""
+        """Lowest and highest position, mm or deg, known after `connect`."""
 
     @abstractmethod
     def status(self) -> MotionStatus:
         """Read state, position, line and alarm."""
 
     def axis_positions(self) -> tuple[float, ...]:
-        """Read where the axes are."""
+        """Position of each axis, mm or deg."""
         return self.status().position
 
     @abstractmethod
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        """Start a straight move. Returns when it is taken; `wait` waits for its end.
+        """Start a straight move; returns once accepted, `wait` waits for its end.
 
         Raises OutOfTravel before the first byte, Refused, MotionFault in alarm and in
         the other states of `UNABLE`.
@@ -52,7 +52,7 @@ class MotionController(Device):
 
     @abstractmethod
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes stand (finished, held, aborted); return the last status.
+        """Wait until the axes are at rest: finished, held or aborted.
 
         Raises DeviceTimeout if it still runs after `timeout_s`, MotionFault in the
         states of `UNABLE`.
@@ -64,30 +64,30 @@ class MotionController(Device):
 
     @abstractmethod
     def resume(self) -> None:
-        """Go on after a hold. Does nothing if nothing is held."""
+        """Resume after a hold. No action if nothing is held."""
 
     @abstractmethod
     def abort(self) -> None:
-        """Stop and forget the path. Idempotent, any thread, any state."""
+        """Stop and discard the path. Idempotent, any thread, any state."""
 
     @abstractmethod
     def send_heartbeat(self) -> None:
-        """Feed the controller's watchdog; it holds the feed when beats stay away.
+        """Feed the controller's watchdog; it holds the feed without beats.
 
-        Does nothing where the identity says that there is none. No other verb but
-        `wait`, and those that begin a motion, counts as a beat.
+        No action where the identity reports no watchdog. No other verb but `wait`, and
+        those that begin a motion, counts as a beat.
         """
 
     def reset(self) -> None:
         """Clear alarm and emergency stop, switch the drives on. Moves nothing.
 
-        For a person who looks at the machine; nothing else calls it. Raises Refused
-        where it has to be done at the machine.
+        For an operator at the machine; nothing else calls it. Raises Refused where it
+        has to be done at the machine.
         """
         raise Refused("this controller is reset at the machine only")
 
     def home(self, timeout_s: float) -> None:
-        """Home the axes that are not, and wait for it. The machine may move.
+        """Home the unhomed axes, and wait for it. The machine may move.
 
         Raises Refused where it has to be done at the machine, MotionFault, or
         DeviceTimeout if it takes longer.

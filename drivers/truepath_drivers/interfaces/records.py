@@ -1,4 +1,4 @@
-"""Blocks of data that cross the border of a device: an object a block, not a sample."""
+"""Records that cross the border of a device: one per block, not per sample."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answers on the port.
+    """Identity of the device on the port.
 
-    serial_number : empty where the device tells none
-    has_watchdog : a motion controller that holds the feed by itself when heartbeats
-        stay away; a driver claims it only where it has seen a sign of it at `connect`
+    serial_number : empty where the device reports none
+    has_watchdog : a motion controller that holds the feed automatically without
+        heartbeats; a driver claims it only where it has seen a sign of it at `connect`
     drives_arcs : a motion controller whose paths may have arcs
-    stops_unasked : a motion controller without a watchdog whose driver feeds it the
-        motion piece by piece, and no further where nobody has asked for a second
+    stops_unasked : a motion controller without a watchdog whose driver feeds the motion
+        piece by piece, and stops after a second without requests
     """
 
     maker: str
@@ -33,13 +33,13 @@ class Identity:
 
 
 FARTHEST_MM = 1e7
-"""No beam reaches farther."""
+"""Beyond the range of any beam."""
 LOST = 0x0080
-"""The status of a sample that was called valid and is nowhere."""
+"""The status of a sample that was reported valid but has no possible position."""
 
 
 def is_seen(position_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell of each place whether it is one: finite, and within a beam's reach."""
+    """Whether each position is possible: finite, and within a beam's range."""
     return np.all(np.abs(position_mm) < FARTHEST_MM, axis=-1)
 
 
@@ -51,7 +51,7 @@ class TrackerSamples:
     device_time_s : (n,) float64, unwrapped clock of the device
     position_mm : (n, 3) float64
     status : (n,) int64, 0 is a valid sample, anything else is not to be used
-    quality : (n,) float32, as the instrument tells it, 1 is best; NaN where it does
+    quality : (n,) float32, as the instrument reports it, 1 is best; NaN where it does
         not, None where it never does
     """
 
@@ -62,7 +62,7 @@ class TrackerSamples:
     quality: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        """Call lost what is nowhere, whatever its status says."""
+        """Mark impossible positions as lost, whatever their status."""
         seen = is_seen(self.position_mm)
         if not seen.all():
             position_mm = np.where(seen[:, None], self.position_mm, np.nan)
@@ -75,13 +75,13 @@ class TrackerSamples:
 
     @classmethod
     def empty(cls) -> TrackerSamples:
-        """Return a block of no samples."""
+        """A block of no samples."""
         none = np.empty(0, np.int64)
         return cls(none, np.empty(0), np.empty((0, 3)), none)
 
     @classmethod
     def join(cls, blocks: Sequence[TrackerSamples]) -> TrackerSamples:
-        """Return the blocks one after another."""
+        """The blocks one after another."""
         if not blocks:
             return cls.empty()
         return cls(
@@ -93,7 +93,7 @@ class TrackerSamples:
         )
 
     def select(self, rows: slice | NDArray[np.integer | np.bool_]) -> TrackerSamples:
-        """Return some of the samples."""
+        """Samples of some rows, by slice, indices or mask."""
         return TrackerSamples(
             self.sequence[rows],
             self.device_time_s[rows],
@@ -113,7 +113,7 @@ def _join_quality(blocks: Sequence[TrackerSamples]) -> NDArray[np.float32] | Non
 
 @dataclass(frozen=True, slots=True)
 class AxisSamples:
-    """Controller positions by host arrival time: for health, never paired with samples.
+    """Controller positions by host arrival time, never paired with samples.
 
     host_time_s : (n,) monotonic clock of the host
     position_mm : (n, axes), degrees for rotary axes
@@ -130,7 +130,7 @@ class TemperatureSamples:
 
     names : columns of `environment.csv` without their `_degC`
     time_s : (n,)
-    celsius : (n, sensors), NaN where a sensor has shown nothing to be believed
+    celsius : (n, sensors), NaN where a sensor has no plausible reading
     """
 
     names: tuple[str, ...]
@@ -154,9 +154,9 @@ class AirSamples:
 class Arc:
     """A circular motion towards a row, in the plane of two linear axes.
 
-    axes : XY, YZ or ZX; other axes stand
+    axes : XY, YZ or ZX; other axes are at rest
     centre_mm : in both axes
-    turn_deg : positive from the first axis towards the second, G3; whole turns as well
+    turn_deg : positive from the first axis towards the second, G3; may exceed a turn
     """
 
     axes: str
@@ -171,14 +171,15 @@ ARC_PLANES = ("XY", "YZ", "ZX")
 class Path:
     """Commanded motions between waypoints, an exact stop and a dwell at each.
 
-    Straight lines, but where there is an arc.
+    Straight lines, except where there is an arc.
 
     position : (n, axes) axis positions, mm for linear and deg for rotary axes
     feed_mm_min : (n,) feed towards that row; the first row is approached at its feed
     dwell_s : (n,) dwell at that row
-    target : name of the target measured on the way to each row; none for a single one
-    arc : on which each row is come to, None on a straight line; empty where all are.
-        The first row is approached straight in any case
+    target : name of the target measured during the motion to each row; empty for a
+        single one
+    arc : motion to each row, None on a straight line; empty where all are straight. The
+        first row is approached straight in any case
     """
 
     axes: tuple[str, ...]
@@ -194,7 +195,7 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
-    """What a link has seen since it was opened."""
+    """Counts of a link since it was opened."""
 
     frames: int = 0
     lost_samples: int = 0
@@ -204,7 +205,7 @@ class LinkHealth:
 
 
 class MotionState(StrEnum):
-    """State of a controller; everything but RUNNING stands still."""
+    """State of a controller; in all but RUNNING the axes are at rest."""
 
     IDLE = "idle"
     READY = "ready"  # a path is loaded
@@ -221,7 +222,7 @@ class MotionState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Hindrance:
-    """Why a machine cannot be driven, and what to do."""
+    """Why a machine cannot be moved, and the remedy."""
 
     text: str
     remedy: str
@@ -231,7 +232,7 @@ class Hindrance:
 
 
 HELD_BY_PERSON = "operator"
-"""Why a feed is held that somebody holds at the panel."""
+"""The hold reason of a feed that an operator holds at the panel."""
 
 # The states in which a machine cannot be driven.
 UNABLE: Mapping[MotionState, Hindrance] = MappingProxyType(
@@ -257,12 +258,12 @@ class MotionStatus:
 
     line : row of the loaded path, from 0, that the machine moves towards or dwells at;
         0 before the path was started, its last value after the motion
-    alarm : text of the controller where it cannot be driven
-    hold_reason : why it is held ("operator", "watchdog", "command"), empty if it is not
-    override : factor on the feed, None where the controller does not tell
-    referenced : whether it knows where its axes are, None where it does not tell
-    compensation : whether it corrects the axes by error tables of its own, None where
-        it does not tell
+    alarm : text of the controller where it cannot be moved
+    hold_reason : "operator", "watchdog" or "command"; empty if it is not held
+    override : factor on the feed, None where the controller does not report it
+    referenced : whether its axes are homed, None where it does not report it
+    compensation : whether it corrects the axes by its own error tables, None where it
+        does not report it
     """
 
     state: MotionState
@@ -276,10 +277,10 @@ class MotionStatus:
 
     @property
     def is_busy(self) -> bool:
-        """Whether it runs a program, or a person holds one at the panel.
+        """Whether it runs a program, or an operator holds one at the panel.
 
-        That may be anybody's, with the tool in the work; a hold by command or watchdog
-        is what is left of a motion that was ours.
+        The program may be any client's, with the tool in the work; a hold by command or
+        watchdog is the rest of a motion of the service.
         """
         held = self.state is MotionState.HELD and self.hold_reason == HELD_BY_PERSON
         return held or self.state is MotionState.RUNNING

@@ -5,9 +5,10 @@ For drivers that send it and for the service, which writes whole programs.
 `G53` holds in its block: positions are machine coordinates whatever offsets are set.
 The exact stop is `G61.1`: `G61` follows the path exactly but runs through rows that lie
 on one line (measured on LinuxCNC 2.9). F is the feed of X, Y, Z where one of them
-moves, else that of the rotary axes, in deg/min.
-An arc is incremental, end and centre (`G91 G91.1`), since `G53` takes no arcs: so it
-depends on no offset either, unless coordinates are rotated (`G10 L2 R`).
+moves, else that of the rotary axes, in deg/min. An arc is incremental, end and centre
+(`G91 G91.1`), since `G53` takes no arcs: so it depends on no offset either, unless
+coordinates are rotated (`G10 L2 R`).
+
 Source: LinuxCNC documentation, G-code reference (G53, G61.1, G94), and its interpreter.
 """
 

@@ -1,7 +1,7 @@
 """Thermometers, barometer and hygrometer: a group of named channels, read in turn.
 
-A driver reads and never judges: what is out of range or does not change any more is
-found by who reads it, in the same way for every driver.
+A driver only reads: readings that are out of range or constant are detected by the
+caller, in the same way for every driver.
 """
 
 from __future__ import annotations
@@ -35,10 +35,9 @@ class Channel:
 
     name : a column of `environment.csv`: `<NAME>_degC`, `pressure_hPa` or
         `humidity_percent`; `X_degC` is the sensor of the scale of the axis X
-    low, high : a reading outside is no temperature of a machine hall; by the unit
-        where they are not given
-    stuck_s : a sensor whose reading has not changed at all for so long is stuck;
-        0 where a coarse one may stand still
+    low, high : limits of a plausible reading; defaults by the unit
+    stuck_s : a sensor whose reading is constant for so long is stuck; 0 where a coarse
+        one may be constant
     """
 
     name: str
@@ -65,7 +64,7 @@ class Channel:
 
     @property
     def plausible(self) -> tuple[float, float]:
-        """Lowest and highest reading to be believed."""
+        """Lowest and highest plausible reading."""
         low, high = _PLAUSIBLE.get(self.name, _PLAUSIBLE[self.unit])
         return (
             low if math.isnan(self.low) else self.low,
@@ -73,7 +72,7 @@ class Channel:
         )
 
     def find_fault(self, value: float) -> str:
-        """Return why a number, seen by itself, is no reading; empty where it may be."""
+        """Why a single number is no valid reading; empty where it may be one."""
         low, high = self.plausible
         if 0.0 < abs(value) < _TINY:
             return (
@@ -87,11 +86,11 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What one channel showed.
+    """One reading of a channel.
 
     host_time_s : monotonic clock of this host, in the middle of the request
     value : in the unit of the channel; NaN where there is none
-    fault : why there is none; empty where there is
+    fault : reason of a missing value; else empty
     """
 
     channel: str
@@ -118,7 +117,7 @@ class ReadingTry:
 class Thermometers(Device):
     """A group of channels behind one link. For one thread; `close` for any.
 
-    tries : what `connect`, even Refused, has seen by all the ways that it tried
+    tries : readings of `connect`, even Refused, by all the ways that it tried
     """
 
     interface_version: ClassVar[int] = 1
@@ -132,13 +131,13 @@ class Thermometers(Device):
     @property
     @abstractmethod
     def period_s(self) -> float:
-        """Shortest time between two readings of a channel, for who calls `read`."""
+        """Shortest time between two readings of a channel, for the caller of `read`."""
 
     @abstractmethod
     def read(self) -> tuple[Reading, ...]:
         """Read the channels that are due, each once, in a bounded time.
 
-        A channel that does not answer is in it with its fault: one sensor that is
-        dead leaves the others. After a lost link the next call opens it anew. Raises
+        A channel that does not answer is included with its fault: one dead sensor does
+        not affect the others. After a lost link the next call reopens it. Raises
         ConnectionLost only before `connect` and after `close`.
         """

@@ -1,7 +1,7 @@
 """Laser trackers that stream positions of one reflector, or measure point by point.
 
 A driver derives from `Tracker` or `PolledTracker`, and from those of the small classes
-below that its instrument can do as well. Who uses one asks with `isinstance`.
+below that its instrument supports. Callers test with `isinstance`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Tracker(Device):
 
     @property
     def capabilities(self) -> TrackerCapabilities:
-        """What it can do, known after `connect`."""
+        """Known after `connect`."""
         return TrackerCapabilities()
 
     @abstractmethod
@@ -39,10 +39,10 @@ class Tracker(Device):
 
     @abstractmethod
     def read(self, timeout_s: float) -> TrackerSamples:
-        """Return all since the last call, waiting at most `timeout_s` for a first one.
+        """All samples since the last call; a first one within `timeout_s`.
 
-        An empty block means silence. Never holds a sample whose check did not match.
-        Raises ConnectionLost if the link has gone.
+        An empty block means silence. Never holds a sample whose checksum did not match.
+        Raises ConnectionLost if the link is lost.
         """
 
     @abstractmethod
@@ -56,31 +56,31 @@ class Tracker(Device):
 
 
 class PolledTracker(Device):
-    """Measures a target that stands still, each time it is asked to."""
+    """Measures a target at rest, once per request."""
 
     interface_version: ClassVar[int] = 1
 
     @property
     @abstractmethod
     def capabilities(self) -> TrackerCapabilities:
-        """What it can do, known after `connect`; `streams` is false."""
+        """Known after `connect`; `streams` is false."""
 
     @abstractmethod
     def measure(self, dwell_s: float) -> PointMeasurement:
-        """Measure for so long, one shot at the least; return the mean.
+        """Mean of the shots in this time, at least one.
 
         A shot that began before the call never counts. Raises BeamLost if there is no
-        target, Refused for a dwell that is no time or after `stop`, DeviceTimeout,
-        ConnectionLost. After an error the next call begins anew.
+        target, Refused for an invalid dwell or after `stop`, DeviceTimeout,
+        ConnectionLost. After an error the next call starts over.
         """
 
     @abstractmethod
     def stop(self) -> None:
-        """End a measurement under way. Idempotent, any thread, any state."""
+        """End an active measurement. Idempotent, any thread, any state."""
 
 
 class ByteLink(ABC):
-    """Beside its verbs, a device hands out what it received, before any decoding.
+    """Access to the received bytes of a device, before any decoding.
 
     A Run keeps these bytes as a second stream, so that it can be decoded again when a
     codec is corrected. A driver opts in by deriving from this as well.
@@ -88,39 +88,39 @@ class ByteLink(ABC):
 
     @abstractmethod
     def take_link_bytes(self) -> bytes:
-        """Return the bytes received since the last call, in order.
+        """Bytes received since the last call, in order.
 
-        Called at least every second while a stream runs, and after each point. A
-        driver keeps a bounded number of bytes for it and drops the oldest.
+        Called at least every second while a stream runs, and after each point. A driver
+        keeps a bounded number of bytes for it and drops the oldest.
         """
 
 
 class EventSource(ABC):
-    """Tells what happens at the instrument: a beam that is lost, a warning."""
+    """Reports events of the instrument: a lost beam, a warning."""
 
     @abstractmethod
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Return the events since the last call, in order. Any thread."""
+        """Events since the last call, in order. Any thread."""
 
 
 class TurningTracker:
-    """Turns by itself, which takes a while."""
+    """Motorised: its verbs take a while."""
 
     @property
     def verb_limit_s(self) -> float:
-        """The longest that one of the verbs may take, by how the driver is set up.
+        """Longest time of one of the verbs, by the options of the driver.
 
-        The driver gives up by then, with an error that says why.
+        The driver raises by then, with an error that gives the reason.
         """
         return 30.0
 
 
 class TargetFinder(TurningTracker, ABC):
-    """Points its beam and finds a target by itself."""
+    """Points its beam and finds a target automatically."""
 
     @abstractmethod
     def home(self) -> None:
-        """Go to the instrument's own reference or home, and initialise there."""
+        """Move to the instrument's own reference or home, and initialise there."""
 
     @abstractmethod
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
@@ -132,11 +132,11 @@ class TargetFinder(TurningTracker, ABC):
 
 
 class TargetChoice(TurningTracker, ABC):
-    """Knows several targets by their names, and which of them it measures."""
+    """Measures one of several targets, chosen by name."""
 
     @abstractmethod
     def select_target(self, name: str) -> None:
-        """Measure this one from now on.
+        """Measure this target from now on.
 
         Raises Refused if it is not known, NotOffered if this device cannot choose,
         NotHomed if it has to be homed first, BeamLost if it is not seen.
@@ -144,15 +144,15 @@ class TargetChoice(TurningTracker, ABC):
 
 
 class AirExchange(ABC):
-    """Takes the air for its own refraction, and tells which it uses."""
+    """Accepts the air for its own refraction, and reports the air in use."""
 
     @abstractmethod
     def push_air(self, air: Air) -> None:
-        """Hand over the air; raises Refused if it is not what comes back."""
+        """Set the air; raises Refused if the readback differs."""
 
     @abstractmethod
     def read_air(self) -> Air:
-        """Return the air that is in use."""
+        """The air that is in use."""
 
 
 AnyTracker = Tracker | PolledTracker

@@ -1,4 +1,4 @@
-"""What trackers say beside samples: what they can do, points, air, events."""
+"""Records of trackers besides samples: capabilities, points, air, events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class Clock(StrEnum):
-    """Whose clock stamps what a tracker measures."""
+    """Clock that stamps the measurements of a tracker."""
 
     DEVICE = "device"
     HOST = "host"  # as good as the scheduler: for points at standstill
@@ -18,7 +18,7 @@ class Clock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What a tracker that does not correct for the air measures distances with.
+    """Light of a tracker that does not correct for the air.
 
     wavelength_nm : in vacuum
     is_group : modulated light (ADM, EDM); else fringes are counted (IFM)
@@ -38,13 +38,13 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class TrackerCapabilities:
-    """What an instrument can do, known after `connect`.
+    """Capabilities of an instrument, known after `connect`.
 
-    streams : it sends samples by itself; else each point is asked for
+    streams : it sends samples continuously; else each point is requested
     max_rate_hz : highest rate of samples, or of shots at a point; 0 if not known
-    distance : how it measures distance, `IFM`, `ADM` or `EDM`; empty if not known
-    corrects_air : it applies the refraction of the air to its distances itself; None
-        if not known
+    distance : principle of the distance, `IFM`, `ADM` or `EDM`; empty if not known
+    corrects_air : it applies the refraction of the air to its distances itself; None if
+        not known
     light : of one that does not, where the driver knows it
     """
 
@@ -58,7 +58,7 @@ class TrackerCapabilities:
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """The air that the beam goes through; NaN where it is not known."""
+    """The air along the beam; NaN where it is not known."""
 
     temperature_degc: float = np.nan
     pressure_hpa: float = np.nan
@@ -67,7 +67,7 @@ class Air:
 
 @dataclass(frozen=True, slots=True)
 class PointMeasurement:
-    """The mean of some shots at a target that stood still, in the tracker's frame.
+    """The mean of some shots at a target at rest, in the tracker's frame.
 
     time_s : middle of the measurement, by the clock that the capabilities name
     position_mm : (3,) mean
@@ -92,7 +92,7 @@ class PointMeasurement:
         air: Air | None = None,
         quality: float = np.nan,
     ) -> PointMeasurement:
-        """Return the mean of single shots, (n, 3)."""
+        """Mean and covariance of single shots, (n, 3)."""
         mean = shots_mm.mean(axis=0)
         away = shots_mm - mean
         square = away.T @ away / max(len(shots_mm) - 1, 1)
@@ -101,7 +101,7 @@ class PointMeasurement:
 
 
 class TrackerEventKind(StrEnum):
-    """What happened at a tracker."""
+    """Kind of an event at a tracker."""
 
     BEAM_LOST = "tracker-beam-lost"
     BEAM_LOCKED = "tracker-beam-locked"
@@ -110,9 +110,9 @@ class TrackerEventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrackerEvent:
-    """Something that happened at a tracker, in plain words.
+    """An event at a tracker, as text.
 
-    action : what a person can do about it; empty where nothing is to be done
+    action : remedy for the operator; empty where none is needed
     """
 
     kind: TrackerEventKind

@@ -1,4 +1,4 @@
-"""Thermometers and sensors of the air, one folder a kind of link.
+"""Thermometers and sensors of the air, one folder per kind of link.
 
-Not here: what readings may be believed, which the service decides.
+Not here: plausibility of readings, which the service checks.
 """

@@ -1,4 +1,4 @@
-"""What instruments share that measure one point at a time, asked in lines of text."""
+"""Base of instruments that measure one point at a time, over lines of text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class LineInstrument(PolledTracker, ByteLink, EventSource):
-    """A polled instrument; a driver says how it greets and how it takes a shot."""
+    """A polled instrument; a driver defines its identification and its shot."""
 
     def __init__(self, link: LineLink) -> None:
         self._link = link
@@ -37,21 +37,21 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
 
     @abstractmethod
     def greet(self) -> Identity:
-        """Ask who answers over the open link. Raises DeviceError."""
+        """Identify the instrument over the open link. Raises DeviceError."""
 
     def prepare(self) -> None:
-        """Set what the instrument needs before its first point: here nothing."""
+        """Set up the instrument before its first point: here no action."""
 
     @abstractmethod
     def shoot(self) -> tuple[NDArray[np.float64], float]:
-        """Return one point in mm, and its quality: 1 good, 0 doubtful, NaN not told."""
+        """One point in mm, and its quality: 1 good, 0 doubtful, NaN not reported."""
 
     def find_air(self) -> Air | None:
-        """Return the air that a point was measured in, as the instrument says."""
+        """Air of a point as the instrument reports it; None by default."""
         return None
 
     def connect(self) -> Identity:
-        """Open the link, ask who is there, prepare it. Idempotent."""
+        """Open the link, identify and prepare the instrument. Idempotent."""
         with self._lock:
             if self._identity is None or not self._link.is_open:
                 self._stopping.clear()
@@ -71,18 +71,18 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
             return self._identity
 
     def close(self) -> None:
-        """End what runs and release the link."""
+        """End all activity and release the link."""
         self.stop()
         with self._lock:
             self._identity = None
             self._link.close()
 
     def stop(self) -> None:
-        """End a dwell under way; what cannot be ended of a shot ends by itself."""
+        """End an active dwell; a shot that cannot be interrupted ends by itself."""
         self._stopping.set()
 
     def measure(self, dwell_s: float) -> PointMeasurement:
-        """Take one shot after another for so long."""
+        """Repeat shots for this time."""
         if not 0.0 <= dwell_s < math.inf:
             raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
         with self._lock:
@@ -107,15 +107,15 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
             )
 
     def take_link_bytes(self) -> bytes:
-        """Return the bytes as they came, at most the last 1 MiB."""
+        """Bytes as received, at most the last 1 MiB."""
         return self._link.take_bytes()
 
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Return what has happened since the last call."""
+        """Events since the last call."""
         taken = tuple(self._events)
         del self._events[: len(taken)]
         return taken
 
     def tell(self, kind: TrackerEventKind, text: str, action: str = "") -> None:
-        """Keep what has happened for whoever asks."""
+        """Store an event for `take_events`."""
         self._events.append(TrackerEvent(kind, text, action))

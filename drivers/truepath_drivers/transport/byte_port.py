@@ -1,4 +1,4 @@
-"""A way for bytes to a device and back."""
+"""Interface of a port for bytes."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ class BytePort(ABC):
     """Bytes in order, both ways. One thread reads, any writes, `close` comes last.
 
     Construction opens nothing. Errors are ConnectionLost, whose text names the port and
-    says what to do; a port that was lost is closed and opened anew, never used further.
+    the remedy; a lost port is closed and reopened, never used further.
     """
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """What the port is called in messages."""
+        """Name of the port in messages."""
 
     @abstractmethod
     def open(self) -> None:
-        """Open the port, raw and for us alone."""
+        """Open the port, raw and exclusively."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come, as soon as something has; b"" after `timeout_s`."""
+        """Received bytes, as soon as there are any; b"" after `timeout_s`."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:

@@ -10,7 +10,7 @@ from truepath_drivers.transport.byte_port import BytePort
 
 _END = b"\r\n"
 _KEPT_BYTES = 1 << 20
-_LONGEST = 1 << 12  # of a line; more without an end is no text of ours
+_LONGEST = 1 << 12  # of a line; more without an end is noise
 
 
 class LineLink:
@@ -29,7 +29,7 @@ class LineLink:
 
     @property
     def name(self) -> str:
-        """What the port is called in messages."""
+        """Name of the port in messages."""
         return self._port.name
 
     @property
@@ -39,11 +39,11 @@ class LineLink:
 
     @property
     def has_received(self) -> bool:
-        """Whether anything has come, whole lines or not."""
+        """Whether any bytes have come, also incomplete lines."""
         return bool(self._kept or self._rest)
 
     def open(self) -> None:
-        """Open the port."""
+        """Open the port; discards bytes and lines of earlier."""
         self._port.open()
         self._is_open, self._rest, self.lines = True, b"", 0
         self.take_bytes()
@@ -64,7 +64,7 @@ class LineLink:
             raise
 
     def receive(self, deadline_s: float) -> bytes | None:
-        """Return the next line, None if none is whole by then (`host_clock`)."""
+        """Next line, None if none is complete by then (`host_clock`)."""
         while _END not in self._rest:
             left_s = deadline_s - host_clock.now_s()
             if left_s <= 0.0:
@@ -81,7 +81,7 @@ class LineLink:
         return line
 
     def drain(self) -> bytes:
-        """Return what has come already; it belongs to no request."""
+        """Discard pending bytes, which belong to no request; gives them."""
         stale, self._rest = self._rest, b""
         while data := self._port.read(0.0):
             self._keep(data)
@@ -89,7 +89,7 @@ class LineLink:
         return stale
 
     def take_bytes(self) -> bytes:
-        """Return what has come since the last call, at most the last 1 MiB."""
+        """Bytes since the last call, at most the last 1 MiB."""
         with self._lock:
             data, self._kept = bytes(self._kept), bytearray()
         return data

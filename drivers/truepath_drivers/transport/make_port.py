@@ -1,4 +1,4 @@
-"""Which way to a device its options mean."""
+"""Choice of the port from options of a driver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from truepath_drivers.transport.tcp_port import TcpPort
 
 
 def make_port(port: str | int, host: str | None, baudrate: int) -> BytePort:
-    """Return a TCP connection where there is a host, else a serial port by its path."""
+    """A TCP connection if there is a host, else a serial port by its path."""
     if host is not None:
         return TcpPort(host, int(port))
     if isinstance(port, int):

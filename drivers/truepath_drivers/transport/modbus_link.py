@@ -1,4 +1,4 @@
-"""Requests to one Modbus unit, bounded in time, their failures told apart by family."""
+"""Requests to one Modbus unit, bounded in time, with failures by family."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from truepath_drivers.interfaces.errors import (
     Refused,
 )
 
-# Our errors tell what failed; without this the library's log goes to the terminal.
+# Our errors carry the cause; without this the library's log goes to the terminal.
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
 # The library's own 3 s and 3 repeats are 12 s of blindness. The caller repeats what may
-# be repeated, unless somebody waits to hold the feed.
+# be repeated, unless a hold is waiting.
 TIMEOUT_S = 0.2
 RETRIES = 0
 
@@ -47,7 +47,7 @@ class TcpAddress:
         return f"{self.host}:{self.port}"
 
     def client(self) -> ModbusTcpClient:
-        """Return a client that is not connected."""
+        """An unconnected client."""
         return ModbusTcpClient(
             self.host, port=self.port, timeout=TIMEOUT_S, retries=RETRIES
         )
@@ -65,7 +65,7 @@ class SerialAddress:
         return self.path
 
     def client(self) -> ModbusSerialClient:
-        """Return a client that is not connected."""
+        """An unconnected client."""
         return ModbusSerialClient(
             self.path,
             baudrate=self.baudrate,
@@ -82,7 +82,7 @@ def make_address(
     baudrate: int,
     parity: str = "N",
 ) -> TcpAddress | SerialAddress:
-    """Return the address that options name. Raises ValueError unless it is one."""
+    """Address of the options. Raises ValueError unless they name exactly one."""
     if (host is None) == (serial_port is None):
         raise ValueError("give either host (Modbus TCP) or serial_port (Modbus RTU)")
     if parity not in ("N", "E", "O"):
@@ -95,10 +95,10 @@ def make_address(
 class ModbusLink:
     """Registers of units on one line. For one thread at a time: drivers lock.
 
-    unit : that is asked where a request names no other
+    unit : default unit of requests
 
-    A connection that broke stays broken until `open`: the library would take it up
-    again by itself, and another device may answer by then. A connection that is only
+    A connection that broke stays broken until `open`: the library would reopen it
+    automatically, and another device may answer by then. A connection that is only
     silent is kept: what was sent on it would otherwise be obeyed after what is sent on
     the next one.
     """
@@ -115,11 +115,11 @@ class ModbusLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection stands, as far as is known."""
+        """Whether the connection is open, as far as is known."""
         return self._client is not None and self._client.connected
 
     def open(self) -> None:
-        """Connect anew. Raises ConnectionLost."""
+        """Reconnect. Raises ConnectionLost."""
         self.close()
         client = self._address.client()
         if not client.connect():
@@ -143,7 +143,7 @@ class ModbusLink:
         unit: int | None = None,
         are_inputs: bool = False,
     ) -> list[int]:
-        """Return holding or input registers. Harmless, so it may be repeated."""
+        """Read holding or input registers. Harmless, so it may be repeated."""
         client = self._require_connected()
         read = (
             client.read_input_registers if are_inputs else client.read_holding_registers
@@ -187,7 +187,6 @@ class ModbusLink:
         )
 
     def _check(self, reply: ModbusPDU, unit: int, doing: str) -> None:
-        """Turn an exception reply into the error of its family."""
         if not reply.isError():
             return
         code = reply.exception_code

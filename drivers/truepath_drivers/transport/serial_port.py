@@ -55,7 +55,7 @@ class SerialPort(BytePort):
         return f"{self._path}: {why}"
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what the kernel holds, at most 64 KiB at once."""
+        """Bytes held by the kernel, at most 64 KiB at once."""
         fd = self._require_open().fileno()
         poll = select.poll()
         poll.register(fd, select.POLLIN)

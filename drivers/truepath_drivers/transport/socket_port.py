@@ -1,4 +1,4 @@
-"""What ports over a socket have in common."""
+"""Base of ports over a socket."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class SocketPort(BytePort):
             opened.close()
 
     def require_open(self) -> socket.socket:
-        """Return the socket. Raises ConnectionLost where there is none."""
+        """The open socket. Raises ConnectionLost where there is none."""
         if self._socket is None:
             raise ConnectionLost(f"{self.name} is not open; connect first")
         return self._socket
 
     def wait(self, timeout_s: float) -> socket.socket | None:
-        """Return the socket once it has bytes; None if none come in time."""
+        """The socket once it has bytes; None if none come in time."""
         opened = self.require_open()
         poll = select.poll()
         poll.register(opened, select.POLLIN)

@@ -14,7 +14,7 @@ _KEEP_ALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 
 
 class TcpPort(SocketPort):
-    """A client socket without Nagle's delay, watched by keep-alive probes."""
+    """A client socket without Nagle's delay, monitored by keep-alive probes."""
 
     @property
     def name(self) -> str:
@@ -40,7 +40,7 @@ class TcpPort(SocketPort):
         self._socket = opened
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what the kernel holds, at most 64 KiB at once."""
+        """Bytes held by the kernel, at most 64 KiB at once."""
         opened = self.wait(timeout_s)
         if opened is None:
             return b""

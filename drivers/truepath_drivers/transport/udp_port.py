@@ -11,9 +11,9 @@ _KEPT_BYTES = 4 << 20  # as much of it as the system allows
 
 
 class UdpPort(SocketPort):
-    """Listens to one sender; each datagram ends a line, whether it says so or not.
+    """Receives from one sender; each datagram ends a line, with or without line end.
 
-    host : address to listen at; empty for all of this host
+    host : local address; empty for all of this host
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -26,7 +26,7 @@ class UdpPort(SocketPort):
         return f"udp {self._address[0] or '*'}:{self._address[1]}"
 
     def open(self) -> None:
-        """Take the port of this host."""
+        """Bind the port of this host."""
         self.close()
         self._sender = None
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -42,7 +42,7 @@ class UdpPort(SocketPort):
         self._socket = opened
 
     def read(self, timeout_s: float) -> bytes:
-        """Return all datagrams that wait, at least one unless none comes in time."""
+        """Pending datagrams, at least one unless none comes in time."""
         opened = self.wait(timeout_s)
         lines: list[bytes] = []
         while opened is not None and len(lines) < BLOCK:
@@ -62,5 +62,5 @@ class UdpPort(SocketPort):
         return b"".join(lines)
 
     def write(self, data: bytes) -> None:
-        """Refuse: there is nobody to send to."""
+        """Raises ConnectionLost: datagrams are only received."""
         raise ConnectionLost(f"{self.name} listens only; leave commands out")

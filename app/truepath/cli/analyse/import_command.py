@@ -167,9 +167,8 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
 def _hold_against_commanded(
     run: Run, read: Recording
 ) -> tuple[list[BadInput], list[str]]:
-    """Return all problems, and notes with what the recording is beside the commanded.
-
-    What does not fit may be for a problem that is known: then it is not one more.
+    """All problems, and notes on the differences from the commanded rows. A difference
+    may follow from a known problem: then it is not reported too.
     """
     from truepath.alignment.align import align
 

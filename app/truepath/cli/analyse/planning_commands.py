@@ -1,4 +1,4 @@
-"""The commands before a measurement: `grade` a set-up, `plan` what to drive."""
+"""The commands before a measurement: `grade` a set-up, `plan` the rows."""
 
 from __future__ import annotations
 

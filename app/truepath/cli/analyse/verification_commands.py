@@ -1,4 +1,4 @@
-"""The command that holds a result against a measurement it was not made from."""
+"""The command that compares a result with an independent measurement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands on what is installed: `drivers`, `formats`, `plugins`."""
+"""The commands on installed plug-ins: `drivers`, `formats`, `plugins`."""
 
 from __future__ import annotations
 

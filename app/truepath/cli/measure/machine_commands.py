@@ -210,7 +210,6 @@ def _print_machine(found: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _read_stated(stated: list[str] | None) -> dict[str, Any]:
-    """Return what `FIELD=TEXT` state. Raises BadInput naming the field."""
     content: dict[str, Any] = {}
     for each in stated or ():
         name, equals, text = (part.strip() for part in each.partition("="))
@@ -231,7 +230,7 @@ def _read_number(text: str) -> float | None:
 def _read_machine_file(file: Path) -> dict[str, Any]:
     from truepath.files.bundle.machine_file import read_machine
 
-    read_machine(file)  # says what is wrong by the name of the file
+    read_machine(file)  # names the file in its errors
     return _read_object(file)
 
 
@@ -250,17 +249,12 @@ def _read_object(file: Path) -> dict[str, Any]:
 def _summarise_machine(
     record: Mapping[str, Any], history: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return a machine with its newest usable calibration, None where there is none.
-
-    history : its volumetric error over all calibrations
-    """
     usable = [c for c in history["calibrations"] if c["verdict"] != _NOT_USABLE]
     newest = _summarise_calibration(usable[-1], history) if usable else None
     return {**record, "calibration": newest, "standing": None}
 
 
 def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
-    """Print a line a machine."""
     rows = [
         [
             one["id"],
@@ -277,7 +271,6 @@ def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_details(one: Mapping[str, Any]) -> None:
-    """Print who a machine is, its axes and devices, and how it stands."""
     measured, age, error = _describe_calibration(one["calibration"])
     devices = one["devices"]
     rows = [
@@ -304,7 +297,6 @@ def _print_details(one: Mapping[str, Any]) -> None:
 
 
 def _print_history(found: Mapping[str, Any]) -> None:
-    """Print a quantity over the calibrations, an entry a column."""
     columns = [
         "measured",
         *(_name_entry(e) for e in found["entries"]),
@@ -330,7 +322,6 @@ def _print_history(found: Mapping[str, Any]) -> None:
 
 
 def _print_comparison(found: Mapping[str, Any]) -> None:
-    """Print one quantity of several machines, the smallest first."""
     rows = [
         [
             one["machine"],
@@ -371,7 +362,6 @@ def _describe_state(one: Mapping[str, Any]) -> str:
 
 
 def _describe_calibration(one: Mapping[str, Any] | None) -> tuple[str, str, str]:
-    """Return when it was, how long ago, and the error with its uncertainty (k = 2)."""
     if one is None:
         return "never", "", _NONE
     hours = one["age_hours"]

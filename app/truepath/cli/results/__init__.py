@@ -1,4 +1,4 @@
-"""Commands that make something else of a result: compare, export, certificate.
+"""Commands that convert a result: compare, export, certificate.
 
 Not here: formats of controls (`compensation.formats`), predictions (`cli.analyse`).
 """

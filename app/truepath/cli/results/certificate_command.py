@@ -1,4 +1,4 @@
-"""The command that states a result for those who own the machine: `certificate`."""
+"""The command that writes a certificate for the owner of the machine."""
 
 from __future__ import annotations
 

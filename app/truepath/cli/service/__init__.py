@@ -1,5 +1,5 @@
-"""Commands that run the service or look after its data, its users and its computer.
+"""Commands that run the service or manage its data, users and computer.
 
 Here: serve, demo, simulate, record, doctor, backup, users, keys, audit, catalogue. Not
-here: what they check and do (`operation`, `users`, `catalogue`, `main`).
+here: their checks and actions (`operation`, `users`, `catalogue`, `main`).
 """

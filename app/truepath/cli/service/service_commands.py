@@ -1,4 +1,4 @@
-"""The commands that bring devices up: the service, the demo, simulators, recording."""
+"""The commands that start devices: the service, the demo, simulators, recording."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def serve(
         root_path=root_path,
         allow_plain_http=allow_plain_http or None,
     )
-    if measure and not settings.simulated:  # nobody has looked at the machine
+    if measure and not settings.simulated:  # no operator has checked the machine
         raise BadInput("--measure moves the machine at once; it needs --simulated")
     if measure and (settings.log_in_required or settings.tls_cert):
         raise BadInput(

@@ -204,12 +204,12 @@ def export_audit(
 
 
 class AuditBroken(TruepathError):
-    """The audit log was changed from outside."""
+    """The audit log was changed by another program."""
 
 
 @contextmanager
 def _open(config: Path | None, data_dir: Path | None) -> Iterator[Database]:
-    """Open the catalogue, beside a service that may run; made if there is none."""
+    """A service may run meanwhile."""
     from truepath.catalogue.store.database import Database
     from truepath.settings import load_settings
 

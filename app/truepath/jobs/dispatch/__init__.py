@@ -1,4 +1,4 @@
-"""The dispatcher: verbs of jobs, arm tokens, restart, deletion, retention.
+"""Verbs of jobs, arm tokens, restart, deletion, retention.
 
 Here: what may be called from request threads, and what is done when the service starts.
 Not here: the steps of a job (`jobs.kinds`), states (`catalogue.transitions`).

@@ -1,7 +1,7 @@
-"""Tokens that let a machine move once: asked for, shown to a person, used.
+"""Single-use tokens that permit one motion of a machine.
 
 A token is bound to job, version, user, machine and rows. Only its hash is kept, in
-memory: a service that was started anew knows none, so a restart disarms.
+memory: a restart of the service disarms.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from truepath.catalogue.errors import ArmTokenExpired, ArmTokenOther, ArmTokenUs
 from truepath_drivers import host_clock
 
 VALID_S = 60.0
-MAX_TOKENS = 1024  # of all jobs; the oldest are forgotten
+MAX_TOKENS = 1024  # of all jobs; the oldest are dropped
 _BYTES = 24
 
 
 @dataclass(frozen=True, slots=True)
 class ArmingPurpose:
-    """What a token is good for.
+    """Binding of an arm token.
 
     version : of the job; machine_version : of the machine's configuration
-    user : name of who asked; None where nobody logs in
+    user : name of the requesting user; None without login
     plan_sha256 : of the rows that are commanded
     """
 
@@ -46,9 +46,9 @@ class _Issued:
 
 
 class ArmTokens:
-    """The tokens of a service; any thread may call it.
+    """Issued tokens; thread-safe.
 
-    valid_s : how long a token can be used
+    valid_s : lifetime of a token
     """
 
     def __init__(self, valid_s: float = VALID_S) -> None:
@@ -57,7 +57,7 @@ class ArmTokens:
         self._issued: list[_Issued] = []
 
     def issue(self, purpose: ArmingPurpose) -> str:
-        """Return a new token for one purpose."""
+        """URL-safe random text, shown once: only its hash is stored."""
         token = secrets.token_urlsafe(_BYTES)
         issued = _Issued(_hash(token), purpose, host_clock.now_s() + self.valid_s)
         with self._lock:
@@ -65,9 +65,9 @@ class ArmTokens:
         return token
 
     def use(self, token: str, purpose: ArmingPurpose) -> None:
-        """Use a token up.
+        """Invalidate a token after a match.
 
-        Raises ArmTokenOther, ArmTokenUsed, ArmTokenExpired; it is kept then.
+        Raises ArmTokenOther, ArmTokenUsed, ArmTokenExpired; the token is then kept.
         """
         with self._lock:
             issued = self._find(token)
@@ -84,7 +84,7 @@ class ArmTokens:
             issued.is_used = True
 
     def _find(self, token: str) -> _Issued | None:
-        """Return the token's record; compares with every one, in constant time."""
+        """Compares with every record, in constant time."""
         wanted = _hash(token)
         found = None
         for issued in self._issued:
@@ -98,7 +98,6 @@ def _hash(token: str) -> bytes:
 
 
 def _name_difference(given: ArmingPurpose, wanted: ArmingPurpose) -> str:
-    """Return in what two purposes differ, the most telling first; empty if nothing."""
     pairs = (
         ("user", given.user == wanted.user),
         ("machine", given.machine_id == wanted.machine_id),

@@ -1,9 +1,8 @@
-"""Makes a catalogue again from what is on disk: Runs and results.
+"""Recovery of a catalogue from the Runs and results on disk.
 
-Runs come back whole, and the jobs that made them; so do the jobs of which a result, a
-discovery or a trend stands. What was deleted does not. What a job was asked, plans that
-were not driven, jobs that failed without a file, and the history of states stood in the
-catalogue alone.
+Recovered: Runs with the jobs that made them, and jobs with a result, a discovery or a
+trend on disk. Not recovered: requests, plans that were not executed, jobs that failed
+without a file, the history of states. Deleted jobs stay deleted.
 """
 
 from __future__ import annotations
@@ -52,11 +51,11 @@ _OF_MEASUREMENT = {DISCOVERY: JobKind.MEASURE_EXTRA, VERIFICATION: JobKind.VERIF
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What was put into the catalogue.
+    """Counts of a recovery.
 
-    aside : where the old file was moved to; None where it stayed
-    runs, jobs, results, models : how many; each result and model is that of a job
-    unreadable : files that could not be read, and why; they are kept
+    aside : new path of the damaged file; None where it was intact
+    runs, jobs, results, models : numbers added; each result and model is that of a job
+    unreadable : reason by file that could not be read; these are kept
     """
 
     aside: Path | None
@@ -68,10 +67,10 @@ class Recovered:
 
 
 def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovered:
-    """Set a damaged catalogue aside, and add to the catalogue what it lacks.
+    """Set a damaged catalogue aside, and add what it lacks.
 
-    A whole catalogue stays, with all that it holds. Nobody may work on it meanwhile.
-    Raises CatalogueReadOnly, SchemaTooOld, StorageUnavailable.
+    An intact catalogue keeps all rows. No other process may use it meanwhile. Raises
+    CatalogueReadOnly, SchemaTooOld, StorageUnavailable.
     """
     aside = _set_aside(database)
     database.migrate()
@@ -96,12 +95,11 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
 def check_against_disk(
     database: Database, runs: Path, *, with_hashes: bool = False
 ) -> dict[str, Any]:
-    """Return the schema of a catalogue, what it holds, and where it and disk disagree.
+    """Schema and counts of a catalogue, its differences from the disk; read-only.
 
-    with_hashes : read every Run, and name those that are not as they were catalogued
+    with_hashes : read every Run, and name those changed since they were catalogued
 
-    Changes nothing. Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew,
-    SchemaTooOld.
+    Raises CatalogueDamaged, CatalogueReadOnly, SchemaTooNew, SchemaTooOld.
     """
     revision = database.check()
     if revision is None:
@@ -173,7 +171,6 @@ def _try_to_read(
 def _find_jobs(
     catalogue: RunCatalogue, results: Path
 ) -> tuple[list[Job], dict[str, str]]:
-    """Return the jobs that Runs and results tell of, in the order of their names."""
     by_job: dict[str, list[RunRecord]] = defaultdict(list)
     records = catalogue.list_all()
     for record in records:
@@ -195,7 +192,6 @@ def _find_jobs(
 
 
 def _measuring_job(job_id: str, own: list[RunRecord]) -> Job:
-    """Return the job of some Runs whose result does not stand."""
     first, *further = sorted(own, key=lambda r: (r.id != job_id, r.id))
     kind = JobKind.MEASURE_OTF if first.mode == "otf" else JobKind.MEASURE_STANDSTILL
     text = "found by its Run; the catalogue that knew how it ended is lost"
@@ -217,10 +213,6 @@ def _measuring_job(job_id: str, own: list[RunRecord]) -> Job:
 def _job_of_result(
     folder: Path, measured: Job | None, names: Mapping[str, str]
 ) -> Job | None:
-    """Return the job that has left its answer in a folder; None where none stands.
-
-    measured : the job of that name by its Runs; names : Runs by name and identifier
-    """
     for name, kind in _KINDS.items():
         file = folder / name
         if not file.is_file():
@@ -252,12 +244,10 @@ def _job_of_result(
 
 
 def _name_runs(content: Json) -> list[str]:
-    """Return the Runs behind a result, a discovery or a trend, each once, by name."""
     return list(dict.fromkeys(str(run["name"]) for run in content.get("runs") or ()))
 
 
 def _plan(job: Job, catalogue: RunCatalogue) -> Json | None:
-    """Return the rows that a job drove, as its Run has them."""
     if not job.kind.measures or job.run_id is None:
         return None
     try:

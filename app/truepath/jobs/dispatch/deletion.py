@@ -1,12 +1,13 @@
-"""Deletes jobs and Runs: first their rows, then their files.
+"""Deletion of jobs and Runs: first their rows, then their files.
 
-The rows go in one transaction, which notes what has been deleted. Files follow; what a
-crash, or a disk that refuses, has left of them goes at the next sweep, and no Run that
-is noted as deleted is taken into the catalogue again. An empty file `ID.deleted` beside
-the results stays of a job: its Runs name it still, and a catalogue that is made again
-from them must not bring it back. What something else depends on is
-not deleted: a job that others were made from, that a machine is held against or that a
-certificate states; a Run of a result, or of a measurement that can go on from it.
+The rows go in one transaction, which notes the deletion. Files follow; those that
+remain after a crash or a disk error go at the next sweep, and a Run that is noted as
+deleted is not catalogued again. An empty file `ID.deleted` beside the results remains
+of a job, so that a rebuild from its Runs does not restore it.
+
+Not deleted, because something depends on it: a job that others were made from, that a
+machine is compared with or that a certificate cites; a Run of a result, or of a
+measurement that can be resumed from it.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _MARK = ".deleted"
 
 @dataclass(frozen=True, slots=True)
 class Deleted:
-    """A job or a Run that was deleted.
+    """Identifier and files of one deletion.
 
     kind : `job` or `run`
     files : SHA-256 by name, below the folder of the data
@@ -65,13 +66,13 @@ Note = Callable[[Connection, Deleted], None]
 
 
 class Deletion:
-    """Deletes what nothing depends on. Any thread may call it."""
+    """Deletes jobs and Runs without dependants; thread-safe."""
 
     def __init__(self, database: Database, catalogue: RunCatalogue, results: Path):
         self._database, self._catalogue, self._results = database, catalogue, results
 
     def delete_job(self, job_id: str, note: Note | None = None) -> Deleted:
-        """Delete a job that has ended, with its answer. Its Runs stay.
+        """Delete an ended job with its answer; its Runs stay.
 
         note : is called in the same transaction
 
@@ -92,7 +93,7 @@ class Deletion:
     def delete_run(
         self, run_id: str, *, with_results: bool = False, note: Note | None = None
     ) -> list[Deleted]:
-        """Delete a Run; what has no answer forgets it. Return all that was deleted.
+        """Delete a Run and references by jobs without an answer; lists deletions.
 
         with_results : delete the jobs too whose answers were made from it
         note : is called in the same transaction, for each
@@ -122,9 +123,9 @@ class Deletion:
         return found
 
     def remove_files(self) -> None:
-        """Remove the files of all that has been deleted, and forget it then.
+        """Remove the files of noted deletions, then the notes.
 
-        What cannot be removed is logged and tried again the next time.
+        Failures are logged and tried again at the next call.
         """
         with self._database.read() as connection:
             noted = connection.execute(select(deletions.c.kind, deletions.c.id)).all()
@@ -156,7 +157,6 @@ class Deletion:
         return {f.relative_to(above).as_posix(): hash_file(f) for f in files}
 
     def _refuse_certified(self, job_id: str) -> None:
-        """Raise StillNeeded where a certificate states what a job has left."""
         own = self._results / job_id
         stated = {hash_file(own / n) for n in _STATED if (own / n).is_file()}
         for record in self._results.glob(f"*/{_CERTIFICATES}"):
@@ -167,10 +167,7 @@ class Deletion:
 
 
 def _list_sources(record: Path) -> list[object]:
-    """Return the SHA-256 of what a certificate states; none where it is unreadable.
-
-    It holds its own job all the same, and must not hold every other one for ever.
-    """
+    """An unreadable certificate protects only its own job."""
     try:
         content = as_object(parse_json(record.read_bytes(), record.name))
     except (BundleError, OSError) as error:
@@ -180,7 +177,7 @@ def _list_sources(record: Path) -> list[object]:
 
 
 def list_deleted_jobs(database: Database, results: Path) -> set[str]:
-    """Return the jobs that were deleted, by their marks and by what is noted."""
+    """Identifiers of deleted jobs, from mark files and noted deletions."""
     query = select(deletions.c.id).where(deletions.c.kind == "job")
     with database.read() as connection:
         noted = set(connection.execute(query).scalars())
@@ -190,7 +187,6 @@ def list_deleted_jobs(database: Database, results: Path) -> set[str]:
 def _delete_job(
     connection: Connection, job: Job, together: frozenset[str] | set[str] = frozenset()
 ) -> None:
-    """Delete the rows of a job that nothing depends on but what goes with it."""
     if not job.is_final:
         raise StillNeeded(f"job {job.id} ({job.state}) has not ended", [job.id])
     users = [one for one in _list_users(connection, job.id) if one.id not in together]
@@ -208,7 +204,6 @@ def _delete_job(
 
 
 def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
-    """Delete the row of a Run, and the jobs with answers that may go with it."""
     users = _list_users(connection, run_id)
     needed = [
         job
@@ -244,7 +239,6 @@ def _forget_run(connection: Connection, job: Job, run_id: str) -> None:
 
 
 def _goes_on_from(connection: Connection, job: Job, run_id: str) -> bool:
-    """Whether a measurement that was cut short would go on from this Run."""
     query = select(jobs.c.plan).where(jobs.c.id == job.id)
     plan = connection.execute(query).scalar() or {}
     own = {*job.run_ids, *list_part_ids(plan)}
@@ -253,12 +247,10 @@ def _goes_on_from(connection: Connection, job: Job, run_id: str) -> bool:
 
 
 def _answers(job: Job) -> bool:
-    """Whether a job has left something that was made from its Runs."""
     return job.state is State.SUCCEEDED and job.kind is not JobKind.PLAN
 
 
 def _list_users(connection: Connection, name: str) -> Sequence[Job]:
-    """Return the jobs that name a job or a Run, in what they were asked or have."""
     texts = (cast(column, Text) for column in (jobs.c.further_run_ids, jobs.c.plan))
     named = [text.contains(name, autoescape=True) for text in texts]
     query = JOBS.where(or_(jobs.c.run_id == name, *named)).order_by(jobs.c.seq)

@@ -1,4 +1,4 @@
-"""Accepts jobs and verbs from users. Waits for no motion; abort comes first."""
+"""Verbs of jobs from users. None waits for motion; abort takes precedence."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ BOOKS_S = 0.7  # that a client which stops the machine waits for the catalogue
 
 
 class Dispatcher:
-    """Takes on jobs and obeys verbs, for any thread."""
+    """Accepts jobs and verbs; thread-safe."""
 
     def __init__(
         self,
@@ -84,23 +84,23 @@ class Dispatcher:
                 self._begin_again(job)
 
     def show(self, job: Job) -> Job:
-        """Return a stored job with what could not be stored of it since."""
+        """The stored job with newer values that could not be stored."""
         active = self._under_way.get(job.id)
         return job if active is None else active.show(job)
 
     def find_machine(self, job_id: str) -> str | None:
-        """Return the machine of a job under way, at once; None for any other."""
+        """Machine of an active job; None for any other. Reads no storage."""
         active = self._under_way.get(job_id)
         return None if active is None else active.job.machine
 
     def find_controller(self, job_id: str | None) -> str | None:
-        """Return who may arm and resume a job under way; None where anybody may."""
+        """User who may arm and resume an active job; None where any user may."""
         active = self._under_way.get(job_id or "")
         return None if active is None else active.controller
 
     @property
     def is_measuring(self) -> bool:
-        """Whether a job under way measures, or is about to."""
+        """Whether an active job measures, or is about to."""
         return any(active.kind.measures for active in self._under_way.list_all())
 
     def create(
@@ -110,9 +110,9 @@ class Dispatcher:
         *,
         owner: str | None = None,
     ) -> tuple[Job, bool]:
-        """Take a job on; False if this key has made it before.
+        """Accept a job; False if this key has made it before.
 
-        owner : name of the user who asks for it
+        owner : name of the requesting user
 
         Raises BadInput, NotFound, CellBusy, KeyReused, NoMachine, QueueFull.
         """
@@ -130,9 +130,9 @@ class Dispatcher:
         return job, is_new
 
     def prepare_arming(self, job_id: str, *, by: str | None = None) -> Arming:
-        """Return what a job that waits to be armed will do, and a token to arm it.
+        """Summary of a motion that waits to be armed, with a token for it.
 
-        by : name of the user who asks; None where nobody logs in
+        by : name of the requesting user; None without login
 
         Raises IllegalTransition, NotInControl.
         """
@@ -191,9 +191,9 @@ class Dispatcher:
         return active.pause(self._context.machines.choose(active.job.machine).cell)
 
     def take_control(self, job_id: str, by: str | None) -> tuple[Job, str | None]:
-        """Let only this user arm and resume a job; also return who could before.
+        """Let only this user arm and resume a job; second value: who could before.
 
-        Raises IllegalTransition where the job is not under way.
+        Raises IllegalTransition where the job is not active.
         """
         active = self._under_way.get(job_id)
         job = self._context.store.get(job_id)
@@ -213,9 +213,9 @@ class Dispatcher:
         *,
         by: str | None = None,
     ) -> Job:
-        """Go on after a hold.
+        """Continue after a hold.
 
-        then : what to do first about the newest notice; by : as in `arm`
+        then : action on the newest notice, done first; by : as in `arm`
 
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
@@ -231,9 +231,9 @@ class Dispatcher:
         return job
 
     def cancel(self, job_id: str) -> Job:
-        """End a job in order; a measurement finishes the line or point under way.
+        """End a job in order; a measurement finishes its current line or point.
 
-        One that is held ends where it stands. Raises IllegalTransition while aborting.
+        One that is held ends at once. Raises IllegalTransition while aborting.
         """
         active = self._under_way.get(job_id)
         if active is None:
@@ -246,10 +246,10 @@ class Dispatcher:
         return job
 
     def acknowledge(self, job_id: str, *, by: str | None = None) -> Job:
-        """Prepare a measurement that was cut short to go on.
+        """Prepare an interrupted measurement to resume; nothing moves.
 
-        It then waits to be armed, by whoever has acknowledged it; nothing moves.
-        Raises IllegalTransition, NotResumable (MachineFileChanged), CellBusy, NotFound.
+        It then waits to be armed by the user who acknowledged it. Raises
+        IllegalTransition, NotResumable (MachineFileChanged), CellBusy, NotFound.
         """
         job = self._context.store.get(job_id)
         if apply_verb(Verb.ACKNOWLEDGE, job.state) is job.state:
@@ -281,9 +281,9 @@ class Dispatcher:
         return _write_aborts([active])[0]
 
     def stop(self, machine_id: str | None = None) -> list[Job]:
-        """Stop all motion, whichever job it belongs to, and those jobs with it.
+        """Stop all motion, also motion of no job, and abort the jobs concerned.
 
-        machine_id : of the one machine to stop; without it all are. Raises NotFound.
+        machine_id : only this machine; None for all. Raises NotFound.
         """
         machines = self._context.machines
         chosen = [machines.get(machine_id)] if machine_id else machines.list_all()
@@ -299,7 +299,7 @@ class Dispatcher:
         return _write_aborts(under_way)
 
     def close(self, timeout_s: float = 5.0) -> None:
-        """Stop motion, end every job as interrupted, wait for their threads."""
+        """Stop motion, end every job as interrupted, wait for the threads."""
         self._under_way.interrupt_all()
         cells = [one.cell for one in self._context.machines.list_all()]
         stopped = [cell.send(CellVerb.ABORT) for cell in cells]
@@ -310,7 +310,6 @@ class Dispatcher:
         self._under_way.join(deadline)
 
     def _begin_again(self, job: Job) -> None:
-        """Queue a job that computes again; what it had begun is begun anew."""
         queued = self._context.store.change(job.id, put_back, version=job.version)
         log.info("job found unfinished", job_id=job.id, was=str(job.state))
         if not queued.is_final:
@@ -341,10 +340,8 @@ def _require_control(active: ActiveJob, by: str | None) -> None:
 
 
 def _write_aborts(aborted: Sequence[ActiveJob]) -> list[Job]:
-    """Store that the jobs are aborted: the machine is stopped already.
-
-    The client is answered in time even where the catalogue does not answer: jobs are
-    then as they were stored last, and their own threads store how they end.
+    """The machine is stopped already; the client is answered in time even where the
+    catalogue does not respond. The jobs' own threads then store how they end.
     """
     written: dict[str, Job] = {}
     writers = [
@@ -367,10 +364,7 @@ def _write_abort(active: ActiveJob, written: dict[str, Job]) -> None:
 
 
 class _JobsUnderWay:
-    """The jobs under way and their threads; no lock is held while one is stored.
-
-    is_closing : whether no job is begun any more
-    """
+    """No lock is held while a job is stored."""
 
     def __init__(self, context: JobContext, event_bus: EventBus) -> None:
         self._context, self._event_bus = context, event_bus
@@ -397,7 +391,6 @@ class _JobsUnderWay:
         raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
 
     def begin(self, job: Job) -> None:
-        """Give a job a thread of its own, unless the service ends."""
         active = ActiveJob(job, self._context.store, self._event_bus)
         name = f"job-{job.id[-6:]}"
         thread = threading.Thread(target=self._work, args=(job, active), name=name)
@@ -409,7 +402,6 @@ class _JobsUnderWay:
             thread.start()
 
     def interrupt_all(self) -> None:
-        """Begin no more, and end those under way because the service ends."""
         with self._lock:
             self.is_closing = True
             under_way = list(self._active.values())
@@ -417,7 +409,7 @@ class _JobsUnderWay:
             active.interrupt()
 
     def join(self, deadline_s: float) -> None:
-        """Wait for their threads, until a time of the monotonic clock."""
+        """Until a time of the monotonic clock."""
         with self._lock:
             threads = list(self._threads)
         for thread in threads:

@@ -1,7 +1,7 @@
-"""What certificates state of a machine, kept in the registry of machines.
+"""Certificate entries of a machine, kept in the registry of machines.
 
-Maker, model, serial number, control, customer and place are the machine's own; what
-else people state (tracker, operator, laboratory, …) is kept beside them.
+Maker, model, serial number, control, customer and location are columns of the machine;
+other entries (tracker, operator, laboratory, …) are stored in addition.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OWN = {
 def find_machine(
     job: Job, name: str, registry: MachineRegistry
 ) -> MachineRecord | None:
-    """Return the machine of a result: the job's, else the one of that name."""
+    """The job's machine, else the one of that name."""
     if job.machine is not None:
         try:
             return registry.get(job.machine)
@@ -46,7 +46,7 @@ def find_machine(
 
 
 def describe_identity(record: MachineRecord | None) -> Identity:
-    """Return what is kept of a machine; nothing of one that is not registered."""
+    """Stored certificate entries; empty for an unregistered machine."""
     if record is None:
         return {}
     own = {field: getattr(record, column) for field, column in _OWN.items()}
@@ -56,10 +56,10 @@ def describe_identity(record: MachineRecord | None) -> Identity:
 def keep_identity(
     record: MachineRecord | None, given: Identity, registry: MachineRegistry
 ) -> Identity:
-    """Keep what was stated beside what was before; return both together.
+    """Merge new entries into the stored ones; gives all of them.
 
-    What holds for one measurement alone is returned and not kept; so is all that is
-    stated of a machine that is not registered.
+    Entries for a single measurement, and those of an unregistered machine, are not
+    stored.
     """
     before = describe_identity(record)
     lasting = {k: v for k, v in given.items() if k not in OF_ONE_MEASUREMENT}
@@ -71,10 +71,10 @@ def keep_identity(
 
 
 def take_over_identities(data_folder: Path, registry: MachineRegistry) -> None:
-    """Move what earlier versions kept in `identities.json` into the registry.
+    """Move entries of earlier versions from `identities.json` into the registry.
 
-    The registry's own word stands where both have one. Machines that are not
-    registered stay in the file until they are. Raises BundleError on a damaged file.
+    The registry takes precedence. Machines that are not registered stay in the file
+    until they are. Raises BundleError on a damaged file.
     """
     file = data_folder / "identities.json"
     kept = read_kept_identities(file)

@@ -1,8 +1,8 @@
-"""Keeps files and catalogue together: Runs that no row names, jobs that name no Run.
+"""Repair of files and catalogue: uncatalogued Runs, jobs that name no Run.
 
-After a full disk, or where a killed cell had its Run open still, a Run file may stand
-without its row, and its job without its Run. Both are looked for at the start of the
-service, when a measurement has ended, and every `EVERY_S` while none is under way.
+After a full disk, or where a killed cell had its Run open, a Run file may lack its row,
+and its job the Run. Both are searched for at the start of the service, when a
+measurement has ended, and every `EVERY_S` while none is active.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_RUNS = 4  # that are read in one pass
 
 
 def interrupt_job(job: Job, context: JobContext) -> None:
-    """Mark a measurement that an earlier service left unfinished, its Runs named."""
+    """Mark a measurement left by an earlier service, with its Runs."""
     _add_runs(job, context)
     text = f"the service ended while the job was {job.state}"
     after = replace(
@@ -43,7 +43,7 @@ def interrupt_job(job: Job, context: JobContext) -> None:
 
 
 def catalogue_runs(job: Job, context: JobContext) -> None:
-    """Catalogue and name the Runs of a job that could not be while it lasted."""
+    """Catalogue the Runs of a job that could not be stored while it was active."""
     try:
         _add_runs(job, context)
         _store_runs(job.id, context)
@@ -54,12 +54,12 @@ def catalogue_runs(job: Job, context: JobContext) -> None:
 def reconcile(
     context: JobContext, *, skip: Collection[str] = (), most: int | None = None
 ) -> dict[str, str]:
-    """Catalogue Runs that no row names, and name Runs in their jobs.
+    """Catalogue Runs without a row, and name Runs in their jobs.
 
-    No measurement may be under way. Returns why a Run cannot be catalogued, by its
-    identifier. Raises StorageUnavailable.
+    No measurement may be active. Gives the reason by identifier of each Run that cannot
+    be catalogued. Raises StorageUnavailable.
 
-    skip : Runs that are left alone; most : Runs that are read
+    skip : Runs to ignore; most : largest number of Runs to read
     """
     failed: dict[str, str] = {}
     left = [i for i in context.runs.list_left_behind() if i not in skip]
@@ -119,14 +119,12 @@ def _join_job(run_id: str, context: JobContext) -> None:
 
 @dataclass(slots=True)
 class _Retry:
-    """When a Run that could not be catalogued is tried again."""
-
     pause_s: float
     at_s: float
 
 
 class Reconciliation:
-    """Reconciles every so often, in a thread of its own.
+    """Periodic repair in a separate thread.
 
     is_measuring : whether a Run is being written, or soon may be
     """
@@ -144,17 +142,17 @@ class Reconciliation:
         self._thread = threading.Thread(target=self._run, name="reconciliation")
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """End; a Run that is being read is read to its end."""
+        """Stop the thread; a Run being read is read to its end."""
         self._closing.set()
         if self._thread.is_alive():
             host_clock.join(self._thread)
 
     def look(self) -> None:
-        """Reconcile now, but for what has failed a moment ago. Raises nothing."""
+        """Repair now, except for recent failures. Raises nothing."""
         if self._is_measuring():
             return
         now_s = host_clock.now_s()

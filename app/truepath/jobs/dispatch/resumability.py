@@ -1,4 +1,4 @@
-"""Whether a measurement that was cut short can go on, and what to do where not."""
+"""Whether an interrupted measurement can be resumed, and the remedy if not."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _VERBS: Mapping[JobKind, str] = {
 
 
 def require_resumable(job: Job, plan: Json | None) -> None:
-    """Raise NotResumable where a measurement cannot go on by another part."""
+    """Raise NotResumable where no further part can complete a measurement."""
     if job.state not in LEFT_BY_ACKNOWLEDGE:
         return
     if reason := _find_reason(job, plan or {}):
@@ -38,15 +38,15 @@ def require_resumable(job: Job, plan: Json | None) -> None:
 
 
 def can_go_on(job: Job, plan: Json | None) -> bool:
-    """Whether a measurement was cut short, and what is left of it may be measured."""
+    """Whether a measurement was interrupted and its remaining rows can be measured."""
     is_cut_short = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
     return is_cut_short and not _find_reason(job, plan or {})
 
 
 def may_be_acknowledged(job: Job) -> bool:
-    """Whether a job may go on as far as it says itself.
+    """Whether the job alone permits resumption.
 
-    With several stations its plan decides: what aligns may be their check.
+    With several stations the plan decides: the stage `aligning` may be their check.
     """
     is_left = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
     checks = job.station is not None and job.stage is Stage.ALIGNING
@@ -54,9 +54,9 @@ def may_be_acknowledged(job: Job) -> bool:
 
 
 def find_way_to_result(job: Job) -> str:
-    """Return how the Runs are analysed of a job cut short after its last row.
+    """Advice on analysing the Runs of a job interrupted after its last row.
 
-    Empty of any other job.
+    Empty for any other job.
     """
     is_left = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
     if not is_left or may_be_acknowledged(job):
@@ -74,9 +74,9 @@ def find_way_to_result(job: Job) -> str:
 def require_machine_file(
     job: Job, driven: MachineCell, registry: MachineRegistry | None
 ) -> None:
-    """Raise MachineFileChanged where its machine was measured as another file has it.
+    """Raise MachineFileChanged if a machine was measured under another file.
 
-    What has no known version is compared by the worker that reads its Runs.
+    Unknown versions are compared by the worker that reads the Runs.
     """
     if registry is None or job.machine is None or job.machine_version is None:
         return
@@ -96,9 +96,9 @@ def require_machine_file(
 def require_targets_apart(plan: Json | None, machine: Machine) -> None:
     """Raise NotResumable where several targets have to be measured in one Run.
 
-    With rotary axes, and with targets on tool and workpiece, Runs of one target each
-    join nothing to where the axes are. Else every Run has a pose of its own, and each
-    target tells the same error motions at its offset.
+    With rotary axes, and with targets on tool and workpiece, Runs of one target each do
+    not locate the axes. Otherwise every Run has a separate pose, and each target
+    determines the same error motions at its offset.
     """
     rows = (plan or {}), *(plan or {}).get("stations", ())
     names = {name for one in rows for name in one.get("target", ())}

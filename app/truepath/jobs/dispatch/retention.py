@@ -1,10 +1,8 @@
-"""Deletes what is older than the settings keep, and nothing that is depended on.
+"""Deletion by age according to the settings; dependencies are kept.
 
-Keys and events that nobody can still ask for are forgotten on the way.
-
-A calibration in the history of a machine stays, and so does every Run of a result: an
-analysis that a newer one of the same Runs stands for, verifications, plans, what has
-failed and Runs of those go when they are old enough.
+Expired keys and events are pruned too. Calibrations in the history of a machine stay,
+and so does every Run of a result. Superseded analyses, verifications, plans, failed
+jobs and their Runs are deleted when old enough.
 """
 
 from __future__ import annotations
@@ -35,17 +33,17 @@ _PAGE = 200
 
 @dataclass(frozen=True, slots=True)
 class RetentionRules:
-    """Days for which Runs and jobs with their answers are kept; 0 is for ever."""
+    """Days for which Runs, and jobs with their answers, are kept; 0 is for ever."""
 
     keep_runs_days: int = 0
     keep_results_days: int = 0
 
 
 class Retention:
-    """Sweeps once in a while, in a thread of its own.
+    """Periodic deletion in a separate thread.
 
     note : records each deletion, in its transaction
-    is_measuring : whether a measurement is under way; nothing is deleted then
+    is_measuring : nothing is deleted while it is true
     """
 
     def __init__(
@@ -64,19 +62,19 @@ class Retention:
         self._thread = threading.Thread(target=self._run, name="retention")
 
     def start(self) -> None:
-        """Begin; what was deleted before and left files is removed first."""
+        """Start the thread; files left by earlier deletions are removed first."""
         self._thread.start()
 
     def close(self) -> None:
-        """End; a deletion under way is finished."""
+        """Stop the thread after the current deletion."""
         self._closing.set()
         if self._thread.is_alive():
             host_clock.join(self._thread)
 
     def sweep(self, now: datetime | None = None) -> int:
-        """Delete what is too old; return how much. Raises StorageUnavailable.
+        """Delete expired items; gives their number. Raises StorageUnavailable.
 
-        Nothing where the clock is behind the newest job, or `MOST_AHEAD` of it.
+        Deletes nothing where the clock is behind the newest job, or `MOST_AHEAD` of it.
         """
         now = now or datetime.now(UTC)
         self._context.store.prune()
@@ -93,7 +91,6 @@ class Retention:
         return count
 
     def _is_plausible(self, now: datetime) -> bool:
-        """Return whether the clock goes with the newest job: a wrong one deletes."""
         newest = self._context.store.find_newest_created()
         if newest is None or newest <= now <= newest + MOST_AHEAD:
             return True
@@ -141,7 +138,7 @@ class Retention:
             return 0
         except StorageUnavailable:
             raise
-        except TruepathError as error:  # of this one: the others go on
+        except TruepathError as error:  # of this one: the others continue
             log.warning("not deleted", reason=str(error))
             return 0
         return 1

@@ -1,5 +1,5 @@
 """From a request to a job, and its steps from top to bottom.
 
-Here: what a job does, and in which order. Not here: how a measurement is followed
+Here: what a job does, and in which order. Not here: monitoring of a measurement
 (`jobs.running`), tasks of worker processes (`jobs.workers`).
 """

@@ -1,4 +1,4 @@
-"""The step of a job that moves the machine, followed by its live estimate."""
+"""The motion step of a job, monitored by its live estimate."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class DrivingSteps:
-    """One measurement from one place of the tracker.
+    """One measurement from one station.
 
-    request : as `plan_orders` states it, for the live estimate
-    run_id : of the Run that is made; it bears the name of the job where it is the first
+    request : as in `plan_orders`, for the live estimate
+    run_id : of the Run that is made; equal to the job's where it is the first
     first_row : of the plan, with which the Run begins
-    kept_run_ids : Runs of the measurement that it goes on from
+    kept_run_ids : Runs of the measurement that is resumed
     """
 
     job: Job
@@ -57,7 +57,7 @@ class DrivingSteps:
     kept_run_ids: tuple[str, ...] = ()
 
     def run(self, commanded: Commanded) -> None:
-        """Drive the machine; what was recorded is in the catalogue in any case."""
+        """Move the machine; recorded data are catalogued even after a failure."""
         planned = self._part(commanded)
         first = commanded if planned is None else planned.driven
         live = self._start_live_estimate(first, len(commanded))
@@ -74,7 +74,6 @@ class DrivingSteps:
                 self.active.add_run(record.id)
 
     def _part(self, commanded: Commanded) -> PlannedRows | None:
-        """Return the rows in parts, where some may be driven again."""
         if self._is_adaptive or self.job.on_notice is OnNotice.NOTE:
             return None
         machine = self.context.require_machine()
@@ -148,11 +147,8 @@ class DrivingSteps:
     def _start_live_estimate(
         self, commanded: Commanded, rows: int
     ) -> LiveEstimation | None:
-        """Start the live estimate; a few extra lines alone would say too little.
-
-        A verification has none: what it measures is held against a result, not fitted.
-
-        rows : that are planned in all
+        """None for extra lines, which alone carry too little information, and for a
+        verification, which fits nothing.
         """
         without = JobKind.MEASURE_EXTRA, JobKind.VERIFY
         if self.context.live is None or self.job.kind in without:
@@ -190,7 +186,6 @@ class DrivingSteps:
         self._keep_plan(rows)
 
     def _keep_plan(self, rows: Commanded) -> None:
-        """Keep all rows of the plan: those of parts before, then these."""
         store = self.context.store
         try:
             plan = store.read_plan(self.job.id) or {}

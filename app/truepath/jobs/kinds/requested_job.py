@@ -1,4 +1,4 @@
-"""What a user asks for, and the job that a valid request becomes."""
+"""A user's request, and the job that a valid one becomes."""
 
 from __future__ import annotations
 
@@ -53,26 +53,25 @@ _KEEP_OUT_KEYS = ("keep_out", "keep_out_replaces")
 
 @dataclass(frozen=True, slots=True)
 class RequestedJob:
-    """What a user asks for.
+    """A job as requested.
 
     run_ids : the Runs to analyse together
     rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
-    plan_id : of a plan whose rows are driven; plan_rows : how many from its first on
-    model_id : of the job whose model or result Runs are held against, analysed with,
-        or planned for
-    discovery_id : of the job whose discovery asks for the extra lines to drive
-    continues : job whose stations are measured that it has left out
-    plan_request : what is asked of a plan or an adaptive measurement, as
-        `plan_orders` states it, or of a trend, as `Question.of` reads it; of a
-        reanalysis `since`, where it names no Runs; of a verification
-        `result_id`, `what`, `seed`, `tolerance_um`, `compensation_id`; of that and of
-        extra lines `keep_out`, which hold beside those of the Runs it builds on, or,
-        with `keep_out_replaces`, alone
-    on_notice : what is done where the live estimate notices a change
-    control_compensation : `on` or `off`, which the control has to say; None for either
-    machine : that is measured or planned for; without it the only one, or that of
-        the plan, job, discovery or result that is named
+    plan_id : of a plan to execute; plan_rows : how many rows from its first on
+    model_id : of the job whose model or result is the basis of comparison, analysis or
+        planning
+    discovery_id : of the job whose discovery proposes the extra lines
+    continues : job whose unmeasured stations are measured
+    plan_request : of a plan or an adaptive measurement, as in `plan_orders`; of a
+        trend, as `Question.of` reads it; of a reanalysis `since`, where it names no
+        Runs; of a verification `result_id`, `what`, `seed`, `tolerance_um`,
+        `compensation_id`; of that and of extra lines `keep_out`, in addition to those
+        of the underlying Runs or, with `keep_out_replaces`, alone
+    on_notice : action when the live estimate detects a change
+    control_compensation : `on` or `off`, required of the control; None for either
+    machine : None for the only one, or that of the plan, job, discovery or result that
+        is named
     """
 
     kind: JobKind
@@ -94,7 +93,7 @@ class RequestedJob:
 
 
 def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
-    """Return the job that a request asks for, and its plan as the store keeps it.
+    """The job of a request, and its plan as the store keeps it.
 
     Raises BadInput (NotUsable of a model, UnnamedMachine), NotFound, NoMachine.
     """
@@ -107,7 +106,6 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
 
 
 def _add_wish(request: RequestedJob, plan: Json) -> Json:
-    """Return a plan that asks what has to be so of the control's compensation."""
     order = dict(plan.get("request") or {})
     wish = request.control_compensation
     if wish is None and order.get("compensation_id") is not None:
@@ -118,7 +116,6 @@ def _add_wish(request: RequestedJob, plan: Json) -> Json:
 
 
 def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
-    """Return the machine that the request, or what it builds on, names."""
     machine_id = request.machine
     verified = (request.plan_request or {}).get("result_id")
     builds_on = request.plan_id, request.continues, request.discovery_id, verified
@@ -189,7 +186,6 @@ def _choose_runs(request: RequestedJob, context: JobContext) -> list[str]:
 
 
 def _find_machine(run_ids: Sequence[str], context: JobContext) -> str | None:
-    """Return the machine that all the Runs are of, where this service knows it."""
     by_name = {one.machine.name: one.id for one in context.machines.list_all()}
     known = {by_name.get(context.runs.get(run_id).machine) for run_id in run_ids}
     return known.pop() if len(known) == 1 else None
@@ -201,7 +197,6 @@ def _check_order_of_time(request: RequestedJob, context: JobContext) -> None:
 
 
 def _find_rows(request: RequestedJob, context: JobContext) -> Json:
-    """Return the rows to drive, checked; none where the job plans them itself."""
     machine, kind = context.require_machine(), request.kind
     if kind is JobKind.PLAN:
         return {}
@@ -243,7 +238,6 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
 def _continue_job(
     job_id: str, request: RequestedJob, context: JobContext
 ) -> tuple[Job, Json]:
-    """Return the job that measures from the stations that another has left out."""
     machine = context.require_machine()
     context.require_cell()
     job = context.store.get(job_id)
@@ -271,7 +265,6 @@ def _continue_job(
 
 
 def _forget_runs(station: Json) -> Json:
-    """Return a station whose Runs another job has made, to be measured whole."""
     made = {"run_id", "points_id", "parts", "resumption"}
     return {key: value for key, value in station.items() if key not in made}
 
@@ -317,11 +310,9 @@ def _make_verifying_job(request: RequestedJob, context: JobContext) -> tuple[Job
 def _require_compensation(
     name: str, job: Job, wish: str | None, context: JobContext
 ) -> None:
-    """Raise NotFound or BadInput where the control cannot apply these files.
+    """Only a simulated control reports which files it applies.
 
-    wish : what the control has to say, `on` or `off`; None for either
-
-    Which files a control applies is known of a simulated one alone.
+    wish : `on` or `off`, required of the control; None for either
     """
     folder = context.results / job.id / "compensations"
     if not (folder / name / "compensation.json").is_file():
@@ -333,7 +324,7 @@ def _require_compensation(
         )
     machine = context.driven or context.machines.choose(None)
     loaded = context.read_loaded_files(machine.id)
-    if loaded.compensation_id is None:  # that the control says itself
+    if loaded.compensation_id is None:  # reported by the control itself
         return
     if (loaded.job_id, loaded.compensation_id) != (job.id, name):
         raise BadInput(
@@ -344,10 +335,7 @@ def _require_compensation(
 
 
 def _require_arcs(rows: Commanded, context: JobContext) -> None:
-    """Raise BadInput for arcs where the control that answers does not drive them.
-
-    One that has not answered yet refuses them itself, before it moves along the path.
-    """
+    """A control that has not connected yet rejects arcs itself, before it moves."""
     motion = context.require_cell().status.devices.get("motion")
     has_arcs = isinstance(rows, Path) and any(rows.arc)
     if has_arcs and motion is not None and not motion.get("drives_arcs"):
@@ -375,10 +363,9 @@ def _require_machine_of_result(job: Job, machine: Machine, context: JobContext) 
 
 
 def _add_workspace(order: Json, based_on: Job, context: JobContext) -> Json:
-    """Return the order of a job based on another one's answer, with the boxes of both.
-
-    A box that is not stated again is still there, unless the request replaces them all.
-    Boxes of an uploaded Run are unknown; so are those of a catalogue that was rebuilt.
+    """Boxes of both jobs: one that is not repeated still exists, unless
+    `keep_out_replaces`. Boxes of an uploaded Run, or of a rebuilt catalogue, are
+    unknown.
     """
     rest = {key: value for key, value in order.items() if key not in _KEEP_OUT_KEYS}
     known = () if order.get("keep_out_replaces") else _find_boxes(based_on, context)
@@ -398,16 +385,14 @@ def _find_boxes(based_on: Job, context: JobContext) -> Iterator[Json]:
 
 
 def _list_jobs(based_on: Job, context: JobContext) -> Iterator[str]:
-    """Yield the job, and those that have recorded its Runs."""
     yield based_on.id
     for run_id in based_on.run_ids:
         yield context.runs.read_job_id(run_id)
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
-    """Return what is asked beside the rows; a model that is named has to be usable.
-
-    An analysis decides itself: of a model of its own Runs it takes no numbers.
+    """A model that is named has to be usable, except in an analysis: it takes no
+    numbers from a model of its own Runs.
     """
     order = dict(request.plan_request or {})
     if request.plan_id is not None:  # what the plan avoids is avoided on the way to it

@@ -1,12 +1,11 @@
-"""Measuring from several places of the tracker, one Run each.
+"""Measurement from several stations of the tracker, one Run each.
 
-From every station the known points come first: they show that the tracker was moved,
-sees what it has to see, and agrees with the station before. Between stations the job
-waits, nothing moves, and a person moves the tracker and arms the job again. A station
-that the known points contradict is asked for again, with the reason. What each station
-has recorded is in the catalogue, and with the plan, before the next one is asked for:
-a job that ended early is continued from there. One that was cut short goes on with the
-rows that are left of its station (`station_resumption`).
+Known points come first at every station: they show that the tracker was moved, sees the
+targets, and agrees with the station before. Between stations the job waits until an
+operator moves the tracker and arms it again. A station that contradicts the known
+points is repeated, with the reason shown. The Runs of each station are catalogued, and
+named in the plan, before the next one begins: a job that ended early is continued from
+there; an interrupted station resumes with its remaining rows (`station_resumption`).
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ log = structlog.get_logger(__name__)
 
 
 def begin_at_station(active: ActiveJob, store: Store) -> None:
-    """Show the first station that is still to be measured, if there are several."""
+    """Show the first unmeasured station, if there are several."""
     plan = store.read_plan(active.job_id) or {}
     stations = plan.get("stations", ())
     for number, station in enumerate(stations, start=1):
@@ -59,7 +58,7 @@ def begin_at_station(active: ActiveJob, store: Store) -> None:
 
 
 def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
-    """Return the Runs of stations of a plan, made or about to be made.
+    """Runs of the stations of a plan, made or about to be made.
 
     key : `points_id` for those of the known points
     """
@@ -69,13 +68,13 @@ def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
 
 
 def list_analysed_ids(plan: Json) -> list[str]:
-    """Return the Runs of the stations of a plan that are measured."""
+    """Runs of the measured stations of a plan."""
     measured = [s for s in plan.get("stations", ()) if s.get("measured")]
     return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
 
 
 def count_measured(plan: Json) -> int:
-    """Return how many stations of a plan are measured."""
+    """Number of measured stations of a plan."""
     return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
 
 
@@ -86,11 +85,11 @@ def _show(stations: list[Json], number: int) -> StationProgress:
 
 @dataclass(frozen=True, slots=True)
 class StationSteps:
-    """The stations of one job, armed once for the first that is to be measured.
+    """The stations of one job, armed once for the first unmeasured one.
 
-    compute : lets the executor compute a task
-    look : at the devices, again and again while the tracker is moved
-    show_path : shows what waits to be armed; nothing once it has been
+    compute : runs a task in the executor
+    look : polls the devices while the tracker is moved
+    show_path : shows the path that waits to be armed; empty once it is armed
     """
 
     job: Job
@@ -101,7 +100,7 @@ class StationSteps:
     show_path: Callable[[Sequence[Commanded]], None]
 
     def prepare(self) -> None:
-        """Find how far the station has got that was cut short; keep it in the plan."""
+        """Find the progress of an interrupted station; store it in the plan."""
         plan = self._read_plan()
         number, runs = count_measured(plan) + 1, self.context.runs
         station = plan["stations"][number - 1]
@@ -121,7 +120,7 @@ class StationSteps:
         log.info("the station can go on", station=number, resumption=resumption)
 
     def run(self) -> tuple[str, ...]:
-        """Measure from every station that is left; return the Runs of all."""
+        """Measure from every remaining station; gives the Runs of all."""
         plan = self._read_plan()
         first = count_measured(plan) + 1
         for number in range(first, len(plan["stations"]) + 1):
@@ -133,7 +132,6 @@ class StationSteps:
         return tuple(list_analysed_ids(self._read_plan()))
 
     def _await_move(self, number: int) -> None:
-        """Ask for the tracker at a station; wait until the job is armed again."""
         progress = _show(self._read_plan()["stations"], number)
         checks = self._read_progress(number).checks
         self.active.store_values(
@@ -151,7 +149,6 @@ class StationSteps:
             self.show_path(())
 
     def _agrees(self, number: int) -> bool:
-        """Measure the known points; tell whether the station can be used."""
         plan, points_id = self._read_plan(), make_id()
         self._keep(number, points_id=points_id)
         points = decode_commanded_json(plan["known_points"])
@@ -182,9 +179,8 @@ class StationSteps:
         return self._check(number, before, asked_mm)
 
     def _compare_with_itself(self, number: int, here: Json) -> StationCheck:
-        """Compare a station that goes on with itself as it was.
-
-        Where it was moved since, somebody is asked; left there, it is a new station.
+        """If the tracker was moved meanwhile, the operator is asked; if it then stays
+        there, it is a new station.
         """
         resumption, file = here["resumption"], self.context.runs.file
         closure = self.compute(
@@ -219,7 +215,6 @@ class StationSteps:
         return StationCheck(number, **found)
 
     def _measure(self, number: int) -> None:
-        """Make the Run of a station, or a further one for what is left of it."""
         station = self._read_plan()["stations"][number - 1]
         is_first = number == 1 and not station.get("run_id")
         run_id = self.job.id if is_first else make_id()

@@ -1,6 +1,6 @@
-"""What a job does, written once from top to bottom, and its steps.
+"""The steps of each kind of job, from top to bottom.
 
-The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
+The job's thread runs them. At the checkpoints of its `ActiveJob` it ends early.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ TRY_AGAIN = (
 
 
 def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
-    """Do a job to its end and store how it ended. Raises nothing."""
+    """Run a job to its end and store its final state. Raises nothing."""
     with structlog.contextvars.bound_contextvars(job_id=job.id):
         log.info("job begins", kind=str(job.kind))
         state, failure = State.SUCCEEDED, None
@@ -92,7 +92,7 @@ def _put_back(active: ActiveJob) -> None:
 
 
 def _find_cause(error: Exception, active: ActiveJob) -> Exception:
-    """Return why the job ended: what a cancelled job trips over is its cancelling."""
+    """An error raised while a job is cancelled counts as the cancelling."""
     if isinstance(error, TruepathError | DeviceError):
         return error
     try:
@@ -126,14 +126,12 @@ def _classify_error(error: Exception) -> tuple[State, Failure | None]:
 
 
 def _can_be_tried_again(job: Job, active: ActiveJob, state: State) -> bool:
-    """Whether a measurement failed before its remaining rows could be armed."""
     goes_on = job.kind.measures and job.started is not None
     unarmed = active.state in (State.PREPARING, State.READY)
     return state is State.FAILED and goes_on and unarmed
 
 
 def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:
-    """Store the end as soon as the catalogue accepts it."""
     while True:
         try:
             job = active.end(state, failure)
@@ -149,8 +147,6 @@ def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None
 
 @dataclass(frozen=True, slots=True)
 class _JobSteps:
-    """One job, the user's requests for it, and what it works with."""
-
     job: Job
     active: ActiveJob
     context: JobContext
@@ -191,13 +187,11 @@ class _JobSteps:
         self.context.store.keep_plan(self.job.id, plan)
 
     def _prepare_rest(self) -> None:
-        """Find the remaining rows of a measurement that was interrupted."""
         plan = self.context.store.read_plan(self.job.id) or {}
         steps = self._station_steps if "stations" in plan else self._resumed_steps
         steps.prepare()
 
     def _wait_until_armed(self) -> Commanded:
-        """Return what the user lets the machine drive, checked against its travel."""
         plan = self.context.store.read_plan(self.job.id) or {}
         commanded = decode_commanded_json(plan)
         check_travel(self.context.require_machine(), commanded)
@@ -215,7 +209,6 @@ class _JobSteps:
         return commanded
 
     def _show_path(self, parts: Sequence[Commanded]) -> None:
-        """Show what waits to be armed: how it lies, what it asks of the control."""
         driven = self.context.driven or self.context.machines.choose(None)
         if driven.conditions is None:
             return
@@ -229,17 +222,15 @@ class _JobSteps:
         board.wants_compensation = asked if parts else None
 
     def _hear_tracker(self) -> None:
-        """Let the conditions show beam and stream, where somebody looks at them."""
         driven = self.context.driven or self.context.machines.choose(None)
         if driven.conditions is None:
             return
         machine = driven.machine
         rate_hz, aims = machine.tracker.rate_hz, len(machine.targets) > 1
-        with suppress(CellDown):  # that is a condition of its own
+        with suppress(CellDown):  # that is a separate condition
             driven.cell.hear_tracker(rate_hz, aims=aims)
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
-        """Measure, from every station of the plan; return the Runs to go by."""
         plan, job = self.context.store.read_plan(self.job.id) or {}, self.job
         if "stations" in plan:
             return self._station_steps.run()
@@ -260,10 +251,6 @@ class _JobSteps:
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
     ) -> None:
-        """Let a task write its files about Runs and, where one is named, a model.
-
-        The state of the verdict that it returns is stored with the job.
-        """
         files, task = self._name_files(run_ids), self._guard(task, run_ids)
         folder = str(self.context.results / self.job.id)
         model = self._find_model()
@@ -273,7 +260,6 @@ class _JobSteps:
         self.active.store_values(verdict=verdict)
 
     def _follow(self) -> None:
-        """Let a task write what the Runs say of the machine over time."""
         context, job = self.context, self.job
         files = self._name_files(job.run_ids)
         names = [context.runs.get(run_id).name for run_id in job.run_ids]
@@ -284,7 +270,6 @@ class _JobSteps:
         self.active.store_values(verdict=verdict)
 
     def _reanalyse(self) -> None:
-        """Analyse many Runs, each for itself, and write what has changed."""
         context, job = self.context, self.job
         folder = context.results / job.id
         orders = list_orders(
@@ -309,7 +294,6 @@ class _JobSteps:
         write_summary(folder, outcomes)
 
     def _verify(self, run_ids: Sequence[str]) -> None:
-        """Let a task hold the result that was named against the job's own Runs."""
         context, job = self.context, self.job
         asked = context.store.read_plan_request(job.id)
         result_id, files = asked["result_id"], asked.get("compensation_id")
@@ -332,13 +316,11 @@ class _JobSteps:
         return [str(self.context.runs.file(run_id)) for run_id in run_ids]
 
     def _guard(self, task: Task, run_ids: Sequence[str]) -> Task:
-        """Return the task, which refuses files that have been changed."""
         digests = [self.context.runs.get(run_id).sha256 for run_id in run_ids]
         files = self._name_files(run_ids)
         return OfUnchangedRuns(task, dict(zip(files, digests, strict=True)))
 
     def _find_model(self) -> tuple[str | None, str | None]:
-        """Return file and identifier of the model that the job builds on, if any."""
         model_id = self.context.store.read_plan_request(self.job.id).get("model_id")
         if model_id is None:
             return None, None
@@ -364,7 +346,6 @@ class _JobSteps:
         return self.job.kind is JobKind.MEASURE_ADAPTIVE
 
     def _plan_order(self) -> Json:
-        """Return what is asked of a plan, with the file of the model it builds on."""
         file, _ = self._find_model()
         request = self.context.store.read_plan_request(self.job.id)
         return {**request, "model_file": file}
@@ -372,7 +353,6 @@ class _JobSteps:
     def _compute(
         self, state: State, stage: Stage, task: Task, *arguments: object
     ) -> Any:
-        """Return what the executor computes; enter state and stage as it begins."""
         computation = self.context.executor.submit(
             task,
             *arguments,

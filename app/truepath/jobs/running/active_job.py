@@ -1,4 +1,4 @@
-"""One job under way: state that its own thread and request threads share."""
+"""State of one job, shared by its own thread and request threads."""
 
 from __future__ import annotations
 
@@ -50,13 +50,12 @@ PUBLISH_EVERY_S = 0.1
 
 
 class ActiveJob:
-    """One job under way. Request threads ask, the job's thread obeys at checkpoints.
+    """Requests come from request threads; the job's thread obeys at checkpoints.
 
     job, state : stored last
-    wants_pause : whether a user has asked for a pause and for nothing since, stored or
-        not
-    controller : name of who may let the machine move; None where nobody logs in
-    wants_cancel : whether it is to end in order, after the line or point under way
+    wants_pause : a user's latest request is a pause, stored or not
+    controller : name of the user who may let the machine move; None without login
+    wants_cancel : end in order, after the current line or point
     """
 
     def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
@@ -77,7 +76,7 @@ class ActiveJob:
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether the job has to end now."""
+        """Whether the job has to end now: aborted by a user, or the service ends."""
         return self._aborted or self._interrupted
 
     @property
@@ -101,34 +100,33 @@ class ActiveJob:
 
     @property
     def may_move(self) -> bool:
-        """Whether the cell moves the machine for it, or may go on by itself."""
+        """Whether the cell moves the machine for the job, or may resume by itself."""
         return self.stage is Stage.MEASURING and self.state in MOVE_STATES
 
     @property
     def state_lasts_s(self) -> float:
-        """How long the job has been in that state."""
+        """Time since the last change of state."""
         return host_clock.now_s() - self._since
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
-        """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
+        """Store a user's request. Raises IllegalTransition, StaleVersion."""
         seen = self._store.see(self.job)
         if seen.is_final:  # whether that could be stored or not
             return ask_for(seen, verb)
         return self._change(lambda job: ask_for(job, verb), version)
 
     def arm(self, plan_sha256: str) -> None:
-        """Let a job that waits for it move the machine, as that plan commands."""
+        """Permit the motion of the plan with this hash."""
         with self._changed:
             self._armed = plan_sha256
             self._changed.notify_all()
 
     def pause(self, cell: CellSupervisor) -> Job:
-        """Hold the feed, then store that it was asked for.
+        """Hold the feed, then store the request.
 
-        The cell gets the command even if it has paused: it might continue by itself.
-        A pause that cannot be stored is wanted until the state changes.
-
-        Raises IllegalTransition, StorageUnavailable; the cell has been asked even then.
+        The cell gets the command even if it has paused: it might resume by itself. A
+        pause that cannot be stored is wanted until the state changes. Raises
+        IllegalTransition, StorageUnavailable; the cell has the command even then.
         """
         if self.may_move:
             cell.send(CellVerb.PAUSE)
@@ -140,16 +138,16 @@ class ActiveJob:
             raise
 
     def wish(self, what: OnNotice) -> None:
-        """Say what is to be done about the newest notice."""
+        """Set the action on the newest notice."""
         self._wish = what
 
     def take_wish(self) -> OnNotice | None:
-        """Return what a user has said, once."""
+        """Action that a user has chosen; None on the next call."""
         wish, self._wish = self._wish, None
         return wish
 
     def abort(self) -> None:
-        """End the job because a user asked. Does not wait for the catalogue."""
+        """End the job at a user's request. Does not wait for the catalogue."""
         self._aborted = True
         self._wake()
 
@@ -173,10 +171,12 @@ class ActiveJob:
             raise Cancelled("cancelled")
 
     def wait_until_armed(self, plan_sha256: str, look: Callable[[], None]) -> None:
-        """Wait for `arm`. Raises as `checkpoint`, MeasurementFailed for another plan.
+        """Wait for `arm`.
 
-        plan_sha256 : of what the job is about to command
-        look : at the devices, again and again meanwhile
+        Raises as `checkpoint`, MeasurementFailed for another plan.
+
+        plan_sha256 : of the rows about to be commanded
+        look : polls the devices meanwhile
         """
         while not self._wait_for_word(LOOK_AGAIN_S):
             look()
@@ -189,7 +189,6 @@ class ActiveJob:
             )
 
     def _wait_for_word(self, timeout_s: float) -> bool:
-        """Tell whether the job is armed, or has to end; wait a while for that."""
         with self._changed:
             return host_clock.wait_for(
                 self._changed,
@@ -212,7 +211,7 @@ class ActiveJob:
                 self._computation = None
 
     def enter(self, state: State, stage: Stage, *, unless_pausing: bool = False) -> Job:
-        """Enter a state or a stage; what the table does not allow changes nothing.
+        """Change state or stage; a transition that is not allowed has no effect.
 
         unless_pausing : keep a pause that the cell has not confirmed yet
         """
@@ -227,11 +226,11 @@ class ActiveJob:
         return self._change(change)
 
     def show_failure(self, failure: Failure | None) -> None:
-        """Store why the machine stands, held if it was resuming; None when it moves."""
+        """Store why the machine does not move, None when it does; ends a resume."""
         self._change(lambda job: set_failure(job, failure))
 
     def end(self, state: State, failure: Failure | None) -> Job:
-        """Enter a final state; an abort or cancelling under way wins over success."""
+        """Enter a final state; an abort or cancel request overrides success."""
 
         def change(job: Job) -> Job:
             return end_job(
@@ -256,11 +255,11 @@ class ActiveJob:
             raise
 
     def put_back(self) -> None:
-        """Let the job be begun again at the next start of the service."""
+        """Queue the job again for the next start of the service."""
         self._change(lambda job: put_back(job, in_order=True))
 
     def add_run(self, run_id: str) -> None:
-        """Store a Run that the job has made, unless it has ended."""
+        """Store a new Run of the job, unless it has ended."""
         self._change(lambda job: job if job.is_final else job.add_run(run_id))
 
     def store_values(self, **values: Any) -> None:
@@ -274,7 +273,7 @@ class ActiveJob:
         stage: Stage | None = None,
         health: Health | None = None,
     ) -> None:
-        """Publish how far the job is, and store it once a second."""
+        """Publish progress, and store it once per second."""
         is_new_stage = stage is not None and stage is not self._stage
         self._stage = stage or self._stage
         self._progress, self._health = progress, health or self._health
@@ -294,14 +293,14 @@ class ActiveJob:
                     self.job_id, self._stage, progress, self._health
                 )
             except StorageUnavailable as error:
-                # Progress is a convenience: the measurement goes on without it.
+                # Progress is a convenience: the measurement continues without it.
                 self.show_unstored(error)
             else:
                 if self._unstored is not None:
                     self._show_unstored(None)
 
     def set_sample_counts(self, samples: int, lost_samples: int) -> None:
-        """Set what the Run holds: the last progress may be a little older."""
+        """Set the counts of the closed Run: the last progress may be slightly older."""
         self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
 
     def publish(self, type_: str, body: Json) -> None:
@@ -309,7 +308,7 @@ class ActiveJob:
         self._event_bus.publish(JobEvent(type_, self.job_id, body))
 
     def show(self, job: Job) -> Job:
-        """Return the job as stored with what could not be stored of it since."""
+        """The stored job, with a failure that could not be stored."""
         seen = self._store.see(job)
         if seen.is_final or self._unstored is None:
             return seen

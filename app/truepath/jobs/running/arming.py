@@ -1,4 +1,4 @@
-"""What a job will command once it is armed: the rows, their hash, a summary."""
+"""Rows that a job will command once it is armed: their checks, hash and summary."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from truepath_drivers.interfaces.records import Path
 
 @dataclass(frozen=True, slots=True)
 class AxisRange:
-    """How far an axis goes, in mm or deg."""
+    """Extent of an axis, mm or deg."""
 
     axis: str
     unit: str
@@ -41,12 +41,12 @@ class AxisRange:
 
 @dataclass(frozen=True, slots=True)
 class MotionSummary:
-    """What the machine will do, in short.
+    """Summary of the motion to be armed.
 
     targets : reflectors that are measured; envelope : swept box of all axes
     max_feed_mm_min : the largest of the plan; duration_s : dwells included
-    grows : further rows are chosen on the way, anywhere in the travel: the envelope is
-        the travel then, and rows and duration are those that are known
+    grows : further rows are chosen during the measurement, anywhere in the travel: the
+        envelope is then the travel, and rows and duration are those known so far
     """
 
     targets: tuple[Target, ...]
@@ -59,9 +59,9 @@ class MotionSummary:
 
 @dataclass(frozen=True, slots=True)
 class Arming:
-    """What is shown to a person before the machine moves, and the token for it.
+    """Summary shown to a user before the machine moves, and the token for it.
 
-    valid_s : how long the token can be used
+    valid_s : lifetime of the token
     """
 
     job: Job
@@ -76,9 +76,10 @@ class Arming:
 def judge_path(
     machine: Machine, parts: Sequence[Commanded], workspace: Workspace
 ) -> Finding:
-    """Tell whether all parts stay in the travel and out of what is kept clear.
+    """Whether all parts stay in the travel and out of keep-out boxes.
 
-    So do the ways from one to the next. What the tracker sees was judged in planning.
+    The motions from one part to the next are included. Visibility from the tracker was
+    checked in planning.
     """
     clear = workspace.without_sight
     try:
@@ -103,9 +104,9 @@ def judge_approach(
     workspace: Workspace,
     here: Mapping[str, float],
 ) -> Finding:
-    """Tell whether the way to the first row is clear from where the machine stands.
+    """Whether the motion from the present position to the first row is clear.
 
-    here : position by axis, mm or deg, as the controller shows it; empty if unknown
+    here : position by axis, mm or deg, from the controller; empty if unknown
     """
     first = parts[0]
     if not workspace.keep_out:
@@ -134,10 +135,10 @@ def judge_approach(
 
 
 def list_commanded(plan: Mapping[str, Any] | None) -> list[Commanded]:
-    """Return all that a plan still has to command, in order. Raises NotFound.
+    """Remaining rows of a plan, in order. Raises NotFound.
 
-    Of several stations those that are not measured, each after the known points; of a
-    measurement that goes on the closure check and the rows that are left.
+    Of several stations the unmeasured ones, each after the known points; of a resumed
+    measurement the closure check and the remaining rows.
     """
     if plan is None:
         raise NotFound("the job has no plan yet")
@@ -152,7 +153,7 @@ def list_commanded(plan: Mapping[str, Any] | None) -> list[Commanded]:
 
 
 def hash_commanded(parts: Sequence[Commanded]) -> str:
-    """Return the SHA-256 of what is commanded: equal only for the same motion."""
+    """SHA-256 of the rows: equal only for the same motion."""
     content = [encode_commanded_json(part) for part in parts]
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
@@ -164,9 +165,9 @@ def summarise_motion(
     parts: Sequence[Commanded],
     here: Mapping[str, float] | None = None,
 ) -> MotionSummary:
-    """Return what parts command, and where the machine goes in doing so.
+    """Extent, feeds and duration of the parts.
 
-    here : as `judge_approach` takes it; the way from there is in the envelope
+    here : as in `judge_approach`; the motion from there is in the envelope
     """
     grows = kind is JobKind.MEASURE_ADAPTIVE
     named = {name for part in parts for name in part.target}
@@ -200,7 +201,7 @@ def _list_travel(machine: Machine) -> tuple[AxisRange, ...]:
 def _list_ranges(
     machine: Machine, parts: Sequence[Commanded], here: Mapping[str, float]
 ) -> tuple[AxisRange, ...]:
-    """Return the box of all rows and of here; lines between them never leave it."""
+    """The motion between two rows never leaves their box."""
     position = np.concatenate([part.position for part in parts])
     axes, low, high = parts[0].axes, position.min(axis=0), position.max(axis=0)
     return tuple(

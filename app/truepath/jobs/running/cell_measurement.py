@@ -1,8 +1,8 @@
-"""One measurement by the cell, followed from its beginning to its closed Run.
+"""One measurement by the cell, from its beginning to its closed Run.
 
-Every answer of the cell has a deadline. If it does not confirm a hold, a resume or an
-abort in time, its process is killed, and the machine's own watchdog holds the feed.
-A line that does not end after a cancel is aborted.
+Every reply of the cell has a deadline. If it does not confirm a hold, a resume or an
+abort in time, its process is killed, and the machine's own watchdog holds the feed. A
+line that does not end after a cancel is aborted.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ CONFIRM_S = {
     State.PAUSING: 30.0,  # a standstill point may be finished first
     State.RESUMING: 30.0,
     State.ABORTING: 10.0,
-    State.CANCELLING: 60.0,  # beyond the time of the line or point under way
+    State.CANCELLING: 60.0,  # beyond the time of the current line or point
 }
-LINE_TIMES = 2.0  # of the line or point under way, that cancelling may last
+LINE_TIMES = 2.0  # of the current line or point, that cancelling may last
 CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
@@ -68,9 +68,9 @@ _LOOK_AT_CONTROLLER = (
 
 
 class CellMeasurement:
-    """One measurement, whose events the job's thread handles in order.
+    """Handles the events of the cell in order, in the job's thread.
 
-    gives_up : codes of faults that end it, in place of waiting for a person
+    gives_up : codes of faults that end it without waiting for an operator
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class CellMeasurement:
         self._repeats = 0
 
     def run(self, order: MeasurementOrder) -> None:
-        """Measure until the Run is closed; what was recorded is on disk in any case.
+        """Measure until the Run is closed; recorded data are on disk in any case.
 
         Raises Aborted, Cancelled, Interrupted, MeasurementEnded, MachineFault.
         """
@@ -139,7 +139,6 @@ class CellMeasurement:
             self._handle_event(event)
 
     def _wait_until_closed(self) -> None:
-        """Let the cell close its Run although the catalogue cannot be written."""
         deadline = host_clock.now_s() + CLOSE_RUN_S
         while (left_s := deadline - host_clock.now_s()) > 0:
             try:
@@ -190,7 +189,7 @@ class CellMeasurement:
         self._job.report_progress(progress, stage=Stage.MEASURING, health=health)
 
     def _show_fault(self, fault: FaultReported) -> None:
-        """Show a fault. Only the state of the cell says whether it ends the job."""
+        """Only the state of the cell decides whether a fault ends the job."""
         log.error("fault", job_id=self._job.job_id, **asdict(fault))
         self._fault = fault
         if fault.code == _STANDS_ELSEWHERE and self._job.is_aborted:
@@ -222,11 +221,10 @@ class CellMeasurement:
             self._job.show_failure(None)
 
     def _repeat_command(self) -> None:
-        """Repeat a command that is not confirmed: it may have come too early to act.
-
-        A pause is repeated only if a user asked for it. From a pause of its own the
-        cell continues by itself; from a commanded one it does not. A machine that is
-        held is not moved on to finish its line for the sake of being cancelled.
+        """A command that is not confirmed may have come too early to act. A pause is
+        repeated only if a user requested it: the cell resumes from its own pauses, not
+        from a commanded one. A held machine is not moved to finish its line for a
+        cancel.
         """
         now = host_clock.now_s()
         if self._outcome or now < self._repeat_at:
@@ -256,7 +254,6 @@ class CellMeasurement:
             self._kill_cell("run-not-closed", "the cell has not closed its Run in time")
 
     def _stop_cancelling(self) -> None:
-        """Hold the feed: the line or point under way has not ended in time."""
         lasted_s = self._job.state_lasts_s
         log.error("cancel overdue", job_id=self._job.job_id, lasted_s=lasted_s)
         self._is_overdue = True

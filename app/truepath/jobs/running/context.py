@@ -1,4 +1,4 @@
-"""What every job works with."""
+"""Dependencies shared by all jobs."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ from truepath.machines.setup.simulated_controls import LoadedFiles
 
 @dataclass(frozen=True, slots=True)
 class JobContext:
-    """What every job works with.
+    """Dependencies of the steps of a job.
 
-    machines : those that the service drives
-    driven : that of the job; None of a job that drives and plans for none
+    machines : all machines of this service
+    driven : the job's machine; None for a job without one
     planner, science, discoverer, follower, checker, reanalyser, verifier : called as
         `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
         `check_station`, `reanalyse_run`, `verify_recorded`
     resumer, closer : called as `find_committed_rows`, `check_closure`
-    workers : who computes what an analysis can cut into blocks
-    results : folder of results, one folder a job
-    calibrations : of all machines; None where nobody asks how they stand
-    registry : the configurations that machines had; None where none are kept
-    read_loaded_files : which files a simulated control has; nothing of a real one
+    workers : compute the blocks of an analysis
+    results : folder of results, one folder per job
+    calibrations : of all machines; None where their status is not needed
+    registry : stored configurations of the machines; None for none
+    read_loaded_files : compensation files of a simulated control; empty for a real one
     confirm_s : time in which the cell has to confirm each state
-    live : makes what estimates while the machine moves; None for no live estimate
+    live : makes the live estimator; None for no live estimate
     """
 
     store: Store
@@ -74,16 +74,16 @@ class JobContext:
     closer: Task = check_closure
 
     def of_machine(self, machine_id: str | None) -> JobContext:
-        """Return it for a job on a machine; without a name on the only one.
+        """A copy for a job on this machine; None for the only one.
 
         Raises NotFound, NoMachine, UnnamedMachine.
         """
         return replace(self, driven=self.machines.choose(machine_id))
 
     def require_machine(self) -> Machine:
-        """Return the machine that the job is for. Raises NoMachine, UnnamedMachine."""
+        """The job's machine. Raises NoMachine, UnnamedMachine."""
         return (self.driven or self.machines.choose(None)).machine
 
     def require_cell(self) -> CellSupervisor:
-        """Return the cell that drives it. Raises NoMachine, UnnamedMachine."""
+        """The cell of the job's machine. Raises NoMachine, UnnamedMachine."""
         return (self.driven or self.machines.choose(None)).cell

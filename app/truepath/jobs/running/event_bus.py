@@ -1,4 +1,4 @@
-"""Publishes events of jobs to listeners, and remembers the newest live estimates."""
+"""Events of jobs for listeners, with the newest live estimates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Listener = Callable[[JobEvent], None]
 
 
 class EventBus:
-    """Passes events to listeners, in the thread that publishes: return at once."""
+    """Calls listeners in the thread that publishes: they must return at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -25,7 +25,7 @@ class EventBus:
         self.estimates = EstimateHistory()
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
-        """Add a listener; call what is returned to remove it."""
+        """Add a listener; calling the result removes it."""
         with self._lock:
             self._listeners += (listener,)
 
@@ -36,7 +36,7 @@ class EventBus:
         return unsubscribe
 
     def publish(self, event: JobEvent) -> None:
-        """Pass an event to every listener."""
+        """Pass an event to every listener; estimates are also remembered."""
         if event.type == "estimate" and event.job_id is not None:
             self.estimates.add(event.job_id, event.body)
         for listener in self._listeners:
@@ -44,7 +44,7 @@ class EventBus:
 
 
 class EstimateHistory:
-    """Estimates of a few jobs: the newest, and how the uncertainty came down."""
+    """Newest estimates of `JOBS` jobs, with the course of their uncertainty."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -65,11 +65,11 @@ class EstimateHistory:
                 del self._courses[oldest]
 
     def newest(self, job_id: str) -> Mapping[str, Any] | None:
-        """Return the newest estimate of a job, None where none is remembered."""
+        """None where no estimate is remembered."""
         return self._newest.get(job_id)
 
     def course(self, job_id: str) -> dict[str, list[Any]]:
-        """Return the columns `COURSE`, one row an estimate, the oldest first."""
+        """Columns `COURSE`, one row per estimate, oldest first."""
         with self._lock:
             rows = list(self._courses.get(job_id, ()))
         return {name: [row[i] for row in rows] for i, name in enumerate(COURSE)}

@@ -1,9 +1,8 @@
-"""The estimate of a measurement under way, made by a process of its own.
+"""Live estimate of an active measurement, made by a separate process.
 
-Committed blocks go in through a short queue that drops what the process cannot take in
-time, and counts it: a slow estimate never delays the measurement, and the analysis of
-the closed Run misses nothing. What fails in there ends the live estimate and nothing
-else.
+Committed blocks go in through a short queue that drops and counts blocks the process
+cannot take in time: a slow estimate never delays the measurement, and the analysis of
+the closed Run misses nothing. A failure of the process ends only the live estimate.
 
 An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age
 until there is a newer one.
@@ -59,11 +58,11 @@ Show = Callable[[Mapping[str, Any]], None]
 
 
 class LiveEstimation:
-    """One measurement followed by one process, from `start` to `close`.
+    """One process for one measurement, from `start` to `close`.
 
-    show : receives every estimate in the words of `GET /jobs/{id}/estimate`, from a
-        thread of its own; must return at once
-    newest : the newest estimate in the same words, None before the first
+    show : receives every estimate as in `GET /jobs/{id}/estimate`, from a separate
+        thread; must return at once
+    newest : the newest estimate in the same form, None before the first
     """
 
     def __init__(self, order: LiveEstimateOrder, show: Show) -> None:
@@ -82,13 +81,13 @@ class LiveEstimation:
         self.newest: Mapping[str, Any] | None = None
 
     def start(self) -> None:
-        """Start the process."""
+        """Start process and threads."""
         self._process.start()
         for thread in self._threads:
             thread.start()
 
     def offer(self, block: TrackerSamples | PointBlock) -> None:
-        """Hand over a committed block. Never waits: what has no room is dropped."""
+        """Pass on a committed block. Never waits: a full queue drops the block."""
         try:
             self._queue.put_nowait(block)
         except queue.Full:
@@ -96,33 +95,33 @@ class LiveEstimation:
 
     @property
     def is_over(self) -> bool:
-        """Whether no estimate and no part follows."""
+        """Whether no further estimate or part follows."""
         return self._ended.is_set()
 
     def ask(self) -> None:
-        """Ask what to drive next, once the blocks so far have been looked at."""
+        """Request the next part, chosen after the blocks so far are processed."""
         with suppress(queue.Full):
             host_clock.put(self._queue, LiveCommand.CHOOSE_PART, FINISH_S)
 
     def take_part(self) -> Part | None:
-        """Return the answer to `ask` as soon as there is one. Never waits."""
+        """Reply to `ask`, once it is there. Never waits."""
         with suppress(queue.Empty):
             return self._parts.get_nowait()
         return None
 
     def extend(self, part: Commanded) -> None:
-        """Say what is driven next, beside the rows so far."""
+        """Announce the next rows, in addition to the rows so far."""
         with suppress(queue.Full):
             host_clock.put(self._queue, part, FINISH_S)
 
     def finish(self) -> None:
-        """Nothing follows: wait for the last estimate, at most so long."""
+        """Wait for the last estimate, at most `FINISH_S`."""
         with suppress(queue.Full):
             host_clock.put(self._queue, LiveCommand.END, FINISH_S)
             host_clock.wait(self._ended, FINISH_S)
 
     def close(self) -> None:
-        """End the process, whatever it does. Idempotent."""
+        """Kill the process. Idempotent."""
         if self._process.process_id is None:
             self._process.close()
             return
@@ -134,7 +133,6 @@ class LiveEstimation:
         self._process.close()
 
     def _feed(self) -> None:
-        """Send what waits to the process. Body of a thread."""
         with suppress(OSError):
             while True:
                 message = host_clock.get(self._queue)
@@ -143,7 +141,6 @@ class LiveEstimation:
                     return
 
     def _listen(self) -> None:
-        """Show each estimate, again until there is a newer one. Body of a thread."""
         link, made_s = self._process.link, 0.0
         with suppress(EOFError, OSError):
             while True:
@@ -170,16 +167,16 @@ class LiveEstimation:
 class LiveSteering:
     """Steers a measurement by its live estimate: further parts, or an early end.
 
-    Where the estimate has nothing to add, or says nothing in time, the measurement ends
-    in order; one that is not simply usable has reached no target. One thread.
+    Without a further part, or without a reply in time, the measurement ends in order;
+    an estimate that is not usable without reservation reaches no target. One thread.
 
-    commanded : the first part of an adaptive measurement; None for one planned whole
-    target_um : volumetric uncertainty (k = 1) at which the rest is left out
+    commanded : the first part of an adaptive measurement; None for one planned in full
+    target_um : volumetric uncertainty (k = 1) at which the rest is omitted
     on_part : receives all rows after each part, and the body of the event `plan`
-    on_again : receives all rows, where some are about to be driven again
+    on_again : receives all rows, where some are about to be repeated
     on_target : receives the estimate that has reached the target
-    on_notices : receives all that has been noticed so far
-    planned : rows that are driven part by part
+    on_notices : receives all notices so far
+    planned : rows that are executed part by part
     """
 
     live: LiveEstimation
@@ -197,7 +194,7 @@ class LiveSteering:
     _is_concluded: bool = False
 
     def handle(self, event: CellEvent) -> None:
-        """Pass recorded blocks on; ask for the part that the machine waits for."""
+        """Pass recorded blocks on; request the part that the machine waits for."""
         match event:
             case BlockRecorded(block):
                 self.live.offer(block)
@@ -214,7 +211,7 @@ class LiveSteering:
                 pass
 
     def advance(self, *, may_conclude: bool = True) -> None:
-        """Tell what is noticed; conclude at the target, else pass on the next part.
+        """Report notices; conclude at the target, else pass on the next part.
 
         Never waits.
         """
@@ -234,7 +231,7 @@ class LiveSteering:
             self._drive_next(self.planned)
 
     def count_total(self, total: int) -> int:
-        """Return how many lines or points there will be, of those known so far."""
+        """Total of lines or points, as known so far."""
         return total if self.planned is None else max(total, self.planned.total)
 
     def _drive_next(self, planned: PlannedRows) -> None:
@@ -243,7 +240,7 @@ class LiveSteering:
         if part is None:
             self.cell.send(CellVerb.CONCLUDE)
             return
-        if planned.total > total:  # what goes on after an interruption counts by them
+        if planned.total > total:  # needed to resume
             self.on_again(planned.rows)
         self.live.extend(part)
         self.cell.extend(part)

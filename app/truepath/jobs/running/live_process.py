@@ -1,7 +1,7 @@
-"""Body of the process that estimates while the machine moves.
+"""Body of the process that estimates during motion.
 
-Blocks come in, an answer goes out as soon as blocks have finished a line or a point: in
-the words of `result.json`, µm, µrad, k = 1.
+An estimate follows as soon as blocks complete a line or a point: in the form of
+`result.json`, µm, µrad, k = 1.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     from truepath.planning.plan_order import PlanOrder
 
 _BEHIND, _AHEAD = 2, 10
-"""Rows before and after the newest that are told where they should be seen."""
+"""Rows before and after the newest whose predicted positions are reported."""
 _GATHER_S = 0.2
-"""Blocks of this time are taken before the tables are solved for once."""
+"""Blocks of this time are collected before the tables are solved for once."""
 _MICRO = 1e3  # mm to µm
 
 
 @dataclass(frozen=True, slots=True)
 class LiveEstimateOrder:
-    """What is measured.
+    """Measurement to estimate.
 
-    request : as `plan_orders` states it: the model whose effects are estimated beside,
-        and what the further parts of an adaptive measurement are chosen for
-    total : lines or points that are planned, where they are commanded part by part
-    earlier_files : of the Runs of the measurement that it goes on from
+    request : as in `plan_orders`: the model whose effects are estimated too, and the
+        aim of the further parts of an adaptive measurement
+    total : planned lines or points, where they are commanded part by part
+    earlier_files : Runs of the measurement that is resumed
     """
 
     machine: Machine
@@ -54,7 +54,7 @@ class LiveEstimateOrder:
 
 
 class LiveCommand(Enum):
-    """To the process, between blocks."""
+    """Sent to the process between blocks."""
 
     CHOOSE_PART = "choose what to drive next"
     END = "no block follows"
@@ -62,27 +62,27 @@ class LiveCommand(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """From the process: an estimate in the words of `GET /jobs/{id}/estimate`."""
+    """Sent by the process: an estimate as in `GET /jobs/{id}/estimate`."""
 
     body: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class PartChosen:
-    """From the process: the answer to `CHOOSE_PART`."""
+    """Sent by the process: the reply to `CHOOSE_PART`."""
 
     part: Part
 
 
 @dataclass(frozen=True, slots=True)
 class EstimateFailed:
-    """From the process: no estimate follows, and why."""
+    """Sent by the process: no further estimate, with the reason."""
 
     reason: str
 
 
 def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
-    """Estimate until the last block or the end of the parent. Body of the process.
+    """Estimate until the last block or the end of the parent process.
 
     link : TrackerSamples or PointBlocks come in order, between them CHOOSE_PART, at
         last END
@@ -151,8 +151,6 @@ def _tell(
 
 
 class _PartChooser:
-    """What is commanded, and its further parts; `total` lines or points so far."""
-
     def __init__(
         self,
         order: LiveEstimateOrder,
@@ -167,7 +165,6 @@ class _PartChooser:
         self.total = max(_count(order.commanded), order.total)
 
     def go_on(self, part: Commanded) -> None:
-        """Know of a part that somebody else has chosen."""
         self._commanded = append_part(self._commanded, part)
         self._live.extend(self._commanded)
         self.total = max(self.total, _count(self._commanded))
@@ -182,7 +179,7 @@ class _PartChooser:
             )
         now, found = self._live.estimate(), self._live.findings()
         if now is None or found is None:
-            return Part(None)  # what is known so far is not enough to go on
+            return Part(None)  # too little is known so far to continue
         part = self._choice.next(found, now.volumetric_sigma_mm)
         self._live.extend(self._choice.commanded)
         self.total += part.rows
@@ -194,10 +191,10 @@ def _count(commanded: Commanded) -> int:
 
 
 class _Stream:
-    """The blocks as they come.
+    """Blocks of the link, gathered for `_GATHER_S`.
 
     begun_s : the tracker's clock at the first sample, None before it
-    is_asked : a part has been asked for after the blocks so far
+    is_asked : a part has been requested after the blocks so far
     """
 
     def __init__(self, link: Connection) -> None:
@@ -211,7 +208,6 @@ class _Stream:
         return parts
 
     def gather(self) -> list[TrackerSamples | PointBlock]:
-        """Return the blocks of a moment; waits for the first one."""
         blocks = self._receive()
         until_s = host_clock.now_s() + _GATHER_S
         while (left_s := until_s - host_clock.now_s()) > 0:
@@ -241,7 +237,7 @@ class _Stream:
 
 
 def estimate_json(now: Any) -> dict[str, Any]:
-    """Return a LiveEstimate in the words of `result.json`."""
+    """A LiveEstimate in the form of `result.json`."""
     from truepath.results.error_tables import build_error_tables
     from truepath.results.verdict import judge_live
 
@@ -262,7 +258,7 @@ def estimate_json(now: Any) -> dict[str, Any]:
 
 
 def _state_rows(live: LiveEstimator) -> dict[str, Any]:
-    """Return where the rows about the newest line should be seen; {} of points."""
+    """Predicted positions in the tracker's frame; {} for points."""
     found, places = live.findings(), live.find_commanded_mm()
     if found is None or places is None:
         return {}
@@ -273,7 +269,7 @@ def _state_rows(live: LiveEstimator) -> dict[str, Any]:
 
 
 def notice_json(notice: Any, begun_s: float) -> dict[str, Any]:
-    """Return a Notice in the words of a job."""
+    """A Notice in the form of the job; times from `begun_s`."""
     return {
         "number": notice.number,
         "kind": notice.kind,

@@ -1,4 +1,4 @@
-"""Rows of one's own as a measurement takes them, and what no analysis could tell by."""
+"""User-defined rows as a measurement takes them, and what they leave undetermined."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from truepath.motion.paths.feeds import check_feed
 from truepath.motion.workspace.workspace import Workspace
 from truepath_drivers.interfaces.records import Path
 
-_FEWEST = 3  # places that fix where the tracker stands
+_FEWEST = 3  # points that determine the tracker's pose
 
 
 def command_measurable_rows(
@@ -22,9 +22,9 @@ def command_measurable_rows(
     *,
     is_path: bool,
 ) -> Commanded:
-    """Return what a measurement of rows commands. Raises PlanningError.
+    """Rows in the form that a measurement commands. Raises PlanningError.
 
-    feed_mm_min : of rows that state none
+    feed_mm_min : of rows without their own
     """
     check_feed(machine, feed_mm_min)
     commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
@@ -33,9 +33,9 @@ def command_measurable_rows(
 
 
 def require_measurable(machine: Machine, commanded: Commanded) -> None:
-    """Raise PlanningError where rows cannot tell where the tracker stands.
+    """Raise PlanningError where rows do not determine the pose of the tracker.
 
-    The target has to stand at three places that are not on one straight line.
+    The target has to be at three points that are not on one straight line.
     """
     # Imported where it is needed: the service itself carries no science.
     from truepath.alignment.stream.nominal_path import (
@@ -61,10 +61,10 @@ def require_measurable(machine: Machine, commanded: Commanded) -> None:
 def name_what_stays_open(
     machine: Machine, commanded: Commanded, workspace: Workspace
 ) -> str:
-    """Say what an estimate of these rows alone would be refused for; else nothing.
+    """Parameters that these rows alone would not determine, as text; else empty.
 
-    Such rows are measured all the same: Runs are analysed together as well, and what
-    one leaves open another may show.
+    Such rows are measured all the same: Runs are analysed together as well, and another
+    one may determine them.
     """
     # Imported where it is needed: the service itself carries no science.
     from truepath.planning.forecast import predict_undetermined

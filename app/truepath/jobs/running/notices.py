@@ -1,4 +1,4 @@
-"""What the live estimate notices: told at once, kept with the job, and acted on."""
+"""Notices of the live estimate: published at once, stored with the job, acted on."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ log = structlog.get_logger(__name__)
 
 
 class NoticeBoard:
-    """The notices of one measurement, in the words of the live estimate.
+    """The notices of one measurement, in the form of the live estimate.
 
-    policy : what is done about each
-    planned : rows that are driven part by part, so that some can be driven again
+    policy : action on each
+    planned : rows that are executed part by part, so that some can be repeated
     first_row : of the plan, with which the rows of the estimate begin
-    before : what was noticed in parts before, which is kept
+    before : notices of parts before, which are kept
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class NoticeBoard:
         self._shown: dict[int, LiveNotice] = {}
 
     def show(self, told: Sequence[Mapping[str, Any]]) -> None:
-        """Tell what is new or has another name; act on what is new."""
+        """Publish new or renamed notices; act on new ones."""
         is_obeyed = self._obey()
         news = [n for n in map(self._read, told) if self._is_news(n)]
         fresh = [n for n in news if n.number not in self._shown]
@@ -62,7 +62,7 @@ class NoticeBoard:
             self._active.publish("notice", {**body, "action": str(body["action"])})
 
     def keep(self, told: Sequence[Mapping[str, Any]]) -> None:
-        """Store the notices with the job, as they are now."""
+        """Store the present notices with the job."""
         notices = tuple(self._read(each) for each in told)
         self._shown = {each.number: each for each in notices}
         try:
@@ -96,7 +96,6 @@ class NoticeBoard:
             self._measure_again(self._policy, notice)
 
     def _obey(self) -> bool:
-        """Do what somebody wants who has been asked; tell whether anybody did."""
         wanted = self._active.take_wish()
         newest = max(self._shown, default=None)
         if wanted is None or newest is None:
@@ -114,7 +113,7 @@ class NoticeBoard:
 
 
 def add_to_result(file: Path, notices: Sequence[LiveNotice]) -> None:
-    """Keep what was noticed with the result, where anything was."""
+    """Add the notices, if any, to the result file."""
     if notices and file.is_file():
         content = json.loads(file.read_text(encoding="utf-8"))
         content["notices"] = [asdict(each) for each in notices]

@@ -1,14 +1,14 @@
-"""What is asked of a plan, as JSON: kept with its job, computed by an executor.
+"""Request of a plan, as JSON: kept with its job, computed by an executor.
 
-    {"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
-     "max_feed_mm_min": 6000, "dwell_s": 0.4, "perpendicular_only": false,
-     "corner_path": false, "seed": 0, "stations": 1, "workspace": {…},
-     "model_id": "…", "model_file": "…"}
+{"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
+"max_feed_mm_min": 6000, "dwell_s": 0.4, "perpendicular_only": false,
+"corner_path": false, "seed": 0, "stations": 1, "workspace": {…},
+"model_id": "…", "model_file": "…"}
 
-Without `mode` it is the default path at the first of the feeds that is asked for;
-with it all other keys may be left out. `target_um` is a standard uncertainty (k = 1),
-as everywhere in the interface; `workspace` is the content of a workspace file;
-`model_file` is that of the job `model_id`, put in when the plan is computed.
+Without `mode` it is the default path at the first of the feeds; with it all other keys
+are optional. `target_um` is a standard uncertainty (k = 1), as everywhere in the
+interface; `workspace` is the content of a workspace file; `model_file` is that of the
+job `model_id`, put in when the plan is computed.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _POINTS = JobKind.MEASURE_STANDSTILL
 def plan_measurement(
     machine: Machine, order: Json, *, on_progress: Progress
 ) -> dict[str, Any]:
-    """Return the JSON of a plan's rows, with its `document` unless it is the default.
+    """JSON of a plan's rows, with its `document` unless it is the default.
 
     The document is the content of `plan.json` and the grade of the set-up. Raises
     PlanningError.
@@ -96,7 +96,6 @@ def plan_measurement(
 
 
 def _encode_stations(planned: Plan) -> dict[str, Any]:
-    """Return rows and place of each of several stations, and the known points."""
     workspace = planned.order.workspace
     if not planned.further or workspace.stations is None:
         return {}
@@ -122,14 +121,13 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
-    """Return the default path, computed once in the life of a worker process."""
     from truepath.planning.lines.default_path import default_path
 
     return default_path(machine, feed_mm_min)
 
 
 def read_plan_order(order: Json) -> PlanOrder:
-    """Return what an order in JSON asks of a plan."""
+    """The request in JSON as a PlanOrder."""
     from truepath.estimation.problem.prior_model import read_prior_model
     from truepath.planning.plan_order import PlanOrder
 
@@ -145,10 +143,9 @@ def read_plan_order(order: Json) -> PlanOrder:
 
 
 def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
-    """Return what is asked of the first part of an adaptive measurement.
+    """Request for the first part of an adaptive measurement.
 
-    So many lines or points that the live estimate finds pose and noise; on lines the
-    rotary axes stand.
+    Enough lines or points to estimate pose and noise; rotary axes are at rest on lines.
     """
     highest = order.get("max_feed_mm_min") or machine.motion.max_feed_mm_min
     usual = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min, highest)
@@ -162,7 +159,7 @@ def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
 
 
 def refuse_several_targets(machine: Machine, order: Json) -> None:
-    """Raise PlanningError where points of several targets would have to take turns."""
+    """Raise PlanningError for points of several targets that had to alternate."""
     moving = [t for t in machine.targets if moves_where_seen(machine, t)]
     if order.get("mode") == "standstill" and len(moving) > 1:
         raise PlanningError(
@@ -173,10 +170,10 @@ def refuse_several_targets(machine: Machine, order: Json) -> None:
 
 @dataclass(frozen=True, slots=True)
 class CheckedRows:
-    """Rows that a measurement would take.
+    """Result of a check of rows.
 
     duration_s : from the first row on, dwells included
-    stays_open : what an estimate of them alone would be refused for, empty if nothing
+    stays_open : what an estimate of them alone leaves undetermined, empty if nothing
     """
 
     rows: int
@@ -204,7 +201,7 @@ def check_rows(
 def check_plan_to_drive(
     machine: Machine, kind: JobKind, plan: Json, count: int | None = None
 ) -> dict[str, Any]:
-    """Return the rows of a plan, checked anew for the job that is to drive them.
+    """Rows of a plan, checked again for the job that executes them.
 
     count : only its first rows, those of several stations one after another
 
@@ -268,18 +265,18 @@ def _take_beginning(machine: Machine, plan: Json, count: int) -> Json:
 
 
 def list_station_rows(plan: Json) -> list[Commanded]:
-    """Return what each of several stations of a plan commands, in order."""
+    """Rows of each station of a plan, in order; empty for a single station."""
     return [decode_commanded_json(station) for station in plan.get("stations", ())]
 
 
 def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[str, Any]:
-    """Return the extra lines that a discovery asks for, with `discovery_id`.
+    """Rows of the extra lines that a discovery proposes, with `discovery_id`.
 
-    As `encode_commanded_json` does.
+    In the form of `encode_commanded_json`.
 
     folder, job_id : of the discovery
 
-    Raises PlanningError if the discovery asks for none, if its Runs are of another
+    Raises PlanningError if the discovery proposes none, if its Runs are of another
     machine, or if the lines leave the travel; NotFound if its model is gone.
     """
     ask = json.loads((folder / DISCOVERY).read_text(encoding="utf-8")).get("ask")

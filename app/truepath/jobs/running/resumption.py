@@ -1,10 +1,10 @@
-"""Going on with a measurement that the service, or a fault, has cut short.
+"""Resumption of a measurement that the service, or a fault, has interrupted.
 
-The plan of the job keeps its parts: one Run each, with the row it begins at. After
-`acknowledge` a worker reads how far the last part has got; the job waits to be armed
-like any other. Armed, the machine stands again at the places where it stood last, and
-only where the target is seen where it was are the rows that are left driven, as a
-further Run. Nothing that was recorded is changed; the analysis takes all parts.
+The plan of the job keeps its parts: one Run each, with its first row. After
+`acknowledge` a worker reads the progress of the last part; the job waits to be armed
+like any other. Once armed, the machine revisits its last standstills, and only if the
+target is where it was are the remaining rows measured, as a further Run. Recorded data
+are not changed; the analysis takes all parts.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from truepath_drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
 _SAME = 1e-5  # mm or deg: as rows are rounded where they are kept
-_FEWEST = 6  # lines or points of a part: fewer tell too little of their own pose
+_FEWEST = 6  # lines or points of a part: fewer do not determine its pose
 CLOSURE_CODE = "closure"
 _REMEDY = (
     "Look at reflector, its nest and the tracker: one of them has moved since. Put it "
@@ -50,15 +50,15 @@ log = structlog.get_logger(__name__)
 
 
 def list_part_ids(plan: Json) -> list[str]:
-    """Return the Runs of the parts of a plan, made or about to be made."""
+    """Runs of the parts of a plan, made or about to be made."""
     return [part["run_id"] for part in plan.get("parts", ())]
 
 
 def choose_first_row(commanded: Commanded, next_row: int) -> int:
-    """Return the row that a further part begins at; some again where few are left.
+    """First row of a further part; some rows are repeated where few are left.
 
-    A line begins where the one before has ended. Of the target that is measured there
-    at least six rows follow, so that the part tells its own pose by it.
+    A line begins at the end of the previous one. At least six rows of the current
+    target follow, so that the part determines its own pose.
     """
     first, end = _find_target(commanded, next_row)
     latest = max(end - _FEWEST, first)
@@ -68,16 +68,15 @@ def choose_first_row(commanded: Commanded, next_row: int) -> int:
 
 
 def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
-    """Return first row, and that after the last, of the target that a row measures."""
+    """First row and end (exclusive) of the target that a row measures."""
     ends = np.cumsum([len(block) for block in split_by_target(commanded)])
     number = int(np.searchsorted(ends[:-1], row, side="right"))
     return int(ends[number - 1]) if number else 0, int(ends[number])
 
 
 def _join_told(plan: Json, base: int, told: Commanded) -> Commanded:
-    """Return the rows of a plan, with those that its Run was told beyond them.
-
-    What chooses rows on its way may have told its Run more than it could keep.
+    """A measurement that chooses rows as it moves may have commanded more than the plan
+    could store.
 
     base : row of the plan that the Run begins with
 
@@ -98,12 +97,12 @@ def _join_told(plan: Json, base: int, told: Commanded) -> Commanded:
 
 @dataclass(frozen=True, slots=True)
 class Resumption:
-    """How a measurement goes on, as the plan keeps it.
+    """How a measurement is resumed, as the plan keeps it.
 
     first_row : of the plan, where the further part begins
     kept_run_ids : of the parts that the analysis takes
-    closure_row : rows of the plan to stand at before; the last ones are compared
-    place_mm : where the target was there, in the tracker's frame
+    closure_row : rows of the plan to revisit before; the last ones are compared
+    place_mm : previous target positions there, in the tracker's frame
     """
 
     first_row: int
@@ -113,7 +112,7 @@ class Resumption:
 
     @classmethod
     def read(cls, plan: Json) -> Resumption | None:
-        """Return that of a plan; None where it begins from its first row."""
+        """None for a plan that begins at its first row."""
         found = plan.get("resumption")
         if found is None:
             return None
@@ -126,15 +125,15 @@ class Resumption:
 
     @property
     def going_on(self) -> tuple[int, tuple[str, ...]]:
-        """The row where the further part begins, and the Runs that it goes on from."""
+        """First row of the further part, and the Runs before it."""
         return self.first_row, self.kept_run_ids
 
     def select_rest(self, commanded: Commanded) -> Commanded:
-        """Return the rows that are left; a path begins where the machine stands."""
+        """Remaining rows; a path begins where the machine is."""
         return select_rows(commanded, slice(self.first_row, None))
 
     def select_closure(self, commanded: Commanded) -> Configurations:
-        """Return the standstills of the closure check."""
+        """Standstills of the closure check."""
         rows = list(self.closure_row)
         return Configurations(
             commanded.axes,
@@ -146,9 +145,9 @@ class Resumption:
 
 @dataclass(frozen=True, slots=True)
 class ResumedSteps:
-    """The steps of a job that goes on.
+    """Steps of a job that is resumed.
 
-    compute : lets the executor compute a task
+    compute : runs a task in the executor
     """
 
     job: Job
@@ -157,7 +156,7 @@ class ResumedSteps:
     compute: Callable[..., Any]
 
     def prepare(self) -> None:
-        """Find how far the job has got and keep with its plan how it goes on."""
+        """Find the progress of the job; store with its plan how it is resumed."""
         plan = dict(self.context.store.read_plan(self.job.id) or {})
         parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
         recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
@@ -168,10 +167,7 @@ class ResumedSteps:
         log.info("the measurement can go on", row=found and found["first_row"])
 
     def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any]:
-        """Return a resumption, and the rows of the plan as its Runs were told them.
-
-        Nothing where nothing that was recorded can be used.
-        """
+        """Empty where no recorded data can be used."""
         files = [str(self.context.runs.file(part["run_id"])) for part in parts]
         found = self.compute(
             State.PREPARING,
@@ -187,7 +183,7 @@ class ResumedSteps:
         commanded = _join_told(plan, base, decode_commanded_json(last["commanded"]))
         rows = [base + row for row in last["row"]]
         first, _ = _find_target(commanded, rows[-1])
-        rows = [row for row in rows if row >= first]  # nobody changes the target
+        rows = [row for row in rows if row >= first]  # no target is changed
         resumption = {
             "first_row": choose_first_row(commanded, base + last["next_row"]),
             "kept_run_ids": [parts[k]["run_id"] for k in usable],
@@ -198,7 +194,7 @@ class ResumedSteps:
         return {**encode_commanded_json(commanded), "resumption": resumption}
 
     def begin_part(self, resumption: Resumption, commanded: Commanded) -> str:
-        """Check the closure, then return the Run of the part that is to be driven.
+        """Check the closure; gives the Run of the part to be measured.
 
         Raises MachineFault where the target is not where it was.
         """
@@ -213,9 +209,9 @@ class ResumedSteps:
         return run_id
 
     def list_kept(self, resumption: Resumption | None) -> tuple[str, ...]:
-        """Return the Runs that the answer takes beside the part that is to be driven.
+        """Runs that the answer takes in addition to the part to be measured.
 
-        Of extra lines those of the discovery that asks for them come first.
+        Of extra lines those of the discovery come first.
         """
         plan = self.context.store.read_plan(self.job.id) or {}
         own = {self.job.id, *list_part_ids(plan)}
@@ -223,7 +219,7 @@ class ResumedSteps:
         return (*others, *(() if resumption is None else resumption.kept_run_ids))
 
     def begin_anew(self) -> str:
-        """Return the Run of a part from the first row: none before can be used."""
+        """Run of a part from the first row, where no earlier Run can be used."""
         run_id = make_id()
         self._keep_part({"run_id": run_id, "first_row": 0})
         return run_id

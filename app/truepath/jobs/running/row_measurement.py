@@ -1,4 +1,4 @@
-"""Rows that are measured as they are: no estimate looks on, none are added."""
+"""Measurement of fixed rows, without live estimate or further rows."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def measure_rows(
     what: str,
     gives_up: Collection[str] = (),
 ) -> None:
-    """Measure rows; the Run is in the catalogue in any case.
+    """Measure rows; the Run is catalogued in any case.
 
-    what : they are, in the name of the Run; gives_up : as `CellMeasurement` takes it
+    what : label in the name of the Run; gives_up : as in `CellMeasurement`
 
     Raises as `CellMeasurement.run`, and CellDown.
     """

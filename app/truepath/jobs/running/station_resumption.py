@@ -1,10 +1,10 @@
-"""How a station goes on whose Run was cut short: what is kept of it, what is left.
+"""Resumption of an interrupted station: Runs to keep, rows that remain.
 
-The known points come first, as at every station. Where the target is seen at them where
-it was, the station stands as it did. Where it is not, the tracker or the reflector was
-moved: that is said, and somebody decides. Measured on from there, the rest is a station
-of its own, for every Run has a pose of its own; the known points have to fit to those
-before by a rigid motion, as between any two stations.
+Known points come first, as at every station. If the target is where it was at them, the
+station is unchanged. If not, the tracker or the reflector was moved, and the operator
+decides. Continued from there, the rest is a separate station, for every Run has its own
+pose; its known points have to fit those before by a rigid motion, as between any two
+stations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from truepath.motion.configurations import Commanded, select_rows
 
 
 def select_left(station: Json) -> Commanded:
-    """Return the rows of a station that are left, as the plan keeps it."""
+    """Remaining rows of a station, as the plan keeps it."""
     commanded, resumption = decode_commanded_json(station), station.get("resumption")
     if resumption is None:
         return commanded
@@ -27,21 +27,21 @@ def select_left(station: Json) -> Commanded:
 
 
 def list_kept_ids(station: Json) -> list[str]:
-    """Return the Runs of a station that the analysis takes beside its last."""
+    """Runs of a station that the analysis takes in addition to its last."""
     return list((station.get("resumption") or {}).get("kept_run_ids", ()))
 
 
 def make_resumption(
     station: Json, parts: Sequence[Json], found: Sequence[Json | None]
 ) -> dict[str, Any] | None:
-    """Return how a station goes on; None where all its rows are to be driven again.
+    """How a station is resumed; None where all its rows are to be measured again.
 
     `first_row` of the station, `kept_run_ids`, and of the known points before the last
-    of these `points_id` and `place_mm`, where the target stood at the last of them.
+    of these `points_id` and `place_mm`, the target position at the last of them.
 
     parts : `run_id`, `points_id` and `first_row` of each Run of the station
-    found : how far each Run has got, then each of the known points, as
-        `find_committed_rows` returns it
+    found : progress of each Run, then of each set of known points, as in
+        `find_committed_rows`
     """
     pairs = zip(parts, found[: len(parts)], found[len(parts) :], strict=True)
     usable = [(part, run, points) for part, run, points in pairs if run and points]

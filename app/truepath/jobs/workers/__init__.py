@@ -1,4 +1,4 @@
-"""Processes that compute, here or by Dask, and their tasks.
+"""Local or Dask processes that compute, and their tasks.
 
 Here: files of Runs in, files of a result out. Not here: any science: tasks call
 `results`, `planning` and `answers`.

@@ -1,10 +1,10 @@
-"""The blocks of a large sum on a Dask cluster. The only place that imports Dask.
+"""Blocks of a large sum on a Dask cluster. The only module that imports Dask.
 
-`Client.get_executor` is an executor of the standard library. What all blocks have in
-common (the bound arguments of a partial function, megabytes of arrays) is sent to the
-workers once, not with every block. A worker that dies costs its block under way, which
-another one computes again. Where the scheduler or the last worker is gone, the blocks
-that are left are computed on this computer: a block depends on its number alone.
+`Client.get_executor` is an executor of the standard library. Data common to all blocks
+(the bound arguments of a partial function, megabytes of arrays) are sent to the workers
+once, not with every block. A worker that dies costs its current block, which another
+one computes again. If the scheduler or the last worker is lost, the remaining blocks
+are computed on this computer: a block depends on its number alone.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _AWAY = (OSError, TimeoutError, RuntimeError, ClosedClientError)
 
 
 class ClusterLost(Exception):
-    """Nobody computes there any more."""
+    """No worker of the cluster is reachable any more."""
 
 
 @contextmanager
@@ -43,9 +43,9 @@ def dask_map(
 ) -> Iterator[Callable[[Callable[[int], T], Iterable[int]], Iterator[T]]]:
     """Connect to a scheduler; yield a `map` over it that keeps the order of numbers.
 
-    width : blocks under way together; 0 for as many as threads compute there
-    patience_s : for the first answer, and how long the cluster may be away later
-    open_home : opens what computes on this computer once the cluster is lost
+    width : concurrent blocks; 0 for one per thread of the cluster
+    patience_s : for the first reply, and for later absences of the cluster
+    open_home : opens the local executor once the cluster is lost
 
     Raises WorkersAway if no scheduler answers at the address, or if it has no workers.
     The `map` raises WorkerDied where a block ends each worker that it is given to.
@@ -76,14 +76,12 @@ def _connect(scheduler: str, patience_s: float) -> Client:
 
 
 class _Cluster:
-    """The executor of a client, and whether anybody computes there."""
-
     def __init__(self, client: Client, patience_s: float) -> None:
         self._client, self._patience_s = client, patience_s
         self.executor = _SentOnce(client)
 
     def count_threads(self) -> int:
-        """Return how many threads compute there. Raises OSError, TimeoutError."""
+        """Raises OSError, TimeoutError."""
         # The client makes its methods as it runs; its types do not know them.
         scheduler: Any = self._client.scheduler
         counts: Any = self._client.sync(
@@ -92,10 +90,7 @@ class _Cluster:
         return sum(cast("dict[str, int]", counts).values())
 
     def wait_for(self, future: Future[T], number: int) -> T:
-        """Return what a block is. Raises ClusterLost, WorkerDied, and what it raises.
-
-        Whoever is away for `patience_s` is lost.
-        """
+        """Raises ClusterLost after `patience_s`, WorkerDied, errors of the block."""
         deadline = host_clock.now_s() + self._patience_s
         while True:
             try:
@@ -127,8 +122,6 @@ def _blame(number: int, error: Exception) -> WorkerDied:
 
 
 class _Blocks:
-    """Keeps so many blocks under way: on the cluster, and at home once it is lost."""
-
     def __init__(
         self, cluster: _Cluster, width: int, open_home: Callable[[], Executor]
     ) -> None:
@@ -137,7 +130,6 @@ class _Blocks:
         self._at_home: set[Future[Any]] = set()
 
     def run(self, function: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
-        """Yield the blocks of the numbers, in their order."""
         ahead: deque[tuple[int, Future[T]]] = deque()
         try:
             for number in numbers:
@@ -200,8 +192,6 @@ class _Blocks:
 
 
 class _SentOnce(Executor):
-    """An executor of the client that sends bound arguments once."""
-
     def __init__(self, client: Client) -> None:
         self._client = client
         self._executor = client.get_executor(pure=False, retries=_RETRIES)
@@ -217,7 +207,6 @@ class _SentOnce(Executor):
         return self._executor.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let go of what was sent and of what is under way."""
         self._sent.clear()
         with suppress(ClosedClientError):  # it gives up a scheduler that is away
             self._executor.shutdown(wait=wait and not cancel_futures)

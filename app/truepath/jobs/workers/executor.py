@@ -1,8 +1,8 @@
-"""Worker processes, where science jobs compute.
+"""Worker processes of analysis jobs.
 
 A worker process computes one task at a time. When a task is cancelled, its process is
 killed and replaced: no task can refuse to end, and none disturbs another. Worker
-processes yield the processor to the 500 Hz reader of the cell.
+processes are niced below the 500 Hz reader of the cell.
 
 Why not a pool of the standard library: it would leave the children of a killed process
 waiting for ever and its semaphores behind. A worker process ends when its pipe does.
@@ -34,7 +34,7 @@ Task = Callable[..., Any]
 class ProcessExecutor:
     """Worker processes on this computer.
 
-    count : tasks that compute at one time; further ones wait in line
+    count : concurrent tasks; further ones wait in line
     prepare : function of a module, called once in every new process
     """
 
@@ -54,7 +54,7 @@ class ProcessExecutor:
         on_progress: Progress,
         started: Callable[[], object],
     ) -> Computation:
-        """Begin a task as soon as a process is free; `started` is called then."""
+        """Queue a task; `started` is called when a process is free."""
         call = partial(_run_task, task, *arguments)
         return Computation(self, call, on_progress, started)
 
@@ -65,7 +65,7 @@ class ProcessExecutor:
                 self._free = [process or self._start() for process in self._free]
 
     def close(self) -> None:
-        """Kill what runs and end every process."""
+        """Kill active tasks and end every process."""
         with self._changed:
             self.is_closed = True
             self._changed.notify_all()
@@ -99,7 +99,7 @@ class ProcessExecutor:
             process.close()
 
     def wake(self) -> None:
-        """Let those who wait look whether they are cancelled."""
+        """Let waiting tasks check whether they are cancelled."""
         with self._changed:
             self._changed.notify_all()
 
@@ -110,10 +110,10 @@ class ProcessExecutor:
 
 
 class Computing(Protocol):
-    """What is under way in worker processes: one task, or many."""
+    """Active computation in worker processes: one task, or many."""
 
     def result(self) -> Any:
-        """Wait for what comes of it. Raises Aborted once it is cancelled."""
+        """Wait for the value. Raises Aborted once it is cancelled."""
 
     def cancel(self) -> None:
         """End it now. Idempotent, any thread."""
@@ -121,7 +121,7 @@ class Computing(Protocol):
 
 @dataclass(eq=False, slots=True)
 class Computation:
-    """A task under way, driven by the thread of `result`."""
+    """One task, run by the thread that calls `result`."""
 
     executor: ProcessExecutor
     call: Callable[..., Any]
@@ -154,7 +154,7 @@ class Computation:
             self.executor.give_back(process, keep=keep)
 
     def cancel(self) -> None:
-        """End it now, whatever it does. Idempotent, any thread."""
+        """Kill its process. Idempotent, any thread."""
         self._cancelled.set()
         self.executor.wake()
         if (process := self._process) is not None:

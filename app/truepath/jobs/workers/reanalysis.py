@@ -1,8 +1,8 @@
-"""Many Runs analysed again by the present code, as one job.
+"""Reanalysis of many Runs by the present code, as one job.
 
-Each Run is a task of its own, so that other jobs get their turn in between, and leaves
-its outcome in a folder of its own, so that a service that starts again goes on with
-those that are left. A Run that fails is named with its reason and fails no other.
+Each Run is a separate task, so that other jobs get their turn in between, and leaves
+its outcome in a separate folder, so that a restarted service continues with the
+remaining ones. A Run that fails is named with its reason and does not affect others.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _SAME_UM = 1e-9
 class RunOrder:
     """One Run to analyse again.
 
-    file : empty where it has gone
+    file : empty where it is missing
     before_job : the newest job that has analysed it alone; before_file : its result
-    folder : where what comes of it is kept
-    sha256 : of the file when it was catalogued; empty where it has gone
+    folder : of its outcome
+    sha256 : of the file when it was catalogued; empty where it is missing
     """
 
     run_id: str
@@ -58,7 +58,7 @@ def list_orders(
     store: Store,
     results: Path,
 ) -> list[RunOrder]:
-    """Return the Runs that are to be analysed, in the order in which they are named.
+    """Orders for the Runs, in the given order.
 
     folder : of the job
     """
@@ -83,10 +83,10 @@ def list_orders(
 
 @dataclass(eq=False, slots=True)
 class Reanalysis:
-    """The tasks of many Runs, driven by the thread of `result`.
+    """The tasks of many Runs, run by the thread that calls `result`.
 
-    task : called with a `RunOrder` and what follows
-    started : called when the first task begins; report : with each Run that is done
+    task : called with a `RunOrder` and its further arguments
+    started : called when the first task begins; report : with each finished Run
     """
 
     executor: ProcessExecutor
@@ -101,7 +101,7 @@ class Reanalysis:
     _has_started: bool = field(default=False, init=False)
 
     def result(self) -> list[Json]:
-        """Return the outcome of every Run, in order. Raises Aborted if cancelled."""
+        """Outcome of every Run, in order. Raises Aborted if cancelled."""
         todo = [order for order in self.orders if _read_outcome(order) is None]
         clock = _Clock(len(self.orders), len(self.orders) - len(todo))
         self.report(clock.read())
@@ -166,7 +166,7 @@ def keep_outcome(
     failure: tuple[str, str] | None = None,
     took_s: float = 0.0,
 ) -> None:
-    """Write what came of a Run: with it the Run is done."""
+    """Write the outcome of a Run, which marks it as done."""
     outcome = {
         "run_id": order.run_id,
         "name": order.name,
@@ -185,7 +185,7 @@ def keep_outcome(
 
 
 def figures_of(result: Json) -> Json:
-    """Return what a summary states of a result: its verdict and volumetric error."""
+    """Summary of a result: its verdict and volumetric error."""
     mean = result["volumetric_error"]["before"]["mean"]
     return {
         "verdict": (result.get("verdict") or {}).get("state"),
@@ -195,7 +195,7 @@ def figures_of(result: Json) -> Json:
 
 
 def write_summary(folder: Path, outcomes: Sequence[Json]) -> None:
-    """Write `reanalysis.json`: every Run before and after, and how many changed."""
+    """Write `reanalysis.json`: every Run before and after, number of changes."""
     compared = [o for o in outcomes if o.get("before") and o.get("after")]
     changes: dict[str, int] = {}
     for one in compared:
@@ -224,8 +224,6 @@ def write_summary(folder: Path, outcomes: Sequence[Json]) -> None:
 
 
 class _Clock:
-    """How far it is, and how long the rest takes at the pace kept since it began."""
-
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
         self._begun_s = host_clock.now_s()
@@ -243,9 +241,8 @@ class _Clock:
 
 
 def _read_outcome(order: RunOrder) -> Json | None:
-    """Return what came of a Run; None where it is still to be analysed.
-
-    What another version of the service has made of it does not count.
+    """None where it is still to be analysed. An outcome of another version of the
+    service does not count.
     """
     try:
         content: dict[str, Any] = json.loads(

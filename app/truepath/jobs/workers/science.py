@@ -1,4 +1,4 @@
-"""The task of a science job: files of Runs in, the files of their result out."""
+"""Worker tasks of analysis jobs: read Run files, write result files."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def analyse_recorded(
     *,
     on_progress: Progress,
 ) -> State:
-    """Analyse Runs together and write the result into `folder`, whole or not at all.
+    """Analyse Runs together and write the result into `folder`, all or nothing.
 
-    Returns the state of its verdict.
+    Gives the state of its verdict.
 
-    monte_carlo : trials to hold the uncertainty against, cut into blocks for `workers`
-    model_file, model_id : the model whose effects are estimated beside, if any
+    monte_carlo : trials that test the uncertainty, cut into blocks for `workers`
+    model_file, model_id : the model whose effects are estimated too, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
     from truepath.answers.calibration.analysis_files import (
@@ -78,7 +78,7 @@ def analyse_recorded(
 def reanalyse_run(
     order: RunOrder, perpendicular_only: bool, *, on_progress: Progress
 ) -> None:
-    """Analyse one Run and keep its result, or why there is none, with its outcome."""
+    """Analyse one Run; store its result or its failure with its outcome."""
     # Imported where it computes: the service itself carries no science and no plots.
     from truepath.documents.file_model import encode_json
     from truepath.results.analysis import analyse
@@ -110,9 +110,9 @@ def discover_recorded(
     *,
     on_progress: Progress,
 ) -> State:
-    """Find what a model of Runs lacks and write the answer, whole or not at all.
+    """Find what a model of Runs lacks and write the answer, all or nothing.
 
-    Returns the state of its verdict.
+    Gives the state of its verdict.
 
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
@@ -137,11 +137,11 @@ def follow_recorded(
     *,
     on_progress: Progress,
 ) -> State:
-    """Follow a machine over Runs and write the answer, whole or not at all.
+    """Trend of a machine over Runs, written all or nothing.
 
-    Returns the state of its verdict.
+    Gives the state of its verdict.
 
-    names : of the Runs, as the answer is to call them
+    names : labels of the Runs in the answer
     asked : as `Question.of` reads it
     """
     # Imported where it computes: the service itself carries no science and no plots.
@@ -168,13 +168,13 @@ def verify_recorded(
     *,
     on_progress: Progress,
 ) -> State:
-    """Hold a result against the parts of a Run; write the answer, all or nothing.
+    """Compare a result with the parts of a Run; write the answer, all or nothing.
 
-    Returns the state of the result's verdict.
+    Gives the state of the result's verdict.
 
-    first_row : of the plan, that each part begins with
-    compensation : folder of the files that the controller applied, if it did
-    asked : `tolerance_um`, and what the answer is to repeat of the request
+    first_row : row of the plan where each part begins
+    compensation : folder of the files that the controller applied, if any
+    asked : `tolerance_um`, and request fields that the answer repeats
     """
     # Imported where it computes: the service itself carries no science and no plots.
     from truepath.answers.verification.verification import verify
@@ -210,12 +210,12 @@ def check_station(
     *,
     on_progress: Progress,
 ) -> dict[str, Any]:
-    """Return how a station agrees with the one before, as fields of `StationCheck`.
+    """Agreement of a station with the one before, as fields of `StationCheck`.
 
     file, before : of the Runs of the known points from here, and from the last station
-    planned_mm : its place in the plan, which the first station is held against
-    asked_mm : how far the tracker was to go, of the first station to the next
-    specification : what it may be off by
+    planned_mm : position in the plan, compared with the first station
+    asked_mm : planned distance from the first station to the next
+    specification : of the tracker, for the tolerance
     """
     # Imported where it computes: the service itself carries no science.
     from truepath.alignment.known_points import (
@@ -253,9 +253,9 @@ def check_station(
 def find_committed_rows(
     files: Sequence[str], machine: Machine, *, on_progress: Progress
 ) -> list[dict[str, Any] | None]:
-    """Return how far each Run has got, as `Committed`; None where it tells nothing.
+    """Progress of each Run, as `Committed`; None where it gives no information.
 
-    With `commanded`, all rows that it was told, as the plan keeps rows.
+    With `commanded`, all rows that it was commanded, as the plan keeps rows.
 
     machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
@@ -288,9 +288,9 @@ def find_committed_rows(
 def check_closure(
     file: str, place_mm: Sequence[Sequence[float]], *, on_progress: Progress
 ) -> dict[str, Any]:
-    """Return how far the target is from where it was, and a problem in words if far.
+    """Distance of the target from its previous position, and a problem text if far.
 
-    file : of the Run of the closure; place_mm : as `Committed` states them
+    file : of the Run of the closure; place_mm : as in `Committed`
     """
     # Imported where it computes: the service itself carries no science.
     from truepath.alignment.closure import compare_places, find_again
@@ -317,13 +317,12 @@ def check_closure(
 
 
 def prepare() -> None:
-    """Import what science needs, so that the first job does not wait for it."""
+    """Import the science, so that the first job does not wait for it."""
     import truepath.answers.calibration.analysis_files
     import truepath.answers.discovery.discovery_report  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], object]) -> None:
-    """Write into a folder beside it, then put that in its place."""
     part = final.with_name(f"{final.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

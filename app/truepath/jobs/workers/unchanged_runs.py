@@ -1,4 +1,4 @@
-"""A task about Runs, called only where their files are as they were catalogued."""
+"""A task about Runs, called only where their files are as catalogued."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHOWN = 12  # digits of a digest
 
 @dataclass(frozen=True, slots=True)
 class OfUnchangedRuns:
-    """A task that first reads each file and holds it against its SHA-256.
+    """A task that first compares each file with its SHA-256.
 
     Raises BundleError where one has been changed since it was catalogued.
 

@@ -1,4 +1,4 @@
-"""Who computes the blocks of a large sum: processes on this computer, or Dask.
+"""Executors of the blocks of a large sum: local processes, or Dask.
 
 Dask (`truepath[dask]`) is imported only where it is chosen. A block depends on its
 number alone, so the answer is the same on either, whatever the number of workers.
@@ -27,9 +27,9 @@ Ordered = Callable[[Callable[[int], T], Iterable[int]], Iterator[T]]
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Which executor to open, and for dask its scheduler's address and time to answer.
+    """Executor to open; for Dask its scheduler's address and reply time.
 
-    count : calls under way together; 0 for one a core, or a thread of the cluster
+    count : concurrent calls; 0 for one per core, or per thread of the cluster
     """
 
     kind: Literal["processes", "dask"] = "processes"
@@ -52,7 +52,7 @@ class Workers:
 
 
 def choose_workers(settings: Settings) -> Workers:
-    """Return the workers that are set."""
+    """The executor of the settings."""
     return Workers(
         settings.executor, settings.executor_workers, settings.dask_scheduler
     )
@@ -62,7 +62,7 @@ def choose_workers(settings: Settings) -> Workers:
 def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
     """Open the executor; yield a `map` over it that keeps the order of the numbers.
 
-    At the end what is under way is dropped. Raises BadInput, WorkersAway.
+    At the end active calls are dropped. Raises BadInput, WorkersAway.
     """
     workers.check()
     if workers.kind == "dask":
@@ -85,7 +85,7 @@ def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
 
 
 def map_in_order(executor: Executor, width: int) -> Ordered[Any]:
-    """Return a `map` that keeps so many calls under way and yields in their order."""
+    """A `map` with `width` concurrent calls that yields in their order."""
 
     def run(function: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
         ahead: deque[Future[T]] = deque()
@@ -116,7 +116,7 @@ class ProcessWorkers(Executor):
         return self._threads.submit(self._call, partial(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes: after what they do, or now if that is to be dropped."""
+        """End the processes: after their calls, or now if these are to be dropped."""
         if cancel_futures:
             for worker in self._workers:
                 worker.kill()

@@ -15,10 +15,10 @@ from truepath_drivers.interfaces.records import Path
 def arrange_axes(
     commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
 ) -> Path | Configurations:
-    """Return the rows in the axis order of a controller.
+    """Rows in the axis order of a controller.
 
-    Axes that the plan does not name stay where they are. Raises Fault if the plan
-    names an axis that the controller has not got.
+    Axes that the plan does not name stay where they are. Raises Fault if the plan names
+    an axis that the controller lacks.
     """
     missing = [name for name in commanded.axes if name not in axes]
     if missing:

@@ -105,7 +105,7 @@ class Measurement:
         self._is_halted = False
 
     def obey(self, command: MeasurementCommand) -> None:
-        """Do what the operator asks; before the first step only an abort has effect.
+        """Execute a command; before the first step only an abort has effect.
 
         Raises DeviceError if the controller is out of reach; its watchdog holds then.
         """
@@ -116,7 +116,7 @@ class Measurement:
             self._steps.obey(command)
 
     def miss_service(self) -> None:
-        """Hold the feed until a person resumes: the service does not beat any more.
+        """Hold the feed until an operator resumes, because the service is silent.
 
         Raises DeviceError as `obey`.
         """
@@ -124,13 +124,13 @@ class Measurement:
             self._steps.miss_service()
 
     def halt(self) -> None:
-        """Hold the feed and end the measurement: the service goes away."""
+        """Hold the feed and end the measurement, because the service ends."""
         self._is_halted = True
         self._state.aborted.set()
         self._motion.hold()
 
     def run(self) -> None:
-        """Measure. Never raises: the last two events say how it ended."""
+        """Measure. Never raises: the last two events report how it ended."""
         self._report_state(CellState.RUNNING, self._order.run_name)
         state, text = CellState.FINISHED, "all rows have been driven"
         stands = True
@@ -166,7 +166,7 @@ class Measurement:
         order = self._order
         check_travel(order.machine, order.commanded)
         status = self._check_controller()
-        self._motion.abort()  # what an earlier order has left there must not go on
+        self._motion.abort()  # the rest of an earlier order must not continue
         # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
         header = self._make_header(status)
@@ -272,7 +272,6 @@ class Measurement:
         return TargetSearch(self._tracker, machine, self._settings)
 
     def _settle_override(self, override: float | None) -> None:
-        """Lower a feed override above 100 %; tell of one that stays another."""
         if override is None or abs(override - 1.0) < _SAME_OVERRIDE:
             return
         if override > 1.0:
@@ -284,10 +283,9 @@ class Measurement:
         self._report_fault(make_override_fault(override))
 
     def _stop(self, verb: Callable[[], None]) -> bool:
-        """Stop the machine if it moves by our order; say whether it is known to stand.
-
-        Nothing beats for its watchdog meanwhile: one that does not listen holds then.
-        Where a call of its driver hangs, nobody can say; the process ends soon.
+        """False if the machine is not known to be at rest. Its watchdog gets no beats
+        meanwhile, so a controller that does not respond holds. After a driver call that
+        hangs the state is unknown; the process ends soon.
         """
         if self._steps is None:
             return True
@@ -301,7 +299,6 @@ class Measurement:
         return False
 
     def _note_sensor(self, notice: Fault) -> None:
-        """Say what is new of a sensor; the measurement goes on in any case."""
         self._record_event(notice.code, notice.text)
         if notice.action:
             self._report(notice.event)
@@ -343,7 +340,10 @@ def make_steps(
     start: tuple[float, ...],
     commanded: Commanded,
 ) -> MeasurementSteps:
-    """Return the steps of a path or of points, which are in the controller's axes."""
+    """PathSteps or PointSteps, as the order requires.
+
+    commanded : in the controller's axes
+    """
     if isinstance(commanded, Path):
         return PathSteps(monitor, tracker, order, start, commanded)
     return PointSteps(monitor, tracker, order, start, commanded)

@@ -1,8 +1,8 @@
-"""Monitors stream, controller and disk while a measurement waits for anything.
+"""Monitor of stream, controller and disk during all waiting of a measurement.
 
-Ten times a second it feeds the controller's watchdog, reads the controller, assesses
-the stream and the disk, and applies what the operator asks for. An engine that hangs
-feeds no watchdog, so the machine holds.
+Ten times per second it feeds the controller's watchdog, reads the controller, assesses
+the stream and the disk, and applies the operator's requests. An engine that hangs feeds
+no watchdog, so the machine holds.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _SPARE_S = 1.0  # a driver gives up before
 
 
 class MeasurementMonitor:
-    """Stream, controller, disk and progress of one measurement under way.
+    """Stream, controller, disk and progress of one active measurement.
 
     `stream.is_good` and what `events` offers are for any thread; everything else
     belongs to the thread of the engine.
@@ -111,28 +111,28 @@ class MeasurementMonitor:
 
     @property
     def position(self) -> tuple[float, ...]:
-        """Of every axis at the last reading."""
+        """Every axis at the last reading, mm or deg."""
         return self._machine.position
 
     @property
     def position_by_axis(self) -> dict[str, float]:
-        """Of every axis at the last reading, by its name."""
+        """Every axis at the last reading by name, mm or deg."""
         return dict(zip(self.motion.axes, self._machine.position, strict=True))
 
     def is_at(self, position: NDArray[np.float64] | tuple[float, ...]) -> bool:
-        """Whether every axis was at this position at the last reading."""
+        """Whether every axis was within `arrival` of it at the last reading."""
         away = np.abs(np.subtract(self._machine.position, position))
         return bool((away <= self.settings.arrival).all())
 
     def expect(self, path: Path) -> None:
-        """Take note of what the controller is about to drive, in its axes."""
+        """Announce the next path, in the controller's axes."""
         self._machine.gate.expect(path, self._machine.position)
 
     def tick(self) -> MotionStatus | None:
-        """Wait a tenth of a second, then check everything.
+        """Wait 0.1 s, then check everything.
 
-        Returns the controller's status, None if it did not answer this time. Raises
-        Aborted, or Fault.
+        The controller's status, None if it did not answer this time. Raises Aborted, or
+        Fault.
         """
         if host_clock.wait(self.state.aborted, self.settings.poll_s):
             raise Aborted("aborted on request")
@@ -170,11 +170,11 @@ class MeasurementMonitor:
     def wait_for_tracker(
         self, verb: Callable[[], None], limit_s: float
     ) -> BaseException | None:
-        """Look on while the tracker does something; return why it was not done.
+        """Monitor while the tracker does something; gives the error if it failed.
 
         It may lose its beam meanwhile. Raises as `tick`, and Fault if it does not end.
 
-        limit_s : in which its driver ends it, or gives up
+        limit_s : time in which its driver completes it, or raises
         """
         limit_s += _SPARE_S
         task, late_s = Call(verb), host_clock.now_s() + limit_s
@@ -189,12 +189,11 @@ class MeasurementMonitor:
         return task.failure
 
     def end(self) -> None:
-        """End the stream and record what waits. Idempotent, never raises."""
+        """End the stream and record pending data. Idempotent, never raises."""
         self.stream.end()
         self._machine.flush()
 
     def _report_tracker_events(self) -> None:
-        """Record what happens at the tracker; report what somebody has to look at."""
         if not isinstance(self._tracker, EventSource):
             return
         for event in self._tracker.take_events():
@@ -237,7 +236,7 @@ class MeasurementMonitor:
 
 
 BY_ITSELF_S = 10.0
-"""By then somebody may have walked up to the machine: it waits for a person."""
+"""Limit of an automatic resume: after it an operator may be at the machine."""
 
 
 class DiskMonitor:
@@ -254,7 +253,7 @@ class DiskMonitor:
         self._held = Stopwatch()
 
     def check(self) -> None:
-        """Hold the feed while too much waits. Raises Fault if the disk fails."""
+        """Hold the feed while the queue is too long. Raises Fault if the disk fails."""
         recorder = self._recorder
         if recorder.failure or recorder.is_space_low:
             text = recorder.failure or "the disk is almost full"
@@ -267,7 +266,6 @@ class DiskMonitor:
             self._feed.release(HoldReason.DISK, "the disk has caught up")
 
     def _follow_hold(self) -> None:
-        """Leave it to a person to go on where the disk was slow for too long."""
         if HoldReason.DISK not in self._state.holds:
             self._held.reset()
         elif self._held.measure_s() > BY_ITSELF_S:
@@ -275,7 +273,7 @@ class DiskMonitor:
 
 
 class MotionCheck:
-    """Compares the positions of a machine that runs from look to look."""
+    """Detects a machine that reports motion but does not move."""
 
     def __init__(self, events: EventLog, settings: EngineSettings) -> None:
         self._events, self._settings = events, settings
@@ -284,7 +282,7 @@ class MotionCheck:
         self._is_reported = False
 
     def follow(self, status: MotionStatus, longest_row_s: float) -> None:
-        """Report once of a machine that says it runs, and moves no further.
+        """Report once that a running machine does not move.
 
         longest_row_s : planned, the time for which a machine may dwell
         """
@@ -332,7 +330,7 @@ class StreamMonitor:
         self._stream = stream
 
     def end(self) -> None:
-        """End the stream and record what waits. Idempotent, never raises."""
+        """End the stream; an error of the tracker is only recorded."""
         if self._stream is not None:
             try:
                 self._stream.stop()
@@ -341,7 +339,7 @@ class StreamMonitor:
 
     @property
     def is_good(self) -> bool:
-        """Whether a stream under way brings valid samples; true where there is none."""
+        """Whether an active stream carries valid samples; true without a stream."""
         return self._stream is None or self._stream.assess() is StreamState.GOOD
 
     @property
@@ -351,24 +349,24 @@ class StreamMonitor:
 
     @property
     def place_mm(self) -> NDArray[np.float64] | None:
-        """Where the target was in the newest valid sample, None before the first."""
+        """Target position in the newest valid sample, None before the first."""
         return None if self._stream is None else self._stream.place_mm
 
     def see(self) -> NDArray[np.float64] | None:
-        """Return where the stream has the target now, None while it is not seen."""
+        """Present target position, (3,) mm; None while the target is not seen."""
         stream = self._stream
         if stream is None or stream.assess() is not StreamState.GOOD:
             return None
         return stream.place_mm if stream.is_seen else None
 
     def find_seen(self) -> SeenPlace | None:
-        """Return where it had the target last, None where the stream is not good."""
+        """Newest target position; None where the stream is not good."""
         return self._stream.seen if self._stream is not None and self.is_good else None
 
     def check(self, *, may_lose_beam: bool) -> None:
         """Hold the feed while the stream is not good. Raises Fault if it stays so.
 
-        may_lose_beam : the tracker goes from one target to another
+        may_lose_beam : the tracker changes its target
         """
         if self._stream is None:
             return
@@ -383,7 +381,7 @@ class StreamMonitor:
             self._feed.hold(HoldReason.BEAM, BEAM_LOST)
             self._rows.note_loss()
         elif state is StreamState.GOOD:
-            # Too short for anybody to have walked up to the machine: go on by itself.
+            # Too short for an operator to be at the machine: resume automatically.
             for reason in {HoldReason.SILENCE, HoldReason.DAMAGE} & self._state.holds:
                 self._feed.release(reason, "the stream is good again")
         lacks_samples = self._stream.take_gap_s() > _BREAK_S
@@ -391,7 +389,6 @@ class StreamMonitor:
         self._follow_damage(is_damaged=state is StreamState.DAMAGED)
 
     def _follow_damage(self, *, is_damaged: bool) -> None:
-        """Hold while the stream is damaged; keep the row that it began in."""
         if not is_damaged:
             self._damaged.reset()
             return
@@ -402,9 +399,9 @@ class StreamMonitor:
 
 
 class TargetRecovery:
-    """What a measurement does about a lost target that its tracker can search.
+    """Reaction of a measurement to a lost target that its tracker can search.
 
-    see : None of a tracker that is polled
+    see : None for a polled tracker
     """
 
     def __init__(
@@ -422,7 +419,7 @@ class TargetRecovery:
         self._events = events
 
     def follow(self, position: dict[str, float], *, stands: bool) -> None:
-        """Remember where the target is; have the tracker find one that is lost.
+        """Remember the target's position; let the tracker search a lost one.
 
         position : of every axis, by name
         """
@@ -440,7 +437,6 @@ class TargetRecovery:
                 self._apply(step)
 
     def _apply(self, step: SearchStep) -> None:
-        """Record a try; go on where it has found, and drive the lost line again."""
         self._events.record("found" if step.has_found else "search", step.text)
         if step.has_found:
             self._rows.repeat_loss()

@@ -1,7 +1,7 @@
-"""What both ways to measure have in common: approach, wait, pause, extend, end.
+"""Steps common to path and points: approach, wait, pause, extend, end.
 
-All waiting of a measurement happens in the `tick` of its monitor, which every step that
-waits calls again and again.
+All waiting of a measurement happens in the `tick` of its monitor, which every waiting
+step calls repeatedly.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path
 
 OVERSHOT = 1.0
-"""mm or deg; no servo goes so far beyond the end of a path."""
+"""mm or deg; largest overshoot of a servo beyond the end of a path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class LastLine:
     """The line at whose end a motion ends.
 
     number : of its row, as the controller counts
-    begin, end : positions of the axes, or corners of what they stay within on an arc
+    begin, end : positions of the axes, or corners of the box around an arc
     """
 
     number: int
@@ -56,13 +56,13 @@ class LastLine:
     end: NDArray[np.float64]
 
     def is_before(self, status: MotionStatus) -> bool:
-        """Whether the machine runs on an earlier line, or it is the only one."""
+        """Whether the machine runs on an earlier line, or there is no earlier one."""
         return self.number == 0 or (
             status.state is MotionState.RUNNING and status.line < self.number
         )
 
     def is_left(self, status: MotionStatus) -> bool:
-        """Whether the machine runs on it, or says so, and is somewhere else."""
+        """Whether the machine reports this line or a later one but is off it."""
         if status.state is not MotionState.RUNNING or status.line < self.number:
             return False
         low, high = np.sort([self.begin, self.end], axis=0)
@@ -78,7 +78,7 @@ _STANDING = frozenset(MotionState) - {
 
 
 class MeasurementSteps(ABC):
-    """The steps of one measurement under way, of a path or of points.
+    """The steps of one active measurement, of a path or of points.
 
     Any thread may call `obey`; everything else belongs to the thread of the engine.
     """
@@ -98,18 +98,18 @@ class MeasurementSteps(ABC):
         self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self.is_concluding = False  # the rest is to be left out
-        self._has_arrived = False  # at the end of the line under way then
-        self._target = ""  # that the tracker was told to measure
+        self._has_arrived = False  # at the end of the current line then
+        self._target = ""  # that the tracker is to measure
         self._end: NDArray[np.float64] | None = None  # where the last motion ended
 
     @property
     def has_repeated(self) -> bool:
-        """Whether lines were driven again."""
+        """Whether lines were repeated."""
         return False
 
     @abstractmethod
     def run(self) -> None:
-        """Make the whole measurement."""
+        """Measure, from the first approach to the end of the stream."""
 
     def _choose_target(self, name: str) -> None:
         if name in ("", self._target):
@@ -121,7 +121,7 @@ class MeasurementSteps(ABC):
     def approach(self, position: NDArray[np.float64], target: str = "") -> None:
         """Move straight to a position and wait there.
 
-        target : that the tracker is to measure there; it changes to it on the way
+        target : to be measured there; the tracker changes to it during the motion
         """
         self.checkpoint()
         begin, feed = self._monitor.position, self._order.feed_mm_min
@@ -143,12 +143,12 @@ class MeasurementSteps(ABC):
         last: LastLine | None = None,
         may_end: Callable[[MotionStatus], bool] = lambda _: False,
     ) -> None:
-        """Wait until the machine stands where it was sent.
+        """Wait until the machine is at rest at its goal.
 
-        last : on which it comes there, if it moves by our order
-        may_end : tells for a status whether the rest is to be left out now
+        last : the line that ends there, if the machine moves by our order
+        may_end : whether, at a status, the rest is to be omitted now
 
-        Raises Fault if it stands elsewhere, or moves on from there.
+        Raises Fault if it stops elsewhere, or moves on from there.
         """
         grace_by_s = host_clock.now_s() + self.settings.confirm_s
         self._end, has_begun = goal, False
@@ -178,10 +178,10 @@ class MeasurementSteps(ABC):
     def record_for(
         self, device_s: float, at: NDArray[np.float64] | None = None
     ) -> bool:
-        """Stand and let the stream run for so long on the tracker's clock.
+        """Wait at rest while the stream runs for this time on the tracker's clock.
 
-        After a pause it starts over: what came before may lack the beam. Tells whether
-        the machine stood there all the time, where a position is given.
+        After a pause it starts over: earlier samples may lack the beam. True if the
+        machine was at `at` all the time, where it is given.
         """
         begin_s = self._tracker.device_s
         while self._tracker.device_s - begin_s < device_s:
@@ -196,15 +196,15 @@ class MeasurementSteps(ABC):
         return True
 
     def checkpoint(self) -> None:
-        """Stand here for as long as a hold lasts."""
+        """Wait at rest for as long as a hold lasts."""
         self._monitor.tick()
         while self._state.must_stand:
             self._monitor.tick()
 
     def request_part(self) -> Commanded | None:
-        """Stand until there is a further part; check and record it.
+        """Wait at rest for a further part; check and record it.
 
-        Returns it in the controller's axes, None if enough is known.
+        The part in the controller's axes, None if the measurement is concluded.
         """
         part = self._wait_for_part() if self._order.grows else None
         if part is None:
@@ -212,7 +212,7 @@ class MeasurementSteps(ABC):
         return self._extend(part)
 
     def _extend(self, part: Commanded) -> Commanded:
-        """Check and record a part; return it in the controller's axes."""
+        """The part in the controller's axes."""
         check_travel(self._order.machine, part)
         self._commanded = append_part(self._commanded, part)
         self._recorder.extend(self._commanded)
@@ -242,24 +242,24 @@ class MeasurementSteps(ABC):
             self._tick_at_end()
 
     def _tick_at_end(self) -> None:
-        """Wait a moment where the last motion has ended. Raises Fault if it goes on."""
+        """Raises Fault if the machine moves on."""
         status = self._monitor.tick()
         if status is None or self._end is None:
             return
         here = np.array(status.position)
         if self._state.must_stand:
-            self._end = here  # somebody may move it by hand meanwhile
+            self._end = here  # an operator may move it by hand meanwhile
         elif (np.abs(here - self._end) > OVERSHOT).any():
             raise make_runs_on_fault(self.motion.axes, status)
 
     def miss_service(self) -> None:
-        """Hold until a person resumes: no pause or abort would have come through."""
+        """Hold until an operator resumes: no pause or abort would have arrived."""
         if self._state.hold(HoldReason.SERVICE, str(SERVICE_SILENT)):
             self._monitor.events.report_fault(SERVICE_SILENT)
             self.motion.hold()
 
     def obey(self, command: MeasurementCommand) -> None:
-        """Do what the operator asks, as `CellVerb` states it."""
+        """Execute an operator's command, as `CellVerb` defines it."""
         match command:
             case CellVerb.PAUSE:
                 if self._state.hold(HoldReason.OPERATOR, "pause"):
@@ -276,16 +276,15 @@ class MeasurementSteps(ABC):
                 pass
 
     def leave_out_rest(self, *, is_row_done: bool) -> None:
-        """Record that the rest of the rows is not driven.
+        """Record that the remaining rows are omitted.
 
-        is_row_done : the row under way is
+        is_row_done : the current row is complete
         """
         self._progress.leave_out_rest(is_row_done=is_row_done)
         text = f"row {self._progress.row + 1}: enough is known, the rest is left out"
         self._recorder.event("concluded", text)
 
     def _end_motion(self) -> None:
-        """Let the controller forget the rest of its path; wait until it stands."""
         self.leave_out_rest(is_row_done=self._has_arrived)
         stand_by_s = host_clock.now_s() + self.settings.confirm_s
         while True:
@@ -317,10 +316,11 @@ class PointSteps(MeasurementSteps):
         self._points = points
 
     def run(self) -> None:
-        """Stand at every point in turn while the stream runs, then at further ones.
+        """Measure at rest at every point in turn, then at further ones.
 
-        A tracker that is polled measures once the machine stands; there is no stream.
-        Dwells are counted on the tracker's clock. A pause prolongs the standstill.
+        The stream runs throughout; a polled tracker measures once the machine is at
+        rest. Dwells are counted on the tracker's clock. A pause prolongs the
+        standstill.
         """
         points = self._points
         self.approach(points.position[0], *points.target[:1])
@@ -333,9 +333,9 @@ class PointSteps(MeasurementSteps):
         self.finish()
 
     def _stand_at_each(self, points: Configurations, *, is_there: bool) -> bool:
-        """Stand at every point; tell whether none was left out.
+        """False if a point was omitted.
 
-        is_there : the machine stands at the first one already
+        is_there : the machine is at the first one already
         """
         for row, position in enumerate(points.position):
             self._progress.begin(self._progress.first_row + row)
@@ -356,7 +356,7 @@ class PointSteps(MeasurementSteps):
     def _record_point(
         self, position: NDArray[np.float64], dwell_s: float, name: str
     ) -> None:
-        """Stand while the stream runs, until it has been there, of the right target."""
+        """Repeats until the machine was at rest throughout and the target is right."""
         span_s = self.settings.settle_s + dwell_s
         while not (
             self.record_for(span_s, position) and self._tracker.holds_target(name, None)
@@ -367,7 +367,9 @@ class PointSteps(MeasurementSteps):
     def _poll_point(
         self, position: NDArray[np.float64], dwell_s: float, name: str
     ) -> None:
-        """Let the tracker measure where the machine stands, until it has and stood."""
+        """Repeats until the tracker has measured and the machine was at rest
+        throughout.
+        """
         is_measured = False
         while not is_measured:
             self.checkpoint()

@@ -1,4 +1,4 @@
-"""The steps of a path on the fly: stand, stream, drive, drive again what was lost."""
+"""Steps of a path on the fly: standstill, stream, motion, repeated lines."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class PathSteps(MeasurementSteps):
 
     @property
     def has_repeated(self) -> bool:
-        """Whether lines were driven again."""
+        """Whether lines were repeated."""
         return self._again_left < _AGAIN
 
     def run(self) -> None:
-        """Stand at the first row, load the path, stream from before it to after it.
+        """Record a path with a standstill of the stream before and after it.
 
-        The controller keeps time. The stream begins and ends at a standstill, as
-        segmentation needs it. It goes on while further parts are loaded and driven.
+        The controller keeps time; segmentation needs the standstills. The stream
+        continues while further parts are loaded and executed.
         """
         if self._tracker.is_polled:
             raise POINTS_ONLY
@@ -67,19 +67,14 @@ class PathSteps(MeasurementSteps):
         self.finish()
 
     def _cut(self, part: Path) -> list[Stretch]:
-        """Return what is loaded at once: a target each, where the tracker can choose.
-
-        Else the tracker is turned by hand while the controller dwells.
+        """One stretch per target where the tracker can choose; else the tracker is
+        turned by hand while the controller dwells.
         """
         if self._tracker.can_choose:
             return cut_by_target(part)
         return [Stretch(0, part)]
 
     def _drive(self, stretches: Sequence[Stretch], part_row: int) -> None:
-        """Drive them one after another; the tracker changes its target between.
-
-        part_row : the first row of their part
-        """
         for stretch in stretches:
             if self._progress.is_cut_short:
                 return
@@ -90,7 +85,6 @@ class PathSteps(MeasurementSteps):
             self.run_path(stretch.path)
 
     def _change_target(self, name: str = "") -> None:
-        """Have the tracker measure this target from here on; check that it does."""
         if name in ("", self._target):
             return
         self.record_for(self.settings.settle_s)
@@ -103,9 +97,8 @@ class PathSteps(MeasurementSteps):
                 self.checkpoint()
 
     def _choose_part(self) -> Commanded | None:
-        """Return what comes next: lines that were lost meanwhile again, or a new part.
-
-        Broken arcs alone are given up after some tries: the others stand without them.
+        """Repeats lost lines before a new part. Arcs alone are given up after some
+        tries: other lines do not depend on them.
         """
         row, arcs = self._monitor.rows.take(), self._take_broken_arcs()
         if self.is_concluding or (row is None and not (arcs and self._again_left)):
@@ -120,7 +113,6 @@ class PathSteps(MeasurementSteps):
         return self._repeat(first, lambda: drive_again(self._commanded, first))
 
     def _take_broken_arcs(self) -> list[int]:
-        """Return the rows of arcs that were not driven or seen whole of late."""
         rows, path = self._monitor.rows.take_broken(), self._commanded
         if not isinstance(path, Path):
             return []
@@ -134,7 +126,6 @@ class PathSteps(MeasurementSteps):
         return self._repeat(rows[0], lambda: drive_arcs_again(driven, rows))
 
     def _repeat(self, first: int, make: Callable[[], Commanded]) -> Commanded | None:
-        """Return rows that are driven again; who extends the order makes its own."""
         if self._order.grows:
             self._monitor.report(LinesDamaged(first, None))
             return self.request_part()
@@ -143,7 +134,7 @@ class PathSteps(MeasurementSteps):
         return self._extend(again)
 
     def run_path(self, path: Path) -> None:
-        """Start the loaded path and follow it to its end."""
+        """Start the loaded path and monitor it to its end."""
         self.checkpoint()
         self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
@@ -156,7 +147,6 @@ class PathSteps(MeasurementSteps):
         self.wait_motion(end, last, lambda now: self._is_line_done(now, path))
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
-        """Tell whether the line that was under way at `conclude` has been driven."""
         moving = status.state is MotionState.RUNNING and not self._state.must_stand
         if not self.is_concluding or not moving:
             return False

@@ -1,8 +1,7 @@
-"""What the tracker is asked for: its stream, its target, its points.
+"""Requests to the tracker: its stream, its target, its points.
 
-All of it takes a while; the monitor looks on meanwhile, so that the controller's
-watchdog is fed. What the tracker cannot do at once holds the feed, is tried again, or
-ends the measurement.
+Each takes a while; the monitor runs meanwhile, so that the controller's watchdog is
+fed. A request that fails holds the feed, is tried again, or ends the measurement.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ _JOIN_S = 5.0
 class TrackerControl:
     """The tracker of one measurement. Belongs to the thread of the engine.
 
-    targets : where there are several; search : where the tracker can
+    targets : where there are several; search : where the tracker supports it
     """
 
     def __init__(
@@ -71,18 +70,18 @@ class TrackerControl:
 
     @property
     def is_polled(self) -> bool:
-        """Whether the tracker measures point by point, and there is no stream."""
+        """Whether the tracker measures point by point, without a stream."""
         return isinstance(self._tracker, PolledTracker)
 
     @property
     def stamps_arrival(self) -> bool:
-        """Whether samples bear the time of their arrival, which blurs all motion."""
+        """Whether samples carry their time of arrival, too inaccurate in motion."""
         tracker = self._tracker
         return isinstance(tracker, Tracker) and tracker.capabilities.clock is Clock.HOST
 
     @property
     def can_choose(self) -> bool:
-        """Whether the tracker goes from target to target by itself, as far as known."""
+        """Whether the tracker can change its target, as far as known."""
         return self._chooses and isinstance(self._tracker, TargetChoice)
 
     @property
@@ -91,7 +90,7 @@ class TrackerControl:
         return self._monitor.stream.device_time_s or self._point_s
 
     def begin_stream(self, rate_hz: float) -> None:
-        """Start the stream; return at its first valid sample, or raise Fault."""
+        """Start the stream; wait for its first valid sample, or raise Fault."""
         if isinstance(self._tracker, PolledTracker):
             raise POINTS_ONLY
         stream = StreamReader(
@@ -124,10 +123,10 @@ class TrackerControl:
             self._monitor.tick()
 
     def select_target(self, name: str) -> bool:
-        """Have the tracker choose its target; tell whether it is chosen.
+        """Have the tracker change its target; true if it has.
 
-        One that cannot choose measures what it is aimed at: the check of its points
-        asks for another where that is needed.
+        A tracker that cannot choose measures what it is aimed at: the check of its
+        points requests another target where needed.
         """
         tracker = self._tracker
         if not (self._chooses and isinstance(tracker, TargetChoice)):
@@ -149,7 +148,7 @@ class TrackerControl:
         return True
 
     def _home(self, refusal: NotHomed) -> None:
-        """Home a tracker that asks for it, once; that moves no machine."""
+        """Not repeated; homing moves no machine."""
         tracker = self._tracker
         if self._is_homed or not isinstance(tracker, TargetFinder):
             raise classify_fault(refusal) from refusal
@@ -160,9 +159,9 @@ class TrackerControl:
         self._monitor.events.report_fault(HOMED)
 
     def holds_target(self, name: str, place_mm: NDArray[np.float64] | None) -> bool:
-        """Tell whether a point is of this target; hold and say so if it is not.
+        """Whether a point belongs to this target; holds and reports if not.
 
-        place_mm : the newest of the stream where left out
+        place_mm : newest position of the stream if None
         """
         if place_mm is None:
             place_mm = self._monitor.stream.place_mm
@@ -176,10 +175,10 @@ class TrackerControl:
         return misfit_mm <= BOUND_MM
 
     def measure_point(self, row: int, dwell_s: float, target: str = "") -> bool:
-        """Measure a point that the machine stands at and record it.
+        """Measure a point at rest and record it.
 
-        Tells whether it was; else the machine moved, the feed is held, or the tracker
-        was out of reach. Raises Fault once that was so too often.
+        False if the machine moved, the feed is held, or the tracker was out of reach.
+        Raises Fault once that was so too often.
         """
         tracker = self._tracker
         if not isinstance(tracker, PolledTracker):
@@ -203,7 +202,6 @@ class TrackerControl:
         return self._record_point(reader, row, here, target)
 
     def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
-        """Whether the machine is where it was, and may be measured there."""
         is_running = status is not None and status.state is MotionState.RUNNING
         return not is_running and self._monitor.is_at(here)
 
@@ -234,7 +232,7 @@ class TrackerControl:
         return True
 
     def _bear(self, failure: BaseException) -> None:
-        """Hold the feed where the beam is lost; connect anew where the link is."""
+        """Holds the feed for a lost beam; reconnects a lost link."""
         if isinstance(failure, BeamLost):
             self._monitor.feed.hold(HoldReason.BEAM, make_beam_fault(str(failure)))
             return

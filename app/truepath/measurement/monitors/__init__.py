@@ -1,5 +1,5 @@
-"""What is checked while a machine moves: stream, controller, feed hold, sensors.
+"""Checks during motion: stream, controller, feed hold, sensors.
 
-Here: one source of faults a file. Not here: what a measurement does about them
-(`measurement.engine`), how samples are decoded (`truepath_drivers`).
+Here: one source of faults per file. Not here: the reaction of a measurement
+(`measurement.engine`), decoding of samples (`truepath_drivers`).
 """

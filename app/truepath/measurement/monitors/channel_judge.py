@@ -1,4 +1,4 @@
-"""Judges what a sensor shows: a number to be believed, or a fault in words."""
+"""Plausibility of sensor readings: a valid number, or a fault text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ACTIONS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(slots=True)
 class ChannelJudge:
-    """Judges the readings of one channel in the order of time.
+    """Checks the readings of one channel in the order of time.
 
     altitude_m, group : as of its gate
     """
@@ -45,10 +45,10 @@ class ChannelJudge:
         ChannelGate(self.channel.name, self.channel, self.altitude_m, self.group)
 
     def judge(self, reading: Reading) -> tuple[float, Fault | None]:
-        """Return the value, NaN where none is to be believed, and what is new of it.
+        """The value, NaN where it is implausible, and a new fault if any.
 
-        A silence after good readings is told after some seconds, anything else at once;
-        each kind once.
+        A silence after good readings is reported after some seconds, anything else at
+        once; each kind once.
         """
         kind, text = self._find_fault(reading)
         if not kind:

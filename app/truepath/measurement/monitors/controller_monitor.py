@@ -1,4 +1,4 @@
-"""Reads the controller while a measurement waits, and feeds its watchdog."""
+"""Reading of the controller during a measurement, and its watchdog."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from truepath_drivers.interfaces.records import AxisSamples, MotionStatus
 
 
 class ControllerMonitor:
-    """Reads a controller that may be out of reach for a moment.
+    """A controller that may be out of reach for a moment.
 
     tracker_s : the tracker's clock
-    position : where the axes were at the last reading that is believed
-    doubt : why the last one is not, empty where it is; doubts : how many in a row
-    late : why the last valid status is too old, None where it is not
+    position : axes at the last plausible reading
+    doubt : why the last one is implausible, else empty; doubts : number in a row
+    late : why the last valid status is too old, else None
     """
 
     def __init__(
@@ -52,9 +52,9 @@ class ControllerMonitor:
     def poll(self) -> MotionStatus | None:
         """Read the controller, then feed its watchdog; None if it did not answer.
 
-        Requests may arrive whose replies do not: who is not seen is not fed. Raises
-        Fault once it has been out of reach for too long. A status whose position is
-        not believed bears the last one that is.
+        Requests may arrive whose replies do not: a controller that is not read is not
+        fed. Raises Fault once it has been out of reach for too long. A status whose
+        position is implausible carries the last plausible one.
         """
         asked_s = host_clock.now_s()
         try:
@@ -87,7 +87,7 @@ class ControllerMonitor:
             verb()
 
     def flush(self) -> None:
-        """Record the positions that wait. Never raises."""
+        """Record pending positions. Never raises."""
         with contextlib.suppress(MeasurementFailed):
             self._write()
 

@@ -1,4 +1,4 @@
-"""Reads thermometers and air while a measurement runs, in threads of its own.
+"""Reading of thermometers and air during a measurement, in separate threads.
 
 Nothing waits for a sensor: neither the stream, nor the watchdog, nor the end.
 """
@@ -29,15 +29,15 @@ AIR_PERIOD_S = 5.0
 _FASTEST_S = 0.02
 
 OnReadings = Callable[[Mapping[str, float]], None]
-"""Takes what channels show, NaN for nothing. Called from any thread."""
+"""Receives readings by channel, NaN for none. Called from any thread."""
 OnNotice = Callable[[Fault], None]
-"""Takes what is new of a sensor. Called from any thread."""
+"""Receives a new fault of a sensor. Called from any thread."""
 
 
 class TrackerAir(Thermometers):
-    """The weather station of a tracker that streams, as a group of channels.
+    """The weather station of a streaming tracker, as a group of channels.
 
-    without : channels that another group has
+    without : channels of another group
     """
 
     def __init__(self, source: AirExchange, without: Sequence[str] = ()) -> None:
@@ -48,23 +48,23 @@ class TrackerAir(Thermometers):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """Those that no other group has; what it sends may stand still for long."""
+        """Those of no other group; constant readings are normal."""
         return tuple(Channel(name, stuck_s=0.0) for name in self._names)
 
     @property
     def period_s(self) -> float:
-        """Air changes slowly."""
+        """Long, because air changes slowly."""
         return AIR_PERIOD_S
 
     def connect(self) -> Identity:
-        """The tracker is connected already."""
+        """Identity only: the tracker is connected already."""
         return Identity("", "weather station of the tracker", "", "")
 
     def close(self) -> None:
-        """The tracker is closed by its owner."""
+        """No action: the tracker is closed by its owner."""
 
     def read(self) -> tuple[Reading, ...]:
-        """Ask the tracker for the air that it uses."""
+        """Air that the tracker corrects for; empty within the period."""
         begin_s = host_clock.now_s()
         if begin_s < self._due_s:
             return ()
@@ -84,9 +84,9 @@ class TrackerAir(Thermometers):
 def list_groups(
     tracker: AnyTracker, thermometers: Thermometers | None
 ) -> tuple[Thermometers, ...]:
-    """Return the groups to read: thermometers, and the tracker's own station.
+    """Thermometers and the tracker's own station, where present.
 
-    A tracker that is polled tells the air with each point.
+    A polled tracker reports the air with each point.
     """
     groups = () if thermometers is None else (thermometers,)
     if not isinstance(tracker, AirExchange) or isinstance(tracker, PolledTracker):
@@ -96,12 +96,12 @@ def list_groups(
 
 
 def name_channels(groups: Sequence[Thermometers]) -> tuple[str, ...]:
-    """Return the names of all channels, in order."""
+    """Names of all channels, in the order of the groups."""
     return tuple(c.name for group in groups for c in group.channels)
 
 
 class EnvironmentReader:
-    """Reads groups until it is stopped; each has a thread, so that none waits."""
+    """One thread per group, so that none waits for another."""
 
     def __init__(
         self,
@@ -129,14 +129,14 @@ class EnvironmentReader:
         ]
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start the threads."""
         for thread in self._threads:
             thread.start()
 
     def stop(self) -> None:
-        """End; a driver that hangs is not waited for. Idempotent.
+        """Stop without waiting for a driver that hangs. Idempotent.
 
-        Tells how many readings of each sensor were left out, and why.
+        Reports the number of omitted readings of each sensor, and why.
         """
         is_first = not self._stopping.is_set()
         self._stopping.set()

@@ -1,7 +1,7 @@
-"""Holds the feed, and sees to it that the controller holds and resumes.
+"""Holds of the feed, and supervision of the controller's hold and resume.
 
-Every hold has a reason (`measurement_state`); the machine moves while there is none.
-A controller that does not follow in time is a fault.
+Every hold has a reason (`measurement_state`); the machine moves while there is none. A
+controller that does not follow in time is a fault.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _EVENTS = {HoldReason.DISK: "storage", HoldReason.CONTROL: "control"}
 
 
 class FeedHold:
-    """The feed of one measurement: held for reasons, released when none is left."""
+    """The feed of one measurement: held for reasons, released when none remains."""
 
     def __init__(
         self,
@@ -37,26 +37,26 @@ class FeedHold:
         self._unconfirmed_resume = Stopwatch()
 
     def hold(self, reason: HoldReason, fault: Fault) -> None:
-        """Hold the feed and say why, if it is not held for this reason already."""
+        """Hold the feed and report it, unless it is held for this reason already."""
         if self._state.hold(reason, fault.text):
             self._events.report_fault(fault)
             self._machine.command(self._motion.hold)
 
     def hold_blindly(self) -> None:
-        """Send a hold to a controller that does not answer, again and again."""
+        """Send a hold to a controller that does not answer; to be called repeatedly."""
         if (late := self._machine.late) is not None:
             self._late = late
             self.hold(HoldReason.CONTROL, late)
             self._machine.command(self._motion.hold)
 
     def release(self, reason: HoldReason, text: str) -> None:
-        """Give up a reason to hold; others may be left."""
+        """Withdraw a reason to hold; others may remain."""
         self._events.record(_EVENTS.get(reason, "stream"), text)
         self._is_machine_hold_reported = False  # it may be the only reason left
         self._state.release(reason, text=text)
 
     def follow(self, status: MotionStatus) -> None:
-        """Repeat what the controller has not done yet; report a hold of its own.
+        """Repeat unconfirmed commands; report a hold of the machine itself.
 
         The state has observed this status. Raises Fault if the machine moves on.
         """

@@ -1,8 +1,8 @@
-"""Which positions are believed: of the axes, and of the target that the tracker sees.
+"""Plausibility of axis positions and of the target position.
 
-Controller and tracker share neither clock nor frame. What holds without both: an axis
-is within its travel, moves no faster than its feed, and on the row that is driven; the
-target goes about as far by the tracker as by the controller.
+Controller and tracker share neither clock nor frame. Conditions that need neither: an
+axis is within its travel, moves no faster than its feed, and is on the current row; the
+target moves about as far by the tracker as by the controller.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _TIMES, _APART_MM = 3.0, 20.0  # of two distances that do not disagree
 
 
 def find_impossible(motion: MotionController, position: tuple[float, ...]) -> str:
-    """Return which axis reads what no axis can; empty where none does."""
+    """Axis that is not finite or outside its travel, as text; else empty."""
     for axis, (low, high), value in zip(
         motion.axes, motion.travel, position, strict=False
     ):
@@ -55,7 +55,7 @@ def find_impossible(motion: MotionController, position: tuple[float, ...]) -> st
 
 
 class PositionGate:
-    """Judges each reading of the axes by those before it and by what is driven.
+    """Checks each reading of the axes against earlier ones and the commanded rows.
 
     tracker_s : the tracker's clock; simulations make both of them run faster
     """
@@ -73,16 +73,16 @@ class PositionGate:
         self._places, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
 
     def expect(self, path: Path, begin: tuple[float, ...]) -> None:
-        """Take note of what the controller is ordered to drive from here on."""
+        """Announce the commanded path from here on."""
         places, self._rows = trace(path)
         self._places = np.vstack([np.array(begin)[None], places])
         self._feed_mm_s = float(path.feed_mm_min.max()) / 60.0
         self._running_s = None
 
     def judge(self, status: MotionStatus, asked_s: float, now_s: float) -> str:
-        """Return why a reading is not believed, empty where it is; it then counts.
+        """Why a reading is implausible; empty where it is accepted, which stores it.
 
-        asked_s, now_s : when it was asked for, and came
+        asked_s, now_s : times of request and reply
         """
         here = np.array(status.position)
         if status.state is not MotionState.RUNNING:
@@ -116,9 +116,8 @@ class PositionGate:
         return ""
 
     def _measure_pace(self, now_s: float) -> float | None:
-        """Return how the tracker's clock goes against the host's; None if not known.
-
-        None as well in a simulation that is hastened: its steps say too little.
+        """None if unknown, and in an accelerated simulation, whose steps are too
+        coarse.
         """
         tracker_s = self._tracker_s()
         if tracker_s is None:
@@ -149,9 +148,9 @@ class PositionGate:
 
 @dataclass(frozen=True, slots=True)
 class SeenPlace:
-    """Where a stream has the target.
+    """Target position of a stream.
 
-    changes : counts the blocks in which it was not bit for bit where it was before
+    changes : number of blocks in which it was not bit for bit as before
     """
 
     device_time_s: float
@@ -160,7 +159,7 @@ class SeenPlace:
 
 
 class PlaceCheck:
-    """Compares how far the target has gone by tracker and controller. One thread.
+    """Compares target displacements by tracker and controller. One thread.
 
     has_one_target : else the tracker may be turned from one to another meanwhile
     """
@@ -177,9 +176,9 @@ class PlaceCheck:
     def follow(
         self, axes: dict[str, float], name: str, seen: SeenPlace | None, now_s: float
     ) -> Fault | None:
-        """Compare one look at a stream; return a fault once two in a row disagree.
+        """Compare one look at a stream; a fault after two disagreements in a row.
 
-        axes : where they are, by name; name : of the target; seen : None begins anew
+        axes : positions by name; name : of the target; seen : None begins again
         """
         if seen is None:
             self._still = self._from = None
@@ -194,7 +193,7 @@ class PlaceCheck:
     def judge_point(
         self, axes: dict[str, float], name: str, place_mm: _Vector
     ) -> tuple[bool, Fault | None]:
-        """Compare a measured point with the last good one; say whether it is good."""
+        """Compare a measured point with the last good one; first value: it is good."""
         stated = self._state_place(axes, name)
         fault = None
         if self._from is not None:
@@ -217,7 +216,6 @@ class PlaceCheck:
         return observe_targets(self._machine, row, [target]).point_mm[0]
 
     def _find_frozen(self, stated: _Vector, seen: SeenPlace) -> Fault | None:
-        """Return a fault where new samples stay the same while the target moves on."""
         if self._still is None or self._still[0] != seen.changes:
             self._still, self._away_s = (seen.changes, stated), None
             return None
@@ -232,7 +230,6 @@ class PlaceCheck:
     def _find_apart(
         self, axes: dict[str, float], stated: _Vector, place_mm: _Vector, now_s: float
     ) -> Fault | None:
-        """Return a fault where the distances from the first look do not fit."""
         self._recent.append((now_s, stated))
         while len(self._recent) > 2 and self._recent[1][0] < now_s - _LAG_S:
             self._recent.popleft()

@@ -1,4 +1,4 @@
-"""Carries the tracker's stream from the driver to the disk, and assesses it."""
+"""The tracker's stream from the driver to the disk, and its assessment."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ TICK_S = 0.1
 
 
 class StreamState(Enum):
-    """How the stream is."""
+    """Assessment of the stream."""
 
     GOOD = "good"
     SILENT = "silent"  # nothing came for a while: hold the feed
-    DEAD = "dead"  # nothing came for so long that it will not come by itself
+    DEAD = "dead"  # silent for so long that it will not recover
     DAMAGED = "damaged"  # too many samples are bad or lost: hold the feed
     BEAM_LOST = "beam-lost"  # samples come, none of them valid
 
 
 OnStreamState = Callable[[int, int, StreamState], None]
-"""Receives samples so far, samples lost and the stream's state, again and again."""
+"""Receives samples so far, samples lost and the stream's state, periodically."""
 
 
 class StreamReader:
     """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder.
 
-    It has a thread of its own; any thread may call `assess` and read the properties.
+    It has a separate thread; any thread may call `assess` and read the properties.
 
-    failure : what ended the thread before it was stopped
+    failure : error that ended the thread before it was stopped
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
-    seen : the newest valid sample, among others of it
+    seen : the newest valid sample, with its counter of changes
     place_mm : of the newest valid sample; is_seen : it is the newest of all
     """
 
@@ -87,14 +87,14 @@ class StreamReader:
         self._thread.start()
 
     def stop(self) -> None:
-        """Hand over what has come, then end the stream. Idempotent."""
+        """Hand over pending samples, then end the stream. Idempotent."""
         self._stopping.set()
         if self._thread.ident is not None:
             host_clock.join(self._thread)
         self._tracker.stop()
 
     def assess(self) -> StreamState:
-        """Assess the stream as it is now."""
+        """State at this moment, from times and losses."""
         now_s = self._clock()
         with self._lock:
             silence_s = now_s - self._received_s
@@ -112,9 +112,9 @@ class StreamReader:
         return StreamState.GOOD
 
     def take_gap_s(self) -> float:
-        """Return the longest time of the tracker's clock without a valid sample.
+        """Longest gap between valid samples since the last call, tracker's clock.
 
-        Since the last call; a gap counts once a valid sample has ended it.
+        A gap counts once a valid sample has ended it.
         """
         with self._lock:
             gap_s, self._gap_s = self._gap_s, 0.0
@@ -185,15 +185,15 @@ def record_stream(
     is_over: Callable[[float], bool],
     on_state: OnStreamState,
 ) -> None:
-    """Record a connected tracker while a CNC without link drives its own program.
+    """Record a connected tracker while a CNC without link executes its program.
 
-    Nothing is known of the CNC meanwhile: what was driven when is found in the stream
-    afterwards. The caller closes the recorder.
+    Nothing is known of the CNC meanwhile: the times of its lines are found in the
+    stream afterwards. The caller closes the recorder.
 
-    is_over : waits at most so many seconds and tells whether the recording is to end
+    is_over : waits at most this many seconds; true ends the recording
 
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
-    DeviceError of the driver; what has been recorded by then is kept.
+    DeviceError of the driver; data recorded by then are kept.
     """
     reader = StreamReader(tracker, recorder, StreamTimeouts())
     reader.start(rate_hz)
@@ -208,7 +208,7 @@ def record_stream(
                     "cable, then run the program again"
                 )
     except BaseException:
-        # A tracker that is gone cannot be told to stop: what went wrong first counts.
+        # A lost tracker cannot be stopped: the first error counts.
         with contextlib.suppress(DeviceError):
             reader.stop()
         raise
@@ -230,8 +230,6 @@ _WINDOW_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """What one block has shown: samples lost before or in it, in how many gaps."""
-
     device_time_s: float
     lost: int
     gaps: int
@@ -239,11 +237,11 @@ class _Look:
 
 
 class StreamDamage:
-    """Counts what is bad or lost in the last second of the tracker's clock.
+    """Counts bad or lost samples in the last second of the tracker's clock.
 
-    One gap alone is a silence, however long, and not counted here.
+    A single gap is a silence, however long, and not counted here.
 
-    share : above it the stream is damaged
+    share : limit, as a fraction of the samples
     """
 
     def __init__(self, rate_hz: float, share: float) -> None:
@@ -253,7 +251,7 @@ class StreamDamage:
         self._crc_errors: int | None = None
 
     def note(self, samples: TrackerSamples, crc_errors: int) -> None:
-        """Take note of a block that is not empty, and of all CRC errors so far."""
+        """Add a block that is not empty; crc_errors is the total so far."""
         first = int(samples.sequence[0])
         before = first - 1 if self._sequence is None else self._sequence
         missing = np.diff(samples.sequence, prepend=before) - 1

@@ -1,4 +1,4 @@
-"""A moment of the tracker's stream, to see that it measures. Nothing moves."""
+"""Short trial of the tracker's stream. Nothing moves."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEAST_TIMED = 20  # samples, for a rate
 
 
 def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
-    """Return what a connected tracker sends in a while. Raises DeviceError."""
+    """Statistics of the samples of a connected tracker. Raises DeviceError."""
     if not isinstance(tracker, Tracker):
         if trial.streams_only:
             return TrackerTried(0, 0, 0, None, streams=False)
@@ -49,13 +49,13 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
 
 
 def drop_earlier_samples(tracker: Tracker) -> None:
-    """Read what an earlier stream has left: it tells nothing of now."""
+    """Discard samples of an earlier stream: they are not current."""
     while len(tracker.read(0.0)):
         pass
 
 
 def _find_rate_hz(blocks: Sequence[TrackerSamples]) -> float | None:
-    """Return the rate at which the device counts, lost samples among them."""
+    """Includes lost samples; None where there are too few."""
     joined = TrackerSamples.join(blocks)
     if len(joined) < _LEAST_TIMED:
         return None

@@ -1,7 +1,7 @@
 """The parent's handle of a cell process.
 
-Verbs are fired and acknowledged by events; only `start`, `connect` and `close` wait.
-One thread uses a handle, whichever.
+Verbs are sent and acknowledged by events; only `start`, `connect` and `close` wait. One
+thread at a time uses a handle.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ class Cell:
         self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
         self._drivers = f"{config.tracker_driver}, {config.motion_driver}"
         self._events: list[CellEvent] = []
-        self._machine: Machine | None = None  # of the order under way
+        self._machine: Machine | None = None  # of the current order
         self._is_death_reported = self._closed = False
 
     @property
     def alive(self) -> bool:
-        """Whether the process lives."""
+        """Whether the process is alive."""
         return not self._closed and self._process.alive
 
     @property
     def process_id(self) -> int | None:
-        """Identifier of the process, None before `start`."""
+        """None before `start`."""
         return self._process.process_id
 
     def start(self) -> None:
@@ -75,14 +75,14 @@ class Cell:
         self._process.start()
 
     def connect(self) -> dict[str, Identity]:
-        """Connect `tracker` and `motion`; return who they are.
+        """Connect `tracker` and `motion`; their identities by these names.
 
         Raises a DeviceError, or MeasurementFailed if the cell does not answer.
         """
         return dict(self._ask(CellVerb.CONNECT, Connected).devices)
 
     def try_tracker(self, trial: TrackerTrial) -> TrackerTried:
-        """Listen to the connected tracker. Raises as `connect`."""
+        """Let the connected tracker measure shortly. Raises as `connect`."""
         return self._ask(trial, TrackerTried)
 
     def _ask(self, command: CellCommand, answer: type[Answer]) -> Answer:
@@ -100,20 +100,20 @@ class Cell:
         raise MeasurementFailed(f"the cell process did not answer in {CONNECT_S:g} s")
 
     def begin(self, order: MeasurementOrder) -> None:
-        """Begin to measure. Raises OutOfTravel before anything is sent."""
+        """Begin a measurement. Raises OutOfTravel before anything is sent."""
         check_travel(order.machine, order.commanded)
         self._machine = order.machine
         self.send(order)
 
     def extend(self, part: Commanded) -> None:
-        """Go on with a further part. Raises OutOfTravel before anything is sent."""
+        """Send a further part. Raises OutOfTravel before anything is sent."""
         if self._machine is None:
             raise MeasurementFailed("no measurement is under way; begin one first")
         check_travel(self._machine, part)
         self.send(part)
 
     def send(self, command: CellCommand) -> None:
-        """Send a command. Raises MeasurementFailed if the process has died."""
+        """Raises MeasurementFailed if the process has died."""
         if not self.alive:
             raise MeasurementFailed("the cell process is not alive; start another")
         try:
@@ -122,7 +122,7 @@ class Cell:
             raise MeasurementFailed("the cell process has died") from error
 
     def poll(self, timeout_s: float) -> list[CellEvent]:
-        """Return what the cell has said, waiting for a first event at most so long.
+        """Events since the last call; waits at most this long for a first one.
 
         The death of the process is reported once, as a fault `cell-died` and the state
         `faulted`.
@@ -138,7 +138,7 @@ class Cell:
         self._process.kill()
 
     def close(self) -> None:
-        """End the process: what moves stands first. Idempotent; by force if need be."""
+        """Stop all motion, then end the process, if need be by force. Idempotent."""
         if self._closed:
             return
         self._closed = True
@@ -167,7 +167,7 @@ class Cell:
             while self._process.link.poll(0.0 if events else timeout_s):
                 events.append(self._process.link.recv())
         except (EOFError, OSError):
-            # The process has gone, or is about to: `alive` will say so.
+            # The process has ended, or is about to: `alive` will report it.
             self._process.join(timeout_s)
         return events
 

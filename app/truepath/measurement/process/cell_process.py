@@ -1,7 +1,7 @@
-"""The inside of a cell process: it owns the devices and measures, and computes nothing.
+"""Inside of a cell process: it owns the devices and measures, and computes nothing.
 
-Its main thread takes commands from the parent and obeys them at once; a measurement
-has a thread of its own. The process ends with its parent, holding the feed first.
+Its main thread executes commands of the parent at once; a measurement has a separate
+thread. The process ends with its parent, holding the feed first.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ ORPHAN_S, LEAVE_S = 1.5, 5.0  # for the rest, after the end of the parent or of 
 
 
 def run_cell(config: CellConfig, link: Connection) -> None:
-    """Run a cell until it is told to close or its parent is gone."""
+    """Run a cell until its parent closes it or is gone."""
     signal.signal(signal.SIGTERM, _leave)
     parent = parent_process()
     if parent is not None:
@@ -82,10 +82,7 @@ def run_cell(config: CellConfig, link: Connection) -> None:
 
 
 def _watch(parent: BaseProcess) -> None:
-    """End the process if its parent has ended, or a driver lets no thread run.
-
-    Body of a thread. Without a thread that runs, the kernel does it.
-    """
+    """A driver may let no other thread run: then the kernel ends the process."""
     while parent.is_alive():
         signal.alarm(STALLED_S)
         parent.join(1.0)
@@ -99,7 +96,7 @@ def _leave_within(limit_s: float) -> None:
 
 
 def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> None:
-    """Obey commands from `link` until `close`, its end, or a ready life line."""
+    """Execute commands from `link` until `close`, its end, or a ready life line."""
     cell = _CellServer(config, Outbox(link))
     parent_id = os.getppid()
     try:
@@ -128,7 +125,7 @@ def _leave(_signal: int, _frame: FrameType | None) -> None:
 
 
 class _CellServer:
-    """Devices and at most one measurement. Belongs to the thread that commands."""
+    """One thread only."""
 
     def __init__(self, config: CellConfig, outbox: Outbox) -> None:
         self._config, self._outbox = config, outbox
@@ -147,15 +144,13 @@ class _CellServer:
 
     @property
     def is_spoilt(self) -> bool:
-        """Whether another process has to begin anew: a call of a driver does not end.
-
-        Who connects or measures has the answer.
+        """True after a driver call that does not end: another process has to replace
+        this one. The caller that connects or measures has the reply.
         """
         tried = self._has_tried and not self._measuring
         return tried and bool(find_stuck(self._tracker, self._motion))
 
     def look_at_controller(self) -> None:
-        """Read the controller once in a while, unless a measurement does so anyway."""
         now_s = host_clock.now_s()
         if self._motion is None or not self._identities or self._measuring:
             return
@@ -171,10 +166,9 @@ class _CellServer:
         self._outbox.report(read)
 
     def look_at_thermometers(self) -> None:
-        """Read thermometers in a while; in a measurement others do, and a bit longer.
-
-        A reader of a measurement that hangs in its driver is not waited for: by the
-        next look it has ended.
+        """Not during a measurement and shortly after, which has its own reader. A
+        reader that hangs in its driver is not waited for: it has ended by the next
+        look.
         """
         now_s = host_clock.now_s()
         if self._measuring:
@@ -198,10 +192,8 @@ class _CellServer:
         self._outbox.report(TemperaturesRead(shown))
 
     def look_for_service(self) -> None:
-        """Hold the feed if the service has fallen silent. Nothing waits to be obeyed.
-
-        Time in which this process itself stood still is not the service's: it counts
-        from the first look after it.
+        """Time in which this process was suspended does not count as silence of the
+        service: it counts from the first look after it.
         """
         if self._beat_s is None:
             return
@@ -213,7 +205,7 @@ class _CellServer:
             self._carry_out(self._measurement.miss_service, "hold")
 
     def obey(self, command: CellCommand) -> bool:
-        """Do what is asked; False if it was to end."""
+        """False for a request to end."""
         match command:
             case CellVerb.CONNECT:
                 self._answer_connect()
@@ -233,7 +225,6 @@ class _CellServer:
         return True
 
     def end(self) -> None:
-        """Stand still, end the measurement, release the ports, say the rest."""
         if self._measuring:
             self._quietly(self._measurement and self._measurement.halt)
             if self._thread is not None:
@@ -288,7 +279,6 @@ class _CellServer:
         self._state(CellState.READY)
 
     def _connect_thermometers(self) -> None:
-        """Connect them if they answer; a measurement tries again, and says so."""
         if self._thermometers is not None:
             refused = ""
             try:
@@ -360,10 +350,10 @@ MAX_BLOCKS = 100
 
 
 class Outbox:
-    """A thread that sends, so that nobody else ever waits for the parent.
+    """A thread that sends, so that no other waits for the parent.
 
     While the parent is slow, only the latest LivePoints and MeasurementProgress wait
-    and about ten seconds of blocks. Every other event is kept, in order, however many:
+    and about ten seconds of blocks. Every other event is kept, in order, without limit:
     a state or a fault is never dropped.
     """
 
@@ -390,14 +380,13 @@ class Outbox:
             self._changed.notify()
 
     def close(self, timeout_s: float) -> None:
-        """Send what waits, then end."""
+        """Send pending events, then end."""
         with self._changed:
             self._closing = True
             self._changed.notify()
         host_clock.join(self._thread, timeout_s)
 
     def _send(self) -> None:
-        """Body of the thread. Ends with the parent, too."""
         while (event := self._next()) is not None:
             try:
                 self._link.send(event)

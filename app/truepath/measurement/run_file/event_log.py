@@ -1,4 +1,4 @@
-"""What happens in a measurement, for the Run and for the service."""
+"""Events of a measurement, for the Run and for the service."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class EventLog:
         self._recorder, self._report = recorder, report
 
     def record(self, kind: str, text: str) -> None:
-        """Record an event. Never raises: the recorder keeps what went wrong."""
+        """Record an event. Never raises: the recorder keeps its failure."""
         with contextlib.suppress(MeasurementFailed):
             self._recorder.event(kind, text)
 

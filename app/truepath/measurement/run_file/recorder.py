@@ -1,9 +1,9 @@
-"""Writes a Run to disk while it is measured: raw batches first, everything else after.
+"""Recording of a Run during measurement: raw batches first, all else after.
 
 A batch is one transaction of the Run's SQLite file (WAL, synchronous FULL) and has a
-CRC. Writing has a thread of its own behind a bounded queue, for a commit may take
-150–350 ms on a busy disk and must never hold up the reader of a port. Nothing sees a
-batch before it is committed.
+CRC. Writing has a separate thread behind a bounded queue, for a commit may take 150–350
+ms on a busy disk and must never delay the reader of a port. Nothing sees a batch before
+it is committed.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ OnRecorded = Callable[[TrackerSamples | PointBlock], None]
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """What goes into one transaction; `events` are rows without their number."""
+    """One transaction; `events` are rows without their number."""
 
     batches: tuple[Batch, ...] = ()
     events: tuple[tuple[int, int, str, str], ...] = ()
@@ -79,15 +79,15 @@ class _Item:
 
 
 class Recorder:
-    """One Run being written. `put…`, `event` and `extend` may be called by any thread.
+    """One Run being written. `put…`, `event` and `extend` are for any thread.
 
     on_recorded : called by the writer's thread with each block of samples once it is on
         disk; must return at once; an error of it is logged
     reserve_bytes : space on the disk below which `is_space_low` turns true
-    failure : why nothing can be written any more; empty while all is well
+    failure : why nothing can be written any more; else empty
     samples, lost_samples : handed over so far, and missing between by their counter
-    gaps : places where some are missing
-    commits : how long each commit took, waiting for the disk included
+    gaps : number of gaps between samples
+    commits : duration of each commit, waiting for the disk included
 
     Raises MeasurementFailed if the file cannot be begun.
     """
@@ -119,7 +119,7 @@ class Recorder:
 
     @property
     def queue_depth(self) -> int:
-        """How much waits to be written."""
+        """Number of transactions waiting to be written."""
         return self._queue.qsize()
 
     @property
@@ -129,7 +129,7 @@ class Recorder:
 
     @property
     def is_relaxed(self) -> bool:
-        """Whether hardly anything waits."""
+        """Whether the queue is less than a tenth full."""
         return self.queue_depth * 10 < self._queue.maxsize
 
     def put_tracker(self, samples: TrackerSamples, link: bytes = b"") -> None:
@@ -144,7 +144,7 @@ class Recorder:
                 self._put(_Item(batches=batches, recorded=samples))
 
     def put_point(self, row: int, point: PointMeasurement, link: bytes = b"") -> None:
-        """Hand over the mean of a standstill point and the commanded row it is of."""
+        """Hand over the mean of a standstill point and its commanded row."""
         with self._lock:
             number = self.samples
             sample = TrackerSamples(
@@ -180,22 +180,22 @@ class Recorder:
             self._environment_rows += 1
 
     def event(self, kind: str, text: str) -> None:
-        """Write down what happened."""
+        """Hand over an event, stamped with both clocks of the host."""
         body = json.dumps({"text": text}, ensure_ascii=False)
         with self._lock:
             row = (host_clock.now_ns(), host_clock.wall_ns(), kind, body)
             self._put(_Item(events=(row,)))
 
     def extend(self, commanded: Commanded) -> None:
-        """Write down that more is commanded: all rows, the earlier ones included."""
+        """Replace the commanded rows: all of them, the earlier ones included."""
         with self._lock:
             self._manifest = replace_commanded(self._manifest, commanded)
             self._put(_Item(manifest=self._manifest))
 
     def close(self, outcome: str) -> RunClosed:
-        """Write what waits, make the file one read-only file and hash it.
+        """Write pending data, make the file one read-only file and hash it.
 
-        Never raises: what could not be done is in `failure` of the answer.
+        Never raises: `failure` of the result names what could not be done.
         """
         with contextlib.suppress(queue.Full):
             host_clock.put(self._queue, None, CLOSE_TIMEOUT_S)
@@ -234,7 +234,6 @@ class Recorder:
         return database
 
     def _pack_tracker(self, samples: TrackerSamples, link: bytes) -> tuple[Batch, ...]:
-        """Count samples and bytes, and return their batches."""
         batches: list[Batch] = []
         if len(samples):
             first = self._count_samples(samples)
@@ -251,7 +250,6 @@ class Recorder:
         return tuple(batches)
 
     def _count_samples(self, samples: TrackerSamples) -> int:
-        """Count samples, and those missing before them; return their first number."""
         sequence = samples.sequence
         first, before = int(sequence[0]), self._last_sequence
         steps = np.diff(sequence, prepend=first - 1 if before is None else before)
@@ -278,7 +276,6 @@ class Recorder:
             raise MeasurementFailed(self.failure) from None
 
     def _write(self) -> None:
-        """Body of the writer's thread: everything up to the end mark."""
         while (item := host_clock.get(self._queue)) is not None:
             if self.failure:
                 continue
@@ -294,7 +291,7 @@ class Recorder:
     def _report_recorded(
         self, on_recorded: OnRecorded, block: TrackerSamples | PointBlock
     ) -> None:
-        """Pass recorded samples on. A failure there must not end the recording."""
+        """A failure there must not end the recording."""
         try:
             on_recorded(block)
         except Exception:

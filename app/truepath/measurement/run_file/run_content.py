@@ -1,4 +1,4 @@
-"""All rows of a Run file that can still be read, and what cannot.
+"""All readable rows of a Run file, and a list of the unreadable ones.
 
 A file whose writer was killed is read in a copy, so that it stays as it is.
 """
@@ -27,7 +27,7 @@ Row = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True)
 class RunContent:
-    """All readable rows of a Run file, and what could not be read."""
+    """Readable rows of a Run file; `problems` describe the rest."""
 
     manifest: dict[str, str]
     batches: list[Batch]
@@ -37,7 +37,7 @@ class RunContent:
 
 
 def read_content(file: Path) -> RunContent:
-    """Return what can be read of a Run file. Raises BundleError if it is none."""
+    """Readable part of a Run file. Raises BundleError if it is none."""
     if not file.is_file():
         raise BundleError("no such Run", file=str(file), remedy="check the path")
     try:
@@ -67,7 +67,7 @@ def open_database(file: Path) -> Iterator[sqlite3.Connection]:
 
 
 def find_log(file: Path) -> Path:
-    """Return where SQLite keeps what is not yet in the file."""
+    """SQLite's write-ahead log of the file."""
     return file.with_name(file.name + "-wal")
 
 
@@ -115,7 +115,7 @@ def _read_table(
     file: Path,
     problems: list[str],
 ) -> list[Row]:
-    """Return all rows; one by one where a page is damaged."""
+    """Row by row where a page is damaged."""
     query = f"SELECT {columns} FROM {table}"  # noqa: S608
     try:
         return database.execute(f"{query} ORDER BY rowid").fetchall()

@@ -1,12 +1,12 @@
 """A Run on disk: one SQLite file of checksummed batches; its layout and statements.
 
 `manifest` holds JSON by key, `batch` packed little-endian records of one stream each
-with a CRC-32, `event` what happened. Streams:
+with a CRC-32, `event` the events. Streams:
 
 tracker : records of `TRACKER`; seq0 is the device's counter of the first sample
 tracker.link : bytes as the tracker's port received them; seq0 counts bytes
-tracker.point : records of `POINT`, one a sample of a tracker that is polled; seq0 is
-    the number of that sample
+tracker.point : records of `POINT`, one per sample of a polled tracker; seq0 is the
+    number of that sample
 axes : host_time_s and one position per axis, all <f8; seq0 counts rows
 environment : host_time_s and one reading per channel, all <f8, NaN where there is none;
     seq0 counts rows
@@ -106,16 +106,17 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """What is known before the first sample.
+    """Data known before the first sample.
 
     channels : names of thermometers and sensors of the air
-    refraction : who corrects the ranges for the air, as it is before anything is done
+    refraction : device that corrects the ranges for the air, before any analysis
     job_id, machine_id, machine_version : of the job that measures and its machine;
         empty without a service
-    control_compensation : whether the control corrected its axes by error tables of
-        its own as the Run began; None where it did not tell
+    control_compensation : whether the control applied its own error tables as the Run
+        began; None where it did not report
     plugins : of the devices, by the same names; none of devices without one
-    active_tables : SHA-256 by name of the files that it had, where the service knows
+    active_tables : SHA-256 by name of the compensation files in the control, where the
+        service knows
     """
 
     name: str
@@ -135,7 +136,7 @@ class RunHeader:
 
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
-    """Return the manifest rows of a header, values in JSON."""
+    """Manifest rows of a header, values in JSON."""
     content = {
         "schema": SCHEMA,
         "name": header.name,
@@ -176,13 +177,13 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
 
 
 def replace_commanded(manifest: dict[str, str], commanded: Commanded) -> dict[str, str]:
-    """Return the manifest rows with other commanded rows, their CRC anew."""
+    """Manifest rows with other commanded rows and a new CRC."""
     text = json.dumps(_encode_commanded(commanded), ensure_ascii=False)
     return _sign({k: v for k, v in manifest.items() if k != _CRC} | {"commanded": text})
 
 
 def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
-    """Return the header of manifest rows. Raises ValueError if they are damaged."""
+    """Raises ValueError if the manifest rows are damaged."""
     rows = {key: v for key, v in manifest.items() if key not in (CLOSED, _CRC)}
     if _sign(rows)[_CRC] != manifest.get(_CRC):
         raise ValueError("its CRC does not match")
@@ -221,7 +222,7 @@ def _encode_commanded(commanded: Commanded) -> dict[str, Any]:
 
 
 def pack_samples(samples: TrackerSamples) -> bytes:
-    """Return samples as records of `TRACKER`."""
+    """Records of `TRACKER`."""
     rows = np.empty(len(samples), TRACKER)
     for name in TRACKER.names or ():
         rows[name] = getattr(samples, name)
@@ -229,23 +230,23 @@ def pack_samples(samples: TrackerSamples) -> bytes:
 
 
 def unpack_samples(payload: bytes) -> TrackerSamples:
-    """Return the samples of records of `TRACKER`."""
+    """Samples of records of `TRACKER`."""
     rows = np.frombuffer(payload, TRACKER)
     return TrackerSamples(*(rows[name].copy() for name in TRACKER.names or ()))
 
 
 def pack_quality(quality: NDArray[np.float32]) -> bytes:
-    """Return the quality of samples as records of the stream `tracker.quality`."""
+    """Records of the stream `tracker.quality`, <f4."""
     return quality.astype("<f4").tobytes()
 
 
 def unpack_quality(payload: bytes) -> NDArray[np.float32]:
-    """Return the records of the stream `tracker.quality`."""
+    """Quality of records of the stream `tracker.quality`, <f4."""
     return np.frombuffer(payload, "<f4").astype(np.float32)
 
 
 def pack_point(row: int, point: PointMeasurement) -> bytes:
-    """Return a measured point, and the commanded row it is of, as a record `POINT`."""
+    """One record `POINT` of a measured point and its commanded row."""
     air = point.air or Air()
     record = np.zeros(1, POINT)
     record[0] = (row, point.count, point.covariance_mm2, *astuple(air), point.quality)
@@ -253,29 +254,29 @@ def pack_point(row: int, point: PointMeasurement) -> bytes:
 
 
 def unpack_points(payload: bytes) -> NDArray[np.void]:
-    """Return records of `POINT`."""
+    """Structured array of records `POINT`."""
     return np.frombuffer(payload, POINT)
 
 
 def pack_axes(samples: AxisSamples) -> bytes:
-    """Return controller positions as records of the stream `axes`."""
+    """Records of the stream `axes`: host_time_s, then mm or deg, all <f8."""
     rows = np.column_stack([samples.host_time_s, samples.position_mm])
     return rows.astype("<f8").tobytes()
 
 
 def unpack_axes(payload: bytes, axes: tuple[str, ...]) -> AxisSamples:
-    """Return the controller positions of records of the stream `axes`."""
+    """Controller positions of records of the stream `axes`."""
     rows = np.frombuffer(payload, "<f8").reshape(-1, 1 + len(axes)).astype(np.float64)
     return AxisSamples(axes, rows[:, 0].copy(), rows[:, 1:].copy())
 
 
 def pack_environment(host_time_s: float, readings: Sequence[float]) -> bytes:
-    """Return one row of readings, in the order of the channels, as a record."""
+    """One record of the stream `environment`, in the order of the channels."""
     return np.array([host_time_s, *readings], "<f8").tobytes()
 
 
 def unpack_environment(payload: bytes, channels: int) -> NDArray[np.float64]:
-    """Return the rows of the stream `environment`, the host's time first."""
+    """(n, 1 + channels), the host's time first."""
     return np.frombuffer(payload, "<f8").reshape(-1, 1 + channels).astype(np.float64)
 
 
@@ -293,7 +294,7 @@ def connect(file: Path) -> sqlite3.Connection:
 
 
 def create_run_file(file: Path, manifest: dict[str, str]) -> sqlite3.Connection:
-    """Return a new Run file, open to write, with its tables and its manifest."""
+    """Open a new Run file to write, with its tables and its manifest."""
     database = connect(file)
     database.executescript(TABLES)
     with transaction(database):
@@ -342,9 +343,9 @@ def insert_events(
 
 
 def seal(database: sqlite3.Connection, file: Path) -> str:
-    """Close a Run file for good, one read-only file; return its SHA-256.
+    """Make a Run file one closed read-only file; gives its SHA-256.
 
-    Raises sqlite3.OperationalError if somebody else has the file open.
+    Raises sqlite3.OperationalError if another process has the file open.
     """
     with contextlib.closing(database):
         busy, _, _ = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -357,6 +358,6 @@ def seal(database: sqlite3.Connection, file: Path) -> str:
 
 
 def hash_file(file: Path) -> str:
-    """Return the SHA-256 of a file."""
+    """SHA-256, hexadecimal."""
     with file.open("rb") as source:
         return hashlib.file_digest(source, "sha256").hexdigest()

@@ -1,7 +1,7 @@
-"""Opens Runs on disk: closed ones, and ones whose writer was killed or disk failed.
+"""Reading of Runs: closed ones, and ones whose writer or disk failed.
 
-Whatever was committed is there again. A batch whose CRC does not match is left out and
-named, a hole in the tracker's counter is named; nothing is joined silently.
+All committed data are read. A batch whose CRC does not match is omitted and named, a
+gap in the tracker's counter is named; nothing is joined silently.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from truepath_drivers.interfaces.records import (
 )
 
 _SQLITE = b"SQLite format 3\0"
-NAMED_PROBLEMS = 100  # beyond them nobody reads on
+NAMED_PROBLEMS = 100  # more would not be read
 _ROWS = "row", "count", "covariance_mm2"
 TORN = "torn"  # outcome of a Run whose writer was killed
 _AIR_OF_POINTS = {
@@ -63,9 +63,9 @@ _NOTES = {NO_WATCHDOG.code: "watchdog", DAMAGED.code: "stream"}  # kinds of even
 
 
 def open_run(file: str | Path) -> Run:
-    """Return a Run as far as it was recorded. The file is left as it is.
+    """A Run as far as it was recorded. The file is not changed.
 
-    Events of kind `bad-batch` and `gap` name what is missing. Raises BundleError if the
+    Events of kind `bad-batch` and `gap` name missing data. Raises BundleError if the
     file is not a Run, or its manifest is lost.
     """
     place = Path(file)
@@ -139,9 +139,9 @@ def _describe_control(header: RunHeader) -> dict[str, str]:
 
 
 def open_recorded(place: str | Path) -> Run:
-    """Return the Run of a Run file, or of a bundle: a folder or a .zip.
+    """The Run of a Run file, or of a bundle: a folder or a .zip.
 
-    With what a file of known lengths beside it says. Raises BundleError.
+    Includes known lengths from a file beside it. Raises BundleError.
     """
     place = Path(place)
     is_run_file = place.suffix == ".sqlite" and not place.is_dir()
@@ -154,14 +154,14 @@ def open_recorded(place: str | Path) -> Run:
 
 
 def name_known_lengths(place: Path) -> Path:
-    """Return where known lengths of a Run file or bundle are that came later."""
+    """Path of known lengths added to a Run file or bundle later."""
     place = place.absolute()
     name = place.name if place.is_dir() else place.stem
     return place.with_name(f"{name}.{KNOWN_LENGTHS}")
 
 
 def read_job_id(file: str | Path) -> str:
-    """Return the job that recorded a Run, empty where its file does not say."""
+    """Job that recorded a Run, empty where its file does not name one."""
     try:
         with open_database(Path(file)) as database:
             query = "SELECT value FROM manifest WHERE key = 'job'"
@@ -179,7 +179,7 @@ def _is_sqlite(place: Path) -> bool:
 
 
 def read_samples(batches: list[Batch]) -> TrackerSamples:
-    """Return the samples of all batches, in order."""
+    """Samples of all batches, in order; quality where it was recorded."""
     qualities = {
         b.seq0: unpack_quality(b.payload) for b in batches if b.stream == QUALITY_STREAM
     }
@@ -194,7 +194,7 @@ def read_samples(batches: list[Batch]) -> TrackerSamples:
 def _join_points(
     tracker: TrackerSamples, batches: list[Batch]
 ) -> tuple[TrackerSamples, NDArray[np.void] | None]:
-    """Return the samples that are whole points, and their records; None of a stream."""
+    """Samples of complete points, with their records; None of a stream."""
     found = [b for b in batches if b.stream == POINT_STREAM]
     if not found:
         return tracker, None
@@ -214,10 +214,8 @@ def _read_air(points: NDArray[np.void] | None) -> dict[str, NDArray[np.float64]]
 def _read_channels(
     batches: list[Batch], channels: tuple[str, ...]
 ) -> dict[str, Series]:
-    """Return what sensors showed, on the tracker's clock.
-
-    Both clocks meet where a batch of samples was handed over, at most some tenths of a
-    second after its last sample.
+    """Series on the tracker's clock. Both clocks meet where a batch of samples was
+    handed over, at most some tenths of a second after its last sample.
     """
     rows = [
         unpack_environment(b.payload, len(channels))
@@ -247,7 +245,7 @@ def _to_device(
     host_s: NDArray[np.float64],
     device_s: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the host's times on the device's clock, beyond the ends at its rate."""
+    """Host times beyond the ends are extrapolated at the host's rate."""
     span_s = host_s[-1] - host_s[0]
     rate = (device_s[-1] - device_s[0]) / span_s if span_s > 0.0 else 1.0
     inside = np.interp(at_s, host_s, device_s)

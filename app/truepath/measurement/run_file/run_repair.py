@@ -1,4 +1,4 @@
-"""Makes one whole file of a Run whose writer was killed or whose disk failed."""
+"""Repair of a Run whose writer was killed or whose disk failed."""
 
 from __future__ import annotations
 
@@ -49,7 +49,6 @@ def repair_run(file: str | Path) -> RunClosed:
 
 
 def _salvage(file: Path, content: RunContent) -> str:
-    """Copy the readable rows into a new file of that name; the old becomes `.torn`."""
     draft = file.with_name(file.name + ".salvage")
     draft.unlink(missing_ok=True)
     database = create_run_file(draft, content.manifest)

@@ -1,4 +1,4 @@
 """The reflector: found, and found again after the beam was lost.
 
-Not here: which targets a plan has (`planning`), where they sit (`estimation`).
+Not here: the targets of a plan (`planning`), their offsets (`estimation`).
 """

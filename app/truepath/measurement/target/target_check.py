@@ -1,8 +1,8 @@
-"""Whether a point is of the target that it is said to be of.
+"""Check that a point belongs to its stated target.
 
-The distance between two points of one measurement does not depend on where the tracker
-stands: what the stated targets make it is known beforehand. Targets that stand nearer
-to each other than the bound cannot be told apart.
+The distance between two points of one measurement does not depend on the pose of the
+tracker: it is known from the stated targets. Targets that are nearer to each other than
+the bound are not distinguishable.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class TargetCheck:
     def measure_misfit(
         self, position: dict[str, float], name: str, place_mm: NDArray[np.float64]
     ) -> float:
-        """Return by how many mm a point lies elsewhere; keep it if that is too little.
+        """Deviation of a point from its expected position, mm; kept if it fits.
 
         position : of every axis, by name
         """

@@ -1,7 +1,7 @@
-"""Has a tracker that can find a lost target again, while the machine stands.
+"""Search for a lost target by the tracker, while the machine is at rest.
 
-It aims where the target should be and searches there. What is found elsewhere is
-another target. A beam that came back by itself is not its business.
+It aims at the predicted position and searches there. A target found elsewhere is
+another one. A beam that came back by itself needs no search.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _PAUSE_S = 1.0  # between tries
 _SEEN_S = 2.0  # after a search that has found, valid samples come by then
 
 Sight = Callable[[], NDArray[np.float64] | None]
-"""Returns the newest place of a target that is seen now, None where none is."""
+"""Newest position of a target that is seen now, None where none is."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchStep:
-    """What a try has come to.
+    """Outcome of a try.
 
     has_found : the target is seen again; is_last : nothing more is tried
     """
@@ -45,7 +45,7 @@ class SearchStep:
 class TargetSearch:
     """The tries to find a target again. One thread.
 
-    machine : whose targets they are
+    machine : gives the stated targets
     """
 
     def __init__(
@@ -68,11 +68,11 @@ class TargetSearch:
         *,
         stands: bool,
     ) -> None:
-        """Take note of where the target is seen; it is not lost."""
+        """Store the position of a target that is seen, thus not lost."""
         self._places.remember(position, name, place_mm, stands=stands)
 
     def forget(self) -> None:
-        """Nothing is lost any more."""
+        """Reset all tries: no target is lost."""
         self._lost.reset()
         self._waiting.reset()
         self._task, self._tries, self._is_over = None, 0, False
@@ -80,10 +80,10 @@ class TargetSearch:
     def advance(
         self, position: dict[str, float], name: str, key: int, see: Sight | None
     ) -> SearchStep | None:
-        """Try, or see what a try has come to. Never waits; the machine stands.
+        """Begin a try, or give its outcome. Never waits; the machine is at rest.
 
-        key : counts losses that belong together
-        see : None of a tracker that is polled
+        key : equal for losses that belong together
+        see : None for a polled tracker
         """
         lost_s = self._lost.measure_s()
         if self._is_over or not self._is_able:
@@ -91,7 +91,7 @@ class TargetSearch:
         if self._task is not None:
             return self._follow(self._task, key, see, lost_s)
         if see is not None and see() is not None:
-            return None  # it is back by itself: a person resumes
+            return None  # it came back without a search: an operator resumes
         if self._tries and self._waiting.measure_s() < _PAUSE_S:
             return None
         return self._try(position, name, key, lost_s)
@@ -140,14 +140,14 @@ class TargetSearch:
         return SearchStep(f"{self._describe_try()}: it was found", has_found=True)
 
     def _measure_away_mm(self, place: NDArray[np.float64] | None) -> float | None:
-        """Return how far a place is off, None where it is where it should be."""
+        """None at the predicted position."""
         if place is None or self._expected is None:
             return None
         away_mm = float(np.linalg.norm(place - self._expected.place_mm))
         return away_mm if away_mm > self._expected.reach_mm else None
 
     def _leave_wrong_target(self) -> None:
-        """Turn the beam off it: whoever resumes must not measure it."""
+        """Turns the beam off it: a resume must not measure it."""
         expected, tracker = self._expected, self._tracker
         if expected is not None:
             Call(lambda: tracker.aim(*expected.direction_rad))
@@ -175,19 +175,19 @@ class TargetSearch:
 
 
 _KEPT = 50
-_APART_MM = 5.0  # nearer to another one it tells nothing new
-_FEWEST, _WIDE_MM = 4, 50.0  # places, and their spread across, that tell a pose
-_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a knock
+_APART_MM = 5.0  # nearer to another one it adds no information
+_FEWEST, _WIDE_MM = 4, 50.0  # points, and their spread across, that determine a pose
+_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a shift
 
 _Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedPlace:
-    """Where a target should be, in the tracker's frame.
+    """Predicted target position in the tracker's frame.
 
-    reach_mm : how far from it the target may be
-    basis : what it is foretold from, in plain words
+    reach_mm : largest expected deviation
+    basis : source of the prediction, as text
     """
 
     place_mm: _Vector
@@ -202,7 +202,7 @@ class ExpectedPlace:
 
 
 class SeenPlaces:
-    """Places of targets, where the machine stood and where it moved. One thread."""
+    """Observed target positions, at rest and in motion. One thread."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
@@ -213,9 +213,9 @@ class SeenPlaces:
     def remember(
         self, position: dict[str, float], name: str, place_mm: _Vector, *, stands: bool
     ) -> None:
-        """Take note of where the target is seen.
+        """Store an observed position.
 
-        position : of every axis, by name; stands : the machine stood there
+        position : of every axis, by name; stands : the machine was at rest
         """
         stated, place = self._state_place(position, name), np.array(place_mm, float)
         if self._newest is not None:
@@ -224,7 +224,7 @@ class SeenPlaces:
         (self._standing if stands else self._moving).add(stated, place)
 
     def foretell(self, position: dict[str, float], name: str) -> ExpectedPlace | None:
-        """Return where the target should be, None where none was ever seen."""
+        """Predicted position, None where no target was ever seen."""
         if self._newest is None:
             return None
         stated, (last, place) = self._state_place(position, name), self._newest
@@ -244,8 +244,6 @@ class SeenPlaces:
 
 
 class _Pairs:
-    """Stated places and where they were seen."""
-
     def __init__(self) -> None:
         self._stated: deque[_Vector] = deque(maxlen=_KEPT)
         self._seen: deque[_Vector] = deque(maxlen=_KEPT)
@@ -256,7 +254,7 @@ class _Pairs:
             self._seen.append(seen)
 
     def foretell(self, stated: _Vector) -> _Vector | None:
-        """Return where a stated place is seen, None where the pairs do not tell."""
+        """None where the pairs do not determine it."""
         if len(self._stated) < _FEWEST:
             return None
         known = np.array(self._stated)

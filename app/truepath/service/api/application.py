@@ -1,7 +1,7 @@
 """The FastAPI application: routes, problems, guard, documentation.
 
 The page at /docs is made of local files: the shop floor has no CDN. The description of
-the interface is checked in, so that a change is seen as one in review; it is written by
+the interface is checked in, so that changes are visible in review; it is written by
 `python -m truepath.service.api.application docs/openapi.json`.
 """
 
@@ -103,7 +103,7 @@ def create_application(
     root_path: str = "",
     pages: APIRouter | None = None,
 ) -> FastAPI:
-    """Return the application.
+    """Application with all middleware; each call makes a new one.
 
     service : None only to describe the interface
     trusted_proxies : addresses and networks whose forwarded headers are trusted
@@ -140,10 +140,7 @@ def create_application(
 
 @cache
 def _list_routes(max_upload_bytes: int) -> tuple[BaseRoute, ...]:
-    """Return the routes, the same for every service; once a process, as it takes long.
-
-    max_upload_bytes : that a measurement bundle may have
-    """
+    """Once per process, as it takes long; the same for every service."""
     every = APIRouter(generate_unique_id_function=_name_operation)
     every.include_router(_api(), prefix=PREFIX, max_body_size=MAX_BODY_BYTES)
     every.include_router(
@@ -191,19 +188,19 @@ def _api() -> APIRouter:
 
 @docs.get("/docs", response_class=HTMLResponse)
 def docs_page() -> HTMLResponse:
-    """Return the page."""
+    """Swagger UI from local files."""
     return HTMLResponse((_SWAGGER / "docs.html").read_text("utf-8"))
 
 
 @docs.get("/docs/begin.js")
 def docs_script() -> Response:
-    """Return its script: the policy of the service forbids scripts inside a page."""
+    """A separate file: the service's policy forbids scripts inside a page."""
     script = (_SWAGGER / "begin.js").read_text("utf-8")
     return Response(script, media_type="text/javascript")
 
 
 def describe_interface() -> str:
-    """Return the OpenAPI document as the checked-in file holds it."""
+    """OpenAPI document in the format of the checked-in file."""
     document = create_application().openapi()
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 

@@ -1,8 +1,8 @@
-"""The OpenAPI document beyond what the framework writes of the routes.
+"""Additions to the OpenAPI document that the framework writes.
 
-Every refusal and header is declared once and referred to. `examples.json` holds answers
-of the service to its simulated devices, shortened; jobs are made from their record, so
-that they follow it.
+Every refusal and header is declared once and referred to. `examples.json` holds
+shortened answers of the service to its simulated devices; jobs are made from their
+record, so that they follow it.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ _FORMS = {
 
 
 def complete_document(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document with roles, refusals, headers, examples and open lists."""
+    """Add roles, refusals, headers, examples and open lists to the document."""
     describe_roles(document)
     answers, refused = _read_answers(), set[int]()
     for path, operations in document["paths"].items():

@@ -1,4 +1,4 @@
-"""A job as clients see it."""
+"""Description of a job for clients."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ROUTED = frozenset(
 
 
 def describe_job(job: Job) -> JobOut:
-    """Return a job as clients see it."""
+    """A job with links, failure as a problem, and permitted verbs."""
     content, failure = asdict(job), job.failure
     at = address(f"/jobs/{job.id}")
     links = JobLinks.of(id=job.id, run_id=job.run_id)

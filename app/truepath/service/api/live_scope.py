@@ -6,7 +6,7 @@ A frame is a header of 12 bytes and `count` samples of 33 bytes, little-endian, 
     sample   device_time_s f64, x, y, z f64 (mm, tracker's frame), status u8
 
 `dropped` counts the samples that this client was too slow for since it connected. The
-view is not the record: what is dropped here is in the Run.
+view is not the record: dropped samples are in the Run.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ open_scopes: set[SampleQueue] = set()
 
 
 def encode_frame(samples: TrackerSamples, dropped: int) -> bytes:
-    """Return a frame; a status above 255 is 255, as unusable as any but 0."""
+    """A frame; a status above 255 is 255, as invalid as any but 0."""
     rows = np.empty(len(samples), SAMPLE)
     rows["device_time_s"] = samples.device_time_s
     rows["position_mm"] = samples.position_mm
@@ -94,10 +94,7 @@ async def _show(
 async def _send(
     websocket: WebSocket, service: Service, queue: SampleQueue, changed: asyncio.Event
 ) -> None:
-    """Send what comes; return when nothing may be sent any more.
-
-    Raises WebSocketDisconnect, RuntimeError where the client has left.
-    """
+    """Raises WebSocketDisconnect, RuntimeError where the client has left."""
     session = Session(service, read_token(websocket.scope))
     while not service.closing.is_set():
         changed.clear()

@@ -1,4 +1,4 @@
-"""Models of the machine: list them, take them away, see how they grew."""
+"""Models of the machine: list, download, history."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages of a list by an opaque cursor, and the Link header that leads to the next."""
+"""Pages of a list by an opaque cursor, and the Link header to the next."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Paging:
         self._before_seq = None if after is None else _decode_cursor(after)
 
     def read(self, list_page: Callable[..., list[T]]) -> tuple[list[T], str | None]:
-        """Return the entries of the page, and the cursor of the next one if any.
+        """Entries of the page, and the cursor of the next one if any.
 
         list_page : gives at most so many entries older than `before_seq`, newest first
         """

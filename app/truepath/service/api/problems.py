@@ -1,7 +1,7 @@
-"""Every refusal is a problem (RFC 9457): from errors to problems, handlers, schema.
+"""Refusals as problems (RFC 9457): mapping from errors, handlers, schema.
 
-`problems.toml` alone decides which family of errors is which kind of problem. What is
-not in the table is a defect of the service: status 500, the cause in the log under the
+`problems.toml` alone maps families of errors to kinds of problem. An error missing in
+the table is a defect of the service: status 500, the cause in the log under the
 request's identifier, never in the answer.
 """
 
@@ -38,7 +38,7 @@ _PASSING = frozenset({429, 503})
 
 @dataclass(frozen=True, slots=True)
 class ProblemKind:
-    """One kind of problem. `action` is the way out where the error names none."""
+    """One kind of problem. `action` is the remedy where the error names none."""
 
     status: int
     code: str
@@ -60,12 +60,12 @@ BY_STATUS: Mapping[int, ProblemKind] = {
     int(status): ProblemKind(int(status), **kind)
     for status, kind in _TABLE["status"].items()
 }
-"""What the framework raises."""
+"""Kinds of errors that the framework raises."""
 INTERNAL = BY_STATUS[500]
 
 
 def find_kind(error: type[Exception]) -> ProblemKind:
-    """Return the kind of a problem that an error is; the nearest family counts."""
+    """Kind of the nearest base class in the table; INTERNAL without one."""
     for family in error.__mro__:
         if family in PROBLEM_KINDS:
             return PROBLEM_KINDS[family]
@@ -81,7 +81,7 @@ _BY_NAME = {
 
 
 def describe_error(error: Exception) -> dict[str, Any]:
-    """Return the problem that an error is, without what only the request knows."""
+    """Problem of an error, without the members that depend on the request."""
     kind = find_kind(type(error))
     if kind is INTERNAL:
         return problem(kind)
@@ -102,7 +102,7 @@ def describe_error(error: Exception) -> dict[str, Any]:
 
 
 def describe_failure(failure: Failure) -> dict[str, Any]:
-    """Return the problem that ended a job. It has no status: it is no answer."""
+    """Problem that ended a job. It has no status, as it is no answer."""
     kind = _BY_NAME.get(failure.family, INTERNAL)
     detail = failure.detail if kind is not INTERNAL else ""
     code, action = failure.code or kind.code, failure.action or kind.action
@@ -114,7 +114,7 @@ def describe_failure(failure: Failure) -> dict[str, Any]:
 def problem(
     kind: ProblemKind, detail: str = "", extra: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the members of a problem."""
+    """Members of a problem."""
     return {
         "type": f"/problems/{kind.code}",
         "title": kind.title,
@@ -127,7 +127,7 @@ def problem(
 
 
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Name the refusals of a route for its documentation; see `document`."""
+    """Refusals of a route for its documentation; see `document`."""
     return {status: {"model": Problem} for status in statuses}
 
 
@@ -142,9 +142,9 @@ def install_handlers(app: FastAPI) -> None:
 def make_problem_response(
     content: Mapping[str, Any], scope: Scope, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return a problem as the answer to the request of a scope.
+    """Problem as the answer to the request of a scope.
 
-    What passes by itself says when to try again.
+    Temporary ones have Retry-After.
     """
     status = content["status"]
     waiting = {"Retry-After": str(RETRY_AFTER_S)} if status in _PASSING else {}
@@ -155,7 +155,7 @@ def make_problem_response(
 
 
 def find_kind_of_status(status: int) -> ProblemKind:
-    """Return the kind of problem that a bare status is."""
+    """Kind of a problem for a status without a body."""
     if status in BY_STATUS:
         return BY_STATUS[status]
     if status >= 500:
@@ -165,7 +165,7 @@ def find_kind_of_status(status: int) -> ProblemKind:
 
 
 def make_error_response(error: Exception, scope: Scope) -> Response:
-    """Return the problem that an error is, as the answer to the request of a scope."""
+    """Problem of an error as the answer to the request of a scope."""
     headers: dict[str, str] = {}
     if isinstance(error, user_errors.NotLoggedIn):
         headers["WWW-Authenticate"] = "Bearer"
@@ -196,7 +196,6 @@ def _handle_validation(request: Request, error: Exception) -> Response:
 
 
 def _describe_mismatch(item: Mapping[str, Any]) -> str:
-    """Return what is wrong with a value; of a text, which character."""
     if item["type"] != "string_pattern_mismatch":
         return str(item["msg"])
     pattern, given = item["ctx"]["pattern"], item["input"]

@@ -1,4 +1,4 @@
-"""The HTTP server: where it listens, and in which order it ends."""
+"""The HTTP server: its address, and the order of its shutdown."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from truepath.service.api.service_manager import ServiceManager
 from truepath.users.certificates import TlsFiles
 
 GRACE_S = 3
-"""How long an answer under way may take once the service has to end."""
+"""Limit of a running answer once the service has to end."""
 
 _TICKS_A_LOOK = 5  # of 0.1 s
 _OWN = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
@@ -31,18 +31,16 @@ log = structlog.get_logger(__name__)
 
 
 class Server(uvicorn.Server):
-    """Uvicorn that stops motion before it waits for anybody.
+    """Uvicorn that stops motion before it waits for anything else.
 
-    What has started it, systemd say, is told that it answers, lives and ends.
+    The service manager, such as systemd, is notified of start, life and end. Not in the
+    application's own shut-down: an open stream delays that, and a forced exit skips it.
 
-    Not in the application's own shut-down: an open stream delays that, and a forced
-    exit skips it.
-
-    address : where it answers
-    listening : receives the address once it answers, in a thread of its own
+    address : of the service
+    listening : receives the address once the service answers, in a separate thread
     tls : None for plain HTTP
-    trusted_proxies : addresses that many clients are behind
-    ending : called first, once it has to end
+    trusted_proxies : addresses shared by many clients
+    ending : called first, once the server has to end
     """
 
     def __init__(
@@ -99,7 +97,7 @@ class Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Hold the feed, let streams end, then wait for answers under way."""
+        """Hold the feed, let streams end, then wait for running answers."""
         log.info("ending: motion first")
         if self._ending is not None:
             self._ending()
@@ -131,7 +129,7 @@ def end_by_signals(server: Server) -> Iterator[None]:
 
 
 def bind_socket(host: str, port: int) -> socket.socket:
-    """Listen there, port 0 on a free one; raise BadInput where that cannot be."""
+    """A listening socket, port 0 for a free one; raises BadInput on failure."""
     try:
         family, _, _, _, place = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
@@ -145,7 +143,7 @@ def bind_socket(host: str, port: int) -> socket.socket:
 
 
 def format_address(listener: socket.socket, *, is_encrypted: bool = False) -> str:
-    """Return where a program on this computer reaches it."""
+    """URL for programs on this computer."""
     bound, port = listener.getsockname()[:2]
     host = _OWN.get(bound, str(bound))
     shown = f"[{host}]" if ":" in host else host

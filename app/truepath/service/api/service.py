@@ -1,4 +1,4 @@
-"""What the routes work with, made by `main` and handed to the application."""
+"""Dependencies of the routes, made by `main` and passed to the application."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ LEAST_FREE_BYTES = 500 << 20
 class Service:
     """Everything behind the routes.
 
-    machines : those that it drives; setup : adds and configures them
-    calibrations : theirs, and how they stand by them
+    machines : those of this service; setup : adds and configures them
+    calibrations : of the machines, with their status
     access : users, roles and audit log
     closing : set when the service is about to end; open streams then end
     """
@@ -54,12 +54,12 @@ class Service:
     closing: threading.Event = field(default_factory=threading.Event)
 
     def end_streams(self) -> None:
-        """Let every open stream end."""
+        """End every open stream."""
         self.closing.set()
         self.event_bus.publish(JobEvent("closing", None, {}))
 
     def free_bytes(self) -> int:
-        """Return the room left on the disk of the results."""
+        """Free space on the disk of the results."""
         return shutil.disk_usage(self.results).free
 
 

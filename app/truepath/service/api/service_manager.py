@@ -1,8 +1,8 @@
-"""Tells systemd that the service answers, that it lives, and that it ends.
+"""Notifies systemd of start, life and end of the service.
 
 By datagrams to the socket that `NOTIFY_SOCKET` names, as sd_notify(3) describes them. A
 sign of life comes from the event loop itself: a loop that is frozen gives none, and
-systemd starts the service again. Without that socket nothing is said.
+systemd starts the service again. Without that socket nothing is sent.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ log = structlog.get_logger(__name__)
 
 
 class ServiceManager:
-    """What has started this process and watches it.
+    """The service manager that has started this process.
 
-    address : of its socket, empty where nobody listens; `@` begins an abstract one
-    watchdog_s : without a sign of life for so long it ends the process; None: never
+    address : of its socket, empty without one; `@` begins an abstract one
+    watchdog_s : time without a sign of life after which it ends the process; None:
+        never
     """
 
     def __init__(self, address: str, watchdog_s: float | None) -> None:
@@ -31,7 +32,7 @@ class ServiceManager:
 
     @classmethod
     def of_environment(cls) -> ServiceManager:
-        """Return the one that the environment names, if it is this process it means."""
+        """The manager of the environment, if it means this process."""
         watched = os.environ.get("WATCHDOG_PID", str(os.getpid()))
         limit_us = os.environ.get("WATCHDOG_USEC", "")
         is_watched = watched == str(os.getpid()) and limit_us.isdecimal()
@@ -39,7 +40,7 @@ class ServiceManager:
         return cls(os.environ.get("NOTIFY_SOCKET", ""), watchdog_s)
 
     def begin(self, status: str) -> None:
-        """Say that the service answers; from now on give signs of life.
+        """Report that the service answers; give signs of life from now on.
 
         On the event loop.
         """
@@ -48,7 +49,7 @@ class ServiceManager:
             self._beats = asyncio.get_running_loop().create_task(self._beat())
 
     def end(self) -> None:
-        """Say that the service ends; it gives signs of life until its loop does."""
+        """Report that the service ends; signs of life continue until its loop ends."""
         self._send("STOPPING=1")
 
     async def _beat(self) -> None:

@@ -1,4 +1,4 @@
-"""What WebSockets share: they end with their client, their session or the service."""
+"""End of WebSockets: with their client, their session or the service."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ GOING_AWAY, POLICY, TRY_LATER = 1001, 1008, 1013
 async def send_until_left(
     websocket: WebSocket, sending: Coroutine[Any, Any, None]
 ) -> None:
-    """Run what sends until it ends or the client has left, then close.
+    """Run a sender until it ends or the client has left, then close.
 
-    What the client sends is not looked at.
+    Messages of the client are ignored.
     """
     tasks = [asyncio.create_task(_wait_for_leaving(websocket))]
     tasks.append(asyncio.create_task(sending))

@@ -1,7 +1,7 @@
-"""Threads of their own for what is slow, and for what must not wait for it.
+"""Separate threads for slow routes, and for those that must not wait.
 
-Routes share the 40 threads of AnyIO's default limiter. What may wait long for a device,
-a disk or a hash has few of its own; what stops a machine waits for none of them.
+Routes share the 40 threads of AnyIO's default limiter. A route that may wait long for a
+device, a disk or a hash has a few separate ones; a stop waits for none of them.
 """
 
 from __future__ import annotations

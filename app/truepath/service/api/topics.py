@@ -1,4 +1,4 @@
-"""Which events a stream carries: all, or those of jobs and machines that are named."""
+"""Events of a stream: all, or those of named jobs and machines."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from truepath.catalogue.job import Job, JobEvent
 from truepath.errors import BadInput, NotFound
 
 FindMachine = Callable[[str], str | None]
-"""Returns the machine of a job that is under way, at once; None where it knows none."""
+"""Machine of an active job, without waiting; None where unknown."""
 
 MOST_TOPICS = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """What is listened to; without jobs and machines everything.
+    """Selected events; without jobs and machines all.
 
-    jobs, machines : identifiers; a machine stands for its jobs as well
+    jobs, machines : identifiers; a machine includes its jobs
     """
 
     jobs: frozenset[str] = frozenset()
@@ -26,7 +26,7 @@ class Topics:
 
     @property
     def is_all(self) -> bool:
-        """Whether nothing is left out."""
+        """Whether nothing is excluded."""
         return not self.jobs and not self.machines
 
     @property
@@ -36,11 +36,11 @@ class Topics:
         return None if self.machines else job_id
 
     def take_job(self, job: Job) -> bool:
-        """Tell whether a job is listened to."""
+        """Whether a job is selected."""
         return self.is_all or job.id in self.jobs or job.machine in self.machines
 
     def take(self, event: JobEvent, find_machine: FindMachine) -> bool:
-        """Tell whether an event is listened to. Never waits."""
+        """Whether an event is selected. Never waits."""
         if self.is_all or event.job_id in self.jobs:
             return True
         machine = event.body.get("machine")
@@ -54,7 +54,7 @@ def parse_topics(
     require_job: Callable[[str], object],
     require_machine: Callable[[str], object],
 ) -> Topics:
-    """Return the topics of `job:ID,machine:ID`; of an empty text all.
+    """Topics of `job:ID,machine:ID`; all for an empty text.
 
     require_job, require_machine : raise NotFound where there is none
 

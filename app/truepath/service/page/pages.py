@@ -1,4 +1,4 @@
-"""The shell of the operator page, its texts by language, and the files it loads."""
+"""The shell of the operator page, its texts by language, and its files."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ router = APIRouter(include_in_schema=False)
 
 
 class PageFiles(StaticFiles):
-    """Static files: a browser keeps those that it asks for under their digest.
+    """Static files: a browser keeps those that it requests under their digest.
 
-    It asks after all others each time it needs them.
+    It revalidates all others each time it needs them.
     """
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return the file, or 304, with headers that say whether it may be reused."""
+        """The file, or 304, with headers that control its reuse."""
         first, _, rest = path.partition(os.sep)
         is_kept = first == digest_files()
         response = await super().get_response(rest if is_kept else path, scope)
@@ -62,14 +62,14 @@ class PageFiles(StaticFiles):
 
 
 def static_files() -> StaticFiles:
-    """Return the application to mount at `STATIC_PATH`."""
+    """Application to mount at `STATIC_PATH`."""
     digest_files()  # reads them all, which no answer is to wait for
     return PageFiles(directory=_STATIC)
 
 
 @cache
 def digest_files() -> str:
-    """Return a short digest of all files of the page, as they were at first."""
+    """Short digest of all files of the page, read once per process."""
     digest = sha256()
     for file in sorted(_STATIC.rglob("*")):
         if file.is_file():
@@ -80,7 +80,7 @@ def digest_files() -> str:
 
 @router.get("/", response_class=HTMLResponse)
 def operator_page(request: Request) -> HTMLResponse:
-    """Return the shell of the page in the operator's language."""
+    """The shell of the page in the operator's language."""
     language = choose_language(
         request.cookies.get(LANGUAGE_COOKIE), request.headers.get("accept-language")
     )
@@ -101,7 +101,7 @@ def operator_page(request: Request) -> HTMLResponse:
 
 @router.get("/assets/plotly.min.js", response_class=FileResponse)
 def plotly_script() -> FileResponse:
-    """Return plotly.js out of the wheel of plotly."""
+    """plotly.js from the wheel of plotly."""
     script = files("plotly") / "package_data" / "plotly.min.js"
     return FileResponse(
         str(script), media_type="text/javascript", headers=dict(_REVALIDATE)
@@ -109,7 +109,7 @@ def plotly_script() -> FileResponse:
 
 
 def catalogue(language: str) -> dict[str, str]:
-    """Return the texts of one of `LANGUAGES` by key, those of effects among them."""
+    """Texts of one of `LANGUAGES` by key, those of effects included."""
     if language not in LANGUAGES:
         raise KeyError(language)
     return _read_texts(language) | _effect_texts(language)
@@ -122,10 +122,7 @@ def _read_texts(language: str) -> dict[str, str]:
 
 
 def _effect_texts(language: str) -> dict[str, str]:
-    """Return the words of all installed effects that have them in the language.
-
-    A discovery comes with the English sentences; only others are needed here.
-    """
+    """A discovery includes the English sentences; only others are needed here."""
     texts: dict[str, str] = {}
     for family in list_families():
         if words := family.words.get(language):
@@ -138,7 +135,7 @@ def _effect_texts(language: str) -> dict[str, str]:
 
 
 def choose_language(remembered: str | None, accepted: str | None) -> str:
-    """Choose a language: the one the operator set, else the browser's, else English.
+    """Language that the operator set, else the browser's, else English.
 
     accepted : an Accept-Language header
     """

@@ -52,18 +52,18 @@ _LONGEST_DWELL_S = 1e6
 class LinuxCncController(MotionController):
     """LinuxCNC, whose linuxcncrsh listens at `host` and `port`.
 
-    program_folder : where programs are written; LinuxCNC sees it under the same name,
-        or as `remote_folder`
-    ini_file : copy of its INI file; the one it names itself if this can be read here
+    program_folder : of the programs; LinuxCNC sees it under the same name, or as
+        `remote_folder`
+    ini_file : copy of its INI file; by default the one it names, if readable here
     travel : in place of an INI file, `X 0 500, Y 0 400, Z -300 0` in order of joints
     watchdog_port : where `truepath_watchdog.py` listens on that host, 0 without one
     password, enable_password : of linuxcncrsh
     prologue : blocks before each motion, separated by `;`, such as RTCP off
     reset_at_connect, home_at_connect : clear the emergency stop and switch the drives
-        on; home what is not homed. The machine may move
+        on; home unhomed joints. The machine may move
 
-    Every verb may be called from any thread; `hold` and `abort` go before the others
-    and take the command back from any other client of linuxcncrsh.
+    Every verb may be called from any thread; `hold` and `abort` take precedence and
+    take the command back from any other client of linuxcncrsh.
     """
 
     def __init__(
@@ -104,16 +104,16 @@ class LinuxCncController(MotionController):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the axes; none before `connect`."""
+        """Empty before `connect`."""
         return self._session.machine.axes if self._session.machine else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position of each axis; none before `connect`."""
+        """Lowest and highest position, mm or deg; empty before `connect`."""
         return self._session.machine.travel if self._session.machine else ()
 
     def connect(self) -> Identity:
-        """Open the link, read axes and travel; reset and home if the options say so."""
+        """Open the link, read axes and travel; reset and home by the options."""
         with self._lock.hold():
             self._session.open()
             machine = self._require_machine()
@@ -132,12 +132,12 @@ class LinuxCncController(MotionController):
         )
 
     def status(self) -> MotionStatus:
-        """Read state, position, line and override."""
+        """Raises MotionFault, and aborts, where a motion differs from its rows."""
         with self._lock.hold():
             return self._motion.look()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        """Start a straight move, by MDI; returns when it is under way."""
+        """Start a straight move by MDI; returns once it has begun."""
         machine = self._require_machine()
         where = np.atleast_2d(np.asarray(position, np.float64))
         check_positions(machine.axes, machine.travel, where)
@@ -151,7 +151,7 @@ class LinuxCncController(MotionController):
         self._motion.begin(f"mdi {move.text}", move, aborts)
 
     def load(self, path: Path) -> None:
-        """Write a path as a program, open it, and see that it is open."""
+        """Write a path as a program, open it, and confirm that it is open."""
         machine = self._require_machine()
         path = arrange_path(path, machine.axes, drives_arcs=True)
         if not len(path):
@@ -179,13 +179,13 @@ class LinuxCncController(MotionController):
         with self._lock.hold():
             self._motion.prepare("auto")
             if not self._session.holds_program(file):
-                self._session.open_program(file)  # somebody has opened another one
+                self._session.open_program(file)  # a client has opened another
             if not self._prologue:
                 self._session.require_joint_coordinates()
         self._motion.begin("run", program, aborts)
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes stand, beating meanwhile."""
+        """Wait until the axes are at rest, beating meanwhile."""
         deadline_s = host_clock.now_s() + timeout_s
         while True:
             self.send_heartbeat()
@@ -202,20 +202,20 @@ class LinuxCncController(MotionController):
             host_clock.sleep_s(min(self._poll_s, left_s))
 
     def hold(self) -> None:
-        """Feed hold. Where nothing was ever connected there is nothing to hold."""
+        """Feed hold. No action before the first connection."""
         if self._session.machine is None:
             return
         with self._lock.hold(urgent=True):
             self._motion.hold()
 
     def resume(self) -> None:
-        """Go on after a hold, of ours, of the operator or of the watchdog."""
+        """Resume after a hold by the service, the operator or the watchdog."""
         self._require_machine()
         with self._lock.hold():
             self._motion.resume()
 
     def abort(self) -> None:
-        """Stop and forget the path."""
+        """Stop and discard the path."""
         self._motion.aborts += 1
         if self._session.machine is None:
             return
@@ -240,7 +240,7 @@ class LinuxCncController(MotionController):
             )
 
     def home(self, timeout_s: float) -> None:
-        """Home all joints that are not homed. The machine may move."""
+        """Home all unhomed joints. The machine may move."""
         self._require_machine()
         with self._lock.hold():
             self._session.demand("mode manual")
@@ -260,14 +260,14 @@ class LinuxCncController(MotionController):
         self._motion.require_able(status)
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it is above."""
+        """Lower the feed override where it exceeds `largest`, a factor."""
         self._require_machine()
         with self._lock.hold():
             if self._session.look().override > largest:
                 self._session.demand(f"feed_override {100 * largest:.0f}")
 
     def close(self) -> None:
-        """Abort a motion that runs, release the ports."""
+        """Abort an active motion, release the ports."""
         try:
             if self._session.machine and self.status().state is MotionState.RUNNING:
                 self.abort()

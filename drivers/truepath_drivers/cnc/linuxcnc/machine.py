@@ -18,10 +18,10 @@ _WORKAREA = 1e6  # LinuxCNC's own limit where none is named
 class LinuxCncAxes:
     """The axes of a machine.
 
-    joints : number of the joint that tells the position of each axis
+    joints : number of the joint that gives the position of each axis
     joint_count : joints that have to be homed
     has_compensation : whether the INI file gives a joint a table or a backlash to
-        correct; None where there is no INI file
+        correct; None without an INI file
     """
 
     name: str
@@ -33,7 +33,7 @@ class LinuxCncAxes:
 
 
 def parse_travel(text: str) -> LinuxCncAxes:
-    """Return the axes of an option `X -10 510, Y -10 410`; joints in this order."""
+    """Axes of an option `X -10 510, Y -10 410`, mm or deg; joints in this order."""
     names: list[str] = []
     travel: list[tuple[float, float]] = []
     for part in text.split(","):
@@ -51,7 +51,7 @@ def parse_travel(text: str) -> LinuxCncAxes:
 
 
 def read_ini(file: Path) -> LinuxCncAxes:
-    """Return the axes that an INI file names. Raises Refused if it cannot be used."""
+    """Axes of an INI file. Raises Refused if it cannot be used."""
     try:
         text = file.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
@@ -77,12 +77,12 @@ def read_ini(file: Path) -> LinuxCncAxes:
 
 
 def _has_compensation(joint: Mapping[str, str]) -> bool:
-    """Tell whether LinuxCNC corrects a joint: it always does where it is told how."""
+    """LinuxCNC always corrects a joint that has a table or a backlash."""
     return "COMP_FILE" in joint or float(joint.get("BACKLASH", 0.0)) != 0.0
 
 
 def _parse_sections(text: str) -> Mapping[str, dict[str, str]]:
-    """Return the first value of each entry; an INI of LinuxCNC repeats entries."""
+    """Only the first value of each entry; an INI file of LinuxCNC repeats entries."""
     sections: defaultdict[str, dict[str, str]] = defaultdict(dict)
     section = ""
     for line in text.splitlines():
@@ -106,7 +106,6 @@ def _list_joints(sections: Mapping[str, dict[str, str]]) -> list[str]:
 def _read_travel(
     sections: Mapping[str, dict[str, str]], axis: str, letters: list[str]
 ) -> tuple[float, float]:
-    """Return what axis and joint both allow."""
     joint = sections[f"JOINT_{letters.index(axis)}"]
     both = (sections[f"AXIS_{axis}"], joint)
     low = max(float(entry.get("MIN_LIMIT", -_WORKAREA)) for entry in both)

@@ -1,4 +1,4 @@
-"""A motion of LinuxCNC from its begin to its end, and what is watched on the way."""
+"""A motion of LinuxCNC from its begin to its end, with its supervision."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _BEGIN_LOOK_S = 0.01
 
 
 class LinuxCncMotion:
-    """The one motion that is under way, or the last one. The caller locks.
+    """The active motion, or the last one. The caller locks.
 
-    aborts : counts those asked for, by any thread
+    aborts : number of requests so far, by any thread
     """
 
     def __init__(self, session: LinuxCncSession, lock: PriorityLock) -> None:
@@ -36,13 +36,13 @@ class LinuxCncMotion:
         return self._memory.loaded
 
     def take(self, program: Program) -> None:
-        """Know that a path is loaded."""
+        """Store the loaded program as the current one."""
         self._memory = MotionMemory(loaded=program, ended=MotionState.READY)
 
     def look(self) -> MotionStatus:
-        """Read the machine, and draw what it means for our motion.
+        """Read the machine, and update the state of the motion.
 
-        Raises MotionFault, and aborts, where a motion does not do what its rows say.
+        Raises MotionFault, and aborts, where a motion differs from its rows.
         """
         look, machine = self._session.look(), self._session.machine
         was_under_way = self._memory.is_under_way
@@ -61,7 +61,7 @@ class LinuxCncMotion:
         return status
 
     def prepare(self, mode: str) -> None:
-        """Make ready for a motion in a mode."""
+        """Enter a mode with the machine ready and at rest."""
         status = self.look()
         self.require_able(status)
         if status.state in (MotionState.RUNNING, MotionState.HELD):
@@ -70,7 +70,7 @@ class LinuxCncMotion:
         self._session.enter_mode(mode)
 
     def begin(self, what: str, program: Program, aborts: int) -> None:
-        """Have a motion begin, and see that it does or has ended already. Locks."""
+        """Start a motion, and confirm that it runs or has ended already. Locks."""
         with self._lock.hold():
             if self.aborts != aborts:
                 raise Refused("aborted before it began")
@@ -95,13 +95,13 @@ class LinuxCncMotion:
             host_clock.sleep_s(_BEGIN_LOOK_S)
 
     def hold(self) -> None:
-        """Feed hold."""
+        """Feed hold, if anything runs."""
         if self._session.is_running():
             self._memory.is_held_by_us = True
             self._session.insist("pause")
 
     def resume(self) -> None:
-        """Go on after a hold."""
+        """Resume after a hold; no action if nothing is held."""
         if self.look().state is not MotionState.HELD:
             return
         self._session.arm()
@@ -110,13 +110,13 @@ class LinuxCncMotion:
             self._session.demand("resume")
 
     def abort(self) -> None:
-        """Stop and forget the path."""
+        """Stop and discard the path."""
         self._session.insist("abort")
         self._memory = MotionMemory(ended=MotionState.ABORTED)
         self._session.disarm()
 
     def require_able(self, status: MotionStatus) -> None:
-        """Raise MotionFault where the machine cannot be driven."""
+        """Raise MotionFault in the states of `UNABLE`."""
         if status.state in UNABLE:
             raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")
 
@@ -126,11 +126,11 @@ _ARRIVED = 1e-3  # mm or deg
 
 @dataclass(slots=True)
 class MotionMemory:
-    """The path that is loaded and the motion that was begun last.
+    """The loaded path and the motion that was begun last.
 
     ended : the state while nothing moves
-    begun_at : where the machine stood before the motion
-    text : what LinuxCNC said at the end of the motion
+    begun_at : axis positions before the motion
+    text : message of LinuxCNC at the end of the motion
     """
 
     loaded: Program | None = None
@@ -143,27 +143,27 @@ class MotionMemory:
     text: str = ""
 
     def begin(self, program: Program, position: tuple[float, ...]) -> MotionMemory:
-        """Return the memory as a motion begins at a position."""
+        """The memory at the begin of a motion from a position."""
         return MotionMemory(self.loaded, program, self.ended, True, position)
 
     def end_refused(self) -> MotionMemory:
-        """Return the memory of a motion that did not begin."""
+        """The memory of a motion that did not begin."""
         return replace(self, driven=None, is_under_way=False)
 
     def has_moved(self, look: Reading) -> bool:
-        """Tell whether the machine has left where the motion began."""
+        """Whether any axis has left its position at the begin."""
         pairs = zip(look.position, self.begun_at, strict=True)
         return any(abs(now - then) > _ARRIVED for now, then in pairs)
 
     def is_at_goal(self, look: Reading) -> bool:
-        """Tell whether the machine is where the motion ends."""
+        """Whether all axes are at the end of the motion."""
         if self.driven is None:
             return False
         pairs = zip(look.position, self.driven.goal, strict=True)
         return all(abs(now - goal) <= _ARRIVED for now, goal in pairs)
 
     def judge(self, look: Reading) -> MotionStatus:
-        """Return the status that a look amounts to, and remember an end."""
+        """Status of a reading; stores the end of a motion."""
         moves = not look.stands and look.unable is None
         is_held = look.is_paused or (look.is_busy and look.is_tripped)
         if self.driven is not None and (look.is_busy or look.is_paused):

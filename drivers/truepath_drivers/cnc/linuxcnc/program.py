@@ -20,17 +20,17 @@ _MODES = "G21 G90 G94 G61.1 G40 G49 G80"
 
 @dataclass(frozen=True, slots=True)
 class ProgramRow:
-    """What a block says of a row: its feed."""
+    """Feed of a row, as its block has it."""
 
     feed: float
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program that LinuxCNC has, or is to have.
+    """A program for LinuxCNC.
 
-    lines : of the file, from 1, in which each row is driven to
-    goal : where it ends
+    lines : numbers in the file, from 1, of the block that moves to each row
+    goal : position at its end
     """
 
     name: str
@@ -39,7 +39,7 @@ class Program:
     goal: tuple[float, ...]
 
     def find_row(self, line: int) -> int:
-        """Return the row that is under way in a line of the file."""
+        """Row of the path that a line of the file executes."""
         if not self.lines:
             return 0
         row = int(np.searchsorted(self.lines, line, side="right")) - 1
@@ -47,7 +47,7 @@ class Program:
 
 
 def write_program(path: Path, prologue: Sequence[str]) -> Program:
-    """Return the program of a path; its name tells its content."""
+    """Program of a path; its name contains a hash of its content."""
     blocks = [*rs274.SAFE_START, *prologue]
     lines: list[int] = []
     for row, position in enumerate(path.position):
@@ -72,7 +72,7 @@ def write_program(path: Path, prologue: Sequence[str]) -> Program:
 def write_move(
     axes: Sequence[str], position: np.ndarray, feed_mm_min: float
 ) -> Program:
-    """Return the one block of a move for MDI; it has no lines."""
+    """The single block of a move for MDI; it has no lines."""
     block = _write_motion(axes, position, ProgramRow(feed_mm_min))
     return Program(
         "", f"{_MODES} {block}", (), tuple(float(value) for value in position)

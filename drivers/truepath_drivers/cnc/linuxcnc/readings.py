@@ -1,4 +1,4 @@
-"""What linuxcncrsh says of the machine, read at once, and the state that it means."""
+"""Readings of the machine by linuxcncrsh, and the state that they indicate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.records import MotionState
 
-# Longer than the usual cycle of LinuxCNC's task, after which its status is new.
+# Longer than the typical cycle of LinuxCNC's task, after which its status is new.
 _FRESH_S = 0.025
 _LOOKS = 3  # that agree: the task may have been late for one
 _STILL = 1e-6  # mm or deg between two looks
@@ -19,17 +19,17 @@ _SAME = 0.01  # mm or deg between a coordinate and its joint
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One look at the machine.
+    """One reading of the machine.
 
-    unable : why it cannot be driven, None if it can
-    is_busy, is_paused : of the interpreter, whoever's motion it is
+    unable : why it cannot be moved, None if it can
+    is_busy, is_paused : of the interpreter, for any client's motion
     is_tripped : the watchdog inhibits the feed
     stands : nothing moves; a held or ended motion may still be braking
     line : of the program's file, from 1
     follows_tip : coordinates are not the positions of the axes (RTCP), after `position`
         was read
     referenced : every joint is homed
-    dead : names of LinuxCNC's processes that do not run, where the watchdog says so
+    dead : names of LinuxCNC's stopped processes, if the watchdog reports them
     """
 
     unable: MotionState | None
@@ -46,16 +46,16 @@ class Reading:
 
     @property
     def has_ended(self) -> bool:
-        """Whether nothing is under way, or left to do."""
+        """Whether nothing moves, runs or is paused."""
         return self.stands and not self.is_busy and not self.is_paused
 
 
 def read_machine(
     rsh: RshLink, machine: LinuxCncAxes, *, is_tripped: bool, was_standing: bool
 ) -> Reading:
-    """Look at the machine; twice where it may be braking.
+    """One reading; two where the machine may be braking.
 
-    was_standing : the last look saw it stand after what moved it last
+    was_standing : it was at rest at the last reading after its last motion
     """
     status = rsh.read("program_status").upper()
     is_driven = status == "RUNNING" and not is_tripped
@@ -85,15 +85,15 @@ def _stays(rsh: RshLink, machine: LinuxCncAxes, position: tuple[float, ...]) -> 
 
 
 def read_position(rsh: RshLink, machine: LinuxCncAxes) -> tuple[float, ...]:
-    """Return the positions of the joints that drive the axes."""
+    """Positions of the joints that move the axes, mm or deg."""
     joints = _numbers(rsh.read("joint_pos"))
     return tuple(joints[joint] for joint in machine.joints)
 
 
 def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
-    """Tell whether coordinates are not those of the joints: RTCP is on.
+    """Whether coordinates differ from those of the joints: RTCP is on.
 
-    Several looks must say so: an axis may have turned back in the midst of one.
+    True only after several readings: an axis may have reversed during one.
     """
     for look in range(_LOOKS):
         if look:
@@ -104,7 +104,6 @@ def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
 
 
 def _lie_apart(rsh: RshLink, machine: LinuxCncAxes) -> bool:
-    """Tell whether coordinates do not lie between two readings of the joints."""
     before = read_position(rsh, machine)
     world = _numbers(rsh.read("abs_act_pos"))
     after = read_position(rsh, machine)

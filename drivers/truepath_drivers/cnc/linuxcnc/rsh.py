@@ -1,4 +1,4 @@
-"""One connection to linuxcncrsh: a line for each request, one for each reply."""
+"""One connection to linuxcncrsh: one line per request and per reply."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _MOST_ERRORS = 50
 
 
 class RshLink:
-    """Asks in the thread that calls, one request at a time; the caller locks.
+    """Requests from the calling thread, one at a time; the caller locks.
 
     A request without a reply closes the connection: the next reply would be taken for
-    this one. Only one connection at a time may command, the last that asked to.
+    this one. Only one connection at a time may command, the last that enabled itself.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class RshLink:
         return self._port.name
 
     def open(self) -> None:
-        """Connect, say who we are, and take the command."""
+        """Connect, identify, and take the command."""
         self._port.open()
         self._rest, self.is_open = b"", True
         try:
@@ -67,11 +67,11 @@ class RshLink:
         self._port.close()
 
     def enable(self) -> bool:
-        """Take the command from any other connection; tell whether we have it."""
+        """Take the command from any other connection; true if we have it."""
         return self.order(f"enable {self._enable_password}")
 
     def read(self, what: str) -> str:
-        """Return the value of `get what`."""
+        """Value of `get what`."""
         reply = self.ask(f"get {what}")
         name, _, value = reply.partition(" ")
         if name.lower() != what.split()[0].lower():
@@ -79,7 +79,7 @@ class RshLink:
         return value.strip()
 
     def order(self, what: str) -> bool:
-        """Send `set what`; tell whether it was taken, which is not yet accepted."""
+        """Send `set what`; true if it was received, which does not mean accepted."""
         reply = self.ask(f"set {what}").upper()
         expected = f"SET {what.split()[0].upper()} "
         if not reply.startswith(expected):
@@ -87,7 +87,7 @@ class RshLink:
         return reply.removeprefix(expected).strip() == "ACK"
 
     def take_errors(self) -> list[str]:
-        """Return the messages that wait, oldest first, and empty their queue."""
+        """Pending messages, oldest first; empties their queue."""
         errors: list[str] = []
         while len(errors) < _MOST_ERRORS:
             text = self.read("error")
@@ -97,7 +97,7 @@ class RshLink:
         return errors
 
     def ask(self, line: str) -> str:
-        """Send a line, return the reply. ConnectionLost, DeviceTimeout."""
+        """Send a line, wait for the reply. Raises ConnectionLost, DeviceTimeout."""
         if not self.is_open:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
         deadline_s = host_clock.now_s() + self._reply_timeout_s

@@ -1,4 +1,4 @@
-"""A LinuxCNC that is connected: what is asked of it, one thread at a time."""
+"""A connected LinuxCNC, used by one thread at a time."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TIP_IS_FOLLOWED = (
 class LinuxCncSession:
     """linuxcncrsh and the watchdog as one device. The caller locks.
 
-    A connection that was lost is opened again by the next request, until `close`.
+    A lost connection is opened again by the next request, until `close`.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LinuxCncSession:
 
     @property
     def version(self) -> str:
-        """Of linuxcncrsh."""
+        """Version of linuxcncrsh."""
         return self._rsh.version
 
     @property
@@ -71,7 +71,7 @@ class LinuxCncSession:
         return self._machine
 
     def open(self) -> None:
-        """Connect and read what machine it is. Nothing is switched or moved."""
+        """Connect and read the axes. Nothing is switched or moved."""
         if self._machine is not None and self._rsh.is_open:
             return
         self.close()
@@ -102,7 +102,7 @@ class LinuxCncSession:
             self._watchdog.close()
 
     def look(self) -> Reading:
-        """Read the machine."""
+        """Read the machine and the watchdog."""
         machine = self._reopen()
         tripped, dead = False, ""
         if self._watchdog is not None:
@@ -115,17 +115,17 @@ class LinuxCncSession:
         return replace(reading, dead=dead)
 
     def is_running(self) -> bool:
-        """Tell whether the interpreter runs anything."""
+        """Whether the interpreter runs anything."""
         self._reopen()
         return self._rsh.read("program_status").upper() == "RUNNING"
 
     def take_errors(self) -> list[str]:
-        """Return what LinuxCNC has to say, and empty its queue."""
+        """Pending messages of LinuxCNC; empties their queue."""
         self._reopen()
         return self._rsh.take_errors()
 
     def demand(self, what: str) -> None:
-        """Set something. Raises Refused if LinuxCNC does not take it."""
+        """Send a `set`. Raises Refused if LinuxCNC rejects it."""
         self._reopen()
         if self._rsh.order(what):
             return
@@ -138,7 +138,7 @@ class LinuxCncSession:
         raise Refused(f"{self.name} does not take '{what}': {errors}")
 
     def insist(self, what: str) -> None:
-        """Set something that must be done, taking the command from any other client."""
+        """Send a `set` that must succeed, taking the command from any other client."""
         self._reopen()
         if not self._rsh.order(what):
             self._rsh.enable()
@@ -146,12 +146,12 @@ class LinuxCncSession:
                 log.warning("%s does not take '%s'", self.name, what)
 
     def enter_mode(self, mode: str) -> None:
-        """Be in a mode. Raises Refused, also where another client has the command."""
+        """Confirm a mode. Raises Refused, also where another client has the command."""
         if not self.reads("mode", mode) or not self.reads("enable", "on"):
             self.demand_and_see(f"mode {mode}", lambda: self.reads("mode", mode))
 
     def demand_and_see(self, what: str, is_done: Callable[[], bool]) -> None:
-        """Set something and wait until it is so. Raises Refused, MotionFault."""
+        """Send a `set` and wait for its effect. Raises Refused, MotionFault."""
         self.demand(what)
         deadline_s = host_clock.now_s() + _DONE_S
         while not is_done():
@@ -161,21 +161,21 @@ class LinuxCncSession:
             host_clock.sleep_s(_LOOK_S)
 
     def reads(self, what: str, value: str) -> bool:
-        """Tell whether LinuxCNC says this value now."""
+        """Whether a value is reported now; letter case is ignored."""
         return self._rsh.read(what).upper() == value.upper()
 
     def drive_by_blocks(self, blocks: tuple[str, ...]) -> None:
-        """Have blocks done one after another that move nothing."""
+        """Execute blocks one after another that move nothing."""
         for block in blocks:
             self.demand_and_see(f"mdi {block}", lambda: not self.is_running())
 
     def require_joint_coordinates(self) -> None:
-        """Raise Refused where positions of axes are not those of joints."""
+        """Raise Refused where coordinates differ from the joints: RTCP is on."""
         if differs_from_joints(self._rsh, self._reopen()):
             raise Refused(f"{self.name}: {TIP_IS_FOLLOWED}")
 
     def open_program(self, file: FilePath) -> None:
-        """Have a program opened. Raises Refused if another one is open then."""
+        """Open a program. Raises Refused if another one is open afterwards."""
         errors = self._try_to_open(file)
         if errors:
             # The interpreter may still have the one before open, which an abort closes.
@@ -195,7 +195,7 @@ class LinuxCncSession:
         return errors or ([] if is_open else ["another program is open"])
 
     def holds_program(self, file: FilePath) -> bool:
-        """Tell whether this program is the open one."""
+        """Whether this program is the open one."""
         return self._rsh.read("program") == str(file)
 
     def beat(self) -> None:
@@ -205,7 +205,7 @@ class LinuxCncSession:
             self._watchdog.tell("beat")
 
     def arm(self) -> None:
-        """Expect a motion to begin or to go on, and have the watchdog watch it."""
+        """Arm the watchdog before a motion begins or resumes."""
         self._was_standing = False
         if self._watchdog is not None:
             state = self._watchdog.tell("arm")
@@ -216,7 +216,7 @@ class LinuxCncSession:
                 )
 
     def disarm(self) -> None:
-        """Let the watchdog rest: nothing of ours moves. Never raises."""
+        """Disarm the watchdog: no motion of ours is active. Never raises."""
         if self._watchdog is not None:
             with contextlib.suppress(DeviceError):
                 self._watchdog.tell("disarm")

@@ -21,7 +21,7 @@ COMMANDS = ("beat", "arm", "disarm", "state")
 
 
 def find_tasks():
-    """Return names and process ids of LinuxCNC's task and I/O."""
+    """Names and process ids of LinuxCNC's task and I/O."""
     found = []
     for folder in pathlib.Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -32,7 +32,7 @@ def find_tasks():
 
 
 def runs(process):
-    """Tell whether a process is there and not stopped."""
+    """Whether a process exists and is not stopped."""
     try:
         text = pathlib.Path(f"/proc/{process}/stat").read_text()
     except OSError:
@@ -57,7 +57,7 @@ class Watchdog:
         self.tasks = []
 
     def obey(self, command, client):
-        """Do what a line of a client says; return the state after it."""
+        """Execute a line of a client; gives the state after it."""
         if command in ("arm", "disarm"):
             self.pins["armed"] = False
             time.sleep(DISARMED_S)
@@ -73,11 +73,11 @@ class Watchdog:
         return "tripped" if self.pins["tripped"] else "armed"
 
     def list_dead(self):
-        """Return the names of what ran when it was armed and does not now."""
+        """Names of processes that ran when it was armed and do not run now."""
         return [name for name, process in self.tasks if not runs(process)]
 
     def look_at_reset(self):
-        """Disarm where somebody at the machine asks for it."""
+        """Disarm when the reset pin rises: an operator at the machine requests it."""
         if self.pins["reset"] and not self.was_reset:
             self.obey("disarm", None)
         self.was_reset = self.pins["reset"]
@@ -104,7 +104,7 @@ def serve(watchdog, server):
 
 
 def answer(watchdog, client, rest):
-    """Answer the whole lines of a client; return what is left."""
+    """Answer the complete lines of a client; gives the incomplete rest."""
     data = client.recv(4096)
     if not data:
         raise OSError("the client has gone")

@@ -1,4 +1,4 @@
-"""Beats to the watchdog in HAL, over a connection of their own."""
+"""Beats to the watchdog in HAL, over a separate connection."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from truepath_drivers.transport.byte_port import BytePort
 
 
 class WatchdogState(StrEnum):
-    """What the watchdog does."""
+    """State of the watchdog."""
 
     IDLE = "idle"
     ARMED = "armed"
@@ -30,13 +30,13 @@ class WatchdogLink:
         self._is_open = False
 
     def open(self) -> None:
-        """Connect and see that a watchdog answers."""
+        """Connect and confirm that a watchdog answers."""
         self._port.open()
         self._is_open = True
         self.tell("state")
 
     def tell(self, command: str) -> WatchdogState:
-        """Send `beat`, `arm`, `disarm` or `state`; return the state after it."""
+        """Send `beat`, `arm`, `disarm` or `state`; gives the state after it."""
         reply = self._ask(command)
         try:
             return WatchdogState(reply)
@@ -48,7 +48,7 @@ class WatchdogLink:
             ) from error
 
     def list_dead(self) -> str:
-        """Return the names of LinuxCNC's processes that do not run any more."""
+        """Names of LinuxCNC's processes that have stopped, separated by spaces."""
         return " ".join(self._ask("dead").split()[1:])
 
     def _ask(self, command: str) -> str:

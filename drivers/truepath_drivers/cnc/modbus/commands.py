@@ -33,13 +33,13 @@ from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatu
 from truepath_drivers.transport.modbus_link import TIMEOUT_S, ModbusLink
 
 FIRST_S, LONGEST_S = 0.1, 1.0
-_LEAST_SHARE = 0.5  # of the pause, drawn at random up to the whole
+_LEAST_SHARE = 0.5  # of the pause, random up to the full one
 
 
 class BackOff:
-    """Pauses of `FIRST_S`, then each some twice as long, up to `LONGEST_S`.
+    """Pauses of `FIRST_S`, each about twice the last one, up to `LONGEST_S`.
 
-    draw : a number of 0 to 1
+    draw : random number of 0 to 1
     """
 
     def __init__(self, draw: Callable[[], float] = random.random) -> None:
@@ -47,17 +47,17 @@ class BackOff:
         self._pause_s = self._due_s = 0.0
 
     def is_due(self, now_s: float) -> bool:
-        """Tell whether the next attempt may be made."""
+        """Whether the next attempt may be made."""
         return now_s >= self._due_s
 
     def put_off(self, now_s: float) -> None:
-        """Let a pause begin: an attempt is made now."""
+        """Begin a pause: an attempt is made now."""
         self._pause_s = min(2.0 * self._pause_s + FIRST_S, LONGEST_S)
         share = _LEAST_SHARE + (1.0 - _LEAST_SHARE) * self._draw()
         self._due_s = now_s + share * self._pause_s
 
     def reset(self) -> None:
-        """Begin anew: the link is back."""
+        """Reset the pauses: the link works."""
         self._pause_s = self._due_s = 0.0
 
 
@@ -67,7 +67,7 @@ _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
 _BUSY_S = 0.2  # that a look or a beat waits: by 0.5 s without a look the feed is held
 _SAME = 0.6 / r.OVERRIDE_COUNTS  # of overrides, in their last digit
-_URGENT_S = 0.45  # by then a hold that does not reach the controller says so
+_URGENT_S = 0.45  # limit to report a hold that does not reach the controller
 _REASONS: dict[int, str] = {
     r.Result.WRONG_STATE: "not in this state",
     r.Result.NO_PATH: "no path is loaded",
@@ -83,8 +83,8 @@ T = TypeVar("T")
 class CommandChannel:
     """The registers of one controller as reads, beats and commands. For any thread.
 
-    Every exchange has the link for itself, from a command's number to its
-    acknowledgement; what is urgent goes before all that waits.
+    Every exchange has the link alone, from a command's number to its acknowledgement;
+    urgent ones go before all that wait.
     """
 
     def __init__(
@@ -113,16 +113,16 @@ class CommandChannel:
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection stands, as far as is known."""
+        """Whether the connection is open, as far as is known."""
         return self._link.is_open
 
     @property
     def controller(self) -> Controller | None:
-        """Who answered at `open`; None before it and after `close`."""
+        """The controller found at `open`; None before it and after `close`."""
         return self._controller
 
     def open(self) -> Controller:
-        """Connect where there is no connection, and ask who is there."""
+        """Connect if necessary, and read the identity."""
         with self._lock.hold():
             if self._controller is None or not self._link.is_open:
                 self._controller = None
@@ -158,7 +158,7 @@ class CommandChannel:
             self._patiently(lambda: self._link.write(address, words), _BUSY_S)
 
     def limit_override(self, largest: float) -> bool:
-        """Have the override lowered where it is above; tell whether it is not now."""
+        """Limit the override; true if it is not above the limit afterwards."""
         deadline_s = host_clock.now_s() + self._timeout_s
         with self._lock.hold():
             if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
@@ -172,7 +172,7 @@ class CommandChannel:
     def command(
         self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
     ) -> ControllerStatus:
-        """Have a verb done once; return the status that acknowledges it."""
+        """Execute a verb once; gives the status that acknowledges it."""
         limit_s = _URGENT_S if urgent else self._timeout_s
         deadline_s = host_clock.now_s() + limit_s
         with self._lock.hold(urgent=urgent):
@@ -194,9 +194,8 @@ class CommandChannel:
             raise
 
     def _reopen(self) -> None:
-        """Open a broken link anew; the controller of before has to answer.
-
-        Raises ConnectionLost, at once where the last attempt was a moment ago.
+        """The same controller has to answer. Raises ConnectionLost, at once where the
+        last attempt was a moment ago.
         """
         if self._controller is None or self._link.is_open:
             return
@@ -235,7 +234,6 @@ class CommandChannel:
         return controller
 
     def _keeps(self, register: str, value: int) -> bool:
-        """Write a register; tell whether the device has it and keeps the value."""
         asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
@@ -246,10 +244,8 @@ class CommandChannel:
             return False
 
     def _number(self, deadline_s: float) -> int:
-        """Return a number that the device has not just taken, and that is new for us.
-
-        Another master may have used the number that would be ours: the device would
-        take our command for a repeat and not run it. What is urgent is sent blindly
+        """Another master may have used the number that would be ours: the device would
+        take our command for a repeat and not run it. An urgent command is sent blindly
         rather than late or not at all.
         """
         acknowledged = 0
@@ -264,10 +260,8 @@ class CommandChannel:
         return self._sequence
 
     def _deliver(self, request: list[int], deadline_s: float) -> ControllerStatus:
-        """Write a command and read until its number is acknowledged.
-
-        After a write without reply the state is read first; then the same number is
-        sent again, which runs nothing a second time. So it is after a broken link.
+        """After a write without reply the state is read first; then the same number is
+        sent again, which runs nothing a second time. The same after a broken link.
         """
         delivered = self._try_write(request, deadline_s)
         while True:
@@ -285,7 +279,7 @@ class CommandChannel:
             host_clock.sleep_s(_ACK_POLL_S)
 
     def _try_write(self, request: list[int], deadline_s: float) -> bool:
-        """Write a command; False if its outcome is unknown and there is time to see."""
+        """False if its outcome is unknown and there is time to find out."""
         try:
             self._reopen()
             self._link.write(r.COMMAND.address, request)
@@ -297,7 +291,7 @@ class CommandChannel:
         return True
 
     def _insist(self, request: Callable[[], T], deadline_s: float) -> T:
-        """Repeat a harmless request while there is time; reopen a broken link."""
+        """Only for requests that are harmless when repeated; reopens a broken link."""
         while True:
             try:
                 return request()
@@ -345,10 +339,8 @@ class CommandChannel:
         return words
 
     def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
-        """Repeat a harmless request: once, longer while the device says it is busy.
-
-        Nothing is repeated where somebody waits to hold the feed, or a gateway says
-        that it does not reach the device.
+        """One repeat, more while the device reports that it is busy. None where a hold
+        is waiting, or a gateway reports that it cannot reach the device.
         """
         patience_s = self._timeout_s if limit_s is None else limit_s
         deadline_s = host_clock.now_s() + patience_s

@@ -1,4 +1,4 @@
-"""What the identity and the status block of the register map say, as records."""
+"""Identity and status block of the register map, as records."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HOLD_REASONS[r.HoldReason.NONE] = ""
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Who answers, and what it can do: read once, at `connect`.
+    """Identity and features of a controller: read once, at `connect`.
 
     features : bits of the register of that name
     """
@@ -35,7 +35,7 @@ class Controller:
 
     @property
     def status_block(self) -> r.Block:
-        """What is polled: the status, and the readiness where it is told."""
+        """The polled block: the status, and the readiness where it is offered."""
         if self.features & (r.TELLS_REFERENCED | r.TELLS_COMPENSATION):
             return r.Block(r.STATUS.address, r.STATUS.count + r.READINESS.count)
         return r.STATUS
@@ -53,7 +53,7 @@ class ControllerStatus:
 
 
 def parse_controller(words: Sequence[int]) -> Controller:
-    """Return what the identity block says. Raises WrongDevice if it is none."""
+    """Identity block as a record. Raises WrongDevice if it is none."""
     problem = explain_magic(words)
     if problem:
         raise WrongDevice(problem)
@@ -89,7 +89,7 @@ def parse_controller(words: Sequence[int]) -> Controller:
 
 
 def explain_magic(words: Sequence[int]) -> str:
-    """Return what is wrong with magic, word or byte order, version; "" if nothing."""
+    """Error in magic, word or byte order, or version; "" if there is none."""
     (magic,) = decode("magic", words, r.IDENTITY)
     (order,) = decode("order_test", words, r.IDENTITY)
     (version,) = decode("map_version", words, r.IDENTITY)
@@ -119,7 +119,7 @@ def explain_magic(words: Sequence[int]) -> str:
 
 
 def parse_status(words: Sequence[int], *, features: int = 0) -> ControllerStatus:
-    """Return what the status block says, with positions of all six axes."""
+    """Status block as a record, with positions of all six axes."""
 
     def number(name: str) -> int:
         return decode(name, words, r.STATUS)[0]
@@ -150,7 +150,7 @@ def parse_status(words: Sequence[int], *, features: int = 0) -> ControllerStatus
 def _read_readiness(
     words: Sequence[int], features: int
 ) -> tuple[bool | None, bool | None]:
-    """Return whether it is referenced and compensates, None for what is not told."""
+    """Whether it is referenced and compensates, None for what it does not offer."""
     if len(words) <= r.STATUS.count:
         return None, None
     (bits,) = decode("readiness", words, r.STATUS)

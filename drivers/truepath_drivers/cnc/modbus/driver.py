@@ -1,4 +1,4 @@
-"""The driver of CNCs and PLCs that offer the register map over Modbus TCP or RTU."""
+"""Driver of CNCs and PLCs with the register map over Modbus TCP or RTU."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ class ModbusController(MotionController):
     serial_number : refuse any other controller
     command_timeout_s : longest wait for the acknowledgement of a command
     watchdog_s : longest silence in motion, 0.1 to 10; set and read back at `connect`
-    poll_s : time between two looks of `wait`
+    poll_s : time between two readings of `wait`
 
-    Every verb may be called from any thread; `hold` and `abort` overtake the others.
-    A command carries a number and runs once, however often it is sent.
+    Every verb may be called from any thread; `hold` and `abort` overtake the others. A
+    command carries a number and runs once, however often it is sent.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class ModbusController(MotionController):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the axes; none before `connect`."""
+        """Empty before `connect`."""
         controller = self._channel.controller
         return controller.axes if controller else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position of each axis; none before `connect`."""
+        """Lowest and highest position, mm or deg; empty before `connect`."""
         controller = self._channel.controller
         return controller.travel if controller else ()
 
@@ -139,7 +139,7 @@ class ModbusController(MotionController):
         self._channel.command(r.Command.START, [0, rows, *encode("crc", crc)])
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes stand, beating meanwhile."""
+        """Wait until the axes are at rest, beating meanwhile."""
         deadline_s = host_clock.now_s() + timeout_s
         while True:
             self.send_heartbeat()
@@ -157,19 +157,19 @@ class ModbusController(MotionController):
             host_clock.sleep_s(min(self._poll_s, left_s))
 
     def hold(self) -> None:
-        """Feed hold. Where nothing was ever connected there is nothing to hold.
+        """Feed hold. No action before the first connection.
 
-        Raises ConnectionLost if the link is gone: the watchdog then holds the feed.
+        Raises ConnectionLost if the link is lost: the watchdog then holds the feed.
         """
         if self._channel.controller is not None:
             self._channel.command(r.Command.HOLD, urgent=True)
 
     def resume(self) -> None:
-        """Go on after a hold."""
+        """Resume after a hold."""
         self._channel.command(r.Command.RESUME)
 
     def abort(self) -> None:
-        """Stop and forget the path. Failures as for `hold`."""
+        """Stop and discard the path. Failures as for `hold`."""
         self._aborts += 1
         if self._channel.controller is not None:
             self._channel.command(r.Command.ABORT, urgent=True)
@@ -184,7 +184,7 @@ class ModbusController(MotionController):
         self.wait(timeout_s)
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it is above, and see that it is not."""
+        """Lower the feed override where it is above, and confirm it."""
         override = self.status().override
         if override is not None and override <= largest:
             return
@@ -196,7 +196,7 @@ class ModbusController(MotionController):
         self._channel.send_heartbeat()
 
     def close(self) -> None:
-        """Abort a motion that runs, release the port."""
+        """Abort an active motion, release the port."""
         try:
             if self._channel.is_open and self.status().state is MotionState.RUNNING:
                 self.abort()
@@ -213,7 +213,6 @@ class ModbusController(MotionController):
         return controller
 
     def _check(self, path: Path) -> Path:
-        """Return a path in the axis order of the device; refuse what it cannot."""
         controller = self._require_controller()
         drives_arcs = controller.identity.drives_arcs
         path = arrange_path(path, controller.axes, drives_arcs=drives_arcs)
@@ -233,5 +232,5 @@ def _check_motion(controller: Controller, path: Path) -> None:
 
 
 def _rows_argument(first: int, words: NDArray[np.uint16]) -> list[int]:
-    """Return `first_row`, `row_count`, an unused CRC and the rows."""
+    """`first_row`, `row_count`, an unused CRC and the rows."""
     return [first, len(words), 0, 0, *(int(word) for word in words.ravel())]

@@ -18,7 +18,7 @@ from truepath_drivers.interfaces.records import Path
 
 
 def path_words(path: Path) -> NDArray[np.uint16]:
-    """Return the rows of a path as the map holds them, (n, 16)."""
+    """Rows of a path in the map's format, (n, 16)."""
     rows = np.zeros((len(path), MAX_AXES + 2), ">i4")
     axes = path.position.shape[1]
     rows[:, :axes] = np.rint(path.position * POSITION_COUNTS)
@@ -29,10 +29,10 @@ def path_words(path: Path) -> NDArray[np.uint16]:
 
 
 def arc_words(path: Path) -> dict[int, NDArray[np.uint16]]:
-    """Return the arcs of a path as the map holds them, (16,) each, by row.
+    """Arcs of a path in the map's format, (16,) each, by row.
 
-    The centre stands in place of a position, 0 for other axes, the turn in 0.0001 deg
-    in place of the feed, and the numbers of both axes in place of the dwell.
+    The centre takes the place of a position, 0 for other axes, the turn in 0.0001 deg
+    that of the feed, and the numbers of both axes that of the dwell.
     """
     found: dict[int, NDArray[np.uint16]] = {}
     for row, arc in enumerate(path.arc):
@@ -50,7 +50,7 @@ def arc_words(path: Path) -> dict[int, NDArray[np.uint16]]:
 def path_crc(
     words: NDArray[np.uint16], arcs: Mapping[int, NDArray[np.uint16]] | None = None
 ) -> int:
-    """Return the CRC-32 (zlib's) of rows, over their bytes in wire order.
+    """CRC-32 (zlib's) of rows, over their bytes in wire order.
 
     arcs : by row; each follows, its row first, in their order
     """

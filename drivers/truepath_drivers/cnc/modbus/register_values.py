@@ -8,7 +8,7 @@ from truepath_drivers.cnc.modbus.registers import BY_NAME, POSITION_COUNTS, Bloc
 
 
 def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
-    """Return the words of a register's value: a number, one a count, or a text."""
+    """Words of a register's value: a number, one per count, or a text."""
     register = BY_NAME[name]
     if isinstance(value, str):
         data = value.encode("ascii", "replace")[: 2 * register.count]
@@ -24,7 +24,7 @@ def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
 
 
 def decode(name: str, words: Sequence[int], block: Block) -> tuple[int, ...]:
-    """Return the values of a register out of the words of the block that holds it."""
+    """Values of a register from the words of the block that holds it."""
     register = BY_NAME[name]
     at = register.address - block.address
     own = words[at : at + register.words]
@@ -37,7 +37,7 @@ def decode(name: str, words: Sequence[int], block: Block) -> tuple[int, ...]:
 
 
 def decode_text(name: str, words: Sequence[int], block: Block) -> str:
-    """Return the text of a register out of the words of the block that holds it."""
+    """Text of a register from the words of the block that holds it."""
     register = BY_NAME[name]
     at = register.address - block.address
     own = b"".join(word.to_bytes(2, "big") for word in words[at : at + register.count])
@@ -45,5 +45,5 @@ def decode_text(name: str, words: Sequence[int], block: Block) -> str:
 
 
 def position_counts(position: Sequence[float]) -> list[int]:
-    """Return positions in mm or deg as counts of the map."""
+    """Positions in mm or deg as counts of the map."""
     return [round(p * POSITION_COUNTS) for p in position]

@@ -1,9 +1,9 @@
 """The register map of the Modbus CNC gateway, as data: driver and devices share it.
 
 Holding registers only, addresses as in the PDU (from 0), 32-bit values high word first,
-texts two ASCII characters a register, padded with zeros. Positions count 0.1 µm (linear
-axes) or 0.0001 deg (rotary axes), feeds 0.001 mm/min (deg/min where only rotary axes
-move). docs/modbus-register-map.md is written from this file by its script.
+texts two ASCII characters per register, padded with zeros. Positions count 0.1 µm
+(linear axes) or 0.0001 deg (rotary axes), feeds 0.001 mm/min (deg/min where only rotary
+axes move). docs/modbus-register-map.md is written from this file by its script.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ ROWS_A_BLOCK = 7
 POSITION_COUNTS = 10_000  # a mm or a deg
 OVERRIDE_COUNTS = 1_000  # a factor of 1
 FEED_COUNTS = 1_000  # a mm/min, or a deg/min where only rotary axes move
-DWELL_COUNTS = 1_000  # a second
+DWELL_COUNTS = 1_000  # per second
 LONGEST_DWELL_S = (2**31 - 1) / DWELL_COUNTS
 DEFAULT_WATCHDOG_S = 1.0
 
 
 class Kind(StrEnum):
-    """How registers hold a value."""
+    """Format of a value in registers."""
 
     U16 = "u16"
     U32 = "u32"
@@ -40,7 +40,7 @@ class Kind(StrEnum):
 
 
 class Access(StrEnum):
-    """Who writes a register."""
+    """Side that writes a register."""
 
     READ = "R"
     WRITE = "RW"
@@ -48,7 +48,7 @@ class Access(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One value of the map, or one of several alike (an axis each)."""
+    """One value of the map, or several alike (one per axis)."""
 
     name: str
     address: int
@@ -60,7 +60,7 @@ class Register:
 
     @property
     def words(self) -> int:
-        """Registers it takes."""
+        """Number of registers."""
         return self.count * (2 if self.kind in (Kind.U32, Kind.I32) else 1)
 
     @property
@@ -93,7 +93,7 @@ class Command(IntEnum):
 
 
 class Result(IntEnum):
-    """What became of the command whose number `command_ack` shows."""
+    """Outcome of the command whose number `command_ack` shows."""
 
     DONE = 0
     WRONG_STATE = 1
@@ -107,7 +107,7 @@ class Result(IntEnum):
 
 
 class HoldReason(IntEnum):
-    """Why the feed is held; in lower case, the words of `MotionStatus.hold_reason`."""
+    """Reason of a hold; in lower case, the words of `MotionStatus.hold_reason`."""
 
     NONE = 0
     OPERATOR = 1
@@ -115,7 +115,7 @@ class HoldReason(IntEnum):
     COMMAND = 3
 
 
-# Bits of `features`: what a device tells, and can, beside the rest.
+# Bits of `features`: optional reports and abilities of a device.
 TELLS_OVERRIDE, TELLS_REFERENCED, TELLS_COMPENSATION, DRIVES_ARCS = 1, 2, 4, 8
 # Bits of `readiness`.
 IS_REFERENCED, IS_COMPENSATING = 1, 2
@@ -282,7 +282,7 @@ BY_NAME: dict[str, Register] = {register.name: register for register in REGISTER
 
 IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
-READINESS = Block(124, 1)  # of devices whose `features` tell it, read with the status
+READINESS = Block(124, 1)  # where `features` include it, read with the status
 ALARM_TEXT = Block(130, 32)
 CONTROL = Block(180, 2)
 LIMITS = Block(182, 1)  # which not every device has
@@ -291,10 +291,10 @@ COMMAND = Block(200, _HEAD_WORDS + ROWS_A_BLOCK * ROW_WORDS)
 
 
 def count_command_words(command: Command, row_count: int) -> int:
-    """Return how many registers one request has to cover for a command, number first.
+    """Registers that one request has to cover for a command, number first.
 
-    A number alone, or a verb without its arguments, would run with what an earlier
-    request has left there.
+    A number alone, or a verb without its arguments, would run with the contents of an
+    earlier request.
     """
     match command:
         case Command.MOVE_TO | Command.PUT_ARC:

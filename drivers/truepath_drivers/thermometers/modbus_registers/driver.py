@@ -1,4 +1,4 @@
-"""The driver of sensors behind Modbus, by a list of their registers."""
+"""Driver of sensors behind Modbus, by a list of their registers."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _SMALL = 0.5  # words in the wrong order may look like less
 
 
 class ModbusRegisters(Thermometers):
-    """Sensors of one Modbus TCP gateway (`host`, `port`) or RTU line (`serial_port`).
+    """Sensors of a Modbus TCP gateway (`host`, `port`) or RTU line (`serial_port`).
 
     registers : the sensors, each a table of the keys of `Register`
     baudrate, parity : of the RTU line, `N`, `E` or `O`
-    name : what a Run calls the group
+    name : label of the group in a Run
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ModbusRegisters(Thermometers):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """One a row of the list."""
+        """One per row of the list."""
         return tuple(each.channel for each in self._registers)
 
     @property
@@ -74,9 +74,9 @@ class ModbusRegisters(Thermometers):
     def connect(self) -> Identity:
         """Open the link and read every sensor.
 
-        One that is silent is left for later; DeviceTimeout if all are. Refused, naming
-        the channel, where the device does not have its registers, and where its words
-        are a reading in the other order alone.
+        A silent one is tried again later; DeviceTimeout if all are silent. Refused,
+        naming the channel, where the device does not have its registers, and where only
+        the other word order gives a plausible reading.
         """
         if self._is_connected and self._link.is_open:
             return self._identity
@@ -95,7 +95,7 @@ class ModbusRegisters(Thermometers):
         self._link.close()
 
     def read(self) -> tuple[Reading, ...]:
-        """Read what is due. A unit that is silent is asked once in a call."""
+        """Read the due channels. A silent unit is requested once per call."""
         if not self._is_connected:
             raise ConnectionLost(f"{self._link.name} is not connected; connect first")
         now_s = host_clock.now_s()
@@ -148,7 +148,6 @@ class ModbusRegisters(Thermometers):
     def _try_ways(
         self, each: Register, value: float, shy: set[int]
     ) -> list[ReadingTry]:
-        """Read a sensor in every way; `value` is what it shows in that of the list."""
         ways, values = each.list_ways(), [value]
         for way in ways[1:]:
             values.append(math.nan)
@@ -160,7 +159,7 @@ class ModbusRegisters(Thermometers):
             except DeviceError:
                 shy.add(way.unit)
                 self._open_anew()
-        # Beside it another sensor may be: its own address comes first.
+        # Its neighbour may be another sensor: its own address comes first.
         fault = each.channel.find_fault
         may = [i for i, v in enumerate(values) if v != 0.0 and not fault(v)]
         own = [i for i in may if i < each.count] or may
@@ -187,7 +186,6 @@ class ModbusRegisters(Thermometers):
         return each.decode(words)
 
     def _open_anew(self) -> str:
-        """Open a link that was lost; return why it cannot be."""
         if self._link.is_open:
             return ""
         try:
@@ -256,16 +254,16 @@ class Register:
 
     @property
     def channel(self) -> Channel:
-        """What the service is told of it."""
+        """Name and limits for the service."""
         return Channel(self.name, self.low, self.high, self.stuck_s)
 
     @property
     def count(self) -> int:
-        """Words."""
+        """Number of words."""
         return struct.calcsize(_FORMS[self.type]) // 2
 
     def decode(self, words: Sequence[int]) -> float:
-        """Return the reading that words hold; NaN where they hold no number."""
+        """Reading of these words; NaN where they hold no number."""
         ordered = words if self.word_order == "big" else list(reversed(words))
         data = struct.pack(f">{len(ordered)}H", *ordered)
         value = struct.unpack(_FORMS[self.type], data)[0]
@@ -276,7 +274,7 @@ class Register:
         return shown if self.type == "float32" else round(shown, 9)
 
     def list_ways(self) -> list[Register]:
-        """Return the ways to read it: this, the other order, an address beside."""
+        """Ways to read it: this, the other order, neighbouring addresses."""
         other: WordOrder = "big" if self.word_order == "little" else "little"
         return [
             replace(self, address=address, word_order=order)

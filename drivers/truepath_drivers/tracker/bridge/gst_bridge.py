@@ -1,6 +1,6 @@
-"""GST/1, the device's side: what a tracker sends, in one file of plain Python.
+"""GST/1, the device's side: output of a tracker, in one file of plain Python.
 
-A bridge is a small program beside a maker's SDK: it hands samples of the SDK on as
+A bridge is a small program beside a maker's SDK: it passes samples of the SDK on as
 GST/1 frames, over serial or TCP. This file needs the standard library alone and may be
 copied. `python gst_bridge.py 4711` serves an example: a target on a circle.
 """
@@ -23,7 +23,7 @@ _LONGEST = 508
 class GstBridge:
     """Commands of a host to replies, samples to frames; no I/O.
 
-    streaming, rate_hz : what the host asks for; set the SDK so
+    streaming, rate_hz : requested by the host; set the SDK so
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class GstBridge:
         status: int = 0,
         signal: int = 255,
     ) -> bytes:
-        """Return the frame of a sample; nothing where no stream runs.
+        """Frame of a sample; empty without an active stream.
 
         clock_us : of the instrument, when it was taken, never when it arrived
         """
@@ -66,7 +66,7 @@ class GstBridge:
     def sample_xyz(
         self, clock_us: int, x_mm: float, y_mm: float, z_mm: float, status: int = 0
     ) -> bytes:
-        """Return the same for a position, right-handed, z up."""
+        """Frame of a right-handed position, z up."""
         level = math.hypot(x_mm, y_mm)
         distance_m = math.hypot(level, z_mm) / 1e3
         angles = math.atan2(y_mm, x_mm), math.atan2(z_mm, level)
@@ -78,14 +78,14 @@ class GstBridge:
         self._dropped += samples
 
     def receive(self, data: bytes, clock_us: int) -> bytes:
-        """Return the replies to what has come from the host."""
+        """Replies to data from the host."""
         *pieces, self._piece = (self._piece + data).split(b"\0")
         self._piece = self._piece[-_LONGEST:]
         bodies = [body for piece in pieces if (body := _open_frame(piece))]
         return b"".join(self._obey(body, clock_us) for body in bodies)
 
     def tick(self, clock_us: int) -> bytes:
-        """Return STATUS twice a second, and end a stream that nobody wants."""
+        """STATUS twice per second; ends a stream without keep-alive."""
         if self.streaming and clock_us - self._heard_us > _PATIENCE_US:
             self.streaming = False
             return encode_frame(struct.pack("<BBBQ", 1, 0x13, 3, clock_us))
@@ -97,7 +97,7 @@ class GstBridge:
         return encode_frame(body)
 
     def forget_host(self) -> None:
-        """End the stream: the host has gone."""
+        """End the stream: the host has disconnected."""
         self.streaming, self._piece = False, b""
 
     def _obey(self, body: bytes, clock_us: int) -> bytes:
@@ -134,7 +134,7 @@ class GstBridge:
 
 
 def encode_frame(body: bytes) -> bytes:
-    """Return a body with its CRC, without zeros (COBS), between zeros."""
+    """A body with its CRC, without zeros (COBS), between zeros."""
     out = bytearray(b"\0")
     for run in (body + zlib.crc32(body).to_bytes(4, "little")).split(b"\0"):
         rest = run
@@ -146,7 +146,7 @@ def encode_frame(body: bytes) -> bytes:
 
 
 def _open_frame(piece: bytes) -> bytes:
-    """Return the body of a frame; empty if it is damaged or of another version."""
+    """Empty if it is damaged or of another version."""
     out, at = bytearray(), 0
     while at < len(piece):
         code = piece[at]

@@ -1,10 +1,10 @@
-"""GeoCOM in ASCII: requests, replies, and the return codes that a measurement meets.
+"""GeoCOM in ASCII: requests, replies, and the return codes of measurements.
 
     %R1Q,<procedure>,<transaction>:<parameters>CRLF
     %R1P,<code of the link>,<transaction>:<code of the procedure>,<values>CRLF
 
 Names and numbers are those of geocompy 1.0.0 (`geocompy.geo`), units those of DMPACK's
-manual where it states them.
+manual where it gives them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-TRANSACTIONS = 1 << 15  # then numbers begin anew
+TRANSACTIONS = 1 << 15  # then numbers begin again
 _TURN_RAD = 6.2832
 _DIGITS = 15  # more than six are cut by the format: so do public clients
 _VALUE = re.compile(rb'(?:"[^"]*"|[^,])*')
@@ -45,7 +45,7 @@ class Procedure(IntEnum):
 
 
 class ReturnCode(IntEnum):
-    """Codes of replies that mean something to us."""
+    """Codes that are handled here."""
 
     OK = 0
     NOT_IMPLEMENTED = 5
@@ -89,7 +89,7 @@ NO_TARGET = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What an instrument answered; `transaction` is None where it has none."""
+    """A reply; `transaction` is None where it has none."""
 
     link_code: int
     transaction: int | None
@@ -100,13 +100,13 @@ class Reply:
 def encode_request(
     procedure: int, transaction: int, values: tuple[int | float, ...] = ()
 ) -> bytes:
-    """Return a request without its end of line."""
+    """Request without its end of line."""
     text = ",".join(map(_encode_value, values))
     return f"%R1Q,{int(procedure)},{transaction}:{text}".encode("ascii")
 
 
 def parse_reply(line: bytes) -> Reply | None:
-    """Return the reply in a line, None where there is none."""
+    """The reply in a line, None where there is none."""
     found = _REPLY.match(line.strip())
     if found is None:
         return None
@@ -120,7 +120,7 @@ def parse_reply(line: bytes) -> Reply | None:
 
 
 def describe_code(code: int) -> str:
-    """Return a return code in words, with its number."""
+    """Text of a return code, with its number."""
     try:
         return f"{ReturnCode(code).name.lower().replace('_', ' ')} ({code})"
     except ValueError:
@@ -130,7 +130,7 @@ def describe_code(code: int) -> str:
 def to_cartesian_mm(
     hz_rad: float, v_rad: float, slope_distance_m: float
 ) -> NDArray[np.float64]:
-    """Return (x, y, z): x where Hz is a right angle, y where it is 0, z upwards.
+    """(x, y, z): x where Hz is a right angle, y where it is 0, z upwards.
 
     Hz turns clockwise seen from above, V is the angle from the zenith: right-handed.
     """
@@ -140,13 +140,13 @@ def to_cartesian_mm(
 
 
 def is_point(hz_rad: float, v_rad: float, slope_distance_m: float) -> bool:
-    """Tell whether these are a point: angles within a turn, so not in deg or gon."""
+    """Whether these are a point: angles within a turn, so not in deg or gon."""
     angles = abs(hz_rad) <= _TURN_RAD and abs(v_rad) <= _TURN_RAD
     return angles and 0.0 < slope_distance_m < np.inf
 
 
 def _split(values: bytes) -> tuple[bytes, ...]:
-    """Return the values between commas; a comma in quotes is of its text."""
+    """A comma in quotes is part of its text."""
     found, end = [], -1
     while end < len(values):
         value = _VALUE.match(values, end + 1)

@@ -1,4 +1,4 @@
-"""The driver of Leica instruments that speak GeoCOM."""
+"""Driver of Leica instruments that speak GeoCOM."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _AUTO = 1  # treatment of the inclination
 
 
 class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
-    """A Leica instrument on a serial port (`port`) or behind TCP (`host` and `port`).
+    """A Leica instrument on a serial port (`port`) or TCP (`host` and `port`).
 
     serial_number : refuse any other instrument
-    prism_constant_mm : set in the instrument and read back; left as it is without
+    prism_constant_mm : set in the instrument and read back; None leaves it unchanged
     follows : lock on the prism and follow it from point to point
-    search_rad : width and height of the window in which a lost prism is sought
+    search_rad : width and height of the window in which a lost prism is searched
     reply_timeout_s : longest wait for a reply; measuring and turning have longer ones
     shot_s : the instrument's longest time for one distance
     turn_s : its longest time to turn or to search
@@ -87,7 +87,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
 
     @property
     def verb_limit_s(self) -> float:
-        """Of a search: that, and locking on what it has found."""
+        """Of a search, including the lock on its result."""
         return 2.0 * (self._turn_s + self._reply_timeout_s)
 
     def home(self) -> None:
@@ -95,12 +95,12 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         self._turn_to(0.0, 0.5 * math.pi)
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
-        """Turn there; azimuth from x towards y."""
+        """Azimuth from x towards y."""
         hz = (0.5 * math.pi - azimuth_rad) % (2.0 * math.pi)
         self._turn_to(hz, 0.5 * math.pi - elevation_rad)
 
     def search(self) -> None:
-        """Seek the prism around the beam, and lock on it where it is to be followed."""
+        """Search the prism around the beam, and lock on it if it is to be followed."""
         with self._lock:
             window = (self._search_rad, self._search_rad, 0)
             expect_ok(self._session.ask(P.AUT_SEARCH, window, self._turn_s))
@@ -108,7 +108,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
                 expect_ok(self._session.ask(P.AUT_LOCK_IN, (), self._turn_s))
 
     def push_air(self, air: Air) -> None:
-        """Set pressure, dry and wet temperature; read back what is in use."""
+        """Set pressure, dry and wet temperature; read back the values in use."""
         with self._lock:
             wavelength = self._read_atmosphere()[0]
             wet = find_wet_bulb(air.temperature_degc, air.humidity_percent)
@@ -121,12 +121,12 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
                 raise Refused(f"{self._link.name} uses {used}, {told} was set")
 
     def read_air(self) -> Air:
-        """Return the air that the instrument corrects its distances for."""
+        """The air that the instrument corrects its distances for."""
         _, pressure, dry, wet = self._read_atmosphere()
         return Air(dry, pressure, find_humidity(dry, wet))
 
     def greet(self) -> Identity:
-        """Ask for name, serial number and firmware."""
+        """Request name, serial number and firmware."""
         try:
             name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
         except DeviceTimeout as error:
@@ -166,7 +166,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
 
     def _switch_on(self, procedure: Procedure, newer: Procedure) -> None:
-        """Switch on what later series know by another procedure alone."""
+        """Later series have only the newer procedure."""
         try:
             expect_ok(self._session.ask(procedure, (1,)))
         except Refused as error:
@@ -180,10 +180,10 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
                 ) from error
 
     def shoot(self) -> tuple[NDArray[np.float64], float]:
-        """Take one distance with its angles; doubtful where the instrument warns.
+        """One distance with its angles; doubtful where the instrument warns.
 
-        The last distance is cleared first, so that none of before is taken for it. A
-        prism that is lost is sought once.
+        The last distance is cleared first, so that no earlier one is taken for it. A
+        lost prism is searched once.
         """
         reply = self._take_distance()
         if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
@@ -227,7 +227,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             return decode(reply, float, 4)
 
     def find_air(self) -> Air | None:
-        """Return the air in use, if it is told."""
+        """The air in use; None if it is not reported."""
         try:
             return self.read_air()
         except (Refused, DeviceTimeout) as error:
@@ -236,7 +236,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
 
 
 def find_wet_bulb(dry_degc: float, humidity_percent: float) -> float:
-    """Return the temperature of a wet thermometer near sea level.
+    """Wet-bulb temperature near sea level.
 
     R. Stull, J. Appl. Meteorol. Climatol. 50 (2011) 2267-2269: good to 1 K from 5 % to
     99 % and -20 to 50 °C, which is 0.02 ppm of a distance.
@@ -252,7 +252,7 @@ def find_wet_bulb(dry_degc: float, humidity_percent: float) -> float:
 
 
 def find_humidity(dry_degc: float, wet_degc: float) -> float:
-    """Return the humidity in % at which a wet thermometer shows so much."""
+    """Relative humidity in % of a wet-bulb temperature; inverse of `find_wet_bulb`."""
     low, high = 0.0, 100.0
     for _ in range(40):
         middle = 0.5 * (low + high)

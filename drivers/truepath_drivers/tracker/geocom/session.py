@@ -34,17 +34,17 @@ _BUSY_S = 0.1
 
 
 class GeoComSession:
-    """Asks one thing at a time; any thread may."""
+    """One request at a time, from any thread."""
 
     def __init__(self, link: LineLink, reply_timeout_s: float) -> None:
         self.link, self._reply_timeout_s = link, reply_timeout_s
-        # Not from 0: a reply that is left over in a serial line belongs to no request.
+        # Not from 0: a reply left in a serial line must belong to no request.
         self._transaction = random.randrange(TRANSACTIONS)  # noqa: S311
         self._lock = threading.RLock()
 
     @property
     def name(self) -> str:
-        """What the port is called in messages."""
+        """Name of the port in messages."""
         return self.link.name
 
     def ask_free(
@@ -54,7 +54,7 @@ class GeoComSession:
         stopping: threading.Event,
         longer_s: float = 0.0,
     ) -> Reply:
-        """Ask until the instrument is not busy."""
+        """Repeat a request while the instrument is busy."""
         reply = self.ask(procedure, values, longer_s)
         for _ in range(_SHOT_TRIES):
             if reply.code != ReturnCode.BUSY or host_clock.wait(stopping, _BUSY_S):
@@ -68,7 +68,7 @@ class GeoComSession:
         values: tuple[int | float, ...] = (),
         longer_s: float = 0.0,
     ) -> Reply:
-        """Send a request; return its own reply, whatever else comes before it."""
+        """Send a request; gives its own reply, ignoring others before it."""
         with self._lock:
             self._transaction = self._transaction % (TRANSACTIONS - 1) + 1
             number = self._transaction
@@ -100,7 +100,7 @@ class GeoComSession:
 
 
 def expect_ok(reply: Reply) -> Reply:
-    """Return a reply that is good. Raises BeamLost or Refused, in words, if not."""
+    """A good reply, unchanged. Raises BeamLost or Refused for any other."""
     if reply.code == ReturnCode.OK:
         return reply
     if reply.code in NO_TARGET:
@@ -112,7 +112,7 @@ def expect_ok(reply: Reply) -> Reply:
 
 
 def decode(reply: Reply, kind: type[T], count: int = 1) -> tuple[T, ...]:
-    """Return the values of a reply. Raises DeviceError if these are not so many."""
+    """Values of a reply. Raises DeviceError if their number differs from `count`."""
     try:
         texts = [value.decode("utf-8", "replace").strip('"') for value in reply.values]
         if len(texts) != count:

@@ -1,17 +1,16 @@
-"""Decodes the stream of a GST/1 tracker: bytes in, samples and messages out. No I/O.
+"""Decoder of the stream of a GST/1 tracker: bytes to samples and messages. No I/O.
 
 Two stages, so that a reader thread can do the cheap one and leave the rest to others:
 `FrameReader` cuts and checks frames as bytes come; `SampleDecoder` turns the bodies of
 many frames into one block of samples. `StreamDecoder` is both in a row.
 
-`Unwrapper` makes wrapped counters whole, u16 sequence numbers and device clocks, over
-any gap. The sequence alone cannot tell a loss of n samples from one of n + 65 536
-(131 s at 500 Hz); the device clock can. With period T, clock step Δt, sequence step d
-(mod 2¹⁶)
+`Unwrapper` unwraps counters, u16 sequence numbers and device clocks, over any gap. The
+sequence alone cannot distinguish a loss of n samples from one of n + 65 536 (131 s at
+500 Hz); the device clock can. With period T, clock step Δt, sequence step d (mod 2¹⁶)
 
     step = d + 2¹⁶ · round((Δt / T − d) / 2¹⁶)
 
-A step below 1, or a clock that runs backwards, is a repeated or late frame: left out.
+A step below 1, or a clock that runs backwards, is a repeated or late frame: omitted.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ _CLOCK_BITS = {Format.MEAS64: 64, Format.MEAS: 32}
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What one call completed: samples of all measurements, other messages in order.
+    """Output of one call: samples of all measurements, other messages in order.
 
-    status : all bits that any of the samples had, those that only inform as well
+    status : all bits that any of the samples had, informative ones included
     """
 
     samples: TrackerSamples
@@ -53,11 +52,11 @@ class Decoded:
 
 
 class SampleDecoder:
-    """Turns bodies in order into samples with whole numbers and device seconds.
+    """Turns bodies in order into samples with unwrapped numbers and device seconds.
 
     lost_samples : samples that the device took and that are in no block
     device_overflows : samples that follow an overflow inside the device
-    stale : measurements left out since the last one that was kept: repeated or late
+    stale : repeated or late measurements since the last one that was kept
     """
 
     def __init__(self) -> None:
@@ -70,7 +69,7 @@ class SampleDecoder:
         return self._unwrapper.lost
 
     def decode(self, bodies: Sequence[bytes]) -> Decoded:
-        """Return the samples and the messages of bodies that `FrameReader` passed."""
+        """Samples and messages of bodies that `FrameReader` passed."""
         blocks: list[TrackerSamples] = []
         messages: list[Message] = []
         status = 0
@@ -116,14 +115,14 @@ class SampleDecoder:
 
 
 class StreamDecoder:
-    """The whole way from bytes to samples; any split of the bytes gives the same."""
+    """Bytes to samples; any split of the bytes gives the same."""
 
     def __init__(self) -> None:
         self._frames = FrameReader()
         self._decoder = SampleDecoder()
 
     def feed(self, data: bytes) -> Decoded:
-        """Take bytes as they come; return what is complete now."""
+        """Add received bytes; gives what they complete."""
         return self._decoder.decode(self._frames.feed(data))
 
     @property
@@ -133,7 +132,7 @@ class StreamDecoder:
 
 
 def link_health(frames: FrameReader, decoder: SampleDecoder) -> LinkHealth:
-    """Return the counts of both stages as one record."""
+    """Counts of both stages as one record."""
     return LinkHealth(
         frames=frames.frames,
         lost_samples=decoder.lost_samples,
@@ -148,9 +147,8 @@ def _measurement_type(body: bytes) -> int | None:
 
 
 def _positions(raw: RawSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in mm and the status in which 0 is valid.
-
-    Where a device sends what is not finite the position is 0 and the status says so.
+    """mm, and a status in which 0 is valid. Numbers that are not finite become 0, with
+    a status that indicates it.
     """
     with np.errstate(invalid="ignore"):
         position_mm = spherical_to_cartesian_mm(
@@ -163,7 +161,7 @@ def _positions(raw: RawSamples) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _find_quality(signal: NDArray[np.int64]) -> NDArray[np.float32] | None:
-    """Return the strength of the return as a share; None where none is told."""
+    """Fraction of full strength; None where none is reported."""
     if not signal.any():
         return None
     return np.where(signal > 0, signal / _STRONGEST, np.nan).astype(np.float32)
@@ -175,19 +173,19 @@ _TURN = 1 << 16
 class Unwrapper:
     """Continues sequence numbers and microseconds from block to block of one stream.
 
-    lost : samples that the numbers say were taken and that never came
+    lost : samples that were taken according to the numbers but never received
     """
 
     def __init__(self) -> None:
         self.lost = 0
-        self._sequence = -1  # last one, whole
+        self._sequence = -1  # last one, unwrapped
         self._wrapped: int | None = None  # last one, as on the wire
         self._clock_us = 0
         self._period_us = 0.0
         self._fresh = True
 
     def begin(self, next_sequence: int, rate_hz: float, clock_us: int) -> None:
-        """Take what the device says at a START: next number, rate, clock."""
+        """Set next number, rate and clock from the reply to a START."""
         missed = 0
         if self._wrapped is not None and clock_us >= self._clock_us:
             missed = (next_sequence - self._wrapped - 1) % _TURN
@@ -202,7 +200,7 @@ class Unwrapper:
     def advance(
         self, wrapped: NDArray[np.int64], clock_us: NDArray[np.uint64], clock_bits: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        """Return whole numbers, whole microseconds, which samples to keep, (n,) each.
+        """Unwrapped numbers and microseconds, which samples to keep, (n,) each.
 
         wrapped, clock_us : (n,), n >= 1, as on the wire
         """
@@ -223,13 +221,12 @@ class Unwrapper:
         return sequence, clock, keep
 
     def _learn_period(self, steps: NDArray[np.int64], ticks: NDArray[np.int64]) -> None:
-        """Take the usual clock step of neighbours where no START has told the rate."""
+        """Median clock step of neighbours, where no START has given the rate."""
         neighbours = ticks[(steps == 1) & (ticks > 0)]
         if len(neighbours):
             self._period_us = float(np.median(neighbours))
 
     def _is_plain(self, steps: NDArray[np.int64], ticks: NDArray[np.int64]) -> bool:
-        """Tell whether every sample follows its predecessor: the usual case."""
         first = 1 if self._fresh else 0
         shortest_turn_us = self._period_us * _TURN / 2
         return bool(
@@ -282,7 +279,7 @@ class Unwrapper:
 def _find_signed_steps(
     clock_us: NDArray[np.uint64], before_us: int, bits: int
 ) -> NDArray[np.int64]:
-    """Return clock steps in the half turn either side of zero, (n,)."""
+    """Half a turn either side of zero, (n,)."""
     before = np.uint64(before_us % (1 << 64))
     steps = np.diff(clock_us, prepend=before)
     if bits == 64:

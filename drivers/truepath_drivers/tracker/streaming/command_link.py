@@ -1,4 +1,4 @@
-"""Commands to a device that speaks GST/1, and the replies to them."""
+"""Commands to a device that speaks GST/1, and their replies."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CommandLink:
     ) -> Ack:
         """Send a command until its reply comes; a repeat has the same number.
 
-        build : makes it of its number; longer_s : that it may take beside
+        build : makes the command from its number; longer_s : additional time
 
         Raises DeviceTimeout without a reply, ConnectionLost, Refused or NotHomed.
         """
@@ -60,7 +60,7 @@ class CommandLink:
         )
 
     def ping(self) -> None:
-        """Send the keep-alive; nobody waits for its reply."""
+        """Send the keep-alive without waiting for its reply."""
         self._send(Ping(next(self._transactions) & 0xFF))
 
     def _refuse_nak(self, reply: Reply) -> Ack:

@@ -1,4 +1,4 @@
-"""The driver of trackers that stream GST/1 frames over serial or TCP."""
+"""Driver of trackers that stream GST/1 frames over serial or TCP."""
 
 from __future__ import annotations
 
@@ -73,19 +73,18 @@ _FRAME_BITS = {Format.MEAS64: 470, Format.MEAS: 300}
 
 
 class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoice):
-    """A tracker on a serial port (`port`) or behind TCP (`host` and the number `port`).
+    """A tracker on a serial port (`port`) or behind TCP (`host` and `port`).
 
     port : path of the tty, or TCP port number where `host` is given
     baudrate : of a serial port
     serial_number : refuse any other instrument
-    compact : ask for the short frames, 10 nm and 2.9 nrad, on a slow line
+    compact : request the short frames, 10 nm and 2.9 nrad, on a slow line
     reply_timeout_s : longest wait for the reply to a command, sent twice in that time
-    turn_s : how much longer it may take to turn, to search and to change its target
+    turn_s : additional time to turn, to search and to change its target
 
-    Its verbs beside the stream are those of version 2 of the protocol. It is asked for
-    with the first of them; a device of version 1 goes on as it is, and refuses.
-
-    `read` and `take_link_bytes` are for one thread, the other verbs for any.
+    Verbs other than those of the stream need version 2 of the protocol. It is requested
+    with the first of them; a device of version 1 stays as it is, and refuses. `read`
+    and `take_link_bytes` are for one thread, the other verbs for any.
     """
 
     def __init__(
@@ -117,11 +116,11 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     @property
     def capabilities(self) -> TrackerCapabilities:
-        """It streams at up to the rate that it tells, by its own clock."""
+        """Streams at up to the rate that it reports, by its own clock."""
         return TrackerCapabilities(max_rate_hz=self._max_rate_hz)
 
     def connect(self) -> Identity:
-        """Open the port, ask who is there, end a stream that was left behind."""
+        """Open the port, identify the device, end a stream that was left running."""
         with self._lock:
             alive = self._receiver is not None and self._receiver.error is None
             if self._identity is None or not alive:
@@ -141,7 +140,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             self._check_started(ack, rate_hz)
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        """Return the samples since the last call, some 20 ms of them or more."""
+        """Samples since the last call, some 20 ms of them or more."""
         receiver = self._require_receiver()
         deadline_s = host_clock.now_s() + timeout_s
         while True:
@@ -165,7 +164,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             )
 
     def stop(self) -> None:
-        """End the stream. A lost port is left alone: the device ends it by itself."""
+        """End the stream. On a lost port the device ends it without keep-alive."""
         with self._lock:
             receiver = self._receiver
             if receiver is None or receiver.error is not None:
@@ -187,16 +186,16 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 self._shut()
 
     def take_link_bytes(self) -> bytes:
-        """Return the bytes as they came, at most the last 4 MiB."""
+        """Bytes as received, at most the last 4 MiB."""
         return b"" if self._receiver is None else self._receiver.take_link_bytes()
 
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Return what `read` has come across since the last call."""
+        """Events that `read` has found since the last call."""
         return self._event_log.take()
 
     @property
     def verb_limit_s(self) -> float:
-        """Of the verb, after the version that it needs was asked for."""
+        """Time of the verb and of the version request before it."""
         return self._turn_s + 2.0 * self._reply_timeout_s
 
     def home(self) -> None:
@@ -204,7 +203,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._do(Home)
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
-        """Point the beam there."""
+        """Point the beam in the tracker's frame."""
         self._do(lambda t: Aim(t, azimuth_rad, elevation_rad))
 
     def search(self) -> None:
@@ -216,7 +215,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._do(lambda t: Select(t, name))
 
     def push_air(self, air: Air) -> None:
-        """Hand over the air; refuse what does not come back."""
+        """Set the air; raises Refused if the readback differs."""
         told = air.temperature_degc, air.pressure_hpa, air.humidity_percent
         used = self._read_detail(self._do(lambda t: SetAir(t, *told)))
         back = used.temperature_degc, used.pressure_hpa, used.humidity_percent
@@ -224,7 +223,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             raise Refused(f"{self._port.name} uses the air {back}, {told} was set")
 
     def read_air(self) -> Air:
-        """Return the air that the device corrects its distances for."""
+        """The air that the device corrects its distances for."""
         return self._read_detail(self._do(GetAir))
 
     @property
@@ -265,7 +264,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._port.close()
 
     def _do(self, build: Callable[[int], Verb]) -> Ack:
-        """Ask for a verb of version 2, after that version where it was not yet."""
         with self._lock:
             receiver = self._require_receiver()
             try:
@@ -341,9 +339,9 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 def greet(
     link: CommandLink, receiver: Receiver, port_name: str, serial_number: str
 ) -> DeviceInfo:
-    """Return what the device says of itself.
+    """Identity reported by the device.
 
-    serial_number : that it must have; any if empty
+    serial_number : required; any if empty
 
     Raises WrongDevice if it is another one or none of this kind, DeviceTimeout or
     ConnectionLost if nothing answers.
@@ -383,7 +381,7 @@ def _explain_silence(
     return error
 
 
-_MOST = 1000  # kept; nobody takes them
+_MOST = 1000  # kept without a reader
 _MESSAGES: dict[int, tuple[TrackerEventKind, str]] = {
     EventCode.BEAM_BROKEN: (TrackerEventKind.BEAM_LOST, "the beam was broken"),
     EventCode.BEAM_LOCKED: (TrackerEventKind.BEAM_LOCKED, "the beam is locked again"),
@@ -401,7 +399,7 @@ _WARNINGS = {
 
 
 class EventLog:
-    """Events in order; each warning once a connection."""
+    """Events in order; each warning once per connection."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -409,20 +407,20 @@ class EventLog:
         self._told = 0
 
     def note(self, event: Event) -> None:
-        """Keep an event of the device, at its own time."""
+        """Store an event of the device, with its device time."""
         if (told := _MESSAGES.get(event.code)) is not None:
             kind, text = told
             self._add(TrackerEvent(kind, f"{text} at {1e-6 * event.clock_us:.6f} s"))
 
     def note_status(self, status: int) -> None:
-        """Keep a warning of each bit that was not seen before."""
+        """Store a warning for each new status bit."""
         for bit, (text, action) in _WARNINGS.items():
             if status & bit & ~self._told:
                 self._told |= bit
                 self._add(TrackerEvent(TrackerEventKind.WARNING, text, action))
 
     def take(self) -> tuple[TrackerEvent, ...]:
-        """Return the events since the last call."""
+        """Events since the last call."""
         with self._lock:
             events, self._events = tuple(self._events), []
         return events

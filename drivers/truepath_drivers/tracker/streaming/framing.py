@@ -2,8 +2,8 @@
 
 On the wire a frame is `00 | COBS(body | crc32) | 00`. COBS leaves no zero inside, so a
 zero always ends a frame: after any loss the reader is in step again at the next one.
-The delimiter stands at both ends, so that any one damaged or lost byte costs at most
-one frame; with a single delimiter its loss would cost two.
+The delimiter is at both ends, so that any one damaged or lost byte costs at most one
+frame; with a single delimiter its loss would cost two.
 
 The CRC is zlib's (CRC-32/ISO-HDLC) over the whole body. Sixteen bits would let one
 damaged frame in 65 536 through: a wrong sample every few noisy runs.
@@ -25,7 +25,7 @@ _LONGEST_RUN = 254
 
 
 def encode_frame(body: bytes) -> bytes:
-    """Return the bytes that carry `body` over the wire, delimiters included."""
+    """Bytes that carry `body` over the wire, delimiters included."""
     if len(body) > MAX_BODY:
         raise ValueError(f"a body holds at most {MAX_BODY} bytes, not {len(body)}")
     crc = zlib.crc32(body).to_bytes(_CRC_BYTES, "little")
@@ -46,7 +46,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes | None:
-    """Return what was encoded; None where `data` ends too early or holds a zero."""
+    """The decoded data; None where `data` ends too early or holds a zero."""
     out = bytearray()
     at, end = 0, len(data)
     while at < end:
@@ -62,7 +62,7 @@ def cobs_decode(data: bytes) -> bytes | None:
 
 
 def check_frame(piece: bytes) -> bytes | None:
-    """Return the body of a frame without delimiters; None if its CRC does not match."""
+    """Body of a frame without delimiters; None if its CRC does not match."""
     decoded = cobs_decode(piece)
     if decoded is None or len(decoded) <= _CRC_BYTES:
         return None
@@ -78,8 +78,8 @@ class FrameReader:
     frames, crc_errors : frames that passed and pieces that did not
     skipped_bytes : bytes between delimiters that belong to no good frame
 
-    What precedes the first delimiter may be the tail of a frame that began before we
-    listened: it is skipped, but is no CRC error.
+    Bytes before the first delimiter may be the tail of a frame that began before the
+    start of reading: they are skipped, but are no CRC error.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class FrameReader:
         self._overlong = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes as they come; return the bodies complete now, in order."""
+        """Add received bytes; gives the bodies complete now, in order."""
         *pieces, rest = (self._rest + data).split(b"\0")
         bodies: list[bytes] = []
         for piece in pieces:
@@ -115,7 +115,6 @@ class FrameReader:
         return body
 
     def _keep(self, rest: bytes) -> None:
-        """Keep an unfinished frame, never more of it than a frame can have."""
         if self._overlong or len(rest) > MAX_FRAME:
             self._overlong = True
             self.skipped_bytes += len(rest)

@@ -1,7 +1,7 @@
 """Measurement frames in blocks: bodies to columns and back, angles to Cartesian.
 
-Azimuth is the right-handed angle about +z, zero on +x; elevation rises from the
-xy plane towards +z:
+Azimuth is the right-handed angle about +z, zero on +x; elevation rises from the xy
+plane towards +z:
 
     x = r cos(el) cos(az)    y = r cos(el) sin(az)    z = r sin(el)
 """
@@ -86,14 +86,14 @@ class RawSamples:
 
 
 def is_measurement(body: bytes) -> bool:
-    """Tell whether a body is a whole measurement of this version."""
+    """Whether a body is a whole measurement of this version."""
     if len(body) == _MEAS64.itemsize:
         return body[0] == VERSION and body[1] == Type.MEAS64
     return len(body) == _MEAS.itemsize and body[0] == VERSION and body[1] == Type.MEAS
 
 
 def parse_measurements(bodies: Sequence[bytes]) -> RawSamples:
-    """Return the columns of bodies that pass `is_measurement`, all of one format."""
+    """Columns of bodies that pass `is_measurement`, all of one format."""
     kind = Type(bodies[0][1])
     rows = np.frombuffer(b"".join(bodies), _DTYPES[kind])
     if kind is Type.MEAS64:
@@ -116,7 +116,7 @@ def parse_measurements(bodies: Sequence[bytes]) -> RawSamples:
 
 
 def encode_measurements(samples: RawSamples) -> bytes:
-    """Return the frames of a block of samples, as a device sends them.
+    """Frames of a block of samples, as a device sends them.
 
     sequence and clock are taken modulo their width on the wire.
     """
@@ -139,7 +139,7 @@ def encode_measurements(samples: RawSamples) -> bytes:
 
 
 def _counts(angle_rad: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return counts of 2⁻³¹ turn in the half turn either side of zero."""
+    """Counts of 2⁻³¹ turn, half a turn either side of zero."""
     half = np.pi
     wrapped = np.mod(angle_rad + half, 2 * half) - half
     return np.rint(wrapped / _RAD_PER_COUNT).astype(np.int64)
@@ -148,7 +148,7 @@ def _counts(angle_rad: NDArray[np.float64]) -> NDArray[np.int64]:
 def spherical_to_cartesian_mm(
     range_m: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return (n, 3) positions in the tracker's frame."""
+    """(n, 3) positions in the tracker's frame."""
     range_mm = np.asarray(range_m, np.float64) * 1e3
     level_mm = range_mm * np.cos(elevation_rad)
     return np.stack(

@@ -1,7 +1,7 @@
-"""The bodies of GST/1 frames as bytes, in both directions (docs/tracker-protocol.md).
+"""Bodies of GST/1 frames as bytes, in both directions (docs/tracker-protocol.md).
 
-A body is `version u8 | type u8 | fields`, all little-endian, without padding. What does
-not fit is no message.
+A body is `version u8 | type u8 | fields`, all little-endian, without padding. A body
+that does not fit is no message.
 """
 
 from __future__ import annotations
@@ -53,16 +53,15 @@ _LONGEST_TEXT = 60
 
 
 def encode_message(message: Message) -> bytes:
-    """Return the frame of a message, delimiters included."""
+    """Frame of a message, delimiters included."""
     kind, fields = _fields(message)
     return encode_frame(_HEAD.pack(VERSION, kind) + fields)
 
 
 def parse_message(body: bytes) -> Message | None:
-    """Return the message of a body; None for a type or version that is not known here.
+    """Message of a body; None for a type or version that is not known here.
 
-    A known type with a length that does not fit is not known either: half a message is
-    worse than none.
+    Also None for a known type with a wrong length: half a message is worse than none.
     """
     if len(body) < _HEAD.size or body[0] != VERSION:
         return None

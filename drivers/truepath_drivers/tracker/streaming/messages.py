@@ -1,7 +1,7 @@
-"""What the bodies of GST/1 frames say, in both directions (docs/tracker-protocol.md).
+"""Messages of GST/1 frames, in both directions (docs/tracker-protocol.md).
 
-Measurements are handled in blocks by `measurements`; here is all that is rare. How it
-is written in bytes is in `message_codec`.
+Measurements are handled in blocks by `measurements`; here are the rare messages. Their
+bytes are in `message_codec`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Type(IntEnum):
 
 
 class Format(IntEnum):
-    """Measurement frame that a START asks for."""
+    """Measurement frame that a START requests."""
 
     MEAS64 = 0
     MEAS = 1
@@ -62,7 +62,7 @@ class DeviceState(IntEnum):
 
 
 class EventCode(IntEnum):
-    """What an EVENT frame tells."""
+    """Kind of an EVENT frame."""
 
     BEAM_BROKEN = 1
     BEAM_LOCKED = 2
@@ -72,7 +72,7 @@ class EventCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """Host asks who is there; stops nothing and starts nothing."""
+    """Host requests the identity; starts and stops nothing."""
 
     transaction: int
     host_version: int = VERSION
@@ -80,7 +80,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Host asks for a stream; nothing changes if it streams so already."""
+    """Host requests a stream; no change if it streams so already."""
 
     transaction: int
     rate_hz: float
@@ -134,7 +134,7 @@ class Select:
 
 @dataclass(frozen=True, slots=True)
 class SetAir:
-    """Host hands over the air for the refraction; NaN where it is not known."""
+    """Host sets the air for the refraction; NaN where it is not known."""
 
     transaction: int
     temperature_degc: float
@@ -144,7 +144,7 @@ class SetAir:
 
 @dataclass(frozen=True, slots=True)
 class GetAir:
-    """Host asks for the air in use."""
+    """Host requests the air in use."""
 
     transaction: int
 
@@ -160,7 +160,7 @@ class AirInUse:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """Detail of the ACK of a HELLO: who answers. Texts of at most 60 bytes of UTF-8."""
+    """Detail of the ACK of a HELLO. Texts of at most 60 bytes of UTF-8."""
 
     maker: str
     model: str
@@ -184,7 +184,7 @@ Detail = DeviceInfo | StreamInfo | AirInUse | None
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """Device has done the command of this transaction."""
+    """Device has executed the command of this transaction."""
 
     transaction: int
     command: int
@@ -203,7 +203,7 @@ class Nak:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Device health, twice a second."""
+    """Device health, twice per second."""
 
     state: int
     clock_us: int
@@ -214,7 +214,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something happened at the device, by its own clock."""
+    """An event at the device, by its own clock."""
 
     code: int
     clock_us: int

@@ -1,8 +1,8 @@
 """The receiving end of a GST/1 link: one thread that reads, checks and sorts frames.
 
 The thread polls and reads, cuts frames (CRC), puts measurements into a bounded queue,
-hands replies to whoever waits for them, and sends a PING a second. Arithmetic is left
-to the thread that takes the queue.
+passes replies to the waiting thread, and sends a PING per second. Arithmetic is left to
+the thread that takes the queue.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _POLL_S = 0.05
 class Receiver:
     """Reads one open port until it is closed or lost.
 
-    ping : sends the keep-alive; called once a second by the receiving thread
+    ping : sends the keep-alive; called once per second by the receiving thread
     """
 
     def __init__(self, port: BytePort, ping: Callable[[], None]) -> None:
@@ -64,10 +64,10 @@ class Receiver:
             host_clock.join(self._thread)
 
     def take(self, timeout_s: float, gather_s: float) -> list[bytes]:
-        """Return all bodies in the queue, waiting at most `timeout_s` for a first one.
+        """All bodies in the queue; waits at most `timeout_s` for a first one.
 
         Then it waits `gather_s` for more: a block of ten samples costs little more than
-        a single one. Raises ConnectionLost once the queue is empty and the port gone.
+        a single one. Raises ConnectionLost once the queue is empty and the port lost.
         """
         with self._changed:
             host_clock.wait_for(
@@ -80,7 +80,7 @@ class Receiver:
         return bodies
 
     def take_link_bytes(self) -> bytes:
-        """Return the bytes since the last call; the oldest go where nobody calls."""
+        """Bytes since the last call; without calls the oldest are dropped."""
         with self._changed:
             data = b"".join(self._kept)
             self._kept.clear()
@@ -93,7 +93,7 @@ class Receiver:
             self._awaited, self._reply = transaction, None
 
     def wait_reply(self, timeout_s: float) -> Reply | None:
-        """Return the expected reply, None after `timeout_s`. Raises ConnectionLost."""
+        """The expected reply, None after `timeout_s`. Raises ConnectionLost."""
         with self._changed:
             host_clock.wait_for(
                 self._changed, lambda: bool(self._reply or self.error), timeout_s
@@ -135,10 +135,9 @@ class Receiver:
                 self._changed.notify_all()
 
     def _queue(self, body: bytes) -> bool:
-        """Queue a body; tell whether it is the awaited reply.
-
-        Where nobody takes, the newest samples go: their numbers tell how many. Other
-        frames have as much room again for themselves, so that no START is missed.
+        """True if it is the awaited reply. When the queue is full, the newest samples
+        are dropped: their numbers show how many. Other frames have a queue of the same
+        size, so that no START is missed.
         """
         measured = is_measurement(body)
         if len(self._bodies) < (QUEUED_FRAMES if measured else 2 * QUEUED_FRAMES):

@@ -27,7 +27,7 @@ LASER_ON, LASER_OFF = "LON", "LOFF"
 
 
 class ErrorCode(IntEnum):
-    """Numbers of errors that mean something to us."""
+    """Error numbers that are handled here."""
 
     REJECTED = 200
     BUSY = 201
@@ -59,7 +59,7 @@ class Reply:
 
 
 def parse_reply(line: bytes) -> Reply | None:
-    """Return the reply in a line, None where there is none."""
+    """The reply in a line, None where there is none."""
     found = _REPLY.match(line.strip())
     if found is None:
         return None
@@ -68,7 +68,7 @@ def parse_reply(line: bytes) -> Reply | None:
 
 
 def parse_place(text: str, name: str) -> NDArray[np.float64] | None:
-    """Return the point of that name, or the frame with it in its name; else None."""
+    """Point of that name, or frame with it in its name, (3,); else None."""
     point, frame = _POINT.match(text), _FRAME.match(text)
     found = point if point is not None and point["name"] == name else None
     if frame is not None and name in frame["name"]:

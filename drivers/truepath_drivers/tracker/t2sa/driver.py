@@ -1,4 +1,4 @@
-"""The driver of trackers behind SpatialAnalyzer's T2SA application."""
+"""Driver of trackers behind SpatialAnalyzer's T2SA application."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _LOOK_S = 0.2  # between two looks at a busy application, and at `stop`
 class T2saTracker(LineInstrument):
     """A tracker behind T2SA, one point at a time.
 
-    collection, group, point : of the job, under which a point is measured again and
-        again (`!MEAS_SINGLE_POINT`)
+    collection, group, point : of the job, under which a point is measured repeatedly
+        (`!MEAS_SINGLE_POINT`)
     plan : a measurement plan to run in place of it (`!CMDEXE`, then `?POS`)
     unit : of the job's coordinates, `mm`, `m` or `inch`; the working frame is the
-        instrument's own, or one that stands where the tracker stands
-    instrument : what it is called; the dialogue tells no serial number
+        instrument's own, or one fixed to the tracker
+    instrument : its name; the dialogue gives no serial number
     reply_timeout_s : longest wait for a reply; shot_s : for a point
     """
 
@@ -82,11 +82,11 @@ class T2saTracker(LineInstrument):
 
     @property
     def capabilities(self) -> TrackerCapabilities:
-        """Polled; what is behind the application it does not tell."""
+        """Polled; the application does not report the tracker's capabilities."""
         return TrackerCapabilities(streams=False, clock=Clock.HOST)
 
     def greet(self) -> Identity:
-        """Ask for the instrument and switch its laser on."""
+        """Request the instrument's status and switch its laser on."""
         try:
             status = self._ask("?STAT")
         except DeviceTimeout as error:
@@ -111,7 +111,7 @@ class T2saTracker(LineInstrument):
         return Identity("NRK", "T2SA", self._instrument, "")
 
     def shoot(self) -> tuple[NDArray[np.float64], float]:
-        """Measure the point, or run the plan and ask where it lies."""
+        """Measure the point, or run the plan and request the position."""
         if not self._link.is_open:
             self._link.open()
         reply = self._ask_free(self._command)
@@ -128,7 +128,6 @@ class T2saTracker(LineInstrument):
         return self._mm * place, math.nan
 
     def _ask_free(self, command: str) -> Reply:
-        """Ask until the application is not busy with something else."""
         deadline_s = host_clock.now_s() + self._shot_s
         while True:
             reply = self._ask(command, self._shot_s)
@@ -141,11 +140,9 @@ class T2saTracker(LineInstrument):
                 return reply
 
     def _ask(self, command: str, longer_s: float = 0.0) -> Reply:
-        """Send a line; return the line that answers it.
-
-        A reply names no request. So what has come before is left out, and after a
-        reply that stayed away the connection is closed: a late one is never taken for
-        that of the next request.
+        """A reply names no request. So earlier lines are discarded, and after a missing
+        reply the connection is closed: a late one is never taken for that of the next
+        request.
         """
         with self._lock:
             if self._link.is_open and (stale := self._link.drain()):
@@ -171,7 +168,6 @@ class T2saTracker(LineInstrument):
         raise Refused(f"{self._link.name}: the measurement was stopped")
 
     def _expect(self, reply: Reply) -> str:
-        """Return the text of a good reply. Raises BeamLost or Refused if it is none."""
         if self._stopping.is_set() and self._identity is not None:
             raise Refused(f"{self._link.name}: the measurement was stopped")
         if reply.is_good:

@@ -1,5 +1,5 @@
 """Trackers whose software sends lines of text.
 
-layout    what the fields of a line are; lines to samples
+layout    fields of a line; lines to samples
 driver    start, read, stop over serial, TCP or UDP
 """

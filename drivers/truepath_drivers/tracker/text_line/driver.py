@@ -1,4 +1,4 @@
-"""The driver of trackers whose software sends a line of text a sample."""
+"""Driver of trackers whose software sends one line of text per sample."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ class TextLineTracker(Tracker, ByteLink):
 
     port : path of the tty, or the number of a TCP or UDP port
     columns : fields of a line in order, of x, y, z, time, counter, status and `-`
-    rate_hz : at which the sender was set; nothing here can ask it
+    rate_hz : as set at the sender; it cannot be queried
     counter_wraps : the counter starts again at 0 after so many; 0 if it never does
     arrival_times : stamp lines as they arrive, where they carry neither time nor
-        counter; such samples are for points at standstill, and no loss can be seen
-    start_command, stop_command : lines to send, empty if it streams by itself
-    name, serial_number : of the instrument, as a Run shall call it
+        counter; such samples are for points at standstill, and losses are not
+        detectable
+    start_command, stop_command : lines to send, empty if it streams without
+    name, serial_number : of the instrument, for the Run
 
     Other options are those of `LineLayout`. A damaged digit makes another number: text
-    has no check, so use a link that has one.
+    has no checksum, so use a link that has one.
     """
 
     def __init__(
@@ -91,12 +92,12 @@ class TextLineTracker(Tracker, ByteLink):
 
     @property
     def capabilities(self) -> TrackerCapabilities:
-        """The rate it was set to, and whose clock stamps its samples."""
+        """The configured rate, and the clock that stamps its samples."""
         clock = Clock.DEVICE if self._stamped else Clock.HOST
         return TrackerCapabilities(max_rate_hz=self._rate_hz, clock=clock)
 
     def connect(self) -> Identity:
-        """Open the port. Who sends is not known: the name is that of the settings."""
+        """Open the port. The sender is not identified; settings name it."""
         with self._lock:
             if not self._is_open:
                 self._port.open()
@@ -106,7 +107,7 @@ class TextLineTracker(Tracker, ByteLink):
             return self._identity
 
     def start(self, rate_hz: float) -> None:
-        """Begin to take lines; a first one must come within 2 s."""
+        """Begin to read lines; a first one must come within 2 s."""
         with self._lock:
             self._require_open()
             if abs(rate_hz / self._rate_hz - 1.0) > _RATE_TOLERANCE:
@@ -122,7 +123,7 @@ class TextLineTracker(Tracker, ByteLink):
             self._streams = True
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        """Return all lines since the last call."""
+        """All lines since the last call."""
         deadline_s = host_clock.now_s() + timeout_s
         with self._lock:
             self._require_open()
@@ -136,7 +137,7 @@ class TextLineTracker(Tracker, ByteLink):
             return TrackerSamples.empty()
 
     def stop(self) -> None:
-        """End the stream, or no longer listen to one that has no end.
+        """End the stream, or ignore one that has no stop command.
 
         It takes no lock: a thread that reads holds it nearly all the time.
         """
@@ -157,24 +158,23 @@ class TextLineTracker(Tracker, ByteLink):
 
     @property
     def health(self) -> LinkHealth:
-        """Lines; bad ones count as errors of a check."""
+        """Counts of lines; bad ones count as checksum errors."""
         return self._health
 
     def take_link_bytes(self) -> bytes:
-        """Return what has come since the last call."""
+        """Bytes received since the last call."""
         with self._lock:
             data = bytes(self._kept)
             self._kept.clear()
             return data
 
     def _begin(self) -> None:
-        """Forget the connection before: its counter, its clock, half a line."""
         self._rest, self._in_step = b"", False
         self._jumps, self._refused, self._pace = True, 0, Pace()
         self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
 
     def _drop_stale(self) -> None:
-        """Drop what a sender without commands has sent since the stream before."""
+        """A sender without commands streams before `start` too."""
         self._rest, self._in_step, self._jumps = b"", False, True
         self._pace = Pace()
         while self._port.read(0.0):
@@ -189,7 +189,7 @@ class TextLineTracker(Tracker, ByteLink):
             self._port.write(command.encode() + b"\r\n")
 
     def _await_line(self) -> None:
-        """Wait for a line that can be read; the first may have begun before."""
+        """The first line may be unreadable: it may have begun before the start."""
         deadline_s = host_clock.now_s() + _FIRST_LINE_S
         while True:
             whole = self._rest.split(b"\n")[:-1]
@@ -238,7 +238,6 @@ class TextLineTracker(Tracker, ByteLink):
         self._health = replace(old, **sums)
 
     def _stamp(self, block: LineBlock) -> TrackerSamples:
-        """Return the samples with a rising sequence and clock; others are bad lines."""
         if not len(block):
             return TrackerSamples.empty()
         if self._layout.has_time and self._last_sequence < 0:
@@ -263,7 +262,7 @@ class TextLineTracker(Tracker, ByteLink):
         )
 
     def _keep_pace(self, step: int, time_s: float) -> None:
-        """Refuse a stream whose rate or unit of time is not the one that is stated."""
+        """Raises Refused for a rate or unit of time that differs from the options."""
         found = self._pace.look(time_s if self._stamped else step / self._rate_hz)
         if found is not None:
             raise ConnectionLost(
@@ -273,7 +272,6 @@ class TextLineTracker(Tracker, ByteLink):
             )
 
     def _count_step(self, counter: float, time_s: float) -> int:
-        """Return the number of a line, counted on from the last one that was good."""
         if not self._layout.has_counter:
             if self._layout.has_time:
                 return round((time_s - self._first_s) * self._rate_hz)
@@ -283,10 +281,8 @@ class TextLineTracker(Tracker, ByteLink):
         return self._last_sequence + int(counter - self._last_sequence) % self._wraps
 
     def _accept(self, step: int, time_s: float) -> bool:
-        """Tell whether a line follows the last one, and count what is missing between.
-
-        A damaged digit of a counter or time must not end the stream: what is far ahead
-        is refused as well, but at the start of a stream.
+        """A damaged digit of a counter or time must not end the stream: a line far
+        ahead is rejected as well, except at the start of a stream.
         """
         first = self._last_sequence < 0
         missing = 0 if first else step - self._last_sequence - 1
@@ -309,7 +305,7 @@ class TextLineTracker(Tracker, ByteLink):
         return True
 
     def _spread(self, count: int) -> NDArray[np.float64]:
-        """Return times of lines that came at once, at the nominal rate up to now."""
+        """Times of lines that came at once, at the nominal rate up to now."""
         now_s, period_s = host_clock.now_s(), 1.0 / self._rate_hz
         first_s = now_s - (count - 1) * period_s
         if first_s <= self._last_time_s:
@@ -340,11 +336,14 @@ def _byte_port(
 
 
 _WINDOW_S = 5.0
-_MOST = 0.1  # of a window; whoever states a wrong rate or unit is farther off
+_MOST = 0.1  # of a window; a wrong rate or unit deviates by more
 
 
 class Pace:
-    """The best of what arrives in a window tells: late lines are late once only."""
+    """Rate of a device clock from the earliest arrivals in a window.
+
+    Late lines are only delayed, so the earliest are accurate.
+    """
 
     def __init__(self) -> None:
         self._begin_s = host_clock.now_s()
@@ -352,7 +351,7 @@ class Pace:
         self._drifts_s: list[float] = []
 
     def look(self, device_s: float) -> float | None:
-        """Take the newest stamp; the clock's rate where it is off twice in a row."""
+        """Add the newest stamp; the clock's rate where it deviates twice in a row."""
         now_s = host_clock.now_s()
         self._ahead_s = max(self._ahead_s, device_s - now_s)
         passed_s = now_s - self._begin_s

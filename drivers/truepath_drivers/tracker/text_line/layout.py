@@ -1,4 +1,4 @@
-"""What the fields of a line are, and lines to samples."""
+"""Fields of a line, and conversion of lines to samples."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LineBlock:
 class LineLayout:
     """The fields of a line in order, and their units.
 
-    columns : names of `_FIELDS` with commas between; `-` is a field that is left out
+    columns : names of `_FIELDS` with commas between; `-` is an ignored field
     valid : words of the status field that allow a sample's use
     axes : signs and names of the fields that become x, y, z, right-handed
     """
@@ -75,7 +75,7 @@ class LineLayout:
         return "counter" in self.fields
 
     def parse(self, lines: Sequence[bytes]) -> tuple[LineBlock, int]:
-        """Return the good lines, and how many were not."""
+        """The good lines, and the number of bad ones."""
         rows = [row for line in lines if (row := self._parse_line(line)) is not None]
         table = np.array(rows, float).reshape(-1, 6)
         position_mm = self._scale_mm * self._signs * table[:, 2:5][:, self._order]
@@ -87,7 +87,7 @@ class LineLayout:
         return block, len(lines) - len(rows)
 
     def explain(self, line: bytes) -> str:
-        """Return what keeps a line from being read; empty where it is good."""
+        """Why a line cannot be read; empty where it is good."""
         try:
             self._read_cells(line)
         except ValueError as problem:
@@ -101,7 +101,7 @@ class LineLayout:
             return None
 
     def _read_cells(self, line: bytes) -> tuple[float, ...]:
-        """Return time, counter, x, y, z, status. Raises ValueError with the cause."""
+        """Time, counter, x, y, z, status. Raises ValueError with the cause."""
         text = _decode(line)
         words = [word.strip() for word in text.split(self._delimiter)]
         if len(words) != len(self.fields):

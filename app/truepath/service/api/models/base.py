@@ -1,4 +1,4 @@
-"""What bodies share: where the interface is, bounds of numbers sent in, problems."""
+"""Base of bodies: address of the interface, limits of numbers, problems."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from truepath.motion.paths.feeds import LEAST_FEED_MM_MIN
 
 PREFIX = "/api/v1"
 BASE: ContextVar[str] = ContextVar("base", default="")
-"""Where a proxy has put the service, of the request under way; empty at its root."""
+"""Path prefix of a proxy for the current request; empty without one."""
 JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
 OTHER_ID = "019a3f6b-0c52-7e41-8a3d-5f7e9b1c2d34"
 """The job of all examples."""
@@ -89,11 +89,11 @@ CompensationId = Annotated[
 
 
 class AsKept:
-    """Marks a field that is taken or handed out as it is, described by a model.
+    """Marks a field that is passed on unchanged and described by a model.
 
-    What a file or the catalogue holds may be of another version of the service: it is
-    not held against the model once more. What is sent in is checked by the reader of
-    such files, which names the key and the remedy.
+    The content of a file or the catalogue may be of another version of the service: it
+    is not validated again. Content that is sent in is checked by the reader of such
+    files, which names the key and the remedy.
     """
 
     def __init__(self, model: type[BaseModel], *, many: bool = False) -> None:
@@ -102,13 +102,11 @@ class AsKept:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Accept the value as it is."""
         return any_schema()
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Describe it by the model."""
         self._model.model_rebuild()  # models of files are built when they are used
         described = handler(self._model.__pydantic_core_schema__)
         return {"type": "array", "items": described} if self._many else described
@@ -141,12 +139,11 @@ class RequestBody(BaseModel):
     def __get_pydantic_core_schema__(
         cls, source: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Take numbers and truth values as they are declared; names stay lax."""
         return _make_strict(handler(source))
 
 
 def address(path: str) -> str:
-    """Return the address of what is at this path below `PREFIX`, as clients see it."""
+    """Address of a path below `PREFIX`, with a proxy's prefix."""
     return BASE.get() + PREFIX + path
 
 
@@ -155,7 +152,7 @@ class Links(BaseModel):
 
     @classmethod
     def of(cls, **ids: str | None) -> Self:
-        """Return the addresses of these identifiers; None where one is None."""
+        """Addresses by field of these identifiers; None where one is None."""
         addresses = {
             name: address(field.metadata[0].format(**ids))
             for name, field in cls.model_fields.items()

@@ -1,4 +1,4 @@
-"""What people call a job or a Run, and remark on it."""
+"""Name and note of a job or a Run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Error tables and the verdict on them, as all documents state them."""
+"""Error tables and their verdict, common to all documents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What will move once a job is armed, looked at before it does, and what arms it."""
+"""Summary of the motion of a job before it is armed, and its arm token."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates of a result: issued once, numbered, kept with it, never changed."""
+"""Certificates of a result: numbered, stored with it, never changed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from truepath.service.api.thread_pools import on_threads
 
 router = APIRouter(tags=["certificates"])
 
-# One at a time: each is laid out in a process of its own.
+# One at a time: each is laid out in a separate process.
 _TURN = Lock()
 _ISSUING = CapacityLimiter(2)
 
@@ -270,7 +270,6 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
 def _find_account(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
-    """Return the account of the files that are named, else of those verified."""
     from truepath.compensation.kept_files import find_file
 
     if body.compensation_id is not None:
@@ -283,14 +282,14 @@ def _find_account(
         return None
     kept = service.results / str(asked["result_id"]) / "compensations"
     file = kept / str(asked["compensation_id"]) / "compensation.json"
-    # Deleted since: the certificate then says that no account was given.
+    # Deleted since: the certificate then states that no record was given.
     return file if file.is_file() else None
 
 
 def _keep_identity(
     service: Service, result: Path, body: CertificateRequest
 ) -> Identity:
-    """Return what is stated now, or stands in the registry of machines."""
+    """New entries take precedence over those of the registry."""
     given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
     machine = _find_machine(service, result)
     return keep_identity(machine, given, service.setup.registry)

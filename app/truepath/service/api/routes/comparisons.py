@@ -1,4 +1,4 @@
-"""A result against a direct measurement whose file is sent in; the answer is kept."""
+"""Comparison of a result with an uploaded direct measurement; stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compensation files of a result: formats, what they leave, the files themselves."""
+"""Compensation files of a result: formats, residual errors, files."""
 
 from __future__ import annotations
 

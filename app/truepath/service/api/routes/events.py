@@ -1,9 +1,9 @@
 """Server-sent events: stored ones are never missed, live ones may be dropped.
 
-`job` events have identifiers of the catalogue; a client that comes back with
-Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
-events (`progress`, `live`, `estimate`, `notice`, `condition`, `tick`) are for now only:
-the newest count.
+`job` events have identifiers of the catalogue; a client that returns with Last-Event-ID
+gets all later ones, in order, from the catalogue itself. Other events (`progress`,
+`live`, `estimate`, `notice`, `condition`, `tick`) are momentary: only the newest
+matters.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from truepath_drivers import host_clock
 
 TICK_S = 1.0
 ASK_S = 0.5
-"""How often a stream asks whether it may still be read."""
+"""Interval at which a stream checks whether it may still be read."""
 _ASKING = CapacityLimiter(4)  # apart from all other work, that may take long
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
@@ -77,7 +77,7 @@ class Subscription:
         self._news = True
 
     def put(self, job_event: JobEvent) -> None:
-        """Accept an event. Never waits; the oldest live one is dropped if need be."""
+        """Accept an event. Never waits; a full queue drops the oldest live one."""
         is_live = job_event.id is None and job_event.type in _LIVE
         find_machine = self.service.dispatcher.find_machine
         if is_live and not self._topics.take(job_event, find_machine):
@@ -91,7 +91,7 @@ class Subscription:
             self._loop.call_soon_threadsafe(self._changed.set)
 
     async def events(self, last_event_id: str) -> AsyncGenerator[ServerSentEvent]:
-        """Yield what was missed, or the present state first, then new events."""
+        """Yield missed events, or the present state first, then new events."""
         async with aclosing(self._read_events(last_event_id)) as found:
             async for event in found:
                 if not await self._session.is_open():
@@ -102,7 +102,7 @@ class Subscription:
     async def _read_events(
         self, last_event_id: str
     ) -> AsyncGenerator[ServerSentEvent | None]:
-        """Yield events, and None where none has come for a while."""
+        """Yields None when there was no event for a while."""
         service, topics = self.service, self._topics
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)
@@ -134,7 +134,6 @@ class Subscription:
             await self._wait(min(next_tick - host_clock.now_s(), ASK_S))
 
     def _take(self) -> tuple[bool, list[JobEvent]]:
-        """Return whether the catalogue has news, and the live events."""
         with self._lock:
             news, self._news = self._news, False
             waiting = list(self._waiting)
@@ -143,29 +142,28 @@ class Subscription:
         return news, waiting
 
     async def _wait(self, timeout_s: float) -> None:
-        """Return when there is something to take, or after the time."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._changed.wait(), timeout_s)
 
 
 open_streams: set[Subscription] = set()
-"""Each browser tab holds one. Changed on the event loop only."""
+"""One per browser tab. Changed on the event loop only."""
 
 
 def count_streams(service: Service) -> int:
-    """Return how many event streams of a service are open."""
+    """Number of open event streams of a service."""
     return sum(stream.service is service for stream in list(open_streams))
 
 
 class Session:
-    """The session of a stream: whether it, and its user, are still there."""
+    """Validity of a stream's session and user."""
 
     def __init__(self, service: Service, token: str) -> None:
         self._access, self._token = service.access, token
         self._due_s = host_clock.now_s() + ASK_S
 
     async def is_open(self) -> bool:
-        """Tell whether the stream may go on; asked as often as somebody likes."""
+        """Whether the stream may continue; queries at most every `ASK_S`."""
         if host_clock.now_s() < self._due_s:
             return True
         self._due_s = host_clock.now_s() + ASK_S
@@ -174,7 +172,7 @@ class Session:
     def _is_let_in(self) -> bool:
         try:
             return self._access.identify(self._token) is not None
-        except StorageUnavailable:  # a disk is no reason to close anybody's eyes
+        except StorageUnavailable:  # a disk error must not hide the present state
             return True
 
 
@@ -191,9 +189,8 @@ async def _subscribe(
         ),
     ] = "",
 ) -> AsyncIterator[Subscription]:
-    """Listen for one request. Ended by the request, not by the stream's generator.
-
-    A generator that waits for a slow client does not notice when that client leaves.
+    """Ended by the request, not by the stream's generator: a generator that waits for a
+    slow client does not notice when that client leaves.
     """
     chosen = await run_sync(_choose_topics, request, service, topics)
     if len(open_streams) >= service.max_streams:
@@ -210,7 +207,7 @@ async def _subscribe(
 
 
 def _choose_topics(request: HTTPConnection, service: Service, text: str) -> Topics:
-    """Return what a request listens to. Raises NotFound, BadInput."""
+    """Raises NotFound, BadInput."""
     job_id = request.path_params.get("job_id")
     if job_id is not None:
         return Topics(jobs=frozenset({service.store.get(job_id).id}))
@@ -266,7 +263,7 @@ async def send_events(
 
 
 def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
-    """Return what the client has seen; None if it is new or of another catalogue."""
+    """None if the client is new or of another catalogue."""
     if not last_event_id.isdecimal() or len(last_event_id) > 18:
         return None
     seen = int(last_event_id)
@@ -276,7 +273,6 @@ def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
 def _read_present(
     service: Service, topics: Topics, newest: int
 ) -> list[ServerSentEvent]:
-    """Return where things stand, for a client that has seen nothing."""
     store = service.store
     unfinished = {job.id: job for job in store.list_unfinished()}
     named = {job_id: store.get(job_id) for job_id in sorted(topics.jobs)}

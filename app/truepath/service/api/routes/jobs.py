@@ -1,4 +1,4 @@
-"""Jobs: create, follow, arm, pause, resume, cancel, abort; what they command."""
+"""Jobs: create, follow, arm, pause, resume, cancel, abort; their commanded rows."""
 
 from __future__ import annotations
 

@@ -241,13 +241,13 @@ def _read_status(service: Service) -> CellStatus:
 
 
 def list_conditions_of(one: MachineCell) -> ConditionList:
-    """Return the conditions of a machine as they are now."""
+    """Present state of all conditions of a machine."""
     found = [] if one.conditions is None else one.conditions.read()
     return ConditionList(items=[ConditionOut(**asdict(each)) for each in found])
 
 
 def describe_connection(cell: CellSupervisor, devices: Devices) -> Connection:
-    """Return who answers, and how sensors were read."""
+    """Identities of the devices, and readings of the sensors at connect."""
     none = dict.fromkeys(("tracker", "motion"))
     tried = {"sensors": cell.sensors.tries, "sensors_refused": cell.sensors.refused}
     known = {**none, **devices, **tried, "connected": bool(devices)}

@@ -1,4 +1,4 @@
-"""A machine over its calibrations: history, changes, standing; machines compared."""
+"""A machine over its calibrations: history, changes, status; comparison of machines."""
 
 from __future__ import annotations
 
@@ -246,7 +246,6 @@ def download_machine_temperature(
 def _choose_calibrations(
     service: ServiceDep, machine_id: str, jobs: Sequence[str]
 ) -> Sequence[Calibration]:
-    """Return those of the jobs; all usable ones of the machine without any."""
     service.setup.registry.get(machine_id)
     chosen = [service.calibrations.find(machine_id, one) for one in jobs]
     return chosen or service.calibrations.list_usable(machine_id)

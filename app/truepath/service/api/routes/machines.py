@@ -1,4 +1,4 @@
-"""The machines: who they are, how they are configured, whether their devices work."""
+"""The machines: identity, configuration, trial of their devices."""
 
 from __future__ import annotations
 
@@ -399,7 +399,7 @@ def _change(machine_id: str, request: MachineIdentity, service: Service) -> None
 def _note_change(
     request: Request, before: MachineRecord | None, after: MachineRecord | None
 ) -> None:
-    """Say for the audit log what changed of a machine, without passwords."""
+    """Passwords are omitted."""
     old, new = _list_values(before), _list_values(after)
     changed = {key for key in old | new if old.get(key) != new.get(key)}
     note_change(

@@ -1,7 +1,7 @@
-"""`GET /metrics`: the service in numbers, in the text format of Prometheus.
+"""`GET /metrics`: figures of the service, in the text format of Prometheus.
 
-What is counted elsewhere is read at each scrape; only the requests are counted here. A
-service has a registry of its own, so that two in one process share nothing.
+Figures counted elsewhere are read at each scrape; only the requests are counted here. A
+service has its own registry, so that two in one process share nothing.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ router = APIRouter(tags=["system"])
 
 
 class ServiceMetrics:
-    """The numbers of one service.
+    """The figures of one service.
 
     service : None only to describe the interface
     """
@@ -118,12 +118,12 @@ class ServiceMetrics:
             known.observe(took_s)
 
     def render(self) -> bytes:
-        """Return all numbers as text."""
+        """All figures as text."""
         return generate_latest(self.registry)
 
 
 class RequestTimer:
-    """Times every request; plain ASGI, outside all else."""
+    """Times every request; plain ASGI, outside all other middleware."""
 
     def __init__(self, app: ASGIApp, metrics: ServiceMetrics) -> None:
         self._app, self._metrics = app, metrics
@@ -165,11 +165,10 @@ class _ServiceCollector(Collector):
         self._service = service
 
     def describe(self) -> Iterable[Metric]:
-        """Return nothing: names are not looked at before the first scrape."""
+        """Empty: the names are not read before the first scrape."""
         return ()
 
     def collect(self) -> Iterator[Metric]:
-        """Yield every family."""
         service = self._service
         info = {"version": service.version, "simulated": str(service.simulated).lower()}
         yield InfoMetricFamily("truepath", "The service.", value=info)

@@ -1,4 +1,4 @@
-"""What to measure: plans, and what a job commands, graded or taken to a control."""
+"""Plans, and the commanded rows of jobs: graded, or as an NC program."""
 
 from __future__ import annotations
 
@@ -211,7 +211,6 @@ def download_nc_program(
 def _read_set_up(
     job: Job, service: Service, missing: str, station: int | None = None
 ) -> tuple[Machine, Commanded]:
-    """Return the machine and what the job commands; NotFound says what is missing."""
     plan = service.store.read_plan(job.id)
     if plan is None:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")

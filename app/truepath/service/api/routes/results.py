@@ -1,4 +1,4 @@
-"""What jobs found: the estimate on the way, tables, reports, discoveries, trends.
+"""Answers of jobs: live estimate, tables, reports, discoveries, trends.
 
 Uncertainties are standard ones (k = 1).
 """
@@ -230,7 +230,7 @@ class VolumetricMapOut(BaseModel):
 
 
 def find_machine_tolerance_um(service: Service, job_id: str) -> float | None:
-    """Return the tolerance of the machine of a job; None where nobody knows one."""
+    """Tolerance of the machine of a job; None where it is unknown."""
     machine_id = service.store.get(job_id).machine
     if machine_id is None:
         return None
@@ -243,7 +243,7 @@ def find_machine_tolerance_um(service: Service, job_id: str) -> float | None:
 def hold_against(
     spread: dict[str, Any], mean_um: float | None, machine_um: float | None
 ) -> SpreadOut:
-    """Return sizes in µm with what they are against both tolerances."""
+    """Sizes in µm with their conformity to both tolerances."""
     return SpreadOut(
         **spread,
         conformity=_decide(spread["mean"], mean_um),
@@ -265,7 +265,7 @@ def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
 
 
 def send_page(report: Path) -> FileResponse:
-    """Return a report as a page that may ask for nothing and do nothing outside."""
+    """A report as a page without access to anything outside."""
     return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
 

@@ -1,4 +1,4 @@
-"""Runs: list them, take them away as bundles, send bundles in."""
+"""Runs: lists, and bundles in both directions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])
 
 UNPACKED_SHARE = 8
-"""How many times its own size a bundle may unpack to: a stream in CSV packs 3:1."""
+"""Largest ratio of unpacked to packed size: a stream in CSV packs 3:1."""
 _LARGEST_TABLE = 1 << 20
 _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
@@ -44,7 +44,7 @@ _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 _CSV = {"text/csv": {"schema": {"type": "string"}}}
 
 
-# Threads of their own: what is slow to read keeps nobody else waiting.
+# Separate threads: slow reading delays no other request.
 _UPLOADING = CapacityLimiter(4)
 _PACKING = CapacityLimiter(2)
 
@@ -225,7 +225,7 @@ async def upload_bundle(
 
 
 def clean_run_name(filename: str | None) -> str:
-    """Return a name for people out of a file's name; never used as a path."""
+    """Readable name from a file's name; never used as a path."""
     return (
         _ODD.sub("_", Path(_find_last_part(filename)).stem).strip("_ .")[:100]
         or "bundle"
@@ -262,7 +262,7 @@ def _require_space(service: Service, size: int) -> None:
 
 
 def _list_names(machine: str, service: Service) -> list[str]:
-    """Return the names that the files of a machine had; Runs know no other."""
+    """Names in the files of a machine; Runs know no other."""
     try:
         record = service.setup.registry.get(machine)
     except NotFound:

@@ -31,7 +31,7 @@ router = APIRouter(tags=["jobs"])
 _LEVELS = {True: Level.TRUE, False: Level.FALSE, None: Level.UNKNOWN}
 
 _LOOKING_UP = CapacityLimiter(8)
-_LOOK_UP_S = 1.0  # of whoever stops
+_LOOK_UP_S = 1.0  # of the sender of a stop
 
 MOST_CHANNELS = 256
 _open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
@@ -82,7 +82,7 @@ async def stop_by_message(websocket: WebSocket) -> None:
     A channel that is open already waits for no other request of its browser.
     """
     await websocket.accept()
-    while len(_open) >= MOST_CHANNELS:  # whoever comes last is the one who looks
+    while len(_open) >= MOST_CHANNELS:  # the newest one is in use
         oldest = _open.pop(next(iter(_open)))
         with suppress(RuntimeError):
             await oldest.close(TRY_LATER)
@@ -98,7 +98,6 @@ async def stop_by_message(websocket: WebSocket) -> None:
 
 
 async def _post(websocket: WebSocket, path: str) -> str:
-    """Post to this service itself, as whoever has opened the WebSocket."""
     answer = bytearray()
 
     async def receive() -> Message:
@@ -120,9 +119,8 @@ async def _post(websocket: WebSocket, path: str) -> str:
 async def _hide_from_strangers(
     stopped: Stopped, request: Request, service: Service
 ) -> Stopped:
-    """Leave out the jobs where nobody is logged in, or that cannot be looked up.
-
-    Looked up after the stop and not for long: neither waits for the catalogue.
+    """Omits the jobs without login, or if they cannot be looked up. Looked up after the
+    stop and not for long: neither waits for the catalogue.
     """
     if not service.access.rules.log_in_required:
         return stopped
@@ -139,10 +137,7 @@ async def _hide_from_strangers(
 
 
 def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stopped:
-    """Return what was stopped, and what the controllers say of themselves.
-
-    What one has said before its job has ended tells nothing of the stop.
-    """
+    """A controller status from before the job ended does not count for the stop."""
     ending = {job.machine for job in jobs}
     stands = {
         one.id: (None, NOT_READ) if one.id in ending else one.cell.tell_standstill()

@@ -1,4 +1,4 @@
-"""Who may ask: connections, proxies, host names, sessions, roles.
+"""Access: connections, proxies, host names, sessions, roles.
 
 Not here: accounts, keys and passwords (`users`).
 """

@@ -1,7 +1,7 @@
-"""Who sends a request, whether the role suffices, and the audit log of it.
+"""Authentication of a request, check of its role, and its audit log.
 
 Plain ASGI, before the routes: nothing of a request is read, and no stream opens, before
-it is known who sends it.
+its sender is known.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from truepath.users.roles import LOCAL, Actor, Role
 
 COOKIE = "truepath_session"
 AUDIT_PATIENCE_S = 1.0
-"""How long an answer waits for its row of the audit log."""
+"""Longest wait of an answer for its row of the audit log."""
 
 # Apart from all other work: whose abort it is waits for no bundle and no log-in.
 _IDENTIFYING, _IDENTIFYING_TO_STOP = CapacityLimiter(8), CapacityLimiter(8)
@@ -111,7 +111,7 @@ async def _let_in(
 
 
 def read_token(scope: Scope) -> str:
-    """Return the token of a request, of its header or of its cookie; else nothing."""
+    """Token from the header of a request, or from its cookie; else empty."""
     headers = Headers(scope=scope)
     scheme, _, token = headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer":
@@ -125,13 +125,13 @@ def read_token(scope: Scope) -> str:
 def note_change(
     request: HTTPConnection, *, old: Mapping[str, Any], new: Mapping[str, Any]
 ) -> None:
-    """Say for the audit log what the request changes."""
+    """Set the values before and after a change for the audit log."""
     state: State = request.state
     state.old, state.new = old, new
 
 
 def note_deletion(request: HTTPConnection, deleted: Sequence[Deleted]) -> None:
-    """Say for the audit log what a request has deleted: files and their digests."""
+    """Set the deleted files and their digests for the audit log."""
     old = {name: sha256 for one in deleted for name, sha256 in one.files.items()}
     note_change(request, old=old, new={})
 
@@ -144,7 +144,7 @@ class _Named(Protocol):
 
 
 def note_naming(request: HTTPConnection, before: _Named, after: _Named) -> None:
-    """Say for the audit log which names and notes the request changes."""
+    """Set the changed names and notes for the audit log."""
     old, new = ({"name": one.name, "note": one.note or ""} for one in (before, after))
     changed = {key for key in old if old[key] != new[key]}
     note_change(
@@ -162,7 +162,6 @@ class _AuditedAnswer:
         self._route = route
 
     async def send(self, message: Message) -> None:
-        """Send one message; the row is written before the first one."""
         if message["type"] == "http.response.start":
             await self._record(message)
         await self._send(message)

@@ -26,13 +26,13 @@ from truepath.service.api.security.trusted_proxies import find_network, is_trust
 HEAD_S = 10.0
 """For the handshake of TLS, and for the head of a request."""
 BODY_S = 20.0
-"""For its body, and a second more for each `SLOWEST_BYTES_PER_S` of it."""
+"""For the body, plus 1 s per `SLOWEST_BYTES_PER_S` of it."""
 SLOWEST_BYTES_PER_S = 4096
 UNREAD_S = 60.0
 """Longest pause of a client that reads an answer, or that has sent much of a body."""
 LONGEST_HEAD_BYTES = 1 << 16
 USUAL = 512
-"""Enough connections, or twice the streams if those are more."""
+"""Default number of connections, or twice the streams if that is more."""
 _MOST_DESCRIPTORS = 1 << 16
 _PAUSE_S = 0.05
 
@@ -40,13 +40,13 @@ log = structlog.get_logger(__name__)
 
 
 class Connection(HttpToolsProtocol):
-    """A connection with a deadline for what its client has to do next."""
+    """A connection with a deadline for the next action of its client."""
 
     due_s = 0.0
     _head_bytes = _unread_bytes = 0
 
     def data_received(self, data: bytes) -> None:
-        """Give the client time for what it sends of a body, and none for a head."""
+        """Extend the deadline for data of a body, not for a head."""
         now_s = self.loop.time()
         if self._waits_for_head:
             self._head_bytes += len(data)
@@ -58,12 +58,12 @@ class Connection(HttpToolsProtocol):
             self.transport.abort()
 
     def on_headers_complete(self) -> None:
-        """Wait for the body."""
+        """Set the deadline of the body."""
         self._head_bytes, self.due_s = 0, self.loop.time() + BODY_S
         super().on_headers_complete()
 
     def on_response_complete(self) -> None:
-        """Wait for the next head."""
+        """Set the deadline of the next head."""
         self.due_s = self.loop.time() + self.timeout_keep_alive + HEAD_S
         super().on_response_complete()
 
@@ -89,8 +89,8 @@ class Connection(HttpToolsProtocol):
 class Connections:
     """Accepts connections, and closes those that keep others out.
 
-    most_streams : that the service allows
-    trusted_proxies : addresses that many clients are behind
+    most_streams : limit of the service
+    trusted_proxies : addresses shared by many clients
     """
 
     def __init__(
@@ -146,7 +146,6 @@ class Connections:
             del self._opening[one]
 
     def _make_room(self, host: str) -> None:
-        """Close the connection that one more of this address replaces, if any."""
         held = self._list_all()
         if len(held) >= self._most // 2 and not is_trusted_proxy(host, self._trusted):
             network = find_network(host)
@@ -161,7 +160,6 @@ class Connections:
         return list(self._state.connections | self._opening.keys())
 
     def _close_for_another(self, some: list[Any], reason: str) -> None:
-        """Close the one that is nearest to its deadline, in a crowd some at once."""
         if self._seldom.is_due():
             log.warning("connections closed", reason=reason, held=len(some))
         some.sort(key=_rank)
@@ -178,7 +176,7 @@ class Connections:
 
 
 def find_most_connections(most_streams: int) -> int:
-    """Return how many connections there may be; let the process have more if it may."""
+    """Limit of connections; raises the process's file limit where permitted."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     soft = max(soft, min(hard, _MOST_DESCRIPTORS))
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -1,6 +1,6 @@
-"""What stands in the headers of a request: a key of its own, and the version it read.
+"""Headers of a request: its idempotency key, and the version it read.
 
-The version of a job stands in ETag and If-Match.
+The version of a job is in ETag and If-Match.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _TAG = re.compile(r'^"?(\d{1,9})"?$')  # a weak tag matches nothing (RFC 9110)
 def make_key(
     key: str | None, kind: str, request: BaseModel, owner: str | None
 ) -> IdempotencyKey | None:
-    """Return the key of a request with the body it came with, and whose it is."""
+    """Key of a request with its body and its owner; None without a key."""
     body = f"{kind}{request.model_dump_json(exclude_defaults=True)}".encode()
     return IdempotencyKey(key, body, owner) if key else None
 
 
 def format_etag(job: Job) -> str:
-    """Return the ETag of a job: its version."""
+    """Version of a job, in quotes."""
     return f'"{job.version}"'
 
 

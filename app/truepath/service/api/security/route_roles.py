@@ -1,9 +1,8 @@
-"""The least role of every route, in one table; a test holds it against the routes.
+"""The least role of every route, in one table; a test compares it with the routes.
 
-`ANYBODY` needs no log-in. `POST /stop` is among them: a stop must never be refused, and
-a session that has ended, a forgotten password or a catalogue that does not answer must
-not stand between a person and the stop. The worst a stranger can do by it is to hold
-the feed.
+`ANYBODY` needs no login. `POST /stop` is among them: a stop must never be refused, also
+with an expired session, a forgotten password or a catalogue that does not answer. The
+worst that a stranger can do with it is to hold the feed.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ STOP_MACHINE = f"POST {PREFIX}/machines/{{machine_id}}/stop"
 ABORT = f"POST {PREFIX}/jobs/{{job_id}}/abort"
 STOPS = frozenset({STOP, STOP_MACHINE})
 CHECKS = frozenset(f"{stop}:check" for stop in STOPS)
-"""The way of a stop and nothing else: a page asks again and again."""
+"""Path of a stop without its effect: pages call it periodically."""
 OPEN_STOP = f"GET {PREFIX}/stop"
 """A WebSocket whose every message is a stop."""
 FREE_TO_STOP = STOPS | CHECKS | {OPEN_STOP}
 NEVER_LIMITED = STOPS | {ABORT}
-"""Whatever the rate, and before the audit log is written."""
+"""Exempt from the rate limit and from waiting for the audit log."""
 
 HOLDS = NEVER_LIMITED | {f"POST {PREFIX}/jobs/{{job_id}}/pause"}
-"""Brings a machine to a stand: on threads that other requests do not have."""
+"""Stops a machine: on threads that other requests do not use."""
 
 LONG_LIVED = frozenset({f"GET {PREFIX}/events", f"GET {PREFIX}/jobs/{{job_id}}/events"})
-"""Streams: they would show a page of another site all that happens."""
+"""Streams: a page of another site could read all events from them."""
 
 MOVES = frozenset(
     {
@@ -46,7 +45,7 @@ MOVES = frozenset(
         f"POST {PREFIX}/jobs/{{job_id}}/take-control",
     }
 )
-"""Sets the machine in motion, leads to it, or decides who may: by a person."""
+"""Moves the machine, leads to it, or decides who may: requires a person."""
 
 _OF_INTERFACE: Mapping[str, Role | None] = {
     "POST /stop": ANYBODY,
@@ -171,7 +170,7 @@ _BESIDE: Mapping[str, Role | None] = {
     "GET /readyz": ANYBODY,
     "GET /metrics": _VIEWER,
 }
-"""The page, its files and the probes say nothing of a machine; the metrics do."""
+"""The page, its files and the probes reveal nothing of a machine; the metrics do."""
 
 LEAST_ROLES: Mapping[str, Role | None] = {
     **{route.replace(" ", f" {PREFIX}", 1): r for route, r in _OF_INTERFACE.items()},
@@ -187,16 +186,16 @@ _MATCHERS = [
 
 
 def find_route(method: str, path: str) -> str:
-    """Return the key of `LEAST_ROLES` that a request is for; empty for none."""
+    """Key of `LEAST_ROLES` for a request; empty for none."""
     wanted = "GET" if method == "HEAD" else method
     found = (r for m, pattern, r in _MATCHERS if m == wanted and pattern.match(path))
     return next(found, "")
 
 
 def find_least_role(method: str, route: str) -> Role | None:
-    """Return the least role of a route; `ANYBODY` is None.
+    """Least role of a route; `ANYBODY` is None.
 
-    What is not declared is closed: to read it needs a log-in, else an administrator.
+    An undeclared route needs a login to read, else an administrator.
     """
     if route in LEAST_ROLES:
         return LEAST_ROLES[route]
@@ -204,7 +203,7 @@ def find_least_role(method: str, route: str) -> Role | None:
 
 
 def describe_roles(document: dict[str, Any]) -> dict[str, Any]:
-    """Return an OpenAPI document in which every operation names its least role."""
+    """An OpenAPI document in which every operation names its least role."""
     schemes = document["components"].setdefault("securitySchemes", {})
     schemes["bearer"] = {
         "type": "http",

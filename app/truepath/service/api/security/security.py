@@ -1,8 +1,8 @@
-"""What stands before every route: host names, origins, identifiers, headers, defects.
+"""Outermost checks: host names, origins, identifiers, headers, defects.
 
-Plain ASGI, so that streams pass through untouched. Browsers are kept from being used
-against the service: a page of another site cannot post to it (Sec-Fetch-Site, Origin),
-and a name that an attacker points at this computer is not answered (Host).
+Plain ASGI, so that streams pass through untouched. Browsers cannot be used against the
+service: a page of another site cannot post to it (Sec-Fetch-Site, Origin), and a name
+that an attacker points at this computer is not answered (Host).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _REQUEST_ID = re.compile(r"^[\w.-]{1,64}$")
 class Guard:
     """The outermost middleware of the application.
 
-    trusted_hosts : names of this computer beside localhost and any IP address
+    trusted_hosts : names of this computer besides localhost and any IP address
     """
 
     def __init__(self, app: ASGIApp, trusted_hosts: Collection[str] = ()) -> None:
@@ -92,10 +92,9 @@ class Guard:
             answer.log()
 
     async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a page of this service or a program open a WebSocket, nobody else.
-
-        A browser lets every page open one to any address; only the origin shows which
-        page it was. Stops are accepted from everybody.
+        """For pages of this service and programs only: a browser lets every page open a
+        WebSocket to any address; only the origin shows which page it was. Stops are
+        accepted from everybody.
         """
         headers = Headers(scope=scope)
         is_ours = self._is_ours(headers.get("host", "")) and _is_same_site(headers)
@@ -111,7 +110,7 @@ class Guard:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if scope["method"] == "POST" and _find_stop(scope, _STOP):
-            # It can only hold: whoever sends it, by whichever name, with whatever body.
+            # It can only hold: any sender, by any host name, with any body.
             await self._app(scope, _leave_body(scope, receive), answer.send)
         elif not self._is_ours(host):
             detail = f"{host!r} is not a name of this service"
@@ -125,7 +124,7 @@ class Guard:
             await self._app(scope, receive, answer.send)
 
     def _is_ours(self, host: str) -> bool:
-        """A name that is not known may be one that somebody points at this computer."""
+        """An unknown name may be one that an attacker points at this computer."""
         with suppress(ValueError):  # no host, or no address
             name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
             return name in self._trusted or bool(ipaddress.ip_address(name))
@@ -133,10 +132,7 @@ class Guard:
 
 
 class _Answer:
-    """Sends the answer of one request with the headers that every answer has.
-
-    A refusal in plain text, as the framework writes some, becomes a problem.
-    """
+    """A refusal in plain text, as the framework writes some, becomes a problem."""
 
     def __init__(self, scope: Scope, send: Send, request_id: str) -> None:
         self._scope, self._send, self._request_id = scope, send, request_id
@@ -145,7 +141,6 @@ class _Answer:
         self._is_bare = False
 
     async def send(self, message: Message) -> None:
-        """Send one message; the first one gets its headers."""
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             is_plain = headers.get("content-type", "").startswith("text/plain")
@@ -163,7 +158,6 @@ class _Answer:
             await self._send_problem(find_kind_of_status(self._status))
 
     async def refuse(self, kind: ProblemKind, detail: str = "") -> None:
-        """Send a problem, unless the answer has begun."""
         if not self._status:
             await self._send_problem(kind, detail)
 
@@ -172,7 +166,6 @@ class _Answer:
         await response(self._scope, _receive_disconnect, self.send)
 
     def log(self) -> None:
-        """Write one line a request; what only reads and succeeds is for debugging."""
         is_check = self._scope["path"].endswith(":check")
         is_safe = is_check or self._scope["method"] not in _UNSAFE
         is_quiet = is_safe and self._status < 400
@@ -188,9 +181,8 @@ class _Answer:
 
 
 def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
-    """Whether a request is for a stop; its address is then normalised.
-
-    A proxy may have added a prefix, a slash at the end, or doubled one.
+    """The address is then normalised: a proxy may have added a prefix, or a final or
+    double slash.
     """
     found = pattern.search(re.sub("/{2,}", "/", scope["path"]))
     if found:
@@ -199,7 +191,6 @@ def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
 
 
 def _leave_body(scope: Scope, receive: Receive) -> Receive:
-    """Leave the body of a request out; it is never read."""
     of_body = (b"content-length", b"content-type", b"transfer-encoding")
     scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in of_body]
     empty: Message = {"type": "http.request", "body": b"", "more_body": False}
@@ -212,7 +203,6 @@ def _leave_body(scope: Scope, receive: Receive) -> Receive:
 
 
 def _is_guarded(scope: Scope) -> bool:
-    """Whether a request changes something, or opens a stream of events."""
     method = scope["method"]
     return method in _UNSAFE or find_route(method, scope["path"]) in LONG_LIVED
 
@@ -222,7 +212,7 @@ async def _receive_disconnect() -> Message:
 
 
 def _is_same_site(headers: Headers) -> bool:
-    """Whether no page of another site is behind a request. Programs send neither."""
+    """Programs send neither header."""
     site = headers.get("sec-fetch-site")
     if site is not None:
         return site in ("same-origin", "none")

@@ -1,4 +1,4 @@
-"""The session of whoever sends the request: log in, log out, who am I."""
+"""The session of a request: log in, log out, present user."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ async def _actor(request: Request) -> Actor | None:
 
 
 ActorDep = Annotated[Actor | None, Depends(_actor)]
-"""Who sends the request; None where that is not known."""
+"""Sender of the request; None where unknown."""
 
 
 async def _access(service: ServiceDep) -> Access:
@@ -80,7 +80,7 @@ AccessDep = Annotated[Access, Depends(_access)]
 
 
 def owner_of(actor: Actor | None) -> str | None:
-    """Return the name that a job is owned by; None where nobody logs in."""
+    """Owner of a job; None without login."""
     return actor.name or None if actor else None
 
 

@@ -1,4 +1,4 @@
-"""Forwarded headers of the proxies that the settings name; all others are ignored."""
+"""Forwarded headers of the proxies in the settings; all others are ignored."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SCHEMES = {"http": "ws", "https": "wss"}
 
 
 def is_trusted_proxy(host: str, networks: Iterable[str]) -> bool:
-    """Whether an address is one of the addresses or networks of the setting."""
+    """Whether an address is in one of the networks of the setting."""
     address = _read_address(host)
     return address is not None and any(
         address in ipaddress.ip_network(one) for one in networks
@@ -28,19 +28,19 @@ def is_trusted_proxy(host: str, networks: Iterable[str]) -> bool:
 
 
 def find_source(scope: Scope) -> str:
-    """Return the address of the computer that a request comes from."""
+    """Address of the client behind trusted proxies; empty if unknown."""
     client = scope.get("client")
     return client[0] if client else ""
 
 
 def find_peer(scope: Scope) -> str:
-    """Return the address at the other end of the connection, be it a proxy's."""
+    """Address at the other end of the connection, possibly a proxy's."""
     return scope.get("state", {}).get("peer") or find_source(scope)
 
 
 @lru_cache(4096)
 def find_network(host: str) -> str:
-    """Return what the addresses of one site share: of IPv6 the first 64 bits."""
+    """Common part of the addresses of a site: of IPv6 the first 64 bits."""
     address = _read_address(host)
     if address is None or address.version == 4:
         return host
@@ -50,10 +50,10 @@ def find_network(host: str) -> str:
 class ForwardedHeaders:
     """Replaces a trusted proxy by the client whose request it forwards.
 
-    Before all other middleware; `find_peer` still returns the proxy.
+    Before all other middleware; `find_peer` still gives the proxy.
 
     root_path : path at which the proxies show the service; one that a trusted proxy
-        names counts before it. It may still stand in the requests that they pass on
+        names takes precedence. It may still be in the requests that they pass on
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class ForwardedHeaders:
         if scheme in _SCHEMES:
             is_socket = scope["type"] == "websocket"
             scope["scheme"] = _SCHEMES[scheme] if is_socket else scheme
-        # Each proxy adds to the end: what stands before a stranger is his own word.
+        # Each proxy appends: entries before a stranger's are unverified.
         for one in reversed(",".join(headers.getlist(_FOR)).split(",")):
             address = _read_address(one)
             if address is None:
@@ -97,7 +97,7 @@ class ForwardedHeaders:
 def _read_address(
     given: str,
 ) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Return the address of `address`, `address:port` or `[address]:port`."""
+    """Accepts `address`, `address:port` and `[address]:port`."""
     given = given.strip()
     for host in (lambda: given, lambda: urlsplit(f"//{given}").hostname or ""):
         with suppress(ValueError):

@@ -1,4 +1,4 @@
-"""A job as clients see it."""
+"""Body of a job."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of a new job."""
+"""Request of a new job."""
 
 from __future__ import annotations
 
@@ -353,7 +353,7 @@ class JobRequest(RequestBody):
             )
 
     def to_requested_job(self) -> RequestedJob:
-        """Return the request as the dispatcher takes it."""
+        """The request in the form of the dispatcher."""
         rows, trials = self.path or self.points, self.monte_carlo
         order: dict[str, Any] | None = None
         if self.kind == "measure-adaptive":  # what is asked of its parts

@@ -1,4 +1,4 @@
-"""What is asked of a plan, and the plan as a resource."""
+"""Request of a plan, and the plan as a resource."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class PlanRequest(RequestBody):
         return self
 
     def order(self) -> dict[str, Any]:
-        """Return the request as it is kept and computed."""
+        """The request as stored: without None, `model_id` and `machine`."""
         return self.model_dump(exclude_none=True, exclude={"model_id", "machine"})
 
 

@@ -1,4 +1,4 @@
-"""What a plan will tell, as `plan.json` states it; k = 1 where nothing is said."""
+"""Predicted uncertainty of a plan, as in `plan.json`; k = 1 unless noted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows to drive: as they are sent, as they are commanded, and as they are checked."""
+"""Rows of a plan: as requested, as commanded, and as checked."""
 
 from __future__ import annotations
 
@@ -243,12 +243,11 @@ class PlanOut(BaseModel):
 
     @classmethod
     def of(cls, plan: Mapping[str, Any], target_um: float | None) -> Self:
-        """Return a plan as the store keeps it, or a Run."""
+        """From a plan in the form of the store, or from a Run."""
         return cls(**{**plan, "target_um": target_um, "keep_out": _list_keep_out(plan)})
 
 
 def _list_keep_out(plan: Mapping[str, Any]) -> list[Any] | None:
-    """Return the boxes of what was asked of a plan; None of a Run, which has none."""
     if "request" not in plan:
         return None
     workspace = plan["request"].get("workspace") or {}
@@ -289,7 +288,7 @@ class PlanCheck(RequestBody):
         return self
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows in the columns of the bundle."""
+        """Rows in the columns of the bundle."""
         rows = self.path or self.points or ()
         return [row.model_dump(exclude_none=True) for row in rows]
 

@@ -1,4 +1,4 @@
-"""A machine as `machine.json` states it."""
+"""A machine, as in `machine.json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of a machine over its calibrations, and of several machines."""
+"""Calibration history of a machine, and comparison of machines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model lacks, as `discovery.json` states it."""
+"""Missing effects of a model, as in `discovery.json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result of a calibration, as `result.json` states it; uncertainties are k = 1."""
+"""The result of a calibration, as in `result.json`; uncertainties are k = 1."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a result says of one Run."""
+"""Part of a result about one Run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A machine over time, as `trend.json` states it: uncertainties are standard ones."""
+"""A machine over time, as in `trend.json`; standard uncertainties (k = 1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A verification, as `verification.json` states it: uncertainties are standard ones."""
+"""A verification, as in `verification.json`; standard uncertainties (k = 1)."""
 
 from __future__ import annotations
 
