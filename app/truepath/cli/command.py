@@ -36,7 +36,6 @@ _CTRL_C = 130  # as Typer answers it
 
 app = typer.Typer(
     help="Calibrates machine tools with a laser tracker, with the machine in the loop.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -55,7 +54,8 @@ def main() -> NoReturn:
 
 def run(arguments: Sequence[str]) -> int:
     """Exit status of one command line: 0, 2 for bad input, else 1."""
-    return run_command(lambda: app(args=list(arguments), standalone_mode=False))
+    args = list(arguments) or ["--help"]
+    return run_command(lambda: app(args=args, standalone_mode=False))
 
 
 def _print_version(asked: bool) -> None:

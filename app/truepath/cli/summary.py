@@ -86,6 +86,28 @@ def print_result(result: Result, folder: Path) -> None:
     if (trials := result["monte_carlo"]) is not None:
         print(_describe_trials(trials))
     print_files(list_files(folder))
+    _print_outcome(result, folder)
+
+
+def _print_outcome(result: Result, folder: Path) -> None:
+    verdict = verdict_from_json(result["verdict"])
+    print(f"verdict: {verdict.title.lower()}")
+    error = result["volumetric_error"]
+    before, after = (
+        _describe_error(error[key]) for key in ("before", "after_expected")
+    )
+    print(f"volumetric error: {before}")
+    print(f"after compensation: {after} (k = 2)")
+    if verdict.state != "not-usable":
+        print(f"next: truepath export {folder / 'result.json'} --format F -o FILE")
+
+
+def _describe_error(statistics: Mapping[str, Mapping[str, float]]) -> str:
+    return ", ".join(
+        f"{name} {of['value_um']:.1f} ± {2.0 * of['uncertainty_um']:.1f} µm"
+        for name in ("mean", "largest")
+        for of in (statistics[name],)
+    )
 
 
 def warn_of_verdict(stated: Result, what: str = "the result") -> None:

@@ -199,3 +199,22 @@ def test_analyse_warns_on_standard_error_and_succeeds(
     assert said.out.startswith("*** NOT TO BE USED ***\n")
     verdict = command.json(*order)["verdict"]
     assert verdict == verdict_json(VERDICTS["not-usable"])
+
+
+def test_the_last_lines_state_the_error_what_compensation_leaves_and_the_next_step(
+    result, tmp_path, capsys
+):
+    print_result(result | {"verdict": verdict_json(VERDICTS["doubtful"])}, tmp_path)
+    verdict, before, after, following = capsys.readouterr().out.splitlines()[-4:]
+    assert verdict == "verdict: doubtful"
+    mean = result["volumetric_error"]["before"]["mean"]["value_um"]
+    assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
+    assert after.startswith("after compensation: mean ")
+    assert after.endswith(" µm (k = 2)")
+    assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
+    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
+    assert "next: " not in capsys.readouterr().out
+
+
+def test_the_command_alone_shows_its_help(command):
+    assert "Calibrates machine tools" in command.run().out
