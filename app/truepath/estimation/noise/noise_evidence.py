@@ -31,6 +31,7 @@ from truepath.numerics.ornstein_uhlenbeck import (
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
+_LEAST_LEFT = 1e-3  # of the variance of noise: a fit that takes all leaves rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,8 @@ class Slope:
     """Cost (−2 log evidence) with gradient and curvature.
 
     By the logarithms of the Ornstein–Uhlenbeck part's size along the beam, in azimuth
-    and in elevation, its time and, where it counts, the jitter along the travel.
+    and in elevation, its time and, where they count, the jitter along the travel or
+    what places differ by along the beam, in azimuth and in elevation.
     """
 
     cost: float
@@ -69,6 +71,12 @@ class NoiseEvidence:
     def solve(self, noise: NoiseModel) -> Float64[np.ndarray, " p"]:
         """Return the parameters under a noise."""
         return _Solution(self, noise).theta
+
+    def compare_neighbours(
+        self, noise: NoiseModel
+    ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
+        """Return squares of what neighbours in time are left apart, and as expected."""
+        return _Solution(self, noise).compare_neighbours()
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
@@ -123,6 +131,20 @@ class _Solution:
         gradient = self._volume_slope() - self._moments()
         return Slope(cost, gradient, self._curvature())
 
+    def compare_neighbours(
+        self,
+    ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
+        """Return squares of what neighbours in time are left apart, and as expected."""
+        of, noise = self.of, self.noise
+        seen, apart = of.design.observations, np.diff(of.columns, axis=0)
+        white, ou = split_sigma_mm(seen, noise)
+        fresh = -np.expm1(-np.diff(seen.at.time_s) / noise.ou_time_s)[:, None]
+        sigma = white[1:] ** 2 + white[:-1] ** 2 + 2.0 * fresh * ou[1:] ** 2
+        taken = self.factor.solve_half(apart.reshape(-1, apart.shape[2]).T)
+        rest = of.residual - of.columns @ self.theta
+        expected = sigma - (taken**2).sum(axis=0).reshape(-1, 3)
+        return np.diff(rest, axis=0) ** 2, np.maximum(expected, _LEAST_LEFT * sigma)
+
     def _volume_slope(self) -> Float64[np.ndarray, " k"]:
         here = self.inverse.log_determinant
         return np.array(
@@ -150,7 +172,20 @@ class _Solution:
                 (self.factor.solve_half(pulled) ** 2).sum() + (rest**2).sum()
             )
             found.append(2.0 * self.noise.along_sigma_mm**2 * square)
+        if any(self.noise.place):
+            spread = self.factor.solve_half(self.columns.T) ** 2
+            square = spread.sum(axis=0) + self.residual.ravel() ** 2
+            found += (2.0 * self._place * square.reshape(-1, 3)).sum(axis=0).tolist()
         return np.array(found)
+
+    @property
+    def _place(self) -> Float64[np.ndarray, "n 3"]:
+        """What places differ by, squared."""
+        with_, without = (
+            split_sigma_mm(self.of.design.observations, each)[0]
+            for each in (self.noise, replace(self.noise, place=(0.0, 0.0, 0.0)))
+        )
+        return with_**2 - without**2
 
     def _curvature(self) -> Float64[np.ndarray, "k k"]:
         moved = self._perturb_data()
@@ -169,6 +204,9 @@ class _Solution:
             along = self.of.travel
             rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
             columns.append(2.0 * self.noise.along_sigma_mm**2 * along * rest)
+        if any(self.noise.place):
+            own = 2.0 * self._place * self.residual
+            columns += [own * axis for axis in np.eye(3)]
         return np.stack(columns, axis=2)
 
 
@@ -197,4 +235,11 @@ def _perturb(noise: NoiseModel) -> list[NoiseModel]:
     ]
     if np.isfinite(noise.along_sigma_mm):
         moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))
+    if any(noise.place):
+        beam, azimuth, elevation = noise.place
+        moved += [
+            replace(noise, place=(beam * factor, azimuth, elevation)),
+            replace(noise, place=(beam, azimuth * factor, elevation)),
+            replace(noise, place=(beam, azimuth, elevation * factor)),
+        ]
     return moved

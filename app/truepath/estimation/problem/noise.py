@@ -27,6 +27,8 @@ class NoiseModel:
     fast : (2,) how much more the mean of a cell scatters than its samples tell
     shown : (3,) how large the Ornstein–Uhlenbeck part is by most neighbours in space
     ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
+    place : (3,) how much more what is said of a standstill differs from the next, along
+        the beam, in azimuth and in elevation, in units of the stated noise
     """
 
     white: tuple[float, float]
@@ -36,6 +38,7 @@ class NoiseModel:
     ramp_sigma_mm: float = 0.0
     fast: tuple[float, float] = (1.0, 1.0)
     shown: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def ou_along_and_across(self) -> tuple[float, float]:
@@ -46,7 +49,8 @@ class NoiseModel:
     @property
     def usual(self) -> NoiseModel:
         """The noise as the tracker states it, with the jitter of the feed."""
-        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU, USUAL_OU))
+        ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
+        return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
 
 def cell_noise(
@@ -92,7 +96,9 @@ def split_sigma_mm(
     beam, across = np.multiply(noise.white, noise.fast).tolist()
     white = stated * [beam, across, across] / np.sqrt(observations.count)[:, None]
     on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
-    return np.hypot(white, on_ramp[:, None]), stated * np.array(noise.ou)
+    white = np.hypot(white, on_ramp[:, None])
+    place = np.where(observations.at.line[:, None] < 0, stated * noise.place, 0.0)
+    return np.hypot(white, place), stated * np.array(noise.ou)
 
 
 def _add_jitter(
