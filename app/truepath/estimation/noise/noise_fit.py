@@ -65,6 +65,7 @@ _NEIGHBOURS = 40
 _FEW_DIFFER = 0.3  # of the variance: less is most places', the rest a few's
 _OF_APART = 2.0  # times from place to place, for correlated noise to last
 _SIZES = np.log([[1e-3, 30.0]] * 3)
+_PLACES = np.log([[0.15, 30.0]] * 3)  # few places show less than is usual by chance
 _TIME, _JITTER = np.log([[0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
@@ -474,7 +475,7 @@ def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
 def _list_bounds(noise: NoiseModel) -> list[Float64[np.ndarray, "2"]]:
     """Return the least and the most of each logarithm that is packed."""
     jitter = [_JITTER] if np.isfinite(noise.along_sigma_mm) else []
-    return [*_SIZES, _TIME, *jitter, *(_SIZES if any(noise.place) else [])]
+    return [*_SIZES, _TIME, *jitter, *(_PLACES if any(noise.place) else [])]
 
 
 def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:

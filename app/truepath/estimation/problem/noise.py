@@ -151,6 +151,16 @@ def limit_noise(noise: NoiseModel) -> NoiseModel:
     )
 
 
+def calm_places(noise: NoiseModel) -> NoiseModel:
+    """The noise, with places that differ by no more than is usual.
+
+    Where nothing tells what samples scatter, they differ by the stated noise.
+    """
+    most = _MOST_OU if any(noise.white) else 1.0
+    x, y, z = np.minimum(noise.place, most).tolist()
+    return replace(noise, place=(x, y, z))
+
+
 def raise_noise(noise: NoiseModel) -> NoiseModel:
     """Return the noise as loud as is usual: few lines do not tell how loud it is."""
     return replace(noise, ou=(_MOST_OU, _MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)
