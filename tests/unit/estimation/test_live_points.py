@@ -72,7 +72,7 @@ def test_tables_tighten_point_by_point_and_end_where_the_batch_does(polled):
             for t in batch.tables
         ]
     )
-    assert np.abs(off).max() < 1.2
+    assert np.abs(off).max() < 1.0
 
 
 def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(polled):

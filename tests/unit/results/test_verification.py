@@ -263,7 +263,7 @@ def test_a_compensated_machine_is_left_with_what_is_stated(calibrated, remeasure
 def test_a_compensation_of_the_wrong_sign_is_named(calibrated, remeasured):
     run, _ = remeasured(106, truth=truth_with(1.0, calibrated))
     found = verify(calibrated, run, correction=leave(-1.0, calibrated))
-    assert found.scale.value == pytest.approx(2.0, abs=0.04)
+    assert found.scale.value == pytest.approx(2.0, abs=0.03)
     assert not found.consistency.is_consistent
     assert any("wrong sign" in sentence for sentence in state_findings(found))
     assert verification_json(found)["map_scale"]["cause"] == "wrong-sign"
