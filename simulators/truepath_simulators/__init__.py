@@ -9,7 +9,7 @@ over the axes from workpiece to tool. `t` is the tool offset, `d_i` the directio
 travel (out of square by the squareness), `E_i` and `omega_i` the error motions, all of
 the tool relative to the workpiece. To first order this is the linear form of the file
 formats; the rest is what a linear estimator does not know. A rotary axis turns instead
-of travelling, about an axis that is not quite where it should be.
+of travelling, about an axis with location errors.
 
 Two processes share one motion. The CNC process plans it as pieces of cubic polynomials
 (straight lines, exact stops, limited jerk) and publishes them on a board of shared
@@ -26,7 +26,7 @@ closed form from seed and time alone, at any speed of the clock.
     worlds          whole recordings without wire and without waiting
     replay          devices that repeat a recorded Run
     linuxcnc        a real LinuxCNC, started for tests
-    scenarios       machines by name, as `machine.json` states them
+    scenarios       machines by name, in the form of `machine.json`
 
 Single files here (`board`, `timeline`, `processes`, `faults`, …) are shared by these.
 Not here: anything that the service imports.

@@ -1,12 +1,12 @@
-"""One motion seen by two processes: the timeline on a board of shared memory.
+"""One motion shared by two processes: the timeline on a board of shared memory.
 
 The CNC writes, the tracker reads; neither ever waits. A change is published before the
-machine time at which it takes effect, so a reader that takes its clock first and the
-board second has what was true at that time. A reader that meets a change half written
-goes on with the timeline it has: what is being written belongs to the future.
+machine time at which it takes effect, so a reader that reads its clock first and the
+board second has the motion of that time. A reader that finds a half-written change
+continues with its previous timeline: the change belongs to the future.
 
 The memory is a file without a name, handed to child processes as a descriptor: nothing
-is left behind, whoever dies.
+is left behind if a process dies.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ROWS = 50_000
 
 
 def new_board() -> int:
-    """Return the descriptor of an empty board; the caller closes it."""
+    """Descriptor of an empty board; the caller closes it."""
     with tempfile.TemporaryFile() as file:
         descriptor = os.dup(file.fileno())
     os.ftruncate(descriptor, _BODY_AT + 8 * _ROWS * _columns(6))
@@ -36,14 +36,14 @@ def new_board() -> int:
 
 
 class BoardWriter:
-    """The side of the CNC."""
+    """For the CNC."""
 
     def __init__(self, descriptor: int) -> None:
         self._memory = mmap.mmap(descriptor, 0)
         self._version = 0
 
     def publish(self, timeline: Timeline) -> None:
-        """Put a timeline on the board, in place of the one before."""
+        """Replace the timeline. Raises SimulatorError if it has too many pieces."""
         if len(timeline) > _ROWS:
             raise SimulatorError(f"a motion of {len(timeline)} pieces is too long")
         body = _pack(timeline)
@@ -57,12 +57,12 @@ class BoardWriter:
         _HEAD.pack_into(self._memory, 0, version, pieces, axes, crc)
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._memory.close()
 
 
 class BoardReader:
-    """The side of the tracker."""
+    """For the tracker."""
 
     def __init__(self, descriptor: int) -> None:
         self._memory = mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
@@ -70,7 +70,7 @@ class BoardReader:
         self._timeline: Timeline | None = None
 
     def timeline(self) -> Timeline | None:
-        """Return the newest whole timeline; None before the first."""
+        """Newest complete timeline; None before the first."""
         version, pieces, axes, crc = _HEAD.unpack_from(self._memory, 0)
         if version == self._version or version % 2:
             return self._timeline
@@ -80,7 +80,7 @@ class BoardReader:
         return self._timeline
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._memory.close()
 
 

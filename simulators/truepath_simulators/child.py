@@ -1,8 +1,8 @@
 """The common frame of a simulator process: its orders, its life line, its end.
 
 The parent writes one line of JSON to standard input and reads one line of JSON with the
-addresses from standard output. Every further line of input is a fault to inject, or
-asks for the device's state, which is answered by one line of JSON. The process ends
+addresses from standard output. Every further line of input is a fault to inject, or a
+request for the device's state, which is answered by one line of JSON. The process ends
 when the input does: a parent that dies, by whatever signal, closes it.
 """
 
@@ -19,7 +19,7 @@ _BLOCK = 4096
 
 
 def is_question(line: str) -> bool:
-    """Tell whether a line of input asks for the state."""
+    """Whether a line of input requests the state."""
     return line.startswith('{"ask"')
 
 
@@ -37,11 +37,11 @@ class LifeLine:
 
     @property
     def ended(self) -> bool:
-        """Whether the parent has let go: end of input, SIGTERM, or another parent."""
+        """Whether the parent has gone: end of input, SIGTERM, or another parent."""
         return self._ended or os.getppid() != self._parent
 
     def orders(self) -> dict[str, Any]:
-        """Wait for the first line and return it."""
+        """First line of input; waits for it."""
         while b"\n" not in self._rest and not self._ended:
             self._read()
         line, _, self._rest = self._rest.partition(b"\n")
@@ -49,18 +49,18 @@ class LifeLine:
         return json.loads(line or b"{}")
 
     def lines(self) -> list[str]:
-        """Return the lines that have come since; never waits."""
+        """Lines that have arrived since; never waits."""
         with contextlib.suppress(BlockingIOError):
             self._read()
         *lines, self._rest = self._rest.split(b"\n")
         return [line.decode() for line in lines]
 
     def report_failure(self, error: Exception) -> None:
-        """Tell the parent why the device cannot listen."""
+        """Report to the parent why the device cannot listen."""
         self.report({"error": str(error)})
 
     def report(self, content: dict[str, Any]) -> None:
-        """Tell the parent where the device listens, or its state."""
+        """Report to the parent where the device listens, or its state."""
         sys.stdout.write(json.dumps(content) + "\n")
         sys.stdout.flush()
 

@@ -1,4 +1,4 @@
-"""What a simulator refuses."""
+"""Errors of the simulators' input."""
 
 from __future__ import annotations
 

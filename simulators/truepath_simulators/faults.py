@@ -1,4 +1,4 @@
-"""What goes wrong and when, in a line of text each.
+"""Faults and their times, one line of text each.
 
     device:kind[@begin][+duration][*amount]
 
@@ -31,7 +31,7 @@ class Kind:
     """A kind of fault.
 
     amount : default of the amount, where it has one
-    lasts : without a duration it goes on for ever; others strike once
+    lasts : without a duration it continues for ever; others strike once
     """
 
     meaning: str
@@ -99,7 +99,7 @@ _FORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
+    """A kind of fault with its time and amount.
 
     begin : None is from the first moment on; unit : `s`, `n` (samples) or `row`
     """
@@ -113,12 +113,12 @@ class Fault:
 
     @property
     def lasts(self) -> bool:
-        """Whether it goes on from moment to moment, rather than strike once."""
+        """Whether it continues from moment to moment, rather than strikes once."""
         return self.duration_s is not None or KINDS[self.device][self.kind].lasts
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a fault; raises SimulatorError naming what is not understood."""
+    """Raises SimulatorError naming the part that is not understood."""
     found = _FORM.fullmatch(text.strip())
     if not found:
         raise SimulatorError(
@@ -156,29 +156,29 @@ class Schedule:
         self._armed = [_Armed(fault) for fault in faults]
 
     def begin(self, now_s: float) -> None:
-        """Let time count from now; later calls change nothing."""
+        """Start the time of faults now; later calls change nothing."""
         for armed in self._armed:
             if armed.reference_s is None:
                 armed.reference_s = now_s
 
     def begin_anew(self) -> None:
-        """Let time count from the next `begin`, for what has not struck yet."""
+        """Start again at the next `begin`, for faults that have not struck yet."""
         for armed in self._armed:
             if not (armed.is_injected or armed.spent or armed.began_s is not None):
                 armed.reference_s = None
 
     def add(self, fault: Fault, now_s: float) -> None:
-        """Add a fault whose time counts from now."""
+        """Add a fault whose time starts now."""
         self._armed.append(_Armed(fault, now_s, is_injected=True))
 
     def has(self, kind: str) -> bool:
-        """Tell whether a fault of this kind is still to come or under way."""
+        """Whether a fault of this kind is pending or in progress."""
         return any(a.fault.kind == kind and not a.spent for a in self._armed)
 
     def struck(
         self, kind: str, time_s: np.ndarray, count: np.ndarray
     ) -> Iterator[tuple[Fault, np.ndarray]]:
-        """Yield faults with a mask of the moments (n,) that they strike.
+        """Faults, each with a mask of the moments (n,) that it strikes.
 
         time_s : (n,) rising from call to call
         count : (n,) number of samples, or row, at each moment
@@ -190,7 +190,7 @@ class Schedule:
                     yield armed.fault, mask
 
     def strikes(self, kind: str, now_s: float, count: float = 0.0) -> Fault | None:
-        """Return a fault of a kind that strikes now, if any."""
+        """A fault of the kind that strikes now, if any."""
         for fault, _ in self.struck(kind, np.array([now_s]), np.array([count])):
             return fault
         return None

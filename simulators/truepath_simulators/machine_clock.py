@@ -1,4 +1,4 @@
-"""The clocks of a simulated machine: of its motion, and of its patience."""
+"""Clocks of a simulated machine: of its motion, and of its time limits."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class MachineClock:
     speed: float
 
     def now_s(self) -> float:
-        """Return machine seconds."""
+        """Machine seconds."""
         return (time.monotonic_ns() - self.epoch_ns) * 1e-9 * self.speed
 
 
 class AwakeClock:
     """Wall seconds in which the process of a simulated device has run.
 
-    A device of iron is never late, one that is simulated may be suspended or starved
-    with its host. While it did not run it was not waiting for anybody either: of a
-    longer step between two readings `late_s` counts.
+    A real device is never late, a simulated one may be suspended or starved with its
+    host. While it did not run, no time limit of it ran either: a longer step between
+    two readings counts as `late_s`.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class AwakeClock:
         self._read_s = self._now_s = clock()
 
     def __call__(self) -> float:
-        """Return seconds."""
+        """Seconds, counted at each call."""
         read_s = self._clock()
         self._now_s += min(read_s - self._read_s, self._late_s)
         self._read_s = read_s

@@ -1,4 +1,4 @@
-"""The nominal machine, as `machine.json` (machine/1) states it."""
+"""The nominal machine as in `machine.json` (machine/1)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROTARY_DIRECTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class LinearAxis:
-    """A straight axis and its travel."""
+    """A linear axis and its travel, mm."""
 
     name: str
     min_mm: float
@@ -38,7 +38,7 @@ class LinearAxis:
 
     @property
     def zero_mm(self) -> float:
-        """Where its errors are zero: the axis zero, else the lowest position."""
+        """Position of zero errors: the axis zero, else the lowest position."""
         return _zero(self.min_mm, self.max_mm)
 
 
@@ -64,12 +64,12 @@ class RotaryAxis:
 
     @property
     def zero_deg(self) -> float:
-        """Where its errors are zero: the axis zero, else the lowest position."""
+        """Position of zero errors: the axis zero, else the lowest position."""
         return _zero(self.min_deg, self.max_deg)
 
     @property
     def turns_fully(self) -> bool:
-        """Whether the travel is a full turn, so that errors repeat."""
+        """Travel of at least 360°: its errors repeat."""
         return self.max_deg - self.min_deg >= 360.0 - 1e-9
 
 
@@ -78,7 +78,7 @@ Axis = LinearAxis | RotaryAxis
 
 @dataclass(frozen=True, slots=True)
 class Reflector:
-    """A target the tracker can look at, on the tool or on the workpiece."""
+    """A target of the tracker, on the tool or on the workpiece."""
 
     name: str
     on: str
@@ -87,10 +87,10 @@ class Reflector:
 
 @dataclass(frozen=True, slots=True)
 class TrackerFigures:
-    """One sample's standard deviations, the rate, and what the tracker stands on.
+    """Standard deviations of one sample, the rate, and where the tracker stands.
 
-    specification : standard deviations of what its own errors are drawn from
-    face : in which it measures; in the second its head looks over its back
+    specification : standard deviations from which its systematic errors are sampled
+    face : in which it measures; in the second its head points over its back
     """
 
     range_sigma_um: float = 1.0
@@ -124,22 +124,22 @@ class MachineFile:
 
     @property
     def linear_axes(self) -> tuple[LinearAxis, ...]:
-        """The straight axes, X, Y, Z."""
+        """X, Y, Z, as far as they exist."""
         return tuple(axis for axis in self.axes if isinstance(axis, LinearAxis))
 
     @property
     def rotary_axes(self) -> tuple[RotaryAxis, ...]:
-        """The axes that turn."""
+        """A, B, C, as far as they exist."""
         return tuple(axis for axis in self.axes if isinstance(axis, RotaryAxis))
 
     @property
     def low_mm(self) -> np.ndarray:
-        """Lowest position of each straight axis."""
+        """Lowest position of each linear axis."""
         return np.array([axis.min_mm for axis in self.linear_axes])
 
     @property
     def high_mm(self) -> np.ndarray:
-        """Highest position of each straight axis."""
+        """Highest position of each linear axis."""
         return np.array([axis.max_mm for axis in self.linear_axes])
 
     @property
@@ -153,7 +153,7 @@ class MachineFile:
         return np.array([axis.high for axis in self.axes])
 
     def reflector(self, name: str = "") -> Reflector:
-        """Return a reflector by name, the first where none is named."""
+        """The first if no name is given. Raises SimulatorError if there is none."""
         for reflector in self.reflectors:
             if name in ("", reflector.name):
                 return reflector
@@ -161,7 +161,7 @@ class MachineFile:
 
 
 def parse_machine(content: Mapping[str, Any]) -> MachineFile:
-    """Build a machine from machine.json; raises SimulatorError naming the key."""
+    """Raises SimulatorError naming the invalid key."""
     if content.get("schema") != "machine/1":
         raise SimulatorError(
             f"schema: expected 'machine/1', got {content.get('schema')!r}"

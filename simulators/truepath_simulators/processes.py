@@ -1,4 +1,4 @@
-"""Simulated devices as processes of their own, seen from the process that starts them.
+"""Simulated devices as separate processes, from the side of their parent process.
 
 The life line of `truepath_simulators.child`, from the other end.
 """
@@ -25,8 +25,8 @@ _ANSWER_TIMEOUT_S = 3.0
 class DeviceProcess:
     """One simulator process and its life line.
 
-    module : in `truepath_simulators`, what it runs
-    descriptors : what it inherits
+    module : module of `truepath_simulators` that it runs
+    descriptors : inherited by it
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class DeviceProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the process runs."""
         return self._process.poll() is None
 
     def tell(self, line: str) -> None:
@@ -66,24 +66,24 @@ class DeviceProcess:
             raise SimulatorError(f"the simulated {self._name} has ended") from error
 
     def listening(self) -> dict[str, Any]:
-        """Wait until the process listens; return where."""
+        """Address of the device; waits until it listens. Raises SimulatorError."""
         report = self._read_report(_START_TIMEOUT_S)
         if "error" in report:
             raise SimulatorError(f"the simulated {self._name}: {report['error']}")
         return report
 
     def ask_state(self) -> dict[str, Any]:
-        """Return what the device says of itself."""
+        """State that the device reports."""
         self.tell(json.dumps({"ask": "state"}))
         return self._read_report(_ANSWER_TIMEOUT_S)
 
     def release(self) -> None:
-        """Let go of the life line; the process ends by itself."""
+        """Close the life line, so that the process ends."""
         if self._process.stdin is not None:
             self._process.stdin.close()
 
     def end(self) -> None:
-        """Wait for the end, with force if it takes longer."""
+        """Wait for the end; kill the process if it takes longer."""
         try:
             self._process.wait(_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -93,7 +93,6 @@ class DeviceProcess:
             self._process.stdout.close()
 
     def _read_report(self, timeout_s: float) -> dict[str, Any]:
-        """Wait for a line of JSON."""
         stdout = self._process.stdout
         if stdout is None:
             raise SimulatorError(f"the simulated {self._name} is closed")
@@ -125,7 +124,7 @@ class DeviceProcesses:
         self._addresses: dict[str, dict[str, Any]] = {}
 
     def start(self) -> Self:
-        """Start all; return when they listen. Raises SimulatorError if one does not."""
+        """Start all; blocks until they listen. Raises SimulatorError if one fails."""
         raise NotImplementedError
 
     @property
@@ -135,7 +134,7 @@ class DeviceProcesses:
 
     @property
     def has_motion(self) -> bool:
-        """Whether a CNC is there."""
+        """Whether there is a CNC."""
         return "tcp" in self._addresses.get("cnc", {})
 
     @property
@@ -171,11 +170,11 @@ class DeviceProcesses:
         )
 
     def read_state(self) -> dict[str, Any]:
-        """Return what every device says of itself."""
+        """State of every device by name."""
         return {name: process.ask_state() for name, process in self._processes.items()}
 
     def describe(self) -> dict[str, Any]:
-        """Return where the devices listen, whose they are and which processes run."""
+        """Addresses of the devices, name of the machine, process identifiers."""
         where: dict[str, Any] = {"tracker": self.tracker_options}
         if self.has_motion:
             where["modbus_tcp"] = self.motion_options

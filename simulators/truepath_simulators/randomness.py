@@ -1,4 +1,4 @@
-"""Independent random streams of one seed, told apart by their purpose."""
+"""Independent random streams of one seed, distinguished by their purpose."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ import numpy as np
 
 
 def generator(seed: int, purpose: str) -> np.random.Generator:
-    """Return the stream of `seed` for one purpose; the others do not depend on it."""
+    """Stream of `seed` for one purpose, independent of all others."""
     key = zlib.crc32(purpose.encode())
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))

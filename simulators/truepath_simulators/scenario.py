@@ -11,7 +11,7 @@ from truepath_simulators.errors import SimulatorError
 
 
 def list_machines() -> tuple[str, ...]:
-    """Return the names of the machines that come with the simulators."""
+    """Names of the machines that are bundled with the simulators."""
     folder = resources.files("truepath_simulators") / "scenarios"
     return tuple(
         sorted(
@@ -23,9 +23,9 @@ def list_machines() -> tuple[str, ...]:
 
 
 def load_machine(name: str | Path) -> dict[str, Any]:
-    """Return the content of a bundled machine or of a machine.json.
+    """Content of a bundled machine or of a machine.json.
 
-    Raises SimulatorError naming the file, or what is bundled.
+    Raises SimulatorError naming the file, or the bundled machines.
     """
     if str(name) in list_machines():
         file = resources.files("truepath_simulators") / "scenarios" / f"{name}.json"

@@ -1,8 +1,8 @@
-"""The calibrations of each machine, and how it stands by them.
+"""The calibrations of each machine, and its status by them.
 
 A calibration is a job with error tables. Where the same Runs were analysed again, the
-newest analysis stands for them. A machine stands over its tolerance, or has changed
-since its reference, as its newest usable calibration says.
+newest analysis replaces the others. Whether a machine exceeds its tolerance, or has
+changed since its reference, follows from its newest usable calibration.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ NOT_USABLE = "not-usable"
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How a machine stands by its newest usable calibration.
+    """Status of a machine by its newest usable calibration.
 
     job_id : of that calibration; None where there is none
     tolerance : None where none is stated
     has_changed : since the reference; None where there is no reference to compare with
-    text : what has changed, or why that cannot be said
-    is_reference_lost : it is to be held against a calibration that cannot be used
+    text : what has changed, or why that is unknown
+    is_reference_lost : the reference calibration cannot be used
     """
 
     machine: str
@@ -56,12 +56,12 @@ class Standing:
 
     @property
     def is_alarm(self) -> bool:
-        """Whether somebody has to look at the machine."""
+        """Whether the machine needs attention: over tolerance, or changed."""
         is_over = self.tolerance is not None and self.tolerance.state == "over"
         return is_over or bool(self.has_changed)
 
     def describe(self) -> dict[str, Any]:
-        """Return the body of its event."""
+        """Body of its event."""
         tolerance = self.tolerance
         return {
             "machine": self.machine,
@@ -76,9 +76,9 @@ class Standing:
 
 
 class Calibrations:
-    """The calibrations of the machines in the catalogue; any thread may call it.
+    """Calibrations of the machines in the catalogue; thread-safe.
 
-    publish : receives the standing of a machine whenever that is another
+    publish : receives the status of a machine whenever it changes
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Calibrations:
         self._standing: dict[str, Standing] = {}
 
     def list_of(self, machine_id: str) -> list[Calibration]:
-        """Return the calibrations of a machine, the oldest measured first."""
+        """The oldest measured first; one per set of Runs."""
         newest: dict[object, Calibration] = {}
         for job in self._store.list_with_result(machine_id):
             file = self._results / job.id / RESULT
@@ -107,11 +107,11 @@ class Calibrations:
         return sort_by_time([(c, self._find_place(c)) for c in once.values()])
 
     def list_usable(self, machine_id: str) -> list[Calibration]:
-        """Return those whose verdict lets them be used."""
+        """Those whose verdict is not `not-usable`."""
         return [c for c in self.list_of(machine_id) if c.verdict != NOT_USABLE]
 
     def find(self, machine_id: str, job_id: str) -> Calibration:
-        """Return the calibration of a job. Raises NotFound."""
+        """Raises NotFound where the job has no result of this machine."""
         for job in self._store.list_with_result(machine_id):
             file = self._results / job.id / RESULT
             if job.id == job_id and file.is_file():
@@ -119,7 +119,7 @@ class Calibrations:
         raise NotFound(f"job {job_id} is no calibration of machine {machine_id}")
 
     def find_usable(self, machine_id: str, job_id: str) -> Calibration:
-        """Return a calibration that others may be held against. Raises BadInput."""
+        """A calibration to compare others with. Raises BadInput."""
         remedy = f"name a usable one of `GET /machines/{machine_id}/history`"
         try:
             found = self.find(machine_id, job_id)
@@ -130,11 +130,11 @@ class Calibrations:
         return found
 
     def find_standing(self, machine_id: str) -> Standing | None:
-        """Return how a machine stands, as it was found last."""
+        """Status as found by the last `judge`; None before it."""
         return self._standing.get(machine_id)
 
     def judge(self, machine_id: str) -> None:
-        """Find anew how a machine stands, and tell if that is another.
+        """Update the status of a machine, and publish it if it has changed.
 
         Raises nothing: a measurement has ended well whatever its history says.
         """
@@ -152,7 +152,7 @@ class Calibrations:
             self._publish(JobEvent("machine", None, now.describe()))
 
     def judge_all(self) -> None:
-        """Find how every machine stands."""
+        """Update the status of every machine."""
         for record in self._registry.list_all():
             self.judge(record.id)
 
@@ -174,7 +174,6 @@ class Calibrations:
         return replace(catalogued, measured=started, is_time_stated=True)
 
     def _find_place(self, one: Calibration) -> int | None:
-        """Return the place in the catalogue of what was recorded here, else None."""
         runs = [self._runs.get(run_id) for run_id in one.run_ids]
         recorded = [run.seq for run in runs if run.origin == "measured"]
         return min(recorded) if recorded and len(recorded) == len(runs) else None
@@ -217,10 +216,10 @@ class Calibrations:
 def sort_by_time(
     found: Sequence[tuple[Calibration, int | None]],
 ) -> list[Calibration]:
-    """Return calibrations, the oldest measured first.
+    """Calibrations, the oldest measured first.
 
-    Those of Runs recorded here stand in the order of their places in the catalogue: a
-    clock may have been wrong. Others, of place None, stand among them by their time.
+    Those of Runs recorded here keep the order of the catalogue: a clock may have been
+    wrong. Others, of place None, are sorted in by time.
     """
     recorded = sorted(
         ((c, place) for c, place in found if place is not None),

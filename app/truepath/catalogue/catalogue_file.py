@@ -1,4 +1,4 @@
-"""Whether the file of a catalogue can be used; looks, and changes nothing."""
+"""Whether the file of a catalogue can be used; checks, and changes nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REVISION = "alembic_version"
 
 
 def check_catalogue(file: Path, newest: str, *, patience_s: float = 5.0) -> None:
-    """Look whether a catalogue stands there whole, or none yet.
+    """Check that a catalogue is intact, or that there is none yet.
 
     newest : the schema whose tables are known
     patience_s : how long another program may hold it
@@ -71,7 +71,7 @@ def _check_tables(file: Path, database: sqlite3.Connection, newest: str) -> None
     query = "SELECT name FROM sqlite_master WHERE type = 'table'"
     tables = {name for (name,) in database.execute(query)}
     if not tables:
-        return  # killed before the first schema stood
+        return  # killed before the first schema existed
     if _REVISION not in tables:
         raise CatalogueDamaged(file, "is a SQLite file of something else")
     revision = database.execute(f"SELECT version_num FROM {_REVISION}").fetchall()  # noqa: S608

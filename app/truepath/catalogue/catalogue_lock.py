@@ -1,7 +1,7 @@
-"""A catalogue in PostgreSQL, held by one service at a time.
+"""A catalogue in PostgreSQL, locked by one service at a time.
 
-The lock belongs to a connection of its own: a server that restarts forgets it, and it
-is taken again as soon as the server is back. What is measured meanwhile goes on.
+The lock belongs to a separate connection: a server that restarts releases it, and it is
+taken again as soon as the server is back. A measurement continues meanwhile.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ log = structlog.get_logger(__name__)
 PATIENCE_S = 5.0
 """How long the connection of a service that was killed may take to be gone."""
 _LOOK_EVERY_S = 5.0
-# A computer that lost its power closes no connection: after a minute it is held gone.
+# A computer that lost its power closes no connection: after a minute it counts as gone.
 _KEEP_ALIVE = text(
     "SET tcp_keepalives_idle = 30; SET tcp_keepalives_interval = 10; "
     "SET tcp_keepalives_count = 3"
 )
-# Of one database; of one schema, for whoever keeps a catalogue in each of several.
+# Of one database; of one schema, for installations with a catalogue in each of several.
 _TAKE = text(
     "SELECT pg_try_advisory_lock(hashtext('truepath'), hashtext(current_schema()))"
 )
@@ -42,7 +42,7 @@ def hold_catalogue(
     patience_s: float = PATIENCE_S,
     look_every_s: float = _LOOK_EVERY_S,
 ) -> Iterator[None]:
-    """Hold a catalogue in PostgreSQL; one in SQLite is held by its data folder.
+    """Lock a catalogue in PostgreSQL; one in SQLite is locked by its data folder.
 
     Raises InUse, StorageUnavailable.
     """
@@ -66,14 +66,11 @@ def hold_catalogue(
 
 
 class _Lock:
-    """The lock and its connection; one thread at a time."""
-
     def __init__(self, engine: Engine) -> None:
         self._engine, self._seldom = engine, Seldom(600.0)
         self._connection: Connection | None = None
 
     def take_within(self, patience_s: float) -> None:
-        """Take the lock. Raises InUse, StorageUnavailable after `patience_s`."""
         deadline = host_clock.now_s() + patience_s
         while not (is_held := self._take()):
             if host_clock.now_s() < deadline:
@@ -88,17 +85,13 @@ class _Lock:
             )
 
     def keep(self, closing: threading.Event, every_s: float) -> None:
-        """Hold the lock until `closing`; take it again where a restart has lost it."""
+        """Take the lock again where a restart of the server has released it."""
         while not host_clock.wait(closing, every_s):
             if self._take() is False and self._seldom.is_due():
                 log.error("another instance works on the same catalogue; stop one")
         self._release()
 
     def _take(self) -> bool | None:
-        """Return whether the lock is held, None where no server answers.
-
-        A session takes its own lock as often as it likes.
-        """
         try:
             if self._connection is None:
                 raw = self._engine.connect()
@@ -113,5 +106,5 @@ class _Lock:
         connection, self._connection = self._connection, None
         if connection is not None:
             with suppress(SQLAlchemyError):
-                connection.invalidate()  # nobody else gets it: the lock goes with it
+                connection.invalidate()  # not reused from the pool: it owns the lock
                 connection.close()

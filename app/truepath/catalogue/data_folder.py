@@ -1,4 +1,4 @@
-"""The data folder, held by one process at a time."""
+"""The data folder, locked by one process at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOUNTS = Path("/proc/mounts")
 
 @contextmanager
 def hold_folder(folder: Path, mounts: Path = MOUNTS) -> Iterator[None]:
-    """Make the data folder and hold it for this process. Raises BadInput, InUse."""
+    """Make the data folder and lock it for this process. Raises BadInput, InUse."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / ".lock").open("w")
@@ -39,7 +39,7 @@ def hold_folder(folder: Path, mounts: Path = MOUNTS) -> Iterator[None]:
 
 
 def find_file_system(place: Path, mounts: Path = MOUNTS) -> str | None:
-    """Return the kind of file system of an absolute path; None where nothing tells.
+    """Kind of file system of an absolute path; None where unknown.
 
     mounts : as Linux lists them
     """
@@ -52,7 +52,7 @@ def find_file_system(place: Path, mounts: Path = MOUNTS) -> str | None:
 
 
 def is_network_share(kind: str) -> bool:
-    """Return whether a kind of file system is on another computer.
+    """Whether a kind of file system is on another computer.
 
     A Run is a SQLite file with a write-ahead log, which needs memory that several
     processes share: no network share has that.

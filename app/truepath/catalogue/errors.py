@@ -1,4 +1,4 @@
-"""What can go wrong with a job beyond the families of `truepath.errors`."""
+"""Errors of jobs, beyond the families of `truepath.errors`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truepath.errors import (
 
 
 class StaleVersion(JobError):
-    """Somebody else changed the job since its version was read."""
+    """Another client has changed the job since its version was read."""
 
     def __init__(self, version: int, current: int, state: str) -> None:
         super().__init__(
@@ -25,7 +25,7 @@ class StaleVersion(JobError):
 
 
 class StaleMachine(StaleVersion):
-    """Somebody else configured the machine since its version was read."""
+    """Another client has configured the machine since its version was read."""
 
     def __init__(self, machine_id: str, version: int, current: int) -> None:
         JobError.__init__(
@@ -41,14 +41,14 @@ class KeyReused(JobError):
 
 
 class NoMachine(JobError):
-    """The service has no machine file, so it has nothing to drive."""
+    """The service has no machine file, so it cannot move anything."""
 
     def __init__(self) -> None:
         super().__init__("no machine is set up; give the service a machine_file")
 
 
 class UnnamedMachine(BadInput):
-    """The service drives several machines and the request names none of them."""
+    """The service controls several machines and the request names none of them."""
 
     def __init__(self, machine_ids: Sequence[str]) -> None:
         super().__init__(
@@ -96,15 +96,15 @@ class CellBusy(JobError):
 
 
 class NotResumable(JobError):
-    """A measurement that ended before its time and cannot go on; the text says why."""
+    """An interrupted measurement cannot continue; the text gives the reason."""
 
 
 class MachineFileChanged(NotResumable):
-    """A measurement cannot go on: its machine is described otherwise by now."""
+    """A measurement cannot continue: its machine file has changed."""
 
 
 class NotInControl(JobError):
-    """Somebody else has the job under control; `controller` is who."""
+    """Another client controls the job; `controller` is its name."""
 
     def __init__(self, controller: str) -> None:
         super().__init__(
@@ -122,13 +122,13 @@ class ArmTokenUsed(JobError):
 
 
 class ArmTokenOther(JobError):
-    """The token to arm with is unknown, or was given for something else."""
+    """The token to arm with is unknown, or was issued for something else."""
 
 
 class MeasurementEnded(MeasurementFailed):
-    """The cell ended a measurement before its path did; the machine stands in order.
+    """The cell ended a measurement before its path did; the machine is intact.
 
-    code : what it was, as the cell named it; action : the way out
+    code : as the cell named it; action : the remedy
     """
 
     def __init__(self, code: str, text: str, action: str = "") -> None:
@@ -137,11 +137,11 @@ class MeasurementEnded(MeasurementFailed):
 
 
 class MachineFault(MeasurementEnded):
-    """Machine, tracker or link failed in a measurement; somebody has to look."""
+    """Machine, tracker or link failed in a measurement; an operator has to check."""
 
 
 class LineUnfinished(MeasurementEnded):
-    """The line under way did not end after a cancel, so the job was aborted."""
+    """The current line did not end after a cancel, so the job was aborted."""
 
 
 class Aborted(TruepathError):
@@ -149,7 +149,7 @@ class Aborted(TruepathError):
 
 
 class Cancelled(TruepathError):
-    """A user ended the job in order. Not a failure."""
+    """A user ended the job after its current line. Not a failure."""
 
 
 class Interrupted(TruepathError):
@@ -157,11 +157,11 @@ class Interrupted(TruepathError):
 
 
 class GivenUp(TruepathError):
-    """The service ended each time that the job computed; it is not begun again."""
+    """The service ended during each attempt of the job, which is given up."""
 
 
 class WorkersAway(TruepathError):
-    """Nobody computes at the address that was set."""
+    """No worker answers at the address that was set."""
 
 
 class TaskFailed(TruepathError):
@@ -202,7 +202,7 @@ class SchemaTooOld(BadInput):
 
 
 class CatalogueDamaged(BadInput):
-    """The file of the catalogue holds none, or no whole one. It is left as it is."""
+    """The file of the catalogue is no catalogue or damaged. It is left as it is."""
 
     def __init__(self, file: Path, problem: str) -> None:
         super().__init__(
@@ -213,7 +213,7 @@ class CatalogueDamaged(BadInput):
 
 
 class CatalogueReadOnly(BadInput):
-    """The file of the catalogue is whole, or may be, and cannot be written."""
+    """The file of the catalogue cannot be written."""
 
 
 class InUse(TruepathError):

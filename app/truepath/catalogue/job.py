@@ -44,7 +44,7 @@ class JobKind(StrEnum):
 
     @property
     def measures(self) -> bool:
-        """Whether the job drives the machine."""
+        """Whether the job moves the machine."""
         return self.value.startswith("measure-") or self is JobKind.VERIFY
 
     @property
@@ -56,7 +56,7 @@ class JobKind(StrEnum):
 
     @property
     def discovers(self) -> bool:
-        """Whether the job ends with what a model lacks, in place of error tables."""
+        """Whether the job ends with a discovery, in place of error tables."""
         return self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA)
 
 
@@ -76,7 +76,7 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far the stage is. `eta_s` is None where nobody can say."""
+    """Progress of the stage. `eta_s` is None where unknown."""
 
     done: float = 0.0
     total: float = 0.0
@@ -88,9 +88,9 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the tracker's link has seen during the measurement.
+    """State of the tracker's link during the measurement.
 
-    gaps : places where samples are missing; repeats : times that lines were driven
+    gaps : places where samples are missing; repeats : times that lines were measured
         again, because their stream was damaged
     """
 
@@ -103,10 +103,10 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class StationCheck:
-    """How a station agrees with the one before, by the known points.
+    """Agreement of a station with the one before, by the known points.
 
-    problem : `not-seen`, `not-moved` or `residual` where it does not, `moved` where it
-        has gone on and is not where it was; else empty
+    problem : `not-seen`, `not-moved` or `residual` where it does not agree, `moved`
+        where the tracker was moved after the check; else empty
     text : that in words
     """
 
@@ -121,7 +121,7 @@ class StationCheck:
 
 @dataclass(frozen=True, slots=True)
 class StationProgress:
-    """Where the tracker stands, or is to be set down, of several stations.
+    """Station of the tracker, present or next, of several.
 
     number : of the station, from 1; position_mm : its place
     checks : of the stations so far, the newest of each
@@ -133,7 +133,7 @@ class StationProgress:
     checks: tuple[StationCheck, ...] = ()
 
     def add_check(self, check: StationCheck) -> StationProgress:
-        """Return it with a newer check of a station."""
+        """Replaces an earlier check of the same station."""
         others = [one for one in self.checks if one.station != check.station]
         return replace(self, checks=(*others, check))
 
@@ -155,8 +155,8 @@ class EarlyEnd:
 class Failure:
     """Why a job did not succeed.
 
-    family : name of the error's class, by which the interface finds the problem
-    code, action : as the machine named them; empty to take those of the family
+    family : name of the error's class, from which the interface derives the problem
+    code, action : as the machine named them; empty to use those of the family
     """
 
     family: str
@@ -174,16 +174,16 @@ class Job:
     further_run_ids : those that are analysed together with it: of other stations, or
         named; of extra lines, those of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
-    monte_carlo : the trials that an analysis holds its uncertainty against
-    verdict : state of its result, discovery or trend, once that stands
-    station : of a measurement from several places of the tracker
-    on_notice : what is done where its live estimate notices a change
-    notices : what it has noticed
-    machine, machine_version : the machine that it drives, plans for or is about, and
+    monte_carlo : the trials that an analysis tests its uncertainty against
+    verdict : state of its result, discovery or trend, once that exists
+    station : of a measurement from several stations of the tracker
+    on_notice : reaction to a change that its live estimate notices
+    notices : changes that it has noticed
+    machine, machine_version : the machine that it moves, plans for or is about, and
         which configuration of it
-    owner : name of the user who asked for it; None where nobody logs in
-    attempts : how often it was begun, restarts of the service in between
-    name, note : what people call it, and remark on it
+    owner : name of the user who requested it; None where there is no login
+    attempts : how often it was started, restarts of the service included
+    name, note : label and remark of the users
     """
 
     kind: JobKind
@@ -225,7 +225,7 @@ class Job:
         return (*own, *self.further_run_ids)
 
     def add_run(self, run_id: str) -> Job:
-        """Return the job with a Run that it has made: its first one, or a further.
+        """The job with a Run that it has made: its first one, or a further.
 
         Of extra lines the newest is `run_id`, after all others.
         """
@@ -238,7 +238,7 @@ class Job:
 
     @property
     def wants_pause(self) -> bool:
-        """Whether a user has asked for a pause and for nothing since."""
+        """Whether a pause is the last request of a user."""
         return self.desired_state == State.PAUSED
 
     @property
@@ -248,7 +248,7 @@ class Job:
 
     @property
     def allowed_verbs(self) -> tuple[Verb, ...]:
-        """What may be asked of it as it is; what it obeys already is not among it."""
+        """Permitted in this state, without those already in effect."""
         verbs = {v for v, states in VERB_TRANSITIONS.items() if self.state in states}
         if not self.kind.measures:  # nothing to hold, or to let move
             verbs &= {Verb.CANCEL, Verb.ABORT}
@@ -258,12 +258,12 @@ class Job:
 
     @property
     def has_result(self) -> bool:
-        """Whether error tables stand."""
+        """Whether there are error tables."""
         return self.state is State.SUCCEEDED and self.kind.analyses
 
     @property
     def has_discovery(self) -> bool:
-        """Whether it has found what a model lacks, or that nothing is missing."""
+        """Whether it has ended with a discovery, effects found or not."""
         return self.state is State.SUCCEEDED and self.kind.discovers
 
     @property
@@ -273,12 +273,12 @@ class Job:
 
     @property
     def has_reanalysis(self) -> bool:
-        """Whether it has analysed its Runs again, or said why not."""
+        """Whether it has analysed its Runs again, or given reasons why not."""
         return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
 
     @property
     def has_verification(self) -> bool:
-        """Whether it has held a result against what it measured."""
+        """Whether it has compared a result with its measurement."""
         return self.state is State.SUCCEEDED and self.kind is JobKind.VERIFY
 
 
@@ -286,8 +286,8 @@ class Job:
 class JobEvent:
     """One event of a job.
 
-    type : `job` is stored in the catalogue and has its `id`, so that a client can
-        catch up; `progress`, `live`, `estimate`, `plan`, `notice` not
+    type : `job` is stored in the catalogue and has its `id`, so that a client can catch
+        up; `progress`, `live`, `estimate`, `plan`, `notice` not
     """
 
     type: str
@@ -300,33 +300,33 @@ _JOB = TypeAdapter(Job)
 
 
 def encode_job(job: Job) -> dict[str, Any]:
-    """Return the record as rows and events keep it."""
+    """The record as rows and events store it."""
     return _JOB.dump_python(job, mode="json")
 
 
 def decode_job(content: Json) -> Job:
-    """Return the record that `encode_job` wrote."""
+    """Inverse of `encode_job`; absent or null keys have their defaults."""
     return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
 
 
 def make_id() -> str:
-    """Return an identifier that sorts by time: a UUID of version 7."""
+    """An identifier that sorts by time: a UUID of version 7."""
     stamp = (host_clock.wall_ns() // 1_000_000) << 80
     noise = int.from_bytes(os.urandom(10)) & ~(0xF << 76) & ~(0x3 << 62)
     return str(uuid.UUID(int=stamp | 0x7 << 76 | 0x2 << 62 | noise))
 
 
 def format_utc_now() -> str:
-    """Return the time in UTC as people and JSON read it, to the millisecond."""
+    """ISO 8601 with `Z`, to the millisecond."""
     return format_utc(datetime.now(UTC))
 
 
 def format_utc(at: datetime) -> str:
-    """Return a time in UTC in the same form."""
+    """ISO 8601 with `Z`, to the millisecond; needs a time with a zone."""
     text = at.astimezone(UTC).isoformat(timespec="milliseconds")
     return text.replace("+00:00", "Z")
 
 
 def format_file_time(file: Path) -> str:
-    """Return when a file was last written, in the same form."""
+    """When a file was last written, as `format_utc`."""
     return format_utc(datetime.fromtimestamp(file.stat().st_mtime, UTC))

@@ -1,4 +1,4 @@
-"""What the live estimate notices, as a job keeps it, and what is done about it."""
+"""Notices of the live estimate, as a job stores them, and the reaction to them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class OnNotice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LiveNotice:
-    """What the live estimate has noticed to change during the measurement.
+    """A change during the measurement, noticed by the live estimate.
 
     number : 1, 2, … of the job; kind : of the change, `something-changed` without a
         name; axis : of which, if of one; grade : `certain`, `likely` or `possible`
     since_row : first line or point that it shows on; noticed_row : the newest one when
         it was noticed; noticed_s : then, since the stream began
-    size_um, uncertainty_um : what it moves the measured points by (k = 1)
-    is_over : the newest lines show nothing of it any more
-    action : what was done about it
+    size_um, uncertainty_um : displacement of the measured points (k = 1)
+    is_over : the newest lines no longer show it
+    action : the reaction
     """
 
     number: int
@@ -46,7 +46,7 @@ class LiveNotice:
 
     @property
     def heading(self) -> tuple[str, str, str, bool]:
-        """What it is called: a change of it is told anew."""
+        """Kind, axis, grade and end: a change of these is published again."""
         return self.kind, self.axis, self.grade, self.is_over
 
 
@@ -54,5 +54,5 @@ _NOTICE = TypeAdapter(LiveNotice)
 
 
 def decode_notice(content: Mapping[str, Any]) -> LiveNotice:
-    """Return the notice that the live estimate tells."""
+    """From the JSON of the live estimate. Raises ValidationError."""
     return _NOTICE.validate_python(content)

@@ -1,8 +1,8 @@
-"""The machines of the catalogue: who they are, and each configuration they had.
+"""The machines of the catalogue: their identity, and each configuration they had.
 
 A configuration is the machine file with the devices; a changed one is a new version,
 which jobs and Runs name. Passwords among the options of a device set in the settings
-are not kept.
+are not stored.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class MachineVersion:
 class MachineRecord:
     """One machine of the catalogue.
 
-    origin : `settings` or `catalogue`: where it is configured; `removed` where it is
-        known by its history alone
-    tolerance_um : what 95 % of the places in its travel may err by at most
-    reference_job : whose result it is held against; None for the one before
-    stated : what certificates state besides, by the names of `identity_file.FIELDS`
+    origin : `settings` or `catalogue`: where it is configured; `removed` where only its
+        history is left
+    tolerance_um : for the 95th percentile of the volumetric error
+    reference_job : whose result it is compared with; None for the one before
+    stated : further entries of certificates, by the names of `identity_file.FIELDS`
     versions : the newest first
     """
 
@@ -67,13 +67,13 @@ class MachineRecord:
 
 
 class MachineRegistry:
-    """The machines of the catalogue; any thread may call it."""
+    """Machines of the catalogue; thread-safe."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def list_all(self) -> list[MachineRecord]:
-        """Return every machine that was not removed, the oldest first."""
+        """Every machine that was not removed, the oldest first."""
         return [one for one in self._list_known() if one.origin != REMOVED]
 
     def _list_known(self) -> list[MachineRecord]:
@@ -83,12 +83,12 @@ class MachineRegistry:
             return [_read_record(connection, machine_id) for machine_id in ids]
 
     def get(self, machine_id: str) -> MachineRecord:
-        """Return a machine. Raises NotFound."""
+        """Removed ones too. Raises NotFound."""
         with self._database.read() as connection:
             return _read_record(connection, machine_id)
 
     def find_version(self, machine_id: str, number: int) -> MachineVersion | None:
-        """Return one configuration of a machine; None where it is not known."""
+        """None where machine or version is unknown."""
         try:
             versions = self.get(machine_id).versions
         except NotFound:
@@ -96,14 +96,14 @@ class MachineRegistry:
         return next((one for one in versions if one.number == number), None)
 
     def find_by_name(self, name: str) -> MachineRecord | None:
-        """Return the machine whose machine file has this name; None without one."""
+        """The machine whose newest machine file has this name; None without one."""
         for record in self._list_known():
             if record.versions and record.versions[0].machine_file.get("name") == name:
                 return record
         return None
 
     def add(self, machine_id: str, origin: str, identity: Mapping[str, str]) -> None:
-        """Add a machine. Raises MachineKnown."""
+        """Also restores a removed machine. Raises MachineKnown."""
 
         def change(connection: Connection) -> None:
             if not _is_known(connection, machine_id):
@@ -120,9 +120,9 @@ class MachineRegistry:
     def note(
         self, machine_id: str, origin: str, machine_file: Json, devices: Json
     ) -> int:
-        """Return the version of a configuration; a changed one is a new version.
+        """Version of a configuration; a changed one is a new version.
 
-        The machine is added where it is not known. Its jobs of before it had an
+        The machine is added where it is not known. Its jobs from before it had an
         identifier, known by the name in the machine file, become its own.
         """
         content = {"machine_file": machine_file, "devices": devices}
@@ -150,7 +150,7 @@ class MachineRegistry:
         return self._database.write(change)
 
     def change(self, machine_id: str, **values: Any) -> MachineRecord:
-        """Change identity, tolerance or reference of a machine. Raises NotFound."""
+        """Identity, tolerance or reference. Raises NotFound."""
         query = update(machines).where(machines.c.id == machine_id).values(**values)
 
         def change(connection: Connection) -> None:
@@ -163,7 +163,7 @@ class MachineRegistry:
 
 
 def hide_secrets(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options without the passwords among them."""
+    """Options with `***` in place of passwords."""
     return {
         name: HIDDEN if any(word in name.lower() for word in _SECRET) else value
         for name, value in options.items()

@@ -1,7 +1,7 @@
-"""Runs read in a process of their own, within limits of memory and time.
+"""Runs read in a separate process, within limits of memory and time.
 
-What somebody has uploaded may exhaust whoever reads it. So the service only keeps the
-file; a process with limits of its own reads it, and is replaced where it met one.
+An uploaded file may exhaust the process that reads it. So the service only stores the
+file; a process with limits reads it, and is replaced where it reached one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class _Task(Protocol[T]):
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """What the catalogue keeps of a Run.
+    """What the catalogue stores of a Run.
 
     machine : its name; plan : what was commanded, as JSON
     """
@@ -52,7 +52,7 @@ class RunFacts:
 
     @staticmethod
     def of(run: Run) -> RunFacts:
-        """Return those of a Run."""
+        """Counts samples and lost samples."""
         lost_samples = np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum()
         return RunFacts(
             run.name,
@@ -66,10 +66,10 @@ class RunFacts:
 
 @dataclass(frozen=True, slots=True)
 class ReadingLimits:
-    """What reading one Run may cost.
+    """Limits on reading one Run.
 
-    memory_mb : beside what the process needs to begin with; in MiB
-    patience_s : then it is ended
+    memory_mb : in addition to the process at its start; in MiB
+    patience_s : after it the process is killed
     """
 
     memory_mb: int = 2048
@@ -77,7 +77,7 @@ class ReadingLimits:
 
 
 class RunReader:
-    """The process that reads; started with the first Run. Any thread may call it.
+    """The process that reads; started with the first Run. Thread-safe.
 
     One Run is read at a time: two would need the memory of two.
     """
@@ -88,18 +88,18 @@ class RunReader:
         self._process: WorkerProcess | None = None
 
     def read_facts(self, bundle: Path, largest_bytes: int = MAX_BYTES) -> RunFacts:
-        """Return the facts of a zipped bundle. Raises BundleError.
+        """Facts of a zipped bundle. Raises BundleError.
 
         largest_bytes : that it may unpack to
         """
         return self._call(partial(_read_facts, bundle, largest_bytes), "bundle")
 
     def read_times(self, run_file: Path, name: str) -> TimedRun:
-        """Return when a Run was. Raises BadInput if it has no samples, BundleError."""
+        """Raises BadInput if the Run has no samples, BundleError."""
         return self._call(partial(_read_times, run_file, name), run_file.name)
 
     def close(self) -> None:
-        """End the process, whatever it reads. A later call starts another."""
+        """Kill the process, also while it reads. A later call starts another."""
         if (process := self._process) is not None:
             process.kill()
         with self._turn:
@@ -132,8 +132,6 @@ class RunReader:
     def _patience(
         self, process: WorkerProcess, is_late: threading.Event
     ) -> Iterator[None]:
-        """Kill the process where it takes too long; the event then says so."""
-
         def end() -> None:
             is_late.set()
             process.kill()
@@ -167,10 +165,10 @@ def _read_times(run_file: Path, name: str, *, on_progress: Progress) -> TimedRun
 
 
 def _limit_memory(more_bytes: int) -> None:
-    """Let this process take so much more than it has, and be the first to be ended.
+    """Limit this process to so much more than it has, and let it be killed first.
 
     Arrow's own allocator reserves addresses by the gigabyte, so that of the system
-    takes its place.
+    replaces it.
     """
     pa.set_memory_pool(pa.system_memory_pool())
     Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")

@@ -73,7 +73,7 @@ class RunRecord:
 
 
 class RunCatalogue:
-    """Runs in a folder and their rows. Any thread may call it.
+    """Runs in a folder and their rows; thread-safe.
 
     reader : of what was not recorded here
     """
@@ -84,15 +84,15 @@ class RunCatalogue:
         folder.mkdir(parents=True, exist_ok=True)
 
     def name_run_file(self, run_id: str) -> Path:
-        """Return where the cell records the Run."""
+        """Where the cell records the Run."""
         return self._folder / f"{run_id}.sqlite"
 
     def name_known_lengths(self, run_id: str) -> Path:
-        """Return where known lengths are that were sent after the Run."""
+        """Of known lengths that were sent after the Run."""
         return name_known_lengths(self.name_run_file(run_id))
 
     def keep_known_lengths(self, run_id: str, data: bytes | None) -> None:
-        """Keep a file of known lengths with a Run, or none. Raises NotFound."""
+        """Store known lengths with a Run, None to remove them. Raises NotFound."""
         self.get(run_id)
         kept = self.name_known_lengths(run_id)
         packed = self._folder / "bundles" / f"{run_id}.zip"
@@ -106,7 +106,7 @@ class RunCatalogue:
     def add_measured(self, run_id: str) -> RunRecord | None:
         """Catalogue what the cell has recorded, once; None if nothing can be read.
 
-        Nobody may be writing to it: what a killed writer has left is repaired first.
+        No process may be writing to it: the file of a killed writer is repaired first.
         Raises nothing: how a measurement ended matters more than its file.
         """
         if not self.name_run_file(run_id).is_file():
@@ -147,13 +147,13 @@ class RunCatalogue:
         return self._insert(facts, file, facts.name, created=created, **own)
 
     def list_uploads_left(self) -> list[str]:
-        """Return the Runs of uploaded bundles that no row names, the oldest first."""
+        """Runs of uploaded bundles without a row, the oldest first."""
         found = sorted(file.stem for file in self._folder.glob("*.zip"))
         deleted = self._list_deleted()
         return [i for i in found if i not in deleted and not self.find([i])]
 
     def list_left_behind(self) -> list[str]:
-        """Return the Runs of recorded files that no row names, the oldest first."""
+        """Runs of recorded files without a row, the oldest first."""
         query = select(runs.c.id).where(runs.c.origin == "measured")
         with self._database.read() as connection:
             known = set(connection.execute(query).scalars())
@@ -162,7 +162,7 @@ class RunCatalogue:
         return [run_id for run_id in recorded if run_id not in known]
 
     def remove_files(self, run_id: str) -> None:
-        """Remove the files of a Run that no row names any more. Raises OSError."""
+        """Remove the files of a Run without a row. Raises OSError."""
         ends = (".sqlite", ".sqlite-wal", ".sqlite-shm", ".sqlite-journal", ".zip")
         for name in (*(f"{run_id}{end}" for end in ends), f"bundles/{run_id}.zip"):
             (self._folder / name).unlink(missing_ok=True)
@@ -170,13 +170,13 @@ class RunCatalogue:
         sync_to_disk(self._folder)
 
     def read_job_id(self, run_id: str) -> str:
-        """Return the job that has recorded a Run: the file says it, else its name."""
+        """The job that has recorded a Run: as in the file, else the Run's own name."""
         return read_job_id(self.name_run_file(run_id)) or run_id
 
     def add_uploaded(
         self, bundle: Path, name: str, largest_bytes: int = MAX_BYTES
     ) -> RunRecord:
-        """Check a zipped bundle, keep it and catalogue it. Raises BundleError.
+        """Check a zipped bundle, store and catalogue it. Raises BundleError.
 
         bundle : a file of ours in the folder of runs; it is moved
         largest_bytes : that it may unpack to
@@ -190,7 +190,7 @@ class RunCatalogue:
         return self._insert(facts, file, name or facts.name, created=now, **own)
 
     def get(self, run_id: str) -> RunRecord:
-        """Return a Run's row. Raises NotFound."""
+        """Raises NotFound."""
         query = select(runs).where(runs.c.id == run_id)
         with self._database.read() as connection:
             row = connection.execute(query).mappings().first()
@@ -199,16 +199,16 @@ class RunCatalogue:
         return RunRecord(**row)
 
     def find(self, run_ids: Sequence[str]) -> list[str]:
-        """Return those that are in the catalogue, in the same order."""
+        """Those that are in the catalogue, in the same order."""
         query = select(runs.c.id).where(runs.c.id.in_(run_ids))
         with self._database.read() as connection:
             known = set(connection.execute(query).scalars())
         return [i for i in run_ids if i in known]
 
     def list_files(self) -> dict[str, tuple[str, Path, str]]:
-        """Return name and file of every Run, and the SHA-256 that it is catalogued by.
+        """Name and file of every Run, and the SHA-256 that it is catalogued by.
 
-        Whether the file is there is not asked.
+        The file need not exist.
         """
         query = select(runs.c.id, runs.c.name, runs.c.file, runs.c.sha256)
         with self._database.read() as connection:
@@ -218,7 +218,7 @@ class RunCatalogue:
         }
 
     def list_of_machine(self, machine: str | None, since: datetime | None) -> list[str]:
-        """Return the Runs of a machine since a time, the oldest first; None: of all."""
+        """Runs since a time, the oldest first; machine None: of all."""
         query = select(runs.c.id).order_by(runs.c.id)
         if machine is not None:
             query = query.where(runs.c.machine == machine)
@@ -238,7 +238,7 @@ class RunCatalogue:
         since: datetime | None = None,
         until: datetime | None = None,
     ) -> list[RunRecord]:
-        """Return Runs, the newest first, older than `before_seq`.
+        """Runs, the newest first, older than `before_seq`.
 
         name : a part of it, in small letters or capitals
         machines : names in machine files
@@ -261,7 +261,7 @@ class RunCatalogue:
             return [RunRecord(**row) for row in connection.execute(query).mappings()]
 
     def rename(self, run_id: str, name: str | None, note: str | None) -> RunRecord:
-        """Change name and note of a Run; None leaves one. Raises NotFound."""
+        """None leaves name or note as it is. Raises NotFound."""
         given = {"name": name, "note": note}
         values = {column: text for column, text in given.items() if text is not None}
         if values:
@@ -270,25 +270,25 @@ class RunCatalogue:
         return self.get(run_id)
 
     def list_all(self) -> list[RunRecord]:
-        """Return all Runs, in the order of their identifiers, which is that of time."""
+        """In the order of their identifiers, which is that of time."""
         query = select(runs).order_by(runs.c.id)
         with self._database.read() as connection:
             return [RunRecord(**row) for row in connection.execute(query).mappings()]
 
     def file(self, run_id: str) -> Path:
-        """Return the file of a Run. Raises NotFound, also if somebody removed it."""
+        """Raises NotFound, also where the file was removed."""
         file = self._folder / self.get(run_id).file
         if not file.is_file():
             raise NotFound(f"the file of run {run_id} has gone from the folder of runs")
         return file
 
     def read_times(self, run_id: str) -> TimedRun:
-        """Return when a Run was. Raises NotFound, BadInput."""
+        """Raises NotFound, BadInput."""
         name = f"{self.get(run_id).name} ({run_id})"
         return self._reader.read_times(self.file(run_id), name)
 
     def bundle(self, run_id: str) -> Path:
-        """Return the Run as a zipped measurement bundle, packed once and kept."""
+        """The Run as a zipped measurement bundle, packed once and stored."""
         file = self.file(run_id)
         if file.suffix == ".zip" and not self.name_known_lengths(run_id).is_file():
             return file
@@ -300,18 +300,17 @@ class RunCatalogue:
         return packed
 
     def make_upload_file(self) -> Path:
-        """Return a new empty file in the folder of runs, for an upload to fill."""
+        """A new empty file in the folder of runs, for an upload to fill."""
         handle, name = tempfile.mkstemp(".upload", dir=self._folder)
         os.close(handle)
         return Path(name)
 
     def remove_uploads(self) -> None:
-        """Remove what interrupted uploads have left."""
+        """Remove the files of interrupted uploads."""
         for left in self._folder.glob("*.upload"):
             left.unlink(missing_ok=True)
 
     def _list_deleted(self) -> set[str]:
-        """Return the Runs that were deleted and whose files may be there still."""
         query = select(deletions.c.id).where(deletions.c.kind == "run")
         with self._database.read() as connection:
             return set(connection.execute(query).scalars())

@@ -1,8 +1,8 @@
 """The tables of a catalogue as lines of JSON, and back: the same for either database.
 
-Tables are taken as they are found, so that the catalogue of an earlier version is
-exported by this one and put back by a later one. JSON columns travel as their text:
-nothing of them is read and written anew.
+Tables are exported as they are found, so that the catalogue of an earlier version is
+exported by this one and put back by a later one. JSON columns are copied as text, not
+parsed and encoded again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Row = Mapping[str, Any]
 
 
 class CatalogueExport:
-    """One consistent view of all tables, while others go on to write.
+    """One consistent view of all tables, while others continue to write.
 
     revision : of the schema; tables : names, in an order in which rows can be put back
     """
@@ -36,7 +36,7 @@ class CatalogueExport:
         self.tables = [table.name for table in self._tables]
 
     def read(self, name: str) -> Iterator[bytes]:
-        """Yield the rows of a table, a line of JSON each."""
+        """Rows of a table, one line of JSON each."""
         (table,) = [one for one in self._tables if one.name == name]
         columns = [_as_plain(column) for column in table.columns]
         order = list(table.primary_key.columns)
@@ -97,7 +97,7 @@ def _as_plain(column: sa.Column[Any]) -> sa.ColumnElement[Any]:
 def _insert_rows(
     connection: sa.Connection, table: sa.Table, lines: Iterable[bytes]
 ) -> None:
-    """Insert rows; the driver passes values on as they are, for they have no type."""
+    """Values have no type here, so the driver passes them on unchanged."""
     connection.execute(sa.delete(table))  # what a migration has put there
     plain = sa.table(table.name, *(sa.column(c.name) for c in table.columns))
     rows = (json.loads(line) for line in lines)
@@ -106,7 +106,7 @@ def _insert_rows(
 
 
 def _set_sequences(connection: sa.Connection, tables: Iterable[sa.Table]) -> None:
-    """Let PostgreSQL count on from the rows; SQLite does so by itself."""
+    """Let PostgreSQL count on from the rows; SQLite does so automatically."""
     if connection.dialect.name != "postgresql":
         return
     for table in tables:

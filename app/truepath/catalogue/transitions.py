@@ -15,16 +15,16 @@ class State(StrEnum):
     READY = "ready"  # waits to be armed; nothing has moved
     RUNNING = "running"
     AWAITING_MOVE = "awaiting-move"  # of the tracker; nothing moves until armed again
-    PAUSING = "pausing"  # feed hold asked for, not yet confirmed
+    PAUSING = "pausing"  # feed hold requested, not yet confirmed
     PAUSED = "paused"
     RESUMING = "resuming"
     CANCELLING = "cancelling"  # the line or point under way is finished first
-    ABORTING = "aborting"  # abort asked for, not yet confirmed
+    ABORTING = "aborting"  # abort requested, not yet confirmed
     CANCELLED = "cancelled"
     ABORTED = "aborted"
     SUCCEEDED = "succeeded"
     FAILED = "failed"  # it could not be done; the machine is as it was left
-    FAULTED = "faulted"  # machine, tracker or link failed: somebody has to look
+    FAULTED = "faulted"  # machine, tracker or link failed: an operator has to check
     INTERRUPTED = "interrupted"  # the service ended first
 
 
@@ -36,7 +36,7 @@ class Verb(StrEnum):
     RESUME = "resume"
     CANCEL = "cancel"  # finish the line or point, leave out the rest
     ABORT = "abort"
-    ACKNOWLEDGE = "acknowledge"  # somebody has looked; a measurement may go on
+    ACKNOWLEDGE = "acknowledge"  # an operator has checked; a measurement may continue
 
 
 _Q, _P, _R = State.QUEUED, State.PREPARING, State.READY
@@ -63,10 +63,11 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     _PSD: frozenset({_RES, _RUN, _AWAIT, _CNG, _ABG}) | _ENDS_BADLY,
     _RES: frozenset({_RUN, _PSG, _PSD, _AWAIT, _CNG, _ABG}) | _ENDS_BADLY,
     _CNG: frozenset({_ABG, State.CANCELLED}) | _ENDS_BADLY,
-    # An abort nobody confirms is a fault; one that loses its process is one as well.
+    # An abort without confirmation is a fault; one that loses its process is one as
+    # well.
     _ABG: frozenset({State.ABORTED, State.FAULTED, State.INTERRUPTED}),
     **dict.fromkeys(FINAL, frozenset[State]()),
-    # It is prepared and armed anew; nothing moves by this alone.
+    # It is prepared and armed again; nothing moves by this alone.
     **dict.fromkeys(LEFT_BY_ACKNOWLEDGE, frozenset({_P})),
 }
 
@@ -74,7 +75,7 @@ PAUSE_STATES = frozenset({_PSG, _PSD})
 """A pause is on its way or in force."""
 
 MOVE_STATES = frozenset({_RUN, _RES}) | PAUSE_STATES
-"""The machine moves, or may go on by itself."""
+"""The machine moves, or may continue automatically."""
 
 # verb -> states it acts in -> the state it leads to. In the states of `VERB_SATISFIED`
 # it has been obeyed already and changes nothing.
@@ -99,12 +100,12 @@ VERB_SATISFIED: dict[Verb, frozenset[State]] = {
 
 
 def may_follow(before: State, after: State) -> bool:
-    """Say whether the table allows the change."""
+    """Whether the table allows the change."""
     return after in TRANSITIONS[before]
 
 
 def apply_verb(verb: Verb, state: State) -> State:
-    """Return the state a verb leads to, the same where it is obeyed already.
+    """The state a verb leads to, the same where it is in effect already.
 
     Raises IllegalTransition; abort never.
     """

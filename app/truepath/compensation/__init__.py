@@ -1,7 +1,7 @@
 """A result as the tables of a controller, and the error that remains with them.
 
-Here: files for controls, and what they leave. Not here: error tables as a result states
-them (`results`), NC programs (`motion.nc_programs`), a control's own reading of the
+Here: files for controls, and the remaining error. Not here: error tables of a result
+(`results`), NC programs (`motion.nc_programs`), a control's own reading of the
 files (`truepath_simulators.compensation`).
 
 All files are written from one map: the volumetric error δ of the result. Controllers
@@ -11,8 +11,8 @@ rule of its controller.
 
 A simulator of the controller, which shares nothing with the writer, reads the files
 back: it interpolates, rounds and adds as the controller does. The sum of δ and
-correction, on a grid and between the rows of the tables, is stated with the files;
-files that make the error larger are refused.
+correction, on a grid and between the rows of the tables, is reported with the files;
+files that make the error larger are rejected.
 
     format                the interface of a controller's format; tables that it adds
     installed             the formats that are installed, by name
@@ -21,10 +21,10 @@ files that make the error larger are refused.
                           the error motions of each axis at equal spacing, mm, rad;
                           rotary axes, tool length
     formats               files of one maker each
-    export                writing, reading back, what remains of the whole and of each
+    export                writing, reading back, remaining error in all and by each
                           effect of a model: the account of the files
-    account               what files leave, where all axes move
-    order, kept_files     files ordered for a result, and kept with it
+    account               remaining error with files, over all axes
+    order, kept_files     files ordered for a result, and stored with it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
 

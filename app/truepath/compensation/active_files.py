@@ -1,4 +1,4 @@
-"""Compensation files as a controller applies them while it is measured."""
+"""Compensation files that a controller applies during a measurement."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _HOLDS = {
 
 @dataclass(frozen=True, slots=True)
 class ActiveFiles:
-    """Files of a format, and what a controller adds by them.
+    """Files of a format, and the correction that a controller adds with them.
 
     texts : by name; files_sha256 : digest by name
-    before : the files in whose place these are, active while that was measured which
-        these were made of; made_of : its digest, where the account has it
+    before : the files that these replace, active during the measurement from which
+        these were made; made_of : digest of its data, where the account has it
     """
 
     format: str
@@ -58,18 +58,18 @@ class ActiveFiles:
     made_of: str = ""
 
     def describe(self) -> dict[str, Any]:
-        """Return which files they are, as a verification states it."""
+        """Format and digests, as in a verification."""
         return {"format": self.format, "files_sha256": dict(self.files_sha256)}
 
     def change(
         self, place: Float64[np.ndarray, "n a"], direction: float
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return what is added beside what was added while the errors were measured."""
+        """Correction beyond that of the files active during the measurement, mm."""
         before = self.before.correction(place, direction) if self.before else 0.0
         return self.correction(place, direction) - before
 
     def added(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return the same under conditions that say from where an axis came.
+        """The same for conditions that give the direction of approach of each axis.
 
         A format corrects lost motion along the axis that it belongs to: half the
         difference of both directions counts by the last motion of that axis.
@@ -79,7 +79,7 @@ class ActiveFiles:
         return 0.5 * (forward + back + (forward - back) * at.approach[:, columns])
 
     def relate(self, provenance: Mapping[str, Any]) -> ActiveFiles:
-        """Return the files as they change what a result states. Raises BadInput."""
+        """The files as a change to the errors of a result. Raises BadInput."""
         if self.made_of == provenance.get("input_sha256"):
             return self
         if read_control_state(provenance) == ON:
@@ -93,10 +93,10 @@ class ActiveFiles:
 
 @dataclass(frozen=True, slots=True)
 class GivenTables:
-    """The tables that the control had during the measurement, as far as stated.
+    """Tables of the control during the measurement, as far as stated.
 
     data : the files by name; account : of these, where it is known
-    is_difference : files are wanted of what these lack, not of both
+    is_difference : the new files are to hold the difference from these, not the sum
     """
 
     data: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
@@ -111,7 +111,7 @@ def find_basis(
     choices: Mapping[str, str],
     given: GivenTables,
 ) -> tuple[dict[str, Any], ActiveFiles | None]:
-    """Return what files of a result hold, for their account, and what they replace.
+    """Basis of the files of a result for their account, and the files they replace.
 
     provenance : of the result; name, choices : of the format
 
@@ -163,7 +163,7 @@ def find_basis(
 def read_given_tables(
     files: Sequence[Path], name: str, *, is_difference: bool
 ) -> GivenTables:
-    """Return the active tables in files, and how their account says to read them."""
+    """Active tables in files, with the account for reading them."""
     data = {file.name: read_whole(file) for file in files}
     account: Mapping[str, Any] = {}
     if files:
@@ -174,9 +174,9 @@ def read_given_tables(
 def read_active_files(
     files: Sequence[Path], name: str | None, machine: Machine
 ) -> ActiveFiles | None:
-    """Return the files of a format and what they add; None where there are none.
+    """Files of a format and their correction; None where there are none.
 
-    They are read by the choices of the account beside them, where it is there.
+    They are read with the choices of the account in their folder, if there is one.
 
     Raises BadInput if the format is not named, or a file is not of it.
     """
@@ -195,9 +195,9 @@ def read_active_files(
 def make_active_files(
     data: Mapping[str, bytes], name: str, machine: Machine, account: Mapping[str, Any]
 ) -> ActiveFiles:
-    """Return files by name as the controller of a format reads them. Raises BadInput.
+    """Files by name as the controller of a format reads them. Raises BadInput.
 
-    account : of just these files, as much of it as is known
+    account : of these files, as far as it is known
     """
     texts = {file: each.decode("utf-8", "replace") for file, each in data.items()}
     kind = load_format(name, as_object(account.get("choices")))

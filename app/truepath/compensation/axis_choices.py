@@ -12,11 +12,11 @@ _PART = re.compile(rf"([{''.join(LINEAR + TURNS)}])=([^,=]+)")
 
 
 def split_by_axis(word: str, known: Sequence[str]) -> dict[str, str]:
-    """Return the words of a choice that is stated by axis; empty where it is one word.
+    """Words of a choice by axis; empty for a choice of one word for all axes.
 
-    known : what may be chosen for an axis
+    known : possible words for an axis
 
-    Raises BadInput for another form, an axis twice, or a word that is none of these.
+    Raises BadInput for another form, an axis twice, or an unknown word.
     """
     if "=" not in word:
         return {}

@@ -61,7 +61,7 @@ _UNDIRECTED = (
     "lost motion: the result does not state what the direction of travel does; what is "
     "left is stated without it"
 )
-_BETTER = 0.999  # of the error before: files that leave more are refused
+_BETTER = 0.999  # of the error before: files with a larger remaining error are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
 _NOTHING_GIVEN = GivenTables()
 _NOTHING_MM = 1e-9
@@ -92,16 +92,16 @@ def export_files(
     at_temperature_degc: float | None = None,
     given: GivenTables = _NOTHING_GIVEN,
 ) -> dict[str, Any]:
-    """Write the files of a format beside `output`, and their account as `STEM.json`.
+    """Write the files of a format next to `output`, and their account as `STEM.json`.
 
     A single file is written to `output` itself; the names of several begin with the
     stem of `output`. Returns the account, `files` as paths, their digests by name.
 
-    unmeasured : what tables have where an axis was not measured
+    unmeasured : content of tables where an axis was not measured
     choices : of the format, by name
-    accept_verdict : write the files of a result that is not to be used all the same
+    accept_verdict : write the files even if the result is not to be used
     at_temperature_degc : of a temperature model, which `result` may be as well
-    given : what the control had while the result was measured, if it compensated
+    given : tables of the control while the result was measured, if it compensated
 
     Raises BundleError with the place in the result, BadInput as `export_result` and
     `write_output`, NotUsable where the result is not to be used.
@@ -134,14 +134,14 @@ def export_result(
     temperature: StatedTemperature | None = None,
     given: GivenTables = _NOTHING_GIVEN,
 ) -> Export:
-    """Return the files of a format and their account.
+    """Files of a format and their account.
 
     name : of an installed format; stem : of the file names
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
-    unmeasured : what tables have where an axis was not measured
+    unmeasured : content of tables where an axis was not measured
     choices : of the format, by name
     temperature : where the errors are of a temperature model
-    given : what the control had while the errors were measured
+    given : tables of the control while the errors were measured
 
     Raises BadInput for an unknown format or choice, where a part of the travel was not
     measured and is to be refused, or if the files, read back by the rule of the
@@ -165,7 +165,7 @@ def export_result(
         stamp = (*stamp, _describe_over_axes(over))
         files = kind.write(replace(content, stamp=stamp))
     tabulated = made.leave_out_places(errors)
-    # Places are in the correction only where it composes rotary axes with the others.
+    # Locations are in the correction only where it composes rotary and linear axes.
     corrected = errors if kind.composes_rotary else tabulated
     before = find_remaining(errors, measured)
     after = find_remaining(corrected, measured, correction)
@@ -207,7 +207,6 @@ def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any
 
 
 def _find_beyond_um(errors: ErrorMap, made: Tabulation, after: RemainingError) -> float:
-    """Return what the choice for unmeasured ranges leaves, root mean square."""
     every = made.extrapolate(errors)
     whole = find_remaining(errors, every.measured, every.read_back(errors))
     return after.find_difference_um(whole)
@@ -220,9 +219,9 @@ def _split_left(
     after: RemainingError,
     beyond_um: float,
 ) -> dict[str, float]:
-    """Return what is left by its reasons, each as the root mean square of its length.
+    """Remaining error by its reasons, each as the root mean square of its length, µm.
 
-    Squares of what files leave of the map add up to the square of `map`.
+    Squares of the parts that remain of the map add up to the square of `map`.
     """
     losses = find_interpolation_losses_mm(errors, tables)
     squares = sum(3.0 * float(np.mean(np.square(lost))) for lost in losses)
@@ -245,10 +244,10 @@ def _require_gain(
     after: RemainingError,
     over: Mapping[str, Any] | None,
 ) -> None:
-    """Refuse files that do not make the error smaller where it was measured.
+    """Raises BadInput if the files do not reduce the error where it was measured.
 
     over : the error over the travel of all axes, where some are rotary ones; it may
-        gain alone, where straight axes lose nothing
+        improve alone, where linear axes do not get worse
     """
     before_um = before.state_map(measured=True)["mean"]
     after_um = after.state_map(measured=True)["mean"]
@@ -379,7 +378,6 @@ def _compute_rms(
     error_mm: Sequence[Float64[np.ndarray, "n 3"]],
     weight: Float64[np.ndarray, " n"],
 ) -> float:
-    """Return the root mean square over both directions, without rigid motion."""
     every = remove_from_both(position, error_mm, weight)
     return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
 
@@ -405,7 +403,7 @@ def _write_stamp(
     temperature: StatedTemperature | None,
     lengths_degc: tuple[float, float] | None,
 ) -> tuple[str, ...]:
-    # The comments of files, in plain ASCII: where they come from and what they have
+    # The comments of files, in plain ASCII: their origin and content
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
     celsius = f"measured at {_describe_temperature(provenance)}"
@@ -491,7 +489,7 @@ def write_output(
 ) -> dict[str, Any]:
     """Write files and their account, `STEM.json`; a single file to `output` itself.
 
-    source : what the files are made of, which is not written over
+    source : file that must not be overwritten
 
     Returns the account, `files` as paths, their digests by name.
 

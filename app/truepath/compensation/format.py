@@ -1,4 +1,4 @@
-"""The interface of a controller's format: its input, its files, what they add."""
+"""Interface of a controller's format: its input, its files, its corrections."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from truepath.kinematics.machine.symbols import LINEAR
 
 @dataclass(frozen=True, slots=True)
 class PairTable:
-    """The error of an axis beyond its own table, at positions of another axis.
+    """Error of an axis in addition to its own table, at positions of another axis.
 
     by_mm : (m,) positions of the other axis, equidistant over its travel
     error_mm : (m, n, 3) at the axis' own n positions; 0 where either axis is at its
@@ -40,7 +40,7 @@ class AxisTable:
     position_mm : (n,) equidistant, ascending, over the whole travel
     reference : index of the row nearest to the reference position, where tables are 0
     forward_mm, backward_mm : (n, 3) δ along the middle of the other axes' travel, less
-        what it is where the reference is come to in + direction
+        its value where the axis reaches the reference in + direction
     translation_mm, rotation_rad : (n, 3) E and ω of the axis, for lever arms that count
         from the zero of the later axes; the target's offset is in E
     pair : with one other axis, where the model has such an effect
@@ -63,7 +63,7 @@ class AxisTable:
 
     @property
     def spacing_mm(self) -> float:
-        """Distance of neighbouring rows."""
+        """Distance between neighbouring rows."""
         return float(self.position_mm[1] - self.position_mm[0])
 
     @property
@@ -74,11 +74,12 @@ class AxisTable:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureTables:
-    """How tables change with temperature.
+    """Change of tables with temperature.
 
-    at_degc : that the tables hold for; low_degc, high_degc : where the change does
+    at_degc : for which the tables hold; low_degc, high_degc : range of validity of the
+        change
     per_kelvin : of each table, mm/K and rad/K in place of mm and rad
-    grows : axes whose positioning depends on temperature for sure
+    grows : axes whose positioning depends significantly on temperature
     """
 
     at_degc: float
@@ -94,8 +95,8 @@ class CompensationTables:
 
     stem : of file names; stamp : lines for comments, in plain ASCII
     temperature : where the tables are of a temperature model
-    rotary : of the rotary axes, for formats that carry them
-    places : of the rotary axes
+    rotary : of the rotary axes, for formats that contain them
+    places : locations of the rotary axes
     """
 
     stem: str
@@ -108,30 +109,30 @@ class CompensationTables:
 
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
-"""What the controller adds at commanded positions (mm) in direction 1 or −1."""
+"""Correction at commanded positions (mm) in direction 1 or −1, (n, 3) mm."""
 
 
 class CompensationFormat(ABC):
     """One format: a writer, and a simulator of the controller that reads it.
 
-    control : its name for people
+    control : name for display
     suffix : of its files
-    most_points : rows of a table that the controller takes
+    most_points : rows per table that the controller accepts
     resolution_um : of its values
-    carries, not_carried : in words, for the account
+    carries, not_carried : texts for the account
     carries_rotary : whether it has tables of the positioning of rotary axes
     composes_rotary : whether it has all motions and locations of rotary axes, which its
         control composes with the others
-    units : of the values and positions of its files
+    units : of the values and positions in its files
     directions : which directions of travel a value is for
-    temperature : what files of a temperature model have of it, in words
+    temperature : how files show a temperature model, in words
     sign : the rule that gives the file its sign
     sign_is_verified : whether that rule is from the maker's manual or source; else one
         deliberate value has to settle it at the machine before first use
     note : what to do with the files
-    choices : what may be chosen, with its words, the first being usual: keywords of
-        the constructor
-    by_axis : those of them that may be stated axis by axis, as `X=1,Y=2`
+    choices : keywords of the constructor, each with its possible words; the first is
+        the default
+    by_axis : those that may be given axis by axis, as `X=1,Y=2`
     """
 
     interface_version: ClassVar[int] = 1
@@ -157,27 +158,27 @@ class CompensationFormat(ABC):
     def limit_rows(
         self, axes: Sequence[LinearAxis], spacing_mm: float
     ) -> Mapping[str, int]:
-        """Return the rows at most of each axis' table, by axis.
+        """Upper limit of rows of each axis' table, by axis.
 
-        spacing_mm : of the rows that are asked for, where axes share their number
+        spacing_mm : requested, where axes share the number of rows
         """
         del spacing_mm
         return {axis.name: self.most_points for axis in axes}
 
     @abstractmethod
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return the files by name, ASCII."""
+        """Files by name, ASCII."""
 
     @abstractmethod
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the controller's correction from the files. Raises BadInput."""
+        """The controller's correction from the files. Raises BadInput."""
 
     def list_places(
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
-        """Return the locations of rotary axes, by symbol, that the files state.
+        """Symbols of rotary axis locations that the files contain.
 
-        places : what is known of them
+        places : known locations
         """
         del machine, places
         return frozenset()
@@ -185,16 +186,16 @@ class CompensationFormat(ABC):
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
-        """Return what is added to rotary axes, by axis. Raises BadInput."""
+        """Additions to rotary axes, by axis. Raises BadInput."""
         del files, machine
         return {}
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
-        """Return locations of rotary axes that the control knows, mm and rad.
+        """Locations of rotary axes in the control by symbol, mm and rad.
 
-        By symbol, beside the nominal place. Raises BadInput.
+        Relative to the nominal location. Raises BadInput.
         """
         del files, machine
         return {}
@@ -202,13 +203,13 @@ class CompensationFormat(ABC):
 
 @dataclass(frozen=True, slots=True)
 class InterpolatedTable:
-    """What a controller adds at positions of an axis, straight between rows.
+    """Correction at positions of an axis, linear between rows.
 
     out : index of the axis that is corrected
-    forward_mm, backward_mm : (n,) added in + and in − direction of the axis, in both
-        the same where one is stated; end values hold beyond
-    times : what it is multiplied by, at positions of another axis
-    is_stepped : the value of the nearest row in place of a straight line
+    forward_mm, backward_mm : (n,) added in + and in − direction of the axis, the same
+        in both where one is None; end values hold beyond
+    times : factor at positions of another axis
+    is_stepped : the value of the nearest row instead of a line
     """
 
     axis: str
@@ -220,7 +221,7 @@ class InterpolatedTable:
     is_stepped: bool = False
 
     def multiply(self, times: InterpolatedTable | None, side: int) -> InterpolatedTable:
-        """Return the table as a product with another, its sign being that of this one.
+        """Product with another table; the sign is that of this one.
 
         side : 1 or −1 for a table of that direction alone, 0 for both
         """
@@ -237,7 +238,7 @@ class InterpolatedTable:
     def read(
         self, position: Mapping[str, Float64[np.ndarray, " n"]], direction: float
     ) -> Float64[np.ndarray, " n"]:
-        """Return what it adds at positions by axis, in direction 1 or −1."""
+        """Correction at positions by axis, in direction 1 or −1."""
         at, value_mm = position[self.axis], self.forward_mm
         if direction <= 0 and self.backward_mm is not None:
             value_mm = self.backward_mm
@@ -256,10 +257,10 @@ class TableFormat(CompensationFormat):
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterable[InterpolatedTable]:
-        """Return the tables that the controller adds. Raises BadInput."""
+        """Tables that the controller adds up. Raises BadInput."""
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the sum of the tables."""
+        """Sum of the tables."""
         tables = list(self.read_tables(files, machine))
 
         def correction(

@@ -1,4 +1,4 @@
-"""The formats that are installed, ours and others', by name."""
+"""Installed formats by name, ours and third-party."""
 
 from __future__ import annotations
 
@@ -28,11 +28,9 @@ _NO_NUMBER = re.compile(r"(?<![a-z])(nan|inf|infinity)(?![a-z])", re.IGNORECASE)
 def load_format(
     name: str, choices: Mapping[str, str] | None = None
 ) -> CompensationFormat:
-    """Return an installed format.
+    """Raises BadInput that lists the installed formats or the possible choices.
 
-    choices : what of the format's `choices` is wanted, the usual for the others
-
-    Raises BadInput, which tells what is installed, or what may be chosen.
+    choices : words for some of the format's `choices`; defaults for the others
     """
     point = find_point(GROUP, name)
     make = load_point(point)
@@ -51,12 +49,11 @@ def load_format(
 
 
 def list_formats() -> dict[str, CompensationFormat]:
-    """Return every installed format, in the order of their names."""
+    """Every installed format, in the order of their names."""
     return gather(GROUP, _ask)
 
 
 def _ask(name: str, make: Any) -> CompensationFormat:
-    """Return a format that can be described. Raises anything."""
     kind = make()
     told = describe_format(name, kind)
     texts = [told[key] for key in ("control", "carries", "not_carried", "note")]
@@ -68,7 +65,6 @@ def _ask(name: str, make: Any) -> CompensationFormat:
 
 
 def _check(call: str, answer: Any) -> Any:
-    """Validate what a third-party format returns. Raises ValueError."""
     if call == "write":
         if not answer:
             raise ValueError("it has written no file")
@@ -86,7 +82,7 @@ def _check(call: str, answer: Any) -> Any:
 
 
 def describe_format(name: str, kind: CompensationFormat) -> dict[str, Any]:
-    """Return what a format carries, its bounds, and where its sign is from."""
+    """Content of a format, its limits, and the source of its sign."""
     return {
         "name": name,
         "control": kind.control,

@@ -1,4 +1,4 @@
-"""Compensation files that are kept with the result they were made of."""
+"""Compensation files that are stored with the result from which they were made."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 from truepath.errors import NotFound
 
 STEM = "compensation"
-ACCOUNT = f"{STEM}.json"  # written last: who has it has all files
+ACCOUNT = f"{STEM}.json"  # written last: if it is there, all files are
 
 
 def read_account(folder: Path, name: str) -> dict[str, Any]:
-    """Return the account of kept files, `files` as names. Raises NotFound."""
+    """Account of stored files, `files` as names. Raises NotFound."""
     place = _find_kept(folder).get(name)
     if place is None:
         raise NotFound(f"no compensation {name!r} is kept here")
@@ -25,20 +25,20 @@ def read_account(folder: Path, name: str) -> dict[str, Any]:
 
 
 def list_accounts(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield name and account of all that is kept, in the order of their names."""
+    """Name and account of all stored files, in the order of their names."""
     for name in sorted(_find_kept(folder)):
         yield name, read_account(folder, name)
 
 
 def find_file(folder: Path, name: str, file: str) -> Path:
-    """Return the place of one of the files, or of their account. Raises NotFound."""
+    """Path of one of the files, or of their account. Raises NotFound."""
     if file not in (*read_account(folder, name)["files"], ACCOUNT):
         raise NotFound(f"compensation {name!r} has no file {file!r}")
     return folder / name / file
 
 
 def pack_files(folder: Path, name: str) -> bytes:
-    """Return all files and their account as a ZIP archive. Raises NotFound."""
+    """All files and their account as a ZIP archive. Raises NotFound."""
     names = (*read_account(folder, name)["files"], ACCOUNT)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -1,8 +1,9 @@
 """The volumetric error on a grid over the travel, before and after compensation.
 
-Before is the estimated map. After, where −δ̂ is applied in full, no direction is left
-that anybody knows, only the length that the stated uncertainty allows. Files of a
-format leave what the format does not carry as well, as their controller reads them.
+Before is the estimated map. After, if −δ̂ is applied in full, the direction of the
+remaining error is unknown; only its length follows from the stated uncertainty. With
+files of a format, the errors that the format cannot correct remain as well, by the
+reading of their controller.
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ _DECIMALS = 4  # of µm
 
 @dataclass(frozen=True, slots=True)
 class MapOrder:
-    """Which map is asked for.
+    """The requested map.
 
-    points : an axis; state : one of `STATES`
-    compensation : name of kept files, of the state after; the full correction without
+    points : per axis; state : one of `STATES`
+    compensation : name of stored files, for the state after; the full correction if
+        None
     """
 
     points: int
@@ -54,7 +56,7 @@ class MapOrder:
 
     @property
     def name(self) -> str:
-        """Names it among those of a result: the same order makes the same map."""
+        """Unique per result: the same order makes the same map."""
         parts = (self.state, str(self.points), self.compensation)
         return "-".join(part for part in parts if part)
 
@@ -64,8 +66,8 @@ class MapInVolume:
     """The volumetric error at positions of a grid, in µm, mean of both directions.
 
     position : (n, axes), rotary axes at their zero, X slowest
-    error_um : (n, 3) as far as it is known; uncertainty_um : (n, 3), k = 1
-    length_um : (n,) length of the error; after, the expected one of what is left
+    error_um : (n, 3) as far as known; uncertainty_um : (n, 3), k = 1
+    length_um : (n,) length of the error; after, that expected of the remaining error
     is_measured : (n,) whether every axis was measured there
     """
 
@@ -79,12 +81,12 @@ class MapInVolume:
 def keep_map(
     source: Path, folder: Path, order: MapOrder, compensations: Path
 ) -> dict[str, Any]:
-    """Return the map as a document, computed once and kept in the folder.
+    """The map as a document, computed once and stored in the folder.
 
-    source : a result or model file; compensations : folder of kept files
+    source : a result or model file; compensations : folder of stored files
 
     Raises BundleError with the place in the result; NotFound where no such files are
-    kept; BadInput where files are named before compensation.
+    stored; BadInput where files are named before compensation.
     """
     kept = folder / f"{order.name}.json"
     if not kept.is_file():
@@ -100,7 +102,7 @@ def keep_map(
 def compute_map(
     errors: ErrorMap, order: MapOrder, correction: Correction | None = None
 ) -> MapInVolume:
-    """Return the map; `correction` is what the files of the order add."""
+    """`correction` : by the files of the order, for the state after."""
     position = _make_grid(errors, order.points)
     predicted = predict(errors.result, position)
     is_measured = ~find_unmeasured(errors.result, position)
@@ -141,7 +143,6 @@ def _expect_length_um(
     position: Float64[np.ndarray, "n a"],
     left_um: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, " n"]:
-    """Return the mean length of what is left, over errors that the data allow."""
     at = make_standstill(errors.machine, position)
     J = errors.volumetric_map.jacobian(at).reshape(3 * len(position), -1)
     drawn = UM_PER_MM * (J @ draw_parameters(errors.result.covariance))

@@ -1,4 +1,4 @@
-"""Compensation files as they are ordered for a result: made, kept, read back."""
+"""Compensation files ordered for a result: made, stored, read back."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from truepath.kinematics.machine.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class CompensationOrder:
-    """What files are asked for.
+    """The requested files.
 
     format : name of an installed one; spacing_mm : of the rows
-    unmeasured : what tables have where an axis was not measured
+    unmeasured : content of tables where an axis was not measured
     choices : of the format, by name
-    given : what the control had while it was measured, where stated
+    given : tables of the control during the measurement, where stated
     """
 
     format: str
@@ -40,7 +40,7 @@ class CompensationOrder:
 
     @property
     def name(self) -> str:
-        """Names them among those of a result: the same order makes the same files."""
+        """Unique per result: the same order makes the same files."""
         chosen = "".join(f"-{self.choices[key]}" for key in sorted(self.choices))
         spacing = repr(float(self.spacing_mm)).removesuffix(".0")
         given = "-difference" if self.given.is_difference else ""
@@ -53,10 +53,10 @@ class CompensationOrder:
 def keep_files(
     source: Path, folder: Path, order: CompensationOrder, *, accept_verdict: bool
 ) -> tuple[str, dict[str, Any]]:
-    """Write the files below `folder`; return their name there and their account.
+    """Name of the files, written below `folder`, and their account.
 
-    source : a result or model file; tables that the service has made, and the control
-        had as it was measured, need not be given
+    source : a result or model file; active tables that the service has made itself need
+        not be given
 
     Raises what `export_files` raises.
     """
@@ -77,7 +77,6 @@ def keep_files(
 def _find_given(
     source: Path, folder: Path, order: CompensationOrder
 ) -> CompensationOrder:
-    """Return the order with the active tables, where the service has made them."""
     given, stated = order.given, read_result(source).provenance.get("active_tables")
     if not (given.data or given.is_difference) and stated:
         for kept in folder.parent.parent.glob(f"*/{folder.name}/*/{ACCOUNT}"):
@@ -89,7 +88,7 @@ def _find_given(
 
 
 def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
-    """Return files that are kept with a result. Raises NotFound."""
+    """Files that are stored with a result. Raises NotFound."""
     account = read_account(folder.parent, folder.name)
     data = {name: read_whole(folder / name) for name in account["files"]}
     return make_active_files(data, account["format"], machine, account)

@@ -1,4 +1,4 @@
-"""Rotary axes in a format: tables, places, and what a controller adds to them."""
+"""Rotary axes in a format: tables, locations, and additions by the controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truepath.kinematics.machine.symbols import LINEAR, TURNS
 
 @dataclass(frozen=True, slots=True)
 class RotaryTable:
-    """How far a rotary axis turns beyond its command.
+    """Rotation of a rotary axis beyond its command.
 
     position_deg : (n,) equidistant, ascending, over the travel; over one turn where the
         axis turns fully, the last row being the first again
@@ -32,13 +32,13 @@ class RotaryTable:
 
     @property
     def spacing_deg(self) -> float:
-        """Distance of neighbouring rows."""
+        """Distance between neighbouring rows."""
         return float(self.position_deg[1] - self.position_deg[0])
 
 
 @dataclass(frozen=True, slots=True)
 class RotaryAddition:
-    """What a controller adds to a rotary axis, straight between rows.
+    """Addition of a controller to a rotary axis, linear between rows.
 
     added_deg : mean of both directions; half_deg : half their difference, where the
         file has both
@@ -53,9 +53,9 @@ class RotaryAddition:
     def read(
         self, at_deg: Float64[np.ndarray, " n"], direction: float = 0.0
     ) -> Float64[np.ndarray, " n"]:
-        """Return what it adds at commanded positions.
+        """Addition at commanded positions, deg.
 
-        direction : 1 or −1, in which the axis comes there; 0 for the mean of both
+        direction : 1 or −1, in which the axis arrives; 0 for the mean of both
         """
         if self.period_deg:
             first = self.position_deg[0]
@@ -68,10 +68,10 @@ class RotaryAddition:
 
 @dataclass(frozen=True, slots=True)
 class AxisPlace:
-    """Where the axis of a rotary axis is.
+    """Location of the axis of a rotary axis.
 
     location : its location errors by symbol, mm and rad, as far as the result has them
-    untold : symbols that the measurement does not tell from other errors
+    untold : symbols that the measurement does not distinguish from other errors
     """
 
     axis: RotaryAxis
@@ -80,27 +80,26 @@ class AxisPlace:
 
     @property
     def known(self) -> frozenset[str]:
-        """What the measurement tells of it."""
+        """Symbols that the measurement determines."""
         return frozenset(self.location) - self.untold
 
     @property
     def origin_mm(self) -> Float64[np.ndarray, "3"]:
-        """The point of the nominal place, shifted as the axis is."""
+        """Nominal point on the axis, shifted by the location error."""
         return np.array(self.axis.origin_mm) + self._turn(LINEAR)
 
     @property
     def direction(self) -> Float64[np.ndarray, "3"]:
-        """The nominal direction, tilted as the axis is."""
+        """Nominal direction, tilted by the location error; a unit vector."""
         nominal = np.array(self.axis.direction)
         tilted = nominal + np.cross(self._turn(TURNS), nominal)
         return tilted / np.linalg.norm(tilted)
 
     def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
-        """Return shifts or tilts in the directions of the machine."""
         own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
         return find_local_directions(self.axis) @ np.array(own)
 
 
 def list_stated_locations(places: Iterable[AxisPlace]) -> frozenset[str]:
-    """Return the symbols of what a result has of some places."""
+    """Symbols of all locations that a result has."""
     return frozenset(symbol for place in places for symbol in place.location)

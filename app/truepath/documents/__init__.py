@@ -1,5 +1,5 @@
-"""The base of all documents: how a file is read, refused and written whole.
+"""Base of all documents: how a file is read, rejected and written atomically.
 
-`file_model` is the base of JSON files, `whole_files` writes all of a file or nothing.
-Not here: any particular file (`files`, or the room whose answer it is).
+`file_model` is the base of JSON files, `whole_files` writes a file completely or not at
+all. Not here: any particular file (`files`, or the room whose answer it is).
 """

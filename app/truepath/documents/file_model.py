@@ -1,7 +1,7 @@
-"""Models of JSON files, and the one line that says what is wrong in a file.
+"""Models of JSON files, and errors of one line.
 
-A model states the keys, types and bounds of an object. What a validator refuses comes
-back as one BundleError: `machine.json: axes.X.max_mm is true; write a number`.
+A model defines the keys, types and bounds of an object. A refusal of a validator
+becomes one BundleError: `machine.json: axes.X.max_mm is true; write a number`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from truepath.errors import BundleError
 
 
 class FileModel(BaseModel):
-    """An object of a file. Keys that it does not state are ignored.
+    """An object of a file. Unknown keys are ignored.
 
     Numbers are finite and neither texts nor truth values; a key of null is missing.
     """
@@ -53,7 +53,7 @@ class FileModel(BaseModel):
 
 
 def refuse(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomError:
-    """Return the error of a validator.
+    """The error that a validator raises.
 
     place : keys below the value that is being validated
     """
@@ -62,7 +62,7 @@ def refuse(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomE
 
 
 def require_finite(value: object, *place: str | int) -> object:
-    """Return the value. Raises a refusal for a number that is not finite in it."""
+    """The value itself. Raises a refusal for a number in it that is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         raise refuse("is not finite", "write a finite number", *place)
     if isinstance(value, Mapping):
@@ -86,7 +86,7 @@ def is_line(text: str) -> bool:
 
 
 def check_line(text: str) -> str:
-    """Return a text that is a printed line, of `LONGEST_LINE` characters at most."""
+    """The same text. Raises a refusal unless `is_line`."""
     if len(text) > LONGEST_LINE:
         problem = f"is {quote(text)}, of {len(text)} characters"
         raise refuse(problem, f"write {LONGEST_LINE} at most")
@@ -110,7 +110,7 @@ Model = TypeVar("Model", bound=FileModel)
 
 
 def parse_json(data: bytes, file: str) -> object:
-    """Return what the bytes of a JSON file say. Raises BundleError with the place."""
+    """Decoded from UTF-8, with or without a byte order mark. Raises BundleError."""
     try:
         content = json.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -136,7 +136,6 @@ def parse_json(data: bytes, file: str) -> object:
 
 
 def _require_text(content: object, file: str) -> None:
-    """Raise BundleError on what no text file or database can keep as text."""
     found = (_NO_CHARACTER.search(text) for text in _list_texts(content))
     code = next((one.group() for one in found if one), None)
     if code is not None:
@@ -162,12 +161,12 @@ def _list_texts(content: object) -> Iterator[str]:
 
 
 def as_object(content: object) -> Mapping[str, Any]:
-    """Return parsed JSON where it is an object; an empty one for anything else."""
+    """Parsed JSON where it is an object; an empty one for anything else."""
     return cast(Mapping[str, Any], content) if isinstance(content, Mapping) else {}
 
 
 def encode_json(content: object, *, indent: int | None = None) -> bytes:
-    """Return the bytes of a JSON file; numbers that are not finite are refused."""
+    """UTF-8 with a final line feed. Raises ValueError for a NaN or infinity."""
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, indent=indent)
     return f"{text}\n".encode()
 
@@ -180,10 +179,10 @@ def validate(
     key: str = "",
     context: object = None,
 ) -> Model:
-    """Return the model of parsed JSON. Raises BundleError with the place.
+    """The model of parsed JSON. Raises BundleError with the place.
 
-    key : where in the file the content stands, empty for the whole file
-    context : what validators need to know beside the content
+    key : path of the content in the file, empty for the whole file
+    context : what validators need to know in addition to the content
     """
     try:
         return model.model_validate(content, context=context)
@@ -193,7 +192,7 @@ def validate(
 
 
 def quote(value: object) -> str:
-    """Quote a value as JSON, shortened."""
+    """As JSON, of 60 characters at most."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     text = text.encode(errors="backslashreplace").decode()
     return text if len(text) <= 60 else text[:57] + "…"
@@ -249,7 +248,6 @@ _KINDS = {
 
 
 def _is_integer(value: object) -> bool:
-    """Tell whether a number was refused for its size alone."""
     return isinstance(value, int) and not isinstance(value, bool)
 
 
@@ -265,7 +263,7 @@ def _unquote(text: str) -> str:
 
 
 def _path(place: Sequence[str | int], content: Any, key: str) -> str:
-    """Return `axes.X.min_mm`; steps that choose among models are no keys."""
+    """For example `axes.X.min_mm`; steps that choose among models are no keys."""
     path, last = key, len(place) - 1
     for number, step in enumerate(place):
         if isinstance(step, int):

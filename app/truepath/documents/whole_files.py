@@ -1,4 +1,4 @@
-"""Files that are read and written whole, or not at all."""
+"""Files that are read and written completely, or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_TEXT_BYTES = 64 << 20  # of a file that people write
 
 
 def read_whole(file: str | Path, *, largest_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """Return the bytes of a file. Raises BundleError where it cannot or must not be."""
+    """Raises BundleError where a file cannot be read, or is too large."""
     place = Path(file)
     try:
         if place.stat().st_size > largest_bytes:
@@ -30,8 +30,8 @@ def read_whole(file: str | Path, *, largest_bytes: int = MAX_TEXT_BYTES) -> byte
 
 
 def replace_file(file: Path, data: bytes) -> None:
-    """Write a file whole or not at all: beside it, synced, then renamed over it."""
-    # Two threads may write the same file: each has a draft of its own.
+    """Write a file completely or not at all: a synced draft replaces it."""
+    # Two threads may write the same file: each has its own draft.
     draft = file.with_name(f".{file.name}.{secrets.token_hex(6)}.tmp")
     try:
         with draft.open("wb") as sink:
@@ -45,14 +45,14 @@ def replace_file(file: Path, data: bytes) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files below a folder, in their order, each whole or not at all."""
+    """Write files below a folder, in their order, each completely or not at all."""
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         replace_file(folder / name, data)
 
 
 def sync_to_disk(place: Path) -> None:
-    """Make a file, or a rename in a folder, outlast a power cut."""
+    """Make a file, or a rename in a folder, survive a power cut."""
     handle = os.open(place, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,4 +1,4 @@
-"""Tables of numbers at the border, CSV or Parquet, with the place of what is wrong.
+"""Tables of numbers at the border, CSV or Parquet, with the place of an error.
 
 Rows in error texts are counted as a text editor shows them: the header of a CSV file is
 row 1, its first data row is row 2 (blank lines count). A Parquet file has no header:
@@ -44,11 +44,11 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """In the order of the file."""
         return tuple(self.data.column_names)
 
     def require(self, *names: str) -> None:
-        """Raise BundleError naming the first of these columns that is not there."""
+        """Raise BundleError naming the first of these columns that is missing."""
         for name in names:
             if name not in self.names:
                 found = ", ".join(self.names)
@@ -62,7 +62,7 @@ class Table:
     def error(
         self, problem: str, index: int, column: str | None, remedy: str = ""
     ) -> BundleError:
-        """Return the error at a data index of a column."""
+        """Counts the data row from 0; the error names the row of the file."""
         row = self.row_of(index)
         return BundleError(
             problem, file=self.file, row=row, column=column, remedy=remedy
@@ -88,7 +88,7 @@ class Table:
     def numbers(
         self, name: str, *, nan: bool = False, infinite: bool = False
     ) -> NDArray[np.float64]:
-        """Return a column as float64; empty cells are NaN, refused unless `nan`."""
+        """As float64; empty cells are NaN, refused unless `nan`. Raises BundleError."""
         self.require(name)
         value = _convert_column(self, name)
         if not infinite:
@@ -99,24 +99,24 @@ class Table:
         return value
 
     def find_empty(self, name: str) -> NDArray[np.bool_]:
-        """Tell which cells of a column hold nothing, not even NaN."""
+        """Cells of a column without content, not even NaN."""
         return np.array(self.data[name].is_null())
 
     def cells(self, name: str) -> list[str]:
-        """Return a column as it stands in the file, empty cells as empty texts."""
+        """As in the file, empty cells as empty texts. Raises BundleError."""
         self.require(name)
         column = self.data[name].cast(pa.string()).to_pylist()
         return [cell or "" for cell in column]
 
     def texts(self, name: str) -> list[str]:
-        """Return a column of words, none of them empty."""
+        """Stripped words; raises BundleError for an empty one."""
         words = [cell.strip() for cell in self.cells(name)]
         if "" in words:
             raise self.error("is empty", words.index(""), name)
         return words
 
     def choices(self, name: str, known: Collection[str], remedy: str) -> list[str]:
-        """Return a column of words, all of them known."""
+        """Stripped words; raises BundleError for an unknown one."""
         words = self.texts(name)
         for index, word in enumerate(words):
             if word not in known:
@@ -125,7 +125,7 @@ class Table:
 
 
 def encode_csv(columns: Mapping[str, Iterable[object]]) -> bytes:
-    """Return comma-separated values with a header; numbers keep all their digits."""
+    """Comma-separated values with a header; numbers keep all their digits."""
     cells = [
         map(repr, np.asarray(column, np.float64).tolist())
         if isinstance(column, np.ndarray)
@@ -187,7 +187,7 @@ _EMPTY = [  # NaN is a value: of a beam that was lost
 
 
 def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:
-    """Read the known columns of a Parquet file; no others are unpacked."""
+    """Read the known columns only. Raises BundleError."""
     try:
         source = _open_parquet(data)
         fields = [field for field in source.schema_arrow if field.name in known]
@@ -209,7 +209,6 @@ def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:
 
 
 def _open_parquet(data: bytes, texts: Sequence[str] = ()) -> pq.ParquetFile:
-    """Open a Parquet file; pages that bear a checksum are held against it."""
     return pq.ParquetFile(
         pa.BufferReader(data),
         read_dictionary=list(texts),
@@ -218,7 +217,6 @@ def _open_parquet(data: bytes, texts: Sequence[str] = ()) -> pq.ParquetFile:
 
 
 def _holds_texts(field: pa.Field, file: str) -> bool:
-    """Say whether a column holds texts; refuse lists and the like, of any size."""
     kind = field.type
     if pa.types.is_string(kind):
         return True
@@ -229,7 +227,7 @@ def _holds_texts(field: pa.Field, file: str) -> bool:
 
 
 def _unpack_texts(column: pa.ChunkedArray, file: str, name: str) -> pa.ChunkedArray:
-    """Return texts one by one, which were read as each one once, if they are short."""
+    """Dictionary-encoded texts to plain ones. Raises BundleError if they are long."""
     import pyarrow.compute as pc  # slow to import, and no reader of a table needs it
 
     size = 0
@@ -270,9 +268,6 @@ def _refuse_odd_lines(data: bytes, file: str) -> None:
 
 
 def _split_at_lines(data: bytes, size: int) -> Iterator[tuple[int, int]]:
-    """Return where pieces of whole lines begin and end, larger than `size` for none
-    but a single line.
-    """
     begin = 0
     while begin < len(data):
         end = len(data)
@@ -308,7 +303,7 @@ def _refuse_repeated(names: list[str], file: str) -> None:
 
 
 def _find_line(data: bytes, index: int) -> int:
-    """Return the line of a data row, skipping blank lines as the reader does."""
+    """Skips blank lines, as the reader does."""
     seen = -1
     lines = (line for part in io.BytesIO(data) for line in part.splitlines())
     for number, line in enumerate(itertools.islice(lines, 1, None), start=2):
@@ -356,7 +351,7 @@ def _is_number(column: pa.ChunkedArray) -> bool:
 
 
 def _find_first_text(column: pa.ChunkedArray) -> int:
-    """Return the first cell that is no number, by bisection of casts."""
+    """First cell that is no number, by bisection of casts."""
     low, high = 0, len(column)
     while high - low > 1:
         middle = (low + high) // 2

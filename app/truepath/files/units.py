@@ -19,10 +19,10 @@ _UNITS = {
 
 
 def unit_of(parameter: Parameter) -> tuple[str, float]:
-    """Return the unit that files state, and how many of it are one inside."""
+    """Unit in files, and the factor from the inside unit."""
     return _UNITS.get(parameter.unit, (parameter.unit, 1.0))
 
 
 def scale_of(unit: str) -> float:
-    """Return how many `um` or `urad` are one mm or rad."""
+    """Number of `um` or `urad` in one mm or rad."""
     return URAD_PER_RAD if unit == "urad" else UM_PER_MM

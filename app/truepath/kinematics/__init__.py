@@ -1,4 +1,4 @@
-"""What the machine is: its axes, its nominal chain, and what moves its point off it.
+"""Model of the machine: axes, nominal chain, and effects that move the measured point.
 
 Here: geometry and physical causes. Not here: values from measurements (`estimation`),
 travel and motion in time (`motion`), `machine.json` (`files.bundle`).
@@ -20,10 +20,10 @@ parameters one effect after another. Effects answer questions about themselves (
 table, axis pair, Run); no other room asks for their class. Curves along an axis are
 natural or cyclic cubic splines, linear in their control values (`splines`;
 brunn-hanebeck-2005, eq. 2–11). Their second derivatives solve a tridiagonal system;
-bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26). What
-errors do in the whole volume, less its rigid motion, says `volumetric_map`.
+bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26).
+`volumetric_map` gives the errors in the whole volume without its rigid motion.
 
-Which error motions the measured targets can tell is a matter of geometry alone:
+Which error motions the measured targets determine is a matter of geometry alone:
 `identifiable` finds it for any chain, and names what is confounded. With one tool
 offset, 14 of the 18 error motions of three linear axes are identifiable.
 """

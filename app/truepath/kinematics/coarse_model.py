@@ -1,8 +1,8 @@
-"""The models of several Runs, and the coarse one that their noise is estimated with.
+"""Models of several Runs, and the coarse one that their noise is estimated with.
 
-The splines of the coarse model are fine enough that shapes of the errors do not pass
-for noise. It has every lost motion and, where slow changes are structure to be
-explained, splines of time: neither must pass for noise.
+The splines of the coarse model are fine enough that shapes of the errors are not taken
+for noise. For the same reason it has every lost motion and, where slow changes are to
+be explained, splines of time.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
 _USUAL_MM = 0.005  # of a slow shift
-_POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
+_POINTS_PER_KNOT = 6  # of a spline of time, for measurements at points
 
 
 @dataclass(frozen=True)
 class TimeSpline(SplineEffect):
-    """A slow shift of everything with time: a natural spline without its mean."""
+    """Slow shift of all points with time: a natural spline without its mean."""
 
     kind = "time-spline"
     role = Role.NUISANCE
@@ -56,17 +56,17 @@ class TimeSpline(SplineEffect):
     gauge: Float64[np.ndarray, "k p"]
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the direction times the spline's rows."""
+        """Spline rows along the direction."""
         return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
-        """Return the mean square over the run."""
+        """Mean square over the Run, of typical size 5 µm."""
         return self.charge_square(_USUAL_MM, "time")
 
 
 @dataclass(frozen=True)
 class LineShift(Effect):
-    """Another shift of everything on each line.
+    """A separate shift of all points on each line.
 
     lines : numbers of the lines
     """
@@ -78,26 +78,26 @@ class LineShift(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One a line."""
+        """One per line."""
         return tuple(Parameter(f"{self.name}[{n}]", "mm") for n in self.lines)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the direction on each line."""
+        """1 along the direction on the parameter's own line, else 0."""
         on_line = at.line[:, None] == np.array(self.lines)
         return columns_along(self.direction, on_line.astype(np.float64))
 
     def prior(self) -> QuadraticPrior:
-        """Return the sum of squares."""
+        """Sum of squares over the lines."""
         count = len(self.lines)
         return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
 
 
 @dataclass(frozen=True)
 class NestedModels:
-    """Models of Runs that differ in what the direction of approach may do.
+    """Models of Runs that differ in their treatment of the direction of approach.
 
     alone : error motions, and effects known before
-    confounded : further effects of the machine, that the targets do not tell
+    confounded : further effects of the machine that the targets do not determine
     """
 
     alone: MachineModel
@@ -105,17 +105,17 @@ class NestedModels:
 
     @cached_property
     def whole(self) -> MachineModel:
-        """With all that the targets do not tell."""
+        """With the confounded effects."""
         return self.alone.with_confounded(self.confounded)
 
     @cached_property
     def constant(self) -> MachineModel:
-        """With a half width of each error motion."""
+        """With a constant half width for each error motion."""
         return add_half_widths(self.alone)
 
     @cached_property
     def tables(self) -> MachineModel:
-        """With a table of half differences of each error motion as well."""
+        """With a table of half differences for each error motion as well."""
         motions = self.alone.identifiable_motions
         shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
         return self.constant.with_effects(*shapes)
@@ -126,9 +126,9 @@ def build_baseline_models(
     conditions: Sequence[Conditions],
     reference: MachineModel | None = None,
 ) -> tuple[NestedModels, MachineModel]:
-    """Return the model that Runs are compared with, and the coarse one for their noise.
+    """The model that Runs are compared with, and the coarse one for their noise.
 
-    Both have what the tracker may be off by.
+    Both have the systematic errors of the tracker.
 
     conditions : of each Run
     reference : the model; all that the Runs can identify of a rigid body if None
@@ -157,10 +157,9 @@ def _nest(
 
 
 def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
-    """Yield what shifts lines of a Run, and all with time, in each direction.
-
-    Knots of time are too far apart for one point. Lines of rotary axes are arcs that
-    each show other errors: a shift of each would leave nothing to place the tracker by.
+    """Knots of time are too far apart for one point. Lines of rotary axes are arcs that
+    each show other errors: a shift of each would leave nothing to locate the tracker
+    by.
     """
     spacing_s = LONGEST_NOISE_S
     first, last = float(at.time_s.min()), float(at.time_s.max())
@@ -178,9 +177,9 @@ def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
 
 @dataclass(frozen=True)
 class RunModels:
-    """The models that Runs of one machine are solved with.
+    """Models that Runs of one machine are solved with.
 
-    coarse : for their noise; shapes : for what they determine
+    coarse : for their noise; shapes : for the errors that they determine
     """
 
     nested: NestedModels
@@ -188,13 +187,13 @@ class RunModels:
     shapes: ShapeModel
 
     def with_effects(self, *effects: Effect) -> RunModels:
-        """Return the models with further effects."""
+        """The effects are added to `nested` and `coarse`, not to `shapes`."""
         alone = add_effects(self.nested.alone, effects)
         nested = replace(self.nested, alone=alone)
         return replace(self, nested=nested, coarse=add_effects(self.coarse, effects))
 
     def add_bends(self) -> RunModels:
-        """Return the models for Runs that are measured on ramps as well."""
+        """For Runs that include samples on ramps."""
         alone = add_bends(self.nested.alone)
         return replace(self, nested=replace(self.nested, alone=alone))
 
@@ -202,7 +201,7 @@ class RunModels:
 def build_run_models(
     machine: Machine, runs: Sequence[Conditions], known: Sequence[Effect] = ()
 ) -> RunModels:
-    """Return the models of Runs, with what the tracker may be off by.
+    """Models of Runs, with the systematic errors of the tracker.
 
     machine : that of the Runs, with the targets of all
     known : effects of the machine from an earlier measurement
@@ -222,11 +221,11 @@ def build_coarse_model(
     known: Sequence[Effect] = (),
     beside: Sequence[Effect] = (),
 ) -> MachineModel:
-    """Return a model of error motions, lost motions and further effects.
+    """Model of error motions, lost motions and further effects.
 
     offsets_mm : of the targets in each Run
     known : effects of the machine from an earlier measurement
-    beside : further effects; those that the model has already are left out
+    beside : further effects; those already in the model are skipped
     """
     model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
@@ -237,18 +236,18 @@ def build_coarse_model(
 
 
 def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:
-    """Return the model with the effects that it does not have already."""
+    """Effects that the model has already, by name, are skipped."""
     return model.with_effects(*(e for e in effects if e.name not in model.slices))
 
 
 def add_bends(model: MachineModel) -> MachineModel:
-    """Return the model with what acceleration does to the carriages."""
+    """With the bending of each linear axis' carriage under acceleration."""
     axes = model.machine.linear_axes
     return add_effects(model, [InertialBend(axis) for axis in axes])
 
 
 def add_half_widths(model: MachineModel) -> MachineModel:
-    """Return the model with a half width for each of its error motions.
+    """With a half width for each error motion.
 
     None for a motion whose lost motion is an effect of the model already.
     """

@@ -1,4 +1,4 @@
-"""The state of the machine at which effects are asked what they do."""
+"""State of the machine at which effects are evaluated."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truepath.kinematics.splines import CubicSpline
 
 @dataclass(frozen=True, slots=True)
 class RecordedState:
-    """What a recording adds to the commanded state of the machine at n moments.
+    """Recorded state of the machine at n moments, in addition to the commanded one.
 
     rate : (n, axes) mm/s or deg/s of each axis, 0 at a standstill
     span_s : (n,) how long the moment lasts: the time over which samples were averaged
@@ -25,8 +25,8 @@ class RecordedState:
     tracker_mm : (n, 3) point in the tracker's frame
     rotation : (3, 3) frame of the workpiece, or base, to that of the tracker
     temperature_degc : (n, sensors) of the named sensors
-    lock : (n,) how often the beam was lost and found before; never where left out
-    set_up : of the tracker, as `name_set_up` tells it from others
+    lock : (n,) how often the beam was lost and found before; 0 if None
+    set_up : of the tracker, named by `name_set_up`
     """
 
     rate: Float64[np.ndarray, "n a"]
@@ -40,7 +40,7 @@ class RecordedState:
     set_up: str = ""
 
     def select(self, rows: Int64[np.ndarray, " m"]) -> RecordedState:
-        """Return those of some of the moments."""
+        """Rows of all arrays; the rotation stays."""
         celsius, lock = self.temperature_degc, self.lock
         return replace(
             self,
@@ -58,21 +58,21 @@ class Conditions:
     """The state of the machine at n moments.
 
     position_mm : (n, axes) nominal axis positions, in the machine's column order
-    offset_mm : (n, 3) offset of the measured target as the machine states it
-    seat_mm : (n, 3) how far the target is known to sit off that; 0 where left out
+    offset_mm : (n, 3) offset of the measured target as in the machine file
+    seat_mm : (n, 3) known deviation of the target from that; 0 if None
     time_s : (n,) the tracker's clock
     line : (n,) row of the path that the machine moves towards, -1 at a standstill
     line_time_s : (n,) time from the middle of that line
     velocity_mm_s : (n, 3) commanded velocity, 0 at a standstill
     approach : (n, axes) sign of each axis' last motion, 0 where it has not moved yet
-    observer : what the observer stands on, `workpiece` or `base`; the volumetric error
+    observer : side of the observer, `workpiece` or `base`; the volumetric error
         is that of the tool seen from the workpiece
-    on_workpiece : (n,) the target is on the workpiece; nowhere where left out
+    on_workpiece : (n,) the target is on the workpiece; False if None
     line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity
         because the line is an arc
     run : which of the Runs of an estimate, for effects that belong to one of them
-    recorded : what the recording adds; an effect that needs it is 0 without it
-    acceleration : (n, axes) mm/s² of each axis, as measured; 0 where left out
+    recorded : added by a recording; an effect that needs it is 0 without it
+    acceleration : (n, axes) mm/s² of each axis, as measured; 0 if None
     """
 
     machine: Machine
@@ -96,12 +96,12 @@ class Conditions:
 
     @cached_property
     def point_mm(self) -> Float64[np.ndarray, "n 3"]:
-        """Nominal target point where the observer stands, (n, 3)."""
+        """Nominal target point in the observer's frame, (n, 3)."""
         return self.chain.point_mm
 
     @cached_property
     def chain(self) -> NominalChain:
-        """The nominal machine at these moments."""
+        """Nominal chain; the target's offset includes its seat."""
         on_workpiece = self.on_workpiece
         if on_workpiece is None:
             on_workpiece = np.zeros(len(self), bool)
@@ -113,7 +113,7 @@ class Conditions:
         )
 
     def select(self, rows: Int64[np.ndarray, " m"]) -> Conditions:
-        """Return the conditions at some of the moments."""
+        """Rows of all arrays, of what is recorded as well."""
         return Conditions(
             self.machine,
             self.position_mm[rows],
@@ -135,24 +135,24 @@ class Conditions:
     def view_from(
         self, observer: str, on_workpiece: Bool[np.ndarray, " n"]
     ) -> Conditions:
-        """Return the same moments for a target and an observer elsewhere."""
+        """Same moments for a target and an observer on other sides of the machine."""
         return replace(self, observer=observer, on_workpiece=on_workpiece)
 
     def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
-        """Return the positions of one axis."""
+        """Positions of one axis; deg for a rotary axis."""
         return self.position_mm[:, self.machine.axis_names.index(axis)]
 
     def axis_share(self, axis: Axis) -> Float64[np.ndarray, " n"]:
-        """Return the positions of one axis within its travel, from 0 to 1."""
+        """Positions of one axis within its travel, from 0 to 1."""
         return (self.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
 
     @property
     def middle_s(self) -> float:
-        """Time half-way between the first moment and the last."""
+        """Halfway between the first moment and the last."""
         return 0.5 * float(self.time_s.min() + self.time_s.max())
 
     def spline_rows(self, axis: str, spline: CubicSpline) -> Float64[np.ndarray, "n k"]:
-        """Return a spline's rows at the positions of an axis, made once for all."""
+        """Rows at the positions of an axis, computed once per spline."""
         key = axis, spline.knots.tobytes(), spline.period
         if key not in self._spline_rows:
             self._spline_rows[key] = spline.basis(self.axis_mm(axis))
@@ -163,13 +163,13 @@ class Conditions:
         return {}
 
     def axis_rate(self, axis: str) -> Float64[np.ndarray, " n"]:
-        """Return the mm/s or deg/s of one axis; 0 where nothing is recorded."""
+        """mm/s or deg/s; 0 where nothing is recorded."""
         if self.recorded is None:
             return np.zeros(len(self))
         return self.recorded.rate[:, self.machine.axis_names.index(axis)]
 
     def axis_acceleration(self, axis: str) -> Float64[np.ndarray, " n"]:
-        """Return the mm/s² of one axis; 0 where it is not measured."""
+        """mm/s²; 0 where it is not measured."""
         if self.acceleration is None:
             return np.zeros(len(self))
         return self.acceleration[:, self.machine.axis_names.index(axis)]
@@ -180,7 +180,7 @@ def make_standstill(
     position_mm: Float64[np.ndarray, "n a"],
     offset_mm: Float64[np.ndarray, "n 3"] | None = None,
 ) -> Conditions:
-    """Return conditions of a machine that stands at the given positions."""
+    """Conditions at rest at these positions; offset of the first target if None."""
     n, a = len(position_mm), len(machine.axes)
     if offset_mm is None:
         offset_mm = np.tile(np.array(machine.target().offset_mm, float), (n, 1))
@@ -199,7 +199,7 @@ def make_standstill(
 def observe_targets(
     machine: Machine, position_mm: Float64[np.ndarray, "n a"], targets: Sequence[Target]
 ) -> Conditions:
-    """Return conditions of targets at a standstill, as the tracker sees them.
+    """Conditions of targets at a standstill, seen from where the tracker stands.
 
     targets : in turn, one at each position
     """

@@ -1,4 +1,4 @@
-"""A model with what was found of it."""
+"""A model with its estimated parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from truepath.kinematics.model import MachineModel
 
 @dataclass(frozen=True)
 class EstimatedModel:
-    """A model with its parameters and their covariance."""
+    """A model with its parameters and their covariance, in inside units."""
 
     model: MachineModel
     theta: Float64[np.ndarray, " p"]
@@ -31,16 +31,16 @@ class EstimatedModel:
     def part(
         self, name: str
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
-        """Return parameters and covariance of one effect."""
+        """Parameters and covariance of one effect."""
         part = self.model.slices[name]
         return self.theta[part], self.covariance[part, part]
 
     @cached_property
     def at_targets(self) -> EstimatedModel:
-        """What the measured targets show: tables that hold for them state it.
+        """The model at the measured targets, for tables that hold for these.
 
-        Confounded turns that a displacement makes up for are set to 0, and all others
-        are what they are then.
+        Confounded turns that a displacement makes up for are set to 0, and all other
+        parameters are conditional on that.
         """
         rows = self.target_rows
         kept = tuple(
@@ -51,16 +51,16 @@ class EstimatedModel:
         return EstimatedModel(model, rows @ self.theta, covariance)
 
     def widen_by_scale(self, scale: float) -> Self:
-        """Return it with all its lengths uncertain in common.
+        """With a scale uncertainty common to all lengths.
 
-        scale : standard uncertainty of it, of 1
+        scale : its standard uncertainty, relative
         """
         stretch = scale * find_stretch(self.model)
         return replace(self, covariance=self.covariance + np.outer(stretch, stretch))
 
     @cached_property
     def target_rows(self) -> Float64[np.ndarray, "k p"]:
-        """The parameters of `at_targets`, linear in these: a regression."""
+        """Map to the parameters of `at_targets` from these: a regression."""
         own = np.zeros(self.model.size, bool)
         for name in self.model.made_up_for:
             own[self.model.slices[name]] = True
@@ -73,7 +73,7 @@ class EstimatedModel:
         return rows
 
     def effects(self) -> dict[str, Effect]:
-        """Return the machine's own effects by name."""
+        """Effects of the machine itself, by name."""
         return {
             e.name: e
             for e in self.model.effects
@@ -82,7 +82,7 @@ class EstimatedModel:
 
 
 def list_lengths(model: MachineModel) -> list[ErrorMotion]:
-    """Return the error motions that are the positioning of a linear axis."""
+    """Positioning of the linear axes."""
     return [
         motion
         for motion in model.error_motions
@@ -91,9 +91,9 @@ def list_lengths(model: MachineModel) -> list[ErrorMotion]:
 
 
 def find_stretch(model: MachineModel) -> Float64[np.ndarray, " p"]:
-    """Return the parameters of a machine whose lengths are all too long by themselves.
+    """Parameters of a machine on which every length is too long by the same factor.
 
-    A wrong scale of the tracker looks like it: no residual shows it.
+    An error of the tracker's scale looks the same: no residual shows it.
     """
     stretch = np.zeros(model.size)
     for motion in list_lengths(model):

@@ -1,17 +1,17 @@
-"""Which error motions the measured targets can tell, decided from geometry alone.
+"""Error motions that the measured targets determine, from geometry alone.
 
-Asked of any serial chain, of targets on tool and workpiece, and of a tracker on either
-side. With one tool offset only 14 of the 18 error motions of a three-axis machine move
-the target in ways of their own: turns of the last axis are confounded with its
+It works for any serial chain, for targets on tool and workpiece, and for a tracker on
+either side. With one tool offset only 14 of the 18 error motions of a three-axis
+machine move the target in distinct ways: turns of the last axis are confounded with its
 straightness, and so is the turn of the last but one about the last axis' direction. Two
 tool lengths give 16, three offsets off one line 18. What is confounded is named, and
 solved for under a prior alone; a pseudo-inverse would return it as a silent zero.
 
 A motion is confounded if at every position of its axis its arm is a combination of the
 arms of motions that are kept. Most such motions the others absorb, and estimates are
-made without them first. A turn of a rotary axis about the line of two targets is told
-in some directions and not in others: no single turn absorbs it. Squarenesses and
-locations of rotary axes enter where they add to that.
+made without them first. A turn of a rotary axis about the line of two targets is
+determined in some directions and not in others: no single turn absorbs it. Squarenesses
+and locations of rotary axes enter where they add to that.
 """
 
 from __future__ import annotations
@@ -50,24 +50,23 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.model import MachineModel
 
-# Of an error motion. How much it bends is for the prior to say: closer knots only cost
-# time.
+# Of an error motion. The prior limits its bending: closer knots only cost time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _MOST_INTERVALS = 32  # unless a motion needs more
 _CONFOUNDED_INTERVALS = 12  # what data do not show needs no fine shapes
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
-_PROBE = 700  # configurations that stand for the whole volume
-_INTERVALS = 8  # shapes of motions against which single numbers are held
+_PROBE = 700  # configurations that represent the whole volume
+_INTERVALS = 8  # shapes of motions with which single numbers are compared
 _SAME_ARM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Confounded:
-    """An error motion that no data of these targets tell from others.
+    """An error motion that these targets do not distinguish from others.
 
-    varies : how much other turns have to turn in its place changes along its axis, and
-        without bounds: without it, they would not be smooth; or of such an axis
+    varies : the turns that replace it change along its axis, without bounds: without
+        it, they would not be smooth; or a location of such an axis
     """
 
     symbol: str
@@ -75,7 +74,7 @@ class Confounded:
     varies: bool = False
 
     def __str__(self) -> str:
-        """Return the statement for reports."""
+        """For reports."""
         named = f"{self.symbol} ({describe_symbol(self.symbol)})"
         if not self.partners:
             return f"{named} does not move the target"
@@ -91,7 +90,7 @@ def build_identifiable_model(
     knot_spacing_mm: float = KNOT_SPACING_MM,
     intervals: int | None = None,
 ) -> tuple[MachineModel, tuple[Confounded, ...]]:
-    """Return the model of what these targets can tell, and what is confounded.
+    """The model that these targets determine, and what is confounded.
 
     offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
     intervals : the same number of knot intervals on every axis, instead of a spacing
@@ -111,9 +110,9 @@ def build_identifiable_model(
 def list_confounded_effects(
     machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Effect, ...]:
-    """Return the effects of the machine that these targets do not tell from others.
+    """Effects of the machine that these targets do not distinguish from others.
 
-    They move another target, or another tool, in ways that the data leave open.
+    They move another target, or another tool, in ways that the data do not determine.
     """
     return (
         *list_partly_told_effects(machine, *offsets_mm),
@@ -124,10 +123,10 @@ def list_confounded_effects(
 def list_partly_told_effects(
     machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Effect, ...]:
-    """Return confounded effects that an estimate of the others cannot leave out.
+    """Confounded effects that an estimate of the others cannot leave out.
 
-    So are turns of a head about the line of its targets, which turns with it, and where
-    the axis of such turns is.
+    Such are turns of a head about the line of its targets, which turns with it, and the
+    location of the axis of such turns.
     """
     return _list_confounded(machine, offsets_mm, varies=True)
 
@@ -135,7 +134,7 @@ def list_partly_told_effects(
 def list_untold_effects(
     machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Effect, ...]:
-    """Return all other confounded effects: without them the model fits as well."""
+    """All other confounded effects: without them the model fits equally well."""
     return _list_confounded(machine, offsets_mm, varies=False)
 
 
@@ -161,8 +160,8 @@ def _make_confounded(symbol: str, axis: Axis) -> Effect:
 def _targets_at(
     machine: Machine, offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Target, ...]:
-    """Return the targets at offsets; on the tool where the machine states none."""
-    # One target is measured for long: no need to sort all that is the same.
+    """Targets that are not in the machine file are on the tool."""
+    # One target is measured for many samples: no need to sort equal ones.
     changes = np.diff(offsets_mm, axis=0, prepend=np.inf).any(axis=1)
     offsets_mm = np.unique(offsets_mm[changes], axis=0)
     stated = np.array([t.offset_mm for t in machine.targets]).reshape(-1, 3)
@@ -181,14 +180,10 @@ def _intervals(axis: Axis, spacing_mm: float) -> int:
     return min(most, max(3, round((axis.high - axis.low) / spacing_mm)))
 
 
-@lru_cache(maxsize=16)  # asked anew by every stage of an estimate
+@lru_cache(maxsize=16)  # requested again by every stage of an estimate
 def _find_identifiable(
     machine: Machine, runs: tuple[tuple[Target, ...], ...]
 ) -> tuple[tuple[str, ...], tuple[Effect, ...], tuple[Confounded, ...]]:
-    """Return motions, single numbers and placements, and what is confounded.
-
-    runs : the targets measured in each Run
-    """
     targets = list(dict.fromkeys(target for run in runs for target in run))
     symbols = [s for axis in machine.axes for s in list_error_motions(axis.name)]
     arms = _probe_arms(machine, targets)
@@ -211,7 +206,6 @@ def _find_identifiable(
 def _probe_volume(
     machine: Machine, runs: Sequence[Sequence[Target]], kept: Sequence[str]
 ) -> tuple[list[Conditions], list[Effect]]:
-    """Return probes of the volume by the targets of each Run, and error motions."""
     each_run = [
         replace(_probe(machine, targets, _PROBE, run), run=run)
         for run, targets in enumerate(runs)
@@ -223,7 +217,6 @@ def _probe_volume(
 def _probe_arms(
     machine: Machine, targets: Sequence[Target]
 ) -> dict[str, Float64[np.ndarray, "p m"]]:
-    """Return the arms of every error motion at some places of its axis."""
     arms: dict[str, Float64[np.ndarray, "p m"]] = {}
     for axis in machine.axes:
         places = [
@@ -239,7 +232,6 @@ def _probe_arms(
 def _find_partners(
     symbol: str, kept: list[str], arms: Mapping[str, Float64[np.ndarray, "p m"]]
 ) -> Confounded | None:
-    """Return what kept motions make all of this one's shapes already, or None."""
     own, mates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
     others = np.stack([arms[m] for m in mates] or [0.0 * own], axis=2)
     solution = np.linalg.pinv(others, rcond=1e-10) @ own[:, :, None]
@@ -260,7 +252,6 @@ def _find_partners(
 def _probe(
     machine: Machine, targets: Sequence[Target], count: int, seed: int, fixed: str = ""
 ) -> Conditions:
-    """Draw configurations at which each target is seen; one axis may stand still."""
     rng = np.random.default_rng(seed)
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
@@ -279,10 +270,10 @@ def select_numbers(
     each_run: Sequence[Conditions],
     motions: Sequence[Effect],
 ) -> tuple[list[Effect], dict[str, tuple[str, ...]]]:
-    """Return the numbers and seats that are told, and effects that make the others.
+    """Numbers and seats that are determined; the others with their partners.
 
     runs : the targets measured in each Run; each_run : probes of the volume by them
-    motions : error motions that are told
+    motions : error motions that are determined
     """
     poses, seats = _find_seats(runs, each_run)
     blocks = [poses, *(_columns(e, each_run) for e in (*motions, *seats))]
@@ -304,7 +295,7 @@ def select_numbers(
 
 
 def list_numbers(machine: Machine) -> list[Effect]:
-    """Return squarenesses and locations."""
+    """Squarenesses, then the locations of the rotary axes."""
     found: list[Effect] = [*list_squarenesses(machine.axis_names)]
     for axis in machine.rotary_axes:
         found += list_axis_locations(axis)
@@ -314,10 +305,7 @@ def list_numbers(machine: Machine) -> list[Effect]:
 def _find_seats(
     runs: Sequence[Sequence[Target]], each_run: Sequence[Conditions]
 ) -> tuple[Float64[np.ndarray, "m q"], list[TargetSeat]]:
-    """Return the columns of the poses, and the seats that are no matter of a pose.
-
-    A seat that looks like an error motion stays: its prior says how much it may be.
-    """
+    """A seat that looks like an error motion stays: its prior limits it."""
     poses = _pose_columns(each_run)
     basis, _ = np.linalg.qr(poses)
     found: list[TargetSeat] = []
@@ -334,7 +322,7 @@ def _find_seats(
 def _remove(
     basis: Float64[np.ndarray, "m b"], columns: Float64[np.ndarray, "m p"]
 ) -> Float64[np.ndarray, "m p"]:
-    """Return what an orthonormal basis does not make of columns."""
+    """Projected off an orthonormal basis twice, because of rounding."""
     once = columns - basis @ (basis.T @ columns)
     return once - basis @ (basis.T @ once)
 
@@ -357,7 +345,6 @@ def _columns(
 def _nearest(
     own: Float64[np.ndarray, "m 1"], known: list[Effect], each_run: Sequence[Conditions]
 ) -> tuple[str, ...]:
-    """Return the effects that make most of a shape."""
     blocks = [_columns(e, each_run) for e in known]
     scale = [1.0 / max(float(np.linalg.norm(b)), 1e-12) for b in blocks]
     stacked = np.hstack([b * s for b, s in zip(blocks, scale, strict=True)])

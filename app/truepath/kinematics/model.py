@@ -1,4 +1,4 @@
-"""A machine together with everything that moves its measured point off its nominal."""
+"""A machine together with all effects that move its measured point."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine
 
 @dataclass(frozen=True)
 class CatalogueEffect(Effect):
-    """An effect that knows its family, its keys and the numbers that make it again."""
+    """An effect with its family, and the keys and numbers that restore it."""
 
     family: str
     keys: tuple[tuple[str, str], ...]
@@ -32,7 +32,7 @@ class CatalogueEffect(Effect):
     effect: Effect
 
     def compose_name(self, digits: str) -> str:
-        """Return family, keys and numbers in one line."""
+        """Family, keys and numbers in one line."""
         numbers = (format(value, digits) for _, value in self.numbers)
         return " ".join([self.family, *(key for _, key in self.keys), *numbers])
 
@@ -46,7 +46,7 @@ class CatalogueEffect(Effect):
         theta: Float64[np.ndarray, " p"],
         covariance: Float64[np.ndarray, "p p"],
     ) -> dict[str, Quantity]:
-        """Return what files state of it; the numbers that make it as they are."""
+        """Values for files; the numbers that restore it are exact."""
         family, usual = find_family(self.family), np.ones(len(theta))
         value = dict(self.numbers).get(family.value_name)
         known = Candidate(self.family, dict(self.keys), self.effect, usual, value)
@@ -54,17 +54,17 @@ class CatalogueEffect(Effect):
 
     @property
     def half_difference(self) -> ErrorCurve | None:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.half_difference
 
     @property
     def lag_axis(self) -> str:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.lag_axis
 
     @property
     def axis_pair(self) -> tuple[str, str] | None:
-        """That of the effect."""
+        """The same as of the effect."""
         return self.effect.axis_pair
 
     @property
@@ -73,7 +73,7 @@ class CatalogueEffect(Effect):
         return self.effect.parameters
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return that of the effect."""
+        """Columns of the effect."""
         return self.effect.jacobian(at)
 
 
@@ -81,8 +81,8 @@ class CatalogueEffect(Effect):
 class MachineModel:
     """A nominal machine and effects; θ is their parameters one after another.
 
-    confounded : names of effects that the measured targets do not tell from others;
-        what is known of them comes from a prior
+    confounded : names of effects that the measured targets do not distinguish from
+        others; they are known from a prior alone
     """
 
     machine: Machine
@@ -90,7 +90,7 @@ class MachineModel:
     confounded: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        """Refuse effects of one name: their parameters would share a place in θ."""
+        """Raises ValueError for two effects of one name: they would share θ."""
         names = [effect.name for effect in self.effects]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -98,7 +98,7 @@ class MachineModel:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where each effect's parameters lie in θ, by the effect's name."""
+        """Places of each effect's parameters in θ, by the effect's name."""
         found: dict[str, slice] = {}
         begin = 0
         for effect in self.effects:
@@ -124,12 +124,12 @@ class MachineModel:
 
     @property
     def knows_all_motions(self) -> bool:
-        """Whether all error motions of all axes are told: it holds for any tool."""
+        """Whether all six motions of all axes are determined: it holds for any tool."""
         return len(self.identifiable_motions) == 6 * len(self.machine.axes)
 
     @cached_property
     def identifiable_motions(self) -> tuple[ErrorMotion, ...]:
-        """The error motions that the measured targets tell."""
+        """Error motions that the measured targets determine."""
         return tuple(m for m in self.error_motions if m.name not in self.confounded)
 
     @cached_property
@@ -152,7 +152,7 @@ class MachineModel:
         return tuple(e for e in self.effects if isinstance(e, CatalogueEffect))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return ∂(displacement in the workpiece frame, mm)/∂θ."""
+        """∂(displacement in the observer's frame, mm)/∂θ."""
         columns = np.zeros((len(at), 3, self.size))
         for effect in self.effects:
             columns[:, :, self.slices[effect.name]] = effect.jacobian(at)
@@ -161,18 +161,18 @@ class MachineModel:
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return how far all effects together move the measured point."""
+        """Displacement of the measured point by all effects together."""
         moved = np.zeros((len(at), 3))
         for effect in self.effects:
             moved += effect.displacement_mm(at, theta[self.slices[effect.name]])
         return moved
 
     def with_effects(self, *more: Effect) -> MachineModel:
-        """Return this model with further effects at the end."""
+        """The effects come last in θ."""
         return replace(self, effects=(*self.effects, *more))
 
     def with_confounded(self, effects: Sequence[Effect]) -> MachineModel:
-        """Return this model with effects at the end that the targets do not tell."""
+        """With effects, last in θ, that the targets do not determine."""
         names = self.confounded.union(effect.name for effect in effects)
         return replace(self.with_effects(*effects), confounded=names)
 
@@ -183,10 +183,10 @@ def restore_effect(
     keys: Mapping[str, str],
     numbers: Mapping[str, float],
 ) -> Effect | None:
-    """Return the effect as part of a model; None if it ends with its Run.
+    """The effect as part of a model; None if it ends with its Run.
 
-    What has an ISO symbol is part of every model and stays what it is. Raises KeyError
-    as `Family.restore`.
+    An effect with an ISO symbol is part of every model and is not wrapped. Raises
+    KeyError as `Family.restore`.
     """
     effect = family.restore(machine, keys, numbers)
     if effect is None or effect.iso_symbol:

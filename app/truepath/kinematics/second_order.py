@@ -1,9 +1,9 @@
-"""What small motions do to one another: second order of the composed transforms.
+"""Interaction of small motions: second order of the composed transforms.
 
 The errors of an axis turn and shift all that is beyond it, seen from the observer. To
 first order displacements add. To second order the turn Ω of an axis turns what axes
-beyond it displace as well, and its own arc bends: Ω × (Σ d beyond + ½ Ω × arm). Where a
-machine errs by 0.1 mm that is some nanometres; by 1 mm and 1 mrad it is a micrometre.
+beyond it displace as well, and its own arc bends: Ω × (Σ d beyond + ½ Ω × arm). Errors
+of 0.1 mm give some nanometres; errors of 1 mm and 1 mrad give a micrometre.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from truepath.kinematics.model import MachineModel
 
 _SMALL_MM = 1e-4
 _FEW = 200
-_ARM_MM = 100.0  # by which a target is moved to see a turn
+_ARM_MM = 100.0  # by which a target is moved to determine a turn
 
 
 def compute_second_order_mm(
     model: MachineModel, at: Conditions, theta: Float64[np.ndarray, " p"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what the composed motions add to their linear displacement."""
+    """Difference between the composed motions and their linear sum."""
     by_axis = _group_by_axis(model)
     added, beyond = np.zeros((len(at), 3)), np.zeros((len(at), 3))
     for axis in reversed(_order_from_observer(at.machine, at.observer)):
@@ -41,7 +41,7 @@ def compute_second_order_mm(
 def adds_up(
     model: MachineModel, at: Conditions, theta: Float64[np.ndarray, " p"]
 ) -> bool:
-    """Tell whether displacements add to a tenth of a micrometre, at a few moments."""
+    """Whether displacements add to 0.1 µm, checked at a few moments."""
     few = at.select(np.arange(0, len(at), max(1, len(at) // _FEW)))
     added_mm = compute_second_order_mm(model, few, theta)
     return bool(np.abs(added_mm).max(initial=0.0) < _SMALL_MM)
@@ -58,10 +58,7 @@ def _group_by_axis(model: MachineModel) -> dict[str, list[Effect]]:
 
 
 def _order_from_observer(machine: Machine, observer: str) -> tuple[str, ...]:
-    """Return the axes from the observer to the target.
-
-    From the base the way goes to the tool, or backwards to the workpiece.
-    """
+    """From the base the chain goes to the tool, or backwards to the workpiece."""
     if observer == "base":
         return (*reversed(machine.workpiece_side), *machine.tool_side)
     return (*machine.workpiece_side, *machine.tool_side)
@@ -80,9 +77,8 @@ def _displace(
 
 
 def _arm_mm(at: Conditions, axis: str) -> Float64[np.ndarray, "n 3"]:
-    """Return the lever of an axis' turns in the directions of the observer."""
     lever = at.chain.lever(axis)
-    # What sees the workpiece from the base sees it turn the other way.
+    # Seen from the base, the workpiece turns the other way.
     sign = np.sign(np.linalg.det(lever.frame))
     arm = np.einsum("nij,nj->ni", lever.frame, lever.lever_mm)
     return sign[:, None] * arm
@@ -94,7 +90,6 @@ def _find_turn(
     at: Conditions,
     theta: Float64[np.ndarray, " p"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return by what effects turn the target: how they move one that is farther out."""
     frame = at.chain.tool_frame + at.chain.workpiece_frame
     here = _displace(model, effects, at, theta)
     turn = np.zeros((len(at), 3))

@@ -34,7 +34,7 @@ class CubicSpline:
         return len(self.knots)
 
     def basis(self, at: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
-        """Return m(t) for each t (eq. 19); natural splines go on straight outside."""
+        """Rows m(t) for each t (eq. 19); natural splines continue straight outside."""
         if self.period:
             return self._cyclic_basis(at)
         inside = np.clip(at, self.knots[0], self.knots[-1])
@@ -48,7 +48,7 @@ class CubicSpline:
         return rows
 
     def slope(self, at: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
-        """Return the row of S' for each t inside the knots of a natural spline."""
+        """Row of S' for each t inside the knots of a natural spline."""
         left = _interval(self.knots, at)
         h = np.diff(self.knots)[left]
         b = (at - self.knots[left]) / h
@@ -65,9 +65,9 @@ class CubicSpline:
     def bending(
         self, weight: Float64[np.ndarray, " s"] | None = None
     ) -> Float64[np.ndarray, "k k"]:
-        """Return K with aᵀ K a = ∫ w S''² dt, the beam's energy (eq. 12–13).
+        """K with aᵀ K a = ∫ w S''² dt, the beam's energy (eq. 12–13).
 
-        weight : w, stiffness of the beam in each interval of the knots; 1 if left out
+        weight : w, stiffness of the beam in each interval of the knots; 1 if None
         """
         h, left, right = self._spans()
         stiff = h if weight is None else h * weight
@@ -79,7 +79,7 @@ class CubicSpline:
         return energy + cross + cross.T
 
     def gram(self) -> Float64[np.ndarray, "k k"]:
-        """Return G with aᵀ G a = ∫ S² dt, in closed form (eq. 24–26, 34–36)."""
+        """G with aᵀ G a = ∫ S² dt, in closed form (eq. 24–26, 34–36)."""
         h, left, right = self._spans()
         M, unit = self.curvature_map, np.eye(self.size)
         # Four shape functions of an interval: two hats, two cubic corrections.
@@ -124,7 +124,6 @@ class CubicSpline:
     ) -> tuple[
         Float64[np.ndarray, " s"], Int64[np.ndarray, " s"], Int64[np.ndarray, " s"]
     ]:
-        """Return length, left knot and right knot of each interval."""
         K = self.size
         if not self.period:
             left = np.arange(K - 1)
@@ -146,7 +145,7 @@ _GRAM = np.array(
 
 
 def natural_spline(knots: Float64[np.ndarray, " k"]) -> CubicSpline:
-    """Return the natural spline space over `knots` (eq. 2–6)."""
+    """Natural spline space over the knots (eq. 2–6)."""
     K = len(knots)
     h = np.diff(knots)
     system = np.eye(K)
@@ -162,7 +161,7 @@ def natural_spline(knots: Float64[np.ndarray, " k"]) -> CubicSpline:
 
 
 def cyclic_spline(knots: Float64[np.ndarray, " k"], period: float) -> CubicSpline:
-    """Return the cyclic spline space (eq. 7–10), at least 3 knots in a period."""
+    """Cyclic spline space (eq. 7–10), at least 3 knots in a period."""
     K = len(knots)
     h = np.diff(np.append(knots, knots[0] + period))
     system, right = np.zeros((K, K)), np.zeros((K, K))

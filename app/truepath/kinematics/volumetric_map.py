@@ -1,8 +1,7 @@
 """The volumetric error anywhere, without the rigid motion of the whole volume.
 
-Where the tracker stands is not the machine's error: the map is stated after its best-
-fit rigid motion over the axis travel (uniform weight) is removed, and so is its
-uncertainty.
+The pose of the tracker is no error of the machine: map and uncertainty are given after
+the best-fit rigid motion over the axis travel (uniform weight) is removed.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from truepath.numerics.rigid import cross_matrix
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
 _SOBOL = 11  # 2^11 points where there are rotary axes
-_ROUNDING = 1e-12  # of the largest singular value: a motion that does not show
+_ROUNDING = 1e-12  # of the largest singular value: a motion without effect
 _NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
 
@@ -34,8 +33,8 @@ _Composed = dict[bytes, Float64[np.ndarray, "6"] | None]
 class VolumetricMap:
     """Linear map from θ to the volumetric error less its rigid motion.
 
-    rigid : (6, p) rigid motion of the whole volume that each parameter brings with it
-    volume, weight : points all over the travel, and what each counts
+    rigid : (6, p) rigid motion of the whole volume per parameter
+    volume, weight : points over the whole travel, and the weight of each
     """
 
     model: MachineModel
@@ -46,7 +45,7 @@ class VolumetricMap:
     _composed: _Composed = field(default_factory=_Composed, repr=False, compare=False)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return ∂(volumetric error, mm)/∂θ."""
+        """∂(volumetric error, mm)/∂θ."""
         return (
             _machine_columns(self.model, at)
             - _rigid_columns(at, self.centre_mm) @ self.rigid
@@ -55,7 +54,7 @@ class VolumetricMap:
     def error_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the volumetric error δ = actual − nominal, of motions composed."""
+        """Volumetric error δ = actual − nominal, to second order of the motions."""
         linear = self.jacobian(at) @ theta
         rigid = self._find_composed_rigid(theta)
         if rigid is None:
@@ -66,9 +65,9 @@ class VolumetricMap:
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return δ in the gauge of the error motions: rigid motion left where it is.
+        """δ in the gauge of the error motions, its rigid motion not removed.
 
-        Locations of rotary axes are stated in that gauge.
+        Locations of rotary axes are given in that gauge.
         """
         moved = _machine_columns(self.model, at) @ theta
         if self._find_composed_rigid(theta) is None:
@@ -78,10 +77,7 @@ class VolumetricMap:
     def _find_composed_rigid(
         self, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "6"] | None:
-        """Return the rigid motion of what composing adds to the sum of the motions.
-
-        None where they add up. It is that of the whole travel: found once for a θ.
-        """
+        """None where displacements add up; found once per θ."""
         key = theta.tobytes()
         if key not in self._composed:
             rigid = None
@@ -95,7 +91,7 @@ class VolumetricMap:
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the standard uncertainty of each component."""
+        """Standard uncertainty of each component."""
         # Two-dimensional, so that one product of matrices serves all points.
         J = self.jacobian(at).reshape(-1, self.model.size)
         variance = np.einsum("mp,mp->m", J @ covariance, J)
@@ -103,7 +99,7 @@ class VolumetricMap:
 
 
 def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
-    """Return the map of one target's volumetric error over the axis travel."""
+    """For one target, over the axis travel."""
     at, weight = _quadrature(model.machine, target)
     centre = weight @ at.point_mm
     fit = _fit_rigid(at, weight, centre, _machine_columns(model, at))
@@ -113,10 +109,10 @@ def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap
 def compute_volumetric_gram(
     model: MachineModel, target: str = ""
 ) -> Float64[np.ndarray, "p p"]:
-    """Return G with E|δ|² = tr(G C): mean square length over the axis travel, mm².
+    """G with E|δ|² = tr(G C): mean square length over the axis travel, mm².
 
     C is the covariance of θ. It is the integral of the Gram matrix in closed form
-    (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
+    (brunn-hanebeck-2005, eq. 24–26 and 34–36), without the rigid motion.
     """
     return compute_component_grams(model, target).sum(axis=0)
 
@@ -124,7 +120,7 @@ def compute_volumetric_gram(
 def compute_component_grams(
     model: MachineModel, target: str = ""
 ) -> Float64[np.ndarray, "3 p p"]:
-    """Return Gₖ with E δₖ² = tr(Gₖ C), k in x, y, z, as `compute_volumetric_gram`."""
+    """Gₖ with E δₖ² = tr(Gₖ C), k in x, y, z, as `compute_volumetric_gram`."""
     at, weight = _quadrature(model.machine, target)
     columns, centre = _machine_columns(model, at), weight @ at.point_mm
     columns -= _rigid_columns(at, centre) @ _fit_rigid(at, weight, centre, columns)
@@ -134,9 +130,9 @@ def compute_component_grams(
 
 @dataclass(frozen=True, slots=True)
 class ShapeModel:
-    """Error motions in few shapes each, by which measurements are judged.
+    """Error motions in few shapes each, for assessing measurements.
 
-    confounded : what the targets do not tell
+    confounded : motions that the targets do not determine
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
     """
 
@@ -150,7 +146,7 @@ def build_shape_model(
     *offsets_mm: Float64[np.ndarray, "_ 3"],
     intervals: int = SHAPE_INTERVALS,
 ) -> ShapeModel:
-    """Return the model of what targets can tell, in shapes of some intervals an axis.
+    """Model that the targets determine, in shapes of some intervals per axis.
 
     offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
     """
@@ -163,7 +159,7 @@ def build_shape_model(
 def _machine_columns(
     model: MachineModel, at: Conditions
 ) -> Float64[np.ndarray, "n 3 p"]:
-    """Return the Jacobian of the machine alone: how targets sit is no error of it."""
+    """The machine alone: seats of targets are no error of it."""
     columns = model.jacobian(at)
     for effect in model.effects:
         if effect.role is Role.NUISANCE:
@@ -192,7 +188,7 @@ def _quadrature(
 def _evenly_spread(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
-    """Return points of a Sobol sequence: a grid of five axes would have too many."""
+    """A grid of five axes would have too many points."""
     # Imported where it is used: the library takes a third of a second to come up.
     from scipy.stats import qmc
 

@@ -1,5 +1,5 @@
-"""A machine's cell as the service sees it: started, supervised, asked, connected.
+"""A machine's cell as the service sees it: started, supervised, queried, connected.
 
-Here: the cell's supervisor, what it showed last, samples for listeners. Not here: the
-cell process itself (`measurement.process`), rows of machines (`catalogue`).
+Here: the cell's supervisor, the last state, samples for listeners. Not here: the cell
+process itself (`measurement.process`), rows of machines (`catalogue`).
 """

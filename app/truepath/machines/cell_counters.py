@@ -1,7 +1,7 @@
-"""What a cell has counted since the service began, over all its measurements.
+"""Counts of a cell since the service began, over all its measurements.
 
-Each measurement, and each new cell process, counts from nothing; a plant that watches
-the service needs sums that only grow.
+Each measurement, and each new cell process, counts from 0; monitoring of the service
+needs sums that only grow.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _CONFIRMED_BY = {
 class CellCounts:
     """Sums since the service began.
 
-    queue_depth : what waits to be written now
-    commits : how long each commit of a Run took
-    commands : how long each command took until it was confirmed
+    queue_depth : samples that wait to be written now
+    commits : durations of commits of a Run
+    commands : durations of commands until they were confirmed
     """
 
     samples: int = 0
@@ -49,7 +49,7 @@ class CellCounts:
 
 
 class CellCounters:
-    """Follows the events of a cell. Any thread may ask or count."""
+    """Follows the events of a cell; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -58,19 +58,19 @@ class CellCounters:
         self._expected: dict[CellVerb, float] = {}
 
     def read(self) -> CellCounts:
-        """Return the sums so far."""
+        """Sums of ended measurements and the present one."""
         with self._lock:
             joined = _join(self._before, self._now)
             return replace(joined, commands=dict(self._commands))
 
     def begin_measurement(self) -> None:
-        """Count on: what follows counts from nothing, but for the tracker's errors."""
+        """Start a new measurement; its counts begin at 0, but the tracker's errors."""
         with self._lock:
             self._close_measurement()
             self._expected.clear()
 
     def count(self, event: CellEvent) -> None:
-        """Follow an event."""
+        """Update the counts from an event."""
         with self._lock:
             match event:
                 case MeasurementProgress():
@@ -84,21 +84,21 @@ class CellCounters:
                     pass
 
     def expect_answer(self, verb: CellVerb) -> None:
-        """Begin to time a verb, unless an earlier one still waits for its answer."""
+        """Start to time a verb, unless an earlier one is not yet confirmed."""
         if verb in _CONFIRMED_BY:
             with self._lock:
                 self._expected.setdefault(verb, host_clock.now_s())
 
     @contextmanager
     def time_command(self, name: str) -> Iterator[None]:
-        """Time a command that is answered at the end of the block."""
+        """Time a command that is confirmed at the end of the block."""
         begun_s = host_clock.now_s()
         yield
         with self._lock:
             self._add_command(name, host_clock.now_s() - begun_s)
 
     def _follow(self, progress: MeasurementProgress) -> None:
-        if progress.crc_errors < self._now.crc_errors:  # connected anew
+        if progress.crc_errors < self._now.crc_errors:  # connected again
             crc_errors = self._before.crc_errors + self._now.crc_errors
             self._before = replace(self._before, crc_errors=crc_errors)
         self._now = CellCounts(

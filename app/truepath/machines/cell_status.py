@@ -1,4 +1,4 @@
-"""What a cell and its controller showed last."""
+"""Last known state of a cell and its controller."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CellStatus:
 
 @dataclass(frozen=True, slots=True)
 class ControllerLevels:
-    """What the controller showed last while nothing was measured.
+    """Last reading of the controller while nothing was measured.
 
     read_s : when, by the monotonic clock
     axes : names of the axes of its position, in their order
@@ -54,19 +54,19 @@ class ControllerLevels:
 
     @property
     def position_by_axis(self) -> dict[str, float]:
-        """Where the machine stands, mm or deg; empty where that is not known."""
+        """Position of the machine, mm or deg; empty where that is not known."""
         place = () if self.status is None else self.status.position
         return dict(zip(self.axes, place, strict=True)) if self.axes and place else {}
 
     @property
     def is_still(self) -> bool | None:
-        """Whether the controller has just said that it has stopped; None if unknown."""
+        """Whether the controller has just reported a stop; None if unknown."""
         if self.status is None or host_clock.now_s() - self.read_s > FRESH_S:
             return None
         return self.status.state not in _GOES_ON
 
     def word_standstill(self) -> str:
-        """Say what `is_still` means."""
+        """`is_still` as a clause on the machine, with the remedy."""
         still = self.is_still
         if self.status is None or still is None:
             return NOT_READ

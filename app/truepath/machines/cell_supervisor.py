@@ -1,9 +1,9 @@
-"""Keeps one cell process alive; nothing else speaks to it.
+"""Keeps one cell process alive; no other code talks to it.
 
 Commands go through a queue. The cell thread runs them in order, within 50 ms; each is a
 future. If a cell dies, its job is informed and another cell is started after a growing
-pause. A new cell opens no port and moves nothing until it is asked to: the machine's
-own watchdog has held the feed meanwhile.
+pause. A new cell opens no port and moves nothing until it is requested to: the
+machine's own watchdog has held the feed meanwhile.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S, END_TIMEOUT_S = 30.0, 10.0
 HEAR_S, HEAR_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
-BEAT_S = 0.2  # by which the cell knows that it can be told to stop
+BEAT_S = 0.2  # by which the cell knows that a stop would reach it
 
 Command = Callable[[Cell], Any]
 EventHandler = Callable[[CellEvent | None], None]
@@ -67,14 +67,14 @@ EventHandler = Callable[[CellEvent | None], None]
 class CellSupervisor:
     """One cell process, from the start of the service to its end.
 
-    make : returns a new cell, not yet started
+    make : a new cell, not yet started
     first_pause_s : before another cell is started
     status : the cell's last known state, for any thread
-    controller : what the controller showed last at rest; None before and after that
-    counters : what all its measurements have counted so far
-    sensors : how thermometers were read as they were connected last
-    stream : what their events tell of beam, stream and temperatures
-    samples : what is recorded, for whoever looks
+    controller : its last reading at rest; None before and after that
+    counters : counts of all its measurements so far
+    sensors : how thermometers were read when they were last connected
+    stream : state of beam, stream and temperatures from their events
+    samples : recorded samples, for listeners
     """
 
     def __init__(
@@ -95,26 +95,26 @@ class CellSupervisor:
         )
 
     def read_standstill(self) -> bool | None:
-        """Tell whether the controller has just said that it has stopped.
+        """Whether the controller has just reported that it has stopped.
 
-        One that only holds has not: its program goes on when somebody lets it. None if
-        unknown: while a measurement is under way only its end says so. Asks no device.
+        One that only holds has not: its program continues on release. None if unknown:
+        during a measurement only its end reports it. Reads no device.
         """
         return self.tell_standstill()[0]
 
     def tell_standstill(self) -> tuple[bool | None, str]:
-        """Return what `read_standstill` tells, and what that means in words."""
+        """`read_standstill`, and what it means in a sentence."""
         read = self.controller
         if self.status.state in MOVING or read is None:
             return None, NOT_READ
         return read.is_still, read.word_standstill()
 
     def start(self) -> None:
-        """Start the first cell."""
+        """Start the thread, which starts the first cell."""
         self._thread.start()
 
     def connect(self) -> Devices:
-        """Open the ports, unless in a measurement; return who answers.
+        """Open the ports, unless in a measurement; the result identifies the devices.
 
         Raises DeviceError, DeviceSettings, CellDown.
         """
@@ -122,7 +122,7 @@ class CellSupervisor:
             return self._ask(self._connect)
 
     def try_tracker(self, rate_hz: float) -> TrackerTried | None:
-        """Listen to the tracker for a moment; None in a measurement.
+        """Read the tracker's stream for a moment; None in a measurement.
 
         Raises as `connect`.
         """
@@ -136,7 +136,7 @@ class CellSupervisor:
         return self._ask(listen)
 
     def hear_tracker(self, rate_hz: float, *, aims: bool) -> None:
-        """Have `stream` tell beam and samples while nothing is measured.
+        """Update `stream` with beam and samples while nothing is measured.
 
         aims : the measurement points the beam itself. Raises CellDown.
         """
@@ -153,7 +153,7 @@ class CellSupervisor:
         on_event: EventHandler,
         unless: Callable[[], bool],
     ) -> bool:
-        """Begin a measurement; False if it was called off before the cell was asked."""
+        """Begin a measurement; False if it was cancelled before the cell was called."""
 
         def begin(cell: Cell) -> bool:
             if unless():
@@ -167,25 +167,25 @@ class CellSupervisor:
             return self._ask(begin, kill_if_late=True)
 
     def ignore_events(self) -> None:
-        """Pass the events of the measurement on no longer."""
+        """Stop passing on the events of the measurement."""
         self._on_event = None
 
     def send(self, verb: CellVerb) -> Future[None]:
-        """Send a verb to the cell. Does not wait."""
+        """Does not wait."""
         if self.status.state in MOVING:
             self.counters.expect_answer(verb)
         return self._put(lambda cell: cell.send(verb))
 
     def extend(self, part: Commanded) -> Future[None]:
-        """Ask to go on with a further part. Does not wait."""
+        """Request to continue with a further part. Does not wait."""
         return self._put(lambda cell: cell.extend(part))
 
     def kill(self) -> None:
-        """Kill the cell process; another takes its place."""
+        """Another cell process replaces it."""
         self._must_kill.set()
 
     def close(self) -> None:
-        """End the cell. What moves is held by the cell on its way out."""
+        """End the cell. The cell holds the feed of a moving machine before it ends."""
         self._closing.set()
         if self._thread.is_alive():
             host_clock.join(self._thread, END_TIMEOUT_S)
@@ -243,7 +243,7 @@ class CellSupervisor:
                 self._serve(cell)
                 if self._must_kill.is_set():
                     cell.kill()  # closing it in order would wait once more
-        except Exception:  # else nobody would start another, or end what waits for it
+        except Exception:  # else no cell would start again, and jobs would wait
             log.exception("the cell process is given up", state=self.status.state)
         self._go_down("the cell process has ended; it is started again")
 

@@ -1,4 +1,4 @@
-"""The machines that the service drives, each with the cell that holds its devices."""
+"""The machines that the service controls, each with the cell that holds its devices."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from truepath_drivers import host_clock
 
 @dataclass(frozen=True, slots=True)
 class MachineCell:
-    """One machine, its cell and what is known of both.
+    """One machine, its cell and its conditions.
 
     id : by which jobs name it
-    conditions : what has to be so before it moves
+    conditions : required before it moves
     version : of its configuration, as the registry counts them
     """
 
@@ -30,49 +30,49 @@ class MachineCell:
     version: int = 1
 
     def start(self) -> None:
-        """Start the cell process and the look at the conditions."""
+        """Start the cell process and the periodic reading of the conditions."""
         if self.conditions is not None:
             self.conditions.start()
         self.cell.start()
 
     def close(self) -> None:
-        """End both. What moves is held by the cell on its way out."""
+        """End both. The cell holds the feed of a moving machine before it ends."""
         if self.conditions is not None:
             self.conditions.close()
         self.cell.close()
 
 
 class Machines:
-    """The machines in order; any thread may ask while one is put in another's place."""
+    """The machines in order; thread-safe while one is replaced."""
 
     def __init__(self, cells: Iterable[MachineCell] = ()) -> None:
         self._lock = threading.Lock()
         self._cells = {cell.id: cell for cell in cells}
 
     def list_all(self) -> list[MachineCell]:
-        """Return all of them, the first one first."""
+        """In the order in which they were added."""
         with self._lock:
             return list(self._cells.values())
 
     def put(self, cell: MachineCell) -> MachineCell | None:
-        """Add a machine, or put it in another's place; return that one."""
+        """Add or replace a machine; the result is the one before, to be closed."""
         with self._lock:
             before = self._cells.get(cell.id)
             self._cells[cell.id] = cell
             return before
 
     def take_out(self, machine_id: str) -> MachineCell | None:
-        """Drive a machine no more; return what is to be closed, if it was driven."""
+        """Remove a machine; the result is to be closed, None if it was unknown."""
         with self._lock:
             return self._cells.pop(machine_id, None)
 
     @property
     def first(self) -> MachineCell | None:
-        """The only or first machine; None where the service drives none."""
+        """The only or first machine; None where the service controls none."""
         return next(iter(self.list_all()), None)
 
     def get(self, machine_id: str) -> MachineCell:
-        """Return a machine. Raises NotFound."""
+        """Raises NotFound."""
         with self._lock:
             found = self._cells.get(machine_id)
         if found is None:
@@ -83,7 +83,7 @@ class Machines:
         return found
 
     def choose(self, machine_id: str | None) -> MachineCell:
-        """Return the machine that a job is for; without a name the only one.
+        """The machine that a job is for; without a name the only one.
 
         Raises NotFound, NoMachine, UnnamedMachine.
         """

@@ -1,6 +1,6 @@
-"""The samples that a cell records, for whoever looks at them on the way.
+"""Samples that a cell records, for listeners during the measurement.
 
-Whoever is slow loses the oldest ones, and is told how many; the cell never waits.
+A slow listener loses the oldest ones, and learns how many; the cell never waits.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from collections.abc import Callable
 from truepath_drivers.interfaces.records import TrackerSamples
 
 CHUNK = 20
-"""Samples that are handed over together: 40 ms of a usual stream."""
+"""Samples that are handed over together: 40 ms of a typical stream."""
 CHUNKS = 50
 """That wait for one listener, two seconds; the oldest are dropped."""
 
 
 class SampleQueue:
-    """What waits for one listener. Any thread may put or take.
+    """Samples that wait for one listener; thread-safe.
 
     on_put : called after each put; returns at once
     dropped : samples so far that were not taken in time
@@ -30,7 +30,7 @@ class SampleQueue:
         self._waiting: deque[TrackerSamples] = deque()
 
     def put(self, chunk: TrackerSamples) -> None:
-        """Add a chunk; the oldest is dropped if need be. Never waits."""
+        """Drops the oldest chunk if the queue is full. Never waits."""
         with self._lock:
             if len(self._waiting) >= CHUNKS:
                 self.dropped += len(self._waiting.popleft())
@@ -38,7 +38,7 @@ class SampleQueue:
         self._on_put()
 
     def take(self) -> tuple[TrackerSamples | None, int]:
-        """Return the oldest chunk, None if there is none, and `dropped` before it."""
+        """The oldest chunk, None if there is none, and `dropped` before it."""
         with self._lock:
             chunk = self._waiting.popleft() if self._waiting else None
             return chunk, self.dropped
@@ -52,14 +52,14 @@ class SampleFeed:
         self._queues: tuple[SampleQueue, ...] = ()
 
     def subscribe(self, on_put: Callable[[], None]) -> SampleQueue:
-        """Return a queue that fills from now on."""
+        """A queue that fills from now on."""
         queue = SampleQueue(on_put)
         with self._lock:
             self._queues += (queue,)
         return queue
 
     def unsubscribe(self, queue: SampleQueue) -> None:
-        """Fill a queue no longer."""
+        """Stop filling a queue."""
         with self._lock:
             self._queues = tuple(one for one in self._queues if one is not queue)
 

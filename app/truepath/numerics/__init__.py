@@ -1,4 +1,4 @@
-"""Mathematics with no machine in it: pure functions of arrays.
+"""Mathematics independent of machines: pure functions of arrays.
 
 Not here: whatever knows an axis, a tracker or a Run.
 
@@ -9,11 +9,11 @@ Random Fields, 2005). Parameters that few points share are eliminated on the way
 Schur complement. Positive definite matrices of unlike units are scaled to a unit
 diagonal before they are factorised (`scaled_cholesky`; van der Sluis 1969).
 
-What one more measurement is worth is the fall of the integrated variance tr(G C)
-(`design_criteria`; eq. 34–36): along an axis a ratio of polynomials, whose best place
-is found exactly as a root (eq. 27).
+The value of one more measurement is the reduction of the integrated variance tr(G C)
+(`design_criteria`; eq. 34–36): along an axis it is a ratio of polynomials, whose
+maximum is found exactly as a root (eq. 27).
 
 Rigid motions are a rotation and a translation (`rigid`; Rodrigues' formula). Monte
-Carlo trials go on until their mean, standard deviation and interval are stable
+Carlo trials continue until their mean, standard deviation and interval are stable
 (`adaptive_trials`; GUM Supplement 1, 7.9).
 """

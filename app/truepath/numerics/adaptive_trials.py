@@ -6,8 +6,8 @@ uncertainty, both ends of the coverage interval) is within the numerical toleran
 every output. Clause 8: the linear law is validated where both ends of its interval are
 within the tolerance δ of those of the trials; for that the trials stop at δ/5 (8.2).
 
-A block is kept as its moments and the sorted trials of both tails: that is all which
-the moments and the interval of all trials together depend on, and a tenth of the
+A block is stored as its moments and the sorted trials of both tails: the moments and
+the interval of all trials together depend on nothing else, and it takes a tenth of the
 memory.
 """
 
@@ -27,8 +27,8 @@ COVERAGE = 0.95
 NORMAL_FACTOR = 1.959964  # k_p of a normal distribution for this coverage
 _VALIDATION = 5.0  # δ/5 to validate, 8.2
 _FEWEST = 2  # blocks: a standard deviation needs two
-# Share of a block kept of each tail, nine standard deviations of its count beyond what
-# all trials together may ask of it.
+# Share of a block stored of each tail, nine standard deviations of its count beyond
+# the most that all trials together may need of it.
 _KEPT = {"symmetric": 0.04, "shortest": 0.07}
 
 Interval = Literal["symmetric", "shortest"]
@@ -36,12 +36,12 @@ Interval = Literal["symmetric", "shortest"]
 
 @dataclass(frozen=True, slots=True)
 class TrialPlan:
-    """What is asked of the trials.
+    """Seed, required digits and limits of the trials.
 
-    seed : of all blocks; the answer depends on nothing else
+    seed : of all blocks; the result depends on nothing else
     digits : significant digits of a standard uncertainty that count, 1 or 2 (7.9.2)
     interval : probabilistically symmetric, or the shortest (7.7)
-    most_blocks : where to give up, of 10⁴ trials each
+    most_blocks : limit of blocks, of 10⁴ trials each
     """
 
     seed: int = 1
@@ -52,7 +52,7 @@ class TrialPlan:
 
 @dataclass(frozen=True, slots=True)
 class TrialBlock:
-    """What is kept of a block of trials of o outputs.
+    """Summary of a block of trials of o outputs.
 
     mean, variance : (o,); lowest, highest : (o, k) the k least and greatest, ascending
     """
@@ -66,7 +66,7 @@ class TrialBlock:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """What all trials together say of o outputs.
+    """Result of all trials together for o outputs.
 
     mean, sigma : (o,) estimate and standard uncertainty
     low, high : (o,) ends of the 95 % coverage interval
@@ -82,14 +82,14 @@ class Propagated:
 
 
 Mapper = Callable[[Callable[[int], TrialBlock], Iterable[int]], Iterable[TrialBlock]]
-"""Computes a function of block numbers, here or elsewhere, and yields in their order.
+"""Apply a function to block numbers, in any process, and yield in their order.
 
-It may work ahead; it stops when it is not asked any more.
+It may work ahead; it stops when no more is requested.
 """
 
 
 def summarise(values: Float64[np.ndarray, "o t"], interval: Interval) -> TrialBlock:
-    """Return what a block's trials come down to."""
+    """Moments and tails of a block; tails as float32."""
     share = round(_KEPT[interval] * values.shape[1])
     ordered = np.sort(values, axis=1)
     return TrialBlock(
@@ -109,7 +109,7 @@ def propagate(
 ) -> Propagated:
     """Add blocks in their order until they settle, or `plan.most_blocks` are done.
 
-    draw : block of a number, always the same
+    draw : the block of a number, always the same
     on_progress : receives the share done, of the trials expected
     """
     blocks: list[TrialBlock] = []
@@ -133,9 +133,9 @@ def propagate(
 def numerical_tolerance(
     sigma: Float64[np.ndarray, " o"], digits: int
 ) -> Float64[np.ndarray, " o"]:
-    """Return δ: half a unit of the last of the digits that count (7.9.2).
+    """δ: half a unit of the last significant digit (7.9.2).
 
-    What is fixed by convention has no digits of its own: a millionth of the largest.
+    An output without uncertainty, fixed by convention, gets a millionth of the largest.
     """
     sigma = np.maximum(sigma, max(1e-6 * float(sigma.max(initial=0.0)), 1e-300))
     return 0.5 * 10.0 ** (np.floor(np.log10(sigma)) - (digits - 1))
@@ -147,7 +147,7 @@ def agrees(
     sigma: Float64[np.ndarray, " o"],
     digits: int,
 ) -> Bool[np.ndarray, " o"]:
-    """Tell which outputs' linear law, estimate ± U, the trials validate (8.1)."""
+    """Outputs whose linear law, estimate ± U, is validated by the trials (8.1)."""
     tolerance = numerical_tolerance(sigma, digits)
     half = NORMAL_FACTOR * sigma
     low = np.abs(estimate - half - propagated.low)
@@ -160,7 +160,7 @@ def _missing(
     results: Sequence[Float64[np.ndarray, "4 o"]],
     plan: TrialPlan,
 ) -> float:
-    """Return the largest 2 s over what is tolerated (7.9.4 g to k)."""
+    """Largest 2 s relative to the tolerance (7.9.4 g to k)."""
     h = len(results)
     if h < _FEWEST:
         return np.inf
@@ -173,7 +173,7 @@ def _missing(
 def _results(
     blocks: Sequence[TrialBlock], interval: Interval
 ) -> Float64[np.ndarray, "4 o"]:
-    """Return mean, standard deviation and both ends of the interval (7.6, 7.7)."""
+    """Mean, standard deviation and both ends of the interval (7.6, 7.7)."""
     mean, variance = _moments(blocks)
     trials = sum(made.trials for made in blocks)
     outside = trials - int(COVERAGE * trials + 0.5)  # M − q

@@ -28,7 +28,7 @@ def find_air_index(
     *,
     is_group: bool,
 ) -> Numbers:
-    """Return the index of air with 450 ppm of CO₂.
+    """Index of air with 450 ppm of CO₂.
 
     is_group : of modulated light (ADM, EDM), else of the phase (fringes of an IFM)
     """
@@ -44,12 +44,12 @@ def find_air_index(
 
 
 def find_site_pressure_hpa(altitude_m: float) -> float:
-    """Return the pressure of the standard atmosphere."""
+    """Pressure of the standard atmosphere at an altitude."""
     return 1013.25 * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588
 
 
 def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
-    """Return n - 1 of standard air and of standard vapour at a squared wave number."""
+    """Refractivity n − 1 of standard air and vapour at a squared wave number, µm⁻²."""
     dry = sum(
         scale * (pole + square) / (pole - square) ** 2
         if is_group
@@ -64,7 +64,6 @@ def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
 
 
 def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Numbers:
-    """Return the mole fraction of water vapour."""
     saturated = np.exp(
         1.2378847e-5 * kelvin**2
         - 1.9121316e-2 * kelvin
@@ -76,7 +75,7 @@ def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Nu
 
 
 def _compress(kelvin: Numbers, pascal: Numbers, water: Numbers) -> Numbers:
-    """Return the compressibility of moist air, BIPM 1981/91."""
+    """Of moist air, BIPM 1981/91."""
     t, ratio = kelvin - 273.15, pascal / kelvin
     first = (
         1.58123e-6

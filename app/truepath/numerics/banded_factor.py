@@ -1,8 +1,8 @@
 """Solve with a banded Cholesky factor L of few diagonals, for many columns at once.
 
-LAPACK goes through a band row by row and column by column, and waits for memory all the
-while. In chunks of some rows the inverse is small and dense: most of the work is then
-products of matrices, and only the last rows of a chunk are carried to the next.
+LAPACK processes a band row by row and column by column, limited by memory access. In
+chunks of some rows the inverse is small and dense: most of the work is then products of
+matrices, and only the last rows of a chunk are carried to the next.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class BandedFactor:
 
     @staticmethod
     def of(factor: Float64[np.ndarray, "b m"]) -> BandedFactor:
-        """Return it for a factor whose band i is i rows below the diagonal."""
+        """From a factor whose band i is i rows below the diagonal."""
         bands, size = factor.shape
         below, count = bands - 1, -(-size // _CHUNK)
         padded = np.zeros((bands, count * _CHUNK))
@@ -47,7 +47,7 @@ class BandedFactor:
     def solve_half(
         self, right: Float64[np.ndarray, "m p"]
     ) -> Float64[np.ndarray, "m p"]:
-        """Return L⁻¹ right."""
+        """L⁻¹ right."""
         solved = self.inverse @ self._cut(right)
         below = self.corner.shape[1]
         carry = self.inverse[1:, :, :below] @ self.corner
@@ -56,7 +56,7 @@ class BandedFactor:
         return self._join(solved, right)
 
     def solve(self, right: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "m p"]:
-        """Return (L Lᵀ)⁻¹ right."""
+        """(L Lᵀ)⁻¹ right."""
         turned = np.swapaxes(self.inverse, 1, 2)
         solved = turned @ self._cut(self.solve_half(right))
         below = self.corner.shape[1]
@@ -66,7 +66,6 @@ class BandedFactor:
         return self._join(solved, right)
 
     def _cut(self, rows: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "c k p"]:
-        """Return rows in chunks, what is missing of the last one 0."""
         count = len(self.inverse)
         padded = np.pad(rows, ((0, count * _CHUNK - len(rows)), (0, 0)))
         return padded.reshape(count, _CHUNK, rows.shape[1])
@@ -74,5 +73,4 @@ class BandedFactor:
     def _join(
         self, chunks: Float64[np.ndarray, "c k p"], like: Float64[np.ndarray, "m p"]
     ) -> Float64[np.ndarray, "m p"]:
-        """Return chunks as rows, as many as were given."""
         return chunks.reshape(len(chunks) * _CHUNK, like.shape[1])[: len(like)]

@@ -1,19 +1,19 @@
 """White plus Ornstein–Uhlenbeck noise: exact generalised least squares in linear time.
 
 Every observation k is a point in space. Its noise is white with a 3×3 precision D_k⁻¹,
-plus three Ornstein–Uhlenbeck processes c_k (air, mount, electronics), one a
-coordinate. The Ornstein–Uhlenbeck part's precision is tridiagonal in time, so with V =
-D + C,
+plus three Ornstein–Uhlenbeck processes c_k (air, mount, electronics), one a coordinate.
+The Ornstein–Uhlenbeck part's precision is tridiagonal in time, so with V = D + C,
 
     V⁻¹ = D⁻¹ − D⁻¹ (D⁻¹ + C⁻¹)⁻¹ D⁻¹,
 
 and D⁻¹ + C⁻¹ is a band of width three when coordinates are interleaved. D⁻¹ may be
 singular: a direction of no information (along the travel, say) has precision 0. The
-band's factor also foretells every point from those before it (Kalman's filter in
-information form); what is new in the points, in units of its noise, is a root of V⁻¹.
+band's factor also predicts every point from those before it (Kalman's filter in
+information form); the innovations of the points, in units of their noise, are a root of
+V⁻¹.
 
-Points may also come a few at a time (`extend`). What follows tells more about the
-slow part of the last point, so that one waits; all before it are accounted for.
+Points may also come a few at a time (`extend`). Later points give information about the
+slow part of the last point, so that one stays open; all before it are accounted for.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Whitener:
     log_determinant: float
 
     def whiten(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "m p"]:
-        """Return E with rowsᵀ V⁻¹ rows = EᵀE."""
+        """E with rowsᵀ V⁻¹ rows = EᵀE."""
         new = np.empty((3 * len(rows), rows.shape[2]))
         if not self.factor.size:
             np.matmul(self.root, rows, out=new.reshape(rows.shape))
@@ -67,13 +67,13 @@ class Whitener:
         return _Foresight.of(self.root, self.alone, self.factor)
 
     def apply(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "n 3 p"]:
-        """Return V⁻¹ rows."""
+        """V⁻¹ rows."""
         return self.split(rows)[0]
 
     def split(
         self, rows: Float64[np.ndarray, "n 3 p"]
     ) -> tuple[Float64[np.ndarray, "n 3 p"], Float64[np.ndarray, "n 3 p"]]:
-        """Return V⁻¹ rows, and the expected Ornstein–Uhlenbeck noise in rows."""
+        """V⁻¹ rows, and the expected Ornstein–Uhlenbeck noise in rows."""
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         weighted = precision @ rows
         if not self.factor.size or not rows.size:
@@ -89,7 +89,7 @@ def factorise(
     ou_sigma: Float64[np.ndarray, "n 3"],
     ou_time_s: float,
 ) -> Whitener:
-    """Return V⁻¹ for white noise of the given precision and an Ornstein–Uhlenbeck part.
+    """V⁻¹ for white noise of the given precision and an Ornstein–Uhlenbeck part.
 
     time_s : increasing; ou_sigma : standard deviation of the Ornstein–Uhlenbeck part, 0
         for none
@@ -107,7 +107,7 @@ def factorise(
 
 @dataclass(frozen=True, slots=True)
 class _Foresight:
-    """How what is new in a point follows from it and from the solution before it.
+    """Innovation of a point from its rows and the solution before it.
 
     own : (n, 3, 3) R; before : (k, 3, 3) N, of the last k points, which have one before
     """
@@ -121,10 +121,11 @@ class _Foresight:
         alone: Float64[np.ndarray, "m 3"],
         factor: Float64[np.ndarray, "4 b"],
     ) -> _Foresight:
-        """Return it for the last n of m points with a factor.
+        """For the last n of m points with a factor.
 
         With the factor's blocks B below its diagonal and the solution z, the process is
-        foretold as c = −P B z, P⁻¹ = Q⁻¹ − B Bᵀ. New is y − c, of covariance D + P.
+        predicted as c = −P B z, P⁻¹ = Q⁻¹ − B Bᵀ. The innovation is y − c, of
+        covariance D + P.
         """
         block = np.zeros((len(alone) - 1, 3, 3))
         for i in range(3):
@@ -144,7 +145,6 @@ class _Foresight:
         solved: Float64[np.ndarray, "m p"],
         new: Float64[np.ndarray, "b p"],
     ) -> None:
-        """Write what is new in each point, in units of its noise."""
         out, count = new.reshape(rows.shape), len(self.before)
         np.matmul(self.own, rows, out=out)
         solved = solved.reshape(-1, 3, rows.shape[2])
@@ -156,7 +156,7 @@ class OrnsteinUhlenbeckState:
     """The correlated noise of the last point given all points, in information form.
 
     sigma : (3,) standard deviation of the process
-    precision : (3, 3) of the state, what follows not yet counted
+    precision : (3, 3) of the state, without later points
     pulled : (3, p), precision times the mean of the state, as a function of the columns
     """
 
@@ -166,9 +166,9 @@ class OrnsteinUhlenbeckState:
     pulled: Float64[np.ndarray, "3 p"]
 
     def marginalise(self) -> tuple[Float64[np.ndarray, "p p"], float]:
-        """Return what the state takes from rowsᵀ V⁻¹ rows, and its part of log det V.
+        """Share of the state in rowsᵀ V⁻¹ rows, and in log det V.
 
-        Valid as long as nothing follows.
+        Valid as long as no point follows.
         """
         factor = ScaledCholesky.of(self.precision)
         half = factor.solve_half(self.pulled)
@@ -181,11 +181,11 @@ def eliminate_columns(
     kept: Int64[np.ndarray, " k"],
     rest: Int64[np.ndarray, " r"],
 ) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
-    """Integrate columns out that no later point has; exact, whatever follows.
+    """Integrate out columns that no later point has; exact, whatever follows.
 
-    With the correlated noise c of the last point, sums so far are the quadratic form
-    wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and state over the
-    columns kept, and what the log determinant gains.
+    With the correlated noise c of the last point, sums so far are the quadratic form wᵀ
+    total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and state over the columns
+    kept, and the change of the log determinant.
     Raises LinAlgError if the points do not determine the rest.
     """
     square = total[np.ix_(kept, kept)]
@@ -212,7 +212,7 @@ def extend(
     ou_time_s: float,
     rows: Float64[np.ndarray, "n 3 p"],
 ) -> tuple[Float64[np.ndarray, "p p"], float, OrnsteinUhlenbeckState | None]:
-    """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their state.
+    """Contribution of further points to rowsᵀ V⁻¹ rows and log det V, and their state.
 
     state : after the points before; None if these are the first, or the noise is white
     The sums are those of `factorise` once the last state is marginalised.
@@ -253,7 +253,7 @@ def extend(
 def _white_root(
     white_precision: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], float]:
-    """Return an upper W with WᵀW = D⁻¹, and log det D over what has information.
+    """Upper W with WᵀW = D⁻¹, and log det D over the directions with information.
 
     Cholesky's factor for all points at once; a pivot of rounding counts as none.
     """
@@ -275,7 +275,6 @@ def _white_root(
 
 
 def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
-    """Return the lower triangle that belongs to the last point."""
     block = np.diag(factor[0, -3:])
     block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
     return block

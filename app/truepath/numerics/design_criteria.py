@@ -1,23 +1,23 @@
-"""What one more measurement is worth, and where on one axis it is worth most.
+"""Value of one more measurement, and the position on an axis where it is largest.
 
-Control values have a covariance C; its quality is the integrated variance
-J = tr(G C), G the Gram matrix of the splines (brunn-hanebeck-2005, eq. 24–26, 34–36).
-A measurement of r values at once, with rows H and noise variance σ² each, lowers J by
+Control values have a covariance C; its quality is the integrated variance J = tr(G C),
+G the Gram matrix of the splines (brunn-hanebeck-2005, eq. 24–26, 34–36). A measurement
+of r values at once, with rows H and noise variance σ² each, lowers J by
 
     f = tr(S⁻¹ M),    S = σ² I + H C Hᵀ,    M = H C G C Hᵀ,
 
 for one value hᵀ C G C h / (σ² + hᵀ C h). Between two neighbouring knots of an axis H is
 a polynomial of the position, a cubic where the axis is straight, whatever other axes
 add. So f = N / D, D = det S, is a ratio of polynomials (sextics for one value), and the
-best place is an end of the interval or a root of N'D − N D', of tenth order for one
+maximum is at an end of the interval or a root of N'D − N D', of tenth order for one
 value (eq. 27).
 
 Monomial coefficients of that order lose their digits, which is where the paper suspects
 its own numbers. Here a polynomial is its values at Chebyshev nodes of its interval, and
 roots are eigenvalues of the colleague matrix of its Chebyshev series. Most intervals
 need none: by Ehlich and Zeller (1964) a polynomial of degree m, known at 4m nodes, goes
-beyond the range of those values by no more than the factor 1 / cos(π/8), which rules
-an interval out whose N − f* D stays below 0, f* being the best node of all.
+beyond the range of those values by no more than the factor 1 / cos(π/8), which rules an
+interval out whose N − f* D stays below 0, f* being the best node of all.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from numpy.polynomial import chebyshev
 Rows = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n *r p"]]
 
 _NEGLIGIBLE = 1e-15  # a coefficient relative to the largest: rounding, no term
-_DENSER = 4  # nodes for each order of a polynomial whose range they tell
+_DENSER = 4  # nodes per order of a polynomial whose range they bound
 _BEYOND = 1.0 / np.cos(np.pi / (2 * _DENSER))
 
 
 @dataclass(frozen=True, slots=True)
 class IntegratedVariance:
-    """How well control values are known: covariance C and Gram matrix G."""
+    """Covariance C of control values, and the Gram matrix G."""
 
     covariance: Float64[np.ndarray, "p p"]
     gram: Float64[np.ndarray, "p p"]
@@ -52,7 +52,7 @@ class IntegratedVariance:
     def compute_drops(
         self, rows: Float64[np.ndarray, "n *r p"], noise_variance: float = 1.0
     ) -> Float64[np.ndarray, " n"]:
-        """Return by how much J falls for each measurement, made alone.
+        """Reduction of J by each measurement alone.
 
         rows : (n, p), or (n, r, p) for r values at once
         noise_variance : of each value; 1 for rows in units of their noise
@@ -71,7 +71,7 @@ class IntegratedVariance:
     def update(
         self, rows: Float64[np.ndarray, "*r p"], noise_variance: float = 1.0
     ) -> IntegratedVariance:
-        """Return what is known after one measurement (eq. 22–23, 32–33).
+        """Covariance after one measurement (eq. 22–23, 32–33).
 
         rows : (p,), or (r, p) for r values at once
         """
@@ -86,7 +86,7 @@ class IntegratedVariance:
 
 @dataclass(frozen=True, slots=True)
 class BestPlace:
-    """The place on an axis where one measurement lowers J most, and by how much."""
+    """Position on an axis where one measurement reduces J most, and by how much."""
 
     at: float
     drop: float
@@ -100,10 +100,10 @@ def find_best_place(
     *,
     degree: int = 3,
 ) -> BestPlace:
-    """Return the exact optimum over an axis (eq. 27).
+    """Exact optimum over an axis (eq. 27).
 
-    rows : at places of the axis, (n, p) or (n, r, p), polynomials of the given degree
-        between neighbouring borders
+    rows : at positions of the axis, (n, p) or (n, r, p), polynomials of the given
+        degree between neighbouring borders
     borders : increasing; the ends of the axis and every knot between them
     """
     pieces = _pieces(known, rows, borders, noise_variance, degree)
@@ -114,7 +114,7 @@ def find_best_place(
     piece, node = np.unravel_index(int(np.argmax(drops)), drops.shape)
     found = [(float(drops[piece, node]), int(piece), float(nodes[node]))]
     for index in _worth_solving(drops, spread):
-        # A place too many costs nothing: the best is chosen by its value.
+        # A position too many costs nothing: the best is chosen by its value.
         roots = _roots(pieces.slopes(int(index), 2 * order - 1, degree))
         values, _ = _products(degree + 1, roots)
         risen = _traces(*pieces.at(values, np.array([index])))[0]
@@ -138,7 +138,6 @@ class _Pieces:
 
     @property
     def values(self) -> int:
-        """Values measured at once."""
         return self.spread.shape[1]
 
     def at(
@@ -146,13 +145,12 @@ class _Pieces:
         products: Float64[np.ndarray, "kk n"],
         intervals: Int64[np.ndarray, " i"] | slice = slice(None),
     ) -> tuple[Float64[np.ndarray, "i n r r"], Float64[np.ndarray, "i n r r"]]:
-        """Return S and M of intervals, by products of Lagrange's polynomials."""
         noise = np.eye(self.values)
         spread = _forms(self.spread[intervals], products) + noise
         return spread, _forms(self.gained[intervals], products)
 
     def slopes(self, index: int, count: int, degree: int) -> Float64[np.ndarray, " n"]:
-        """Return D² f', a polynomial, at Chebyshev's nodes of an interval."""
+        """D² f', a polynomial, at Chebyshev's nodes of an interval."""
         values, slopes = _node_products(degree + 1, count)
         spread, gained = self.spread[[index]], self.gained[[index]]
         S = _forms(spread, values)[0] + np.eye(self.values)
@@ -204,7 +202,7 @@ def _forms(
 def _worth_solving(
     drops: Float64[np.ndarray, "i n"], spread: Float64[np.ndarray, "i n r r"]
 ) -> Int64[np.ndarray, " s"]:
-    """Return the intervals in which f may exceed the best of all nodes."""
+    """Intervals in which f may exceed the best of all nodes."""
     D = spread[..., 0, 0] if spread.shape[-1] == 1 else np.linalg.det(spread)
     beyond = (drops - drops.max()) * D
     middle = 0.5 * (beyond.max(axis=1) + beyond.min(axis=1))
@@ -215,14 +213,14 @@ def _worth_solving(
 def _traces(
     spread: Float64[np.ndarray, "*n r r"], gained: Float64[np.ndarray, "*n r r"]
 ) -> Float64[np.ndarray, "*n"]:
-    """Return tr(S⁻¹ M)."""
+    """tr(S⁻¹ M)."""
     if spread.shape[-1] == 1:
         return gained[..., 0, 0] / spread[..., 0, 0]
     return np.trace(np.linalg.solve(spread, gained), axis1=-2, axis2=-1)
 
 
 def _roots(values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " r"]:
-    """Return the roots of a polynomial, known at nodes, inside [−1, 1].
+    """Roots inside [−1, 1] of a polynomial given at nodes.
 
     Real parts of complex ones too: a double root splits into a pair by rounding.
     """
@@ -241,7 +239,6 @@ def _nodes(count: int) -> Float64[np.ndarray, " n"]:
 
 @lru_cache
 def _series_map(count: int) -> Float64[np.ndarray, "n n"]:
-    """Return the map from values at the nodes to the Chebyshev series."""
     waves = np.cos(np.pi * np.outer(np.arange(count), np.arange(count) + 0.5) / count)
     waves[0] *= 0.5
     return 2.0 / count * waves
@@ -250,7 +247,7 @@ def _series_map(count: int) -> Float64[np.ndarray, "n n"]:
 def _products(
     size: int, at: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "kk n"], Float64[np.ndarray, "kk n"]]:
-    """Return products of Lagrange's polynomials over `size` nodes, and their slopes.
+    """Products of Lagrange's polynomials over `size` nodes, and their slopes.
 
     A quadratic form of a polynomial's values at the nodes is linear in them.
     """
@@ -272,7 +269,6 @@ def _node_products(
 
 @lru_cache
 def _dense_nodes(count: int) -> Float64[np.ndarray, " n"]:
-    """Return Chebyshev's nodes and the ends of the interval."""
     return np.concatenate([[-1.0], _nodes(count), [1.0]])
 
 

@@ -1,4 +1,4 @@
-"""The precision of Ornstein–Uhlenbeck noise, one process for each coordinate of points.
+"""Precision of Ornstein–Uhlenbeck noise, one process per coordinate of the points.
 
 It is tridiagonal in time, and a band of width three where coordinates are interleaved.
 """
@@ -29,14 +29,14 @@ class OrnsteinUhlenbeckPrecision:
     log_determinant: float
 
     def multiply(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Return C⁻¹ times a vector."""
+        """C⁻¹ times a vector."""
         product = self.diagonal * ou
         product[:-1] += self.below[:-1] * ou[1:]
         product[1:] += self.below[:-1] * ou[:-1]
         return product
 
     def solve(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Return C times a vector."""
+        """C times a vector."""
         none = np.zeros((len(right), 3, 3))
         band = interleave(none, self.diagonal, self.below)
         solved = solveh_banded(band, right.ravel(), lower=True, check_finite=False)
@@ -48,7 +48,7 @@ def build_ou_precision(
     sigma: Float64[np.ndarray, "n 3"],
     ou_time_s: float,
 ) -> OrnsteinUhlenbeckPrecision:
-    """Return C⁻¹ for a given standard deviation and correlation time."""
+    """C⁻¹ for a standard deviation per point and a correlation time."""
     step = np.diff(time_s)
     keep = np.exp(-step / ou_time_s)
     # −expm1 keeps its digits where steps are far shorter than the correlation time.
@@ -70,9 +70,9 @@ def interleave(
     diagonal: Float64[np.ndarray, "n 3"],
     below: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "4 m"]:
-    """Return the lower band of white precisions, or none, plus such a precision.
+    """Lower band of white precisions, or zeros, plus such a precision.
 
-    diagonal, below : of the process, as `OrnsteinUhlenbeckPrecision` has them
+    diagonal, below : of the process, as in `OrnsteinUhlenbeckPrecision`
     """
     n = len(white)
     band = np.zeros((_BAND + 1, n, 3))

@@ -18,11 +18,11 @@ class RigidTransform:
     def apply(
         self, points_mm: Float64[np.ndarray, "n 3"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Move the points."""
+        """Points at rotation · p + shift."""
         return points_mm @ self.rotation.T + self.translation_mm
 
     def invert(self) -> RigidTransform:
-        """Return the motion that undoes this one."""
+        """Motion p ↦ rotationᵀ (p − shift)."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation_mm)
 
     def precede_small(
@@ -30,7 +30,7 @@ class RigidTransform:
         rotation_rad: Float64[np.ndarray, "3"],
         translation_mm: Float64[np.ndarray, "3"],
     ) -> RigidTransform:
-        """Return this motion after a small rotation and translation."""
+        """Motion of a small rotation and translation, then of this one."""
         step = build_rotation(rotation_rad)
         return RigidTransform(
             self.rotation @ step, self.rotation @ translation_mm + self.translation_mm
@@ -46,7 +46,7 @@ def fit_rigid(
     """Rotate and shift one point set onto another in the least-squares sense.
 
     source_mm, target_mm : (n, 3), n >= 3, not collinear
-    mirrored : fit an improper rotation instead, to recognise a left-handed frame
+    mirrored : fit an improper rotation instead, to detect a left-handed frame
 
     Umeyama (1991), scale fixed at 1.
     """
@@ -61,7 +61,7 @@ def fit_rigid(
 def build_rotation(
     rotation_rad: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3 3"]:
-    """Return the rotation about the direction of a vector by its length (Rodrigues)."""
+    """About the direction of a vector, by its length (Rodrigues)."""
     angle = float(np.linalg.norm(rotation_rad))
     K = cross_matrix(-rotation_rad[None])[0]
     # sinc keeps its digits for the smallest turns.
@@ -70,7 +70,7 @@ def build_rotation(
 
 
 def cross_matrix(points_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Return C with C ω = ω × p for each point."""
+    """C with C ω = ω × p for each point."""
     C = np.zeros((len(points_mm), 3, 3))
     x, y, z = points_mm.T
     C[:, 0, 1], C[:, 0, 2] = z, -y

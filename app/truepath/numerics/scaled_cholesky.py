@@ -1,4 +1,4 @@
-"""Cholesky's factor of a positive definite matrix whose rows have unlike units.
+"""Cholesky's factor of a positive definite matrix whose rows differ in units.
 
 Diagonal scaling to 1 comes within a small factor of the best condition number that any
 scaling gives (van der Sluis 1969), so millimetres and radians lose no digits.
@@ -26,7 +26,7 @@ class ScaledCholesky:
 
     @staticmethod
     def of(matrix: Float64[np.ndarray, "p p"]) -> ScaledCholesky:
-        """Factorise a matrix. Raises LinAlgError if it is not positive definite."""
+        """Raises LinAlgError if the matrix is not positive definite."""
         diagonal = np.diag(matrix)
         if not (diagonal > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal element is not positive")
@@ -36,7 +36,7 @@ class ScaledCholesky:
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of det M."""
+        """Natural logarithm of det M."""
         return 2.0 * float(
             np.log(np.diag(self.factor)).sum() - np.log(self.scale).sum()
         )
@@ -44,21 +44,21 @@ class ScaledCholesky:
     def solve(
         self, right: Float64[np.ndarray, "p ..."]
     ) -> Float64[np.ndarray, "p ..."]:
-        """Return M⁻¹ right."""
+        """M⁻¹ right."""
         scale = self.scale.reshape(-1, *[1] * (right.ndim - 1))
         return scale * cho_solve((self.factor, True), scale * right, check_finite=False)
 
     def solve_half(
         self, right: Float64[np.ndarray, "p ..."]
     ) -> Float64[np.ndarray, "p ..."]:
-        """Return L⁻¹ S right, whose products with itself are rightᵀ M⁻¹ right."""
+        """L⁻¹ S right, whose products with itself are rightᵀ M⁻¹ right."""
         scale = self.scale.reshape(-1, *[1] * (right.ndim - 1))
         return solve_triangular(
             self.factor, scale * right, lower=True, check_finite=False
         )
 
     def invert(self) -> Float64[np.ndarray, "p p"]:
-        """Return M⁻¹."""
+        """M⁻¹."""
         lower, _ = dpotri(self.factor, lower=1)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         return inverse * self.scale[:, None] * self.scale

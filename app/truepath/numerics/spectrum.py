@@ -15,7 +15,7 @@ def transform(
     data: Float64[np.ndarray, " n"],
     waves: Float64[np.ndarray, " v"],
 ) -> NDArray[np.complex128]:
-    """Return Σ data exp(−2πi coordinate · wave), by linear weights on a fine grid."""
+    """Σ data exp(−2πi coordinate · wave), by linear weights on a fine grid."""
     first, step = float(coordinate.min()), 1.0 / (_FINE * float(waves.max()))
     place = (coordinate - first) / step
     left = np.floor(place).astype(np.int64)

@@ -13,7 +13,7 @@ _CONTENT = "_content_of_fields"
 class ValueEquality:
     """Dataclasses of one class are equal if their fields are, arrays by content.
 
-    Subclasses need not say `eq=False`: the decorator keeps what is defined here.
+    Subclasses need no `eq=False`: the decorator keeps the methods defined here.
     """
 
     def __init_subclass__(cls, **arguments: Any) -> None:
@@ -24,7 +24,6 @@ class ValueEquality:
                 setattr(cls, name, getattr(ValueEquality, name))
 
     def __eq__(self, other: object) -> bool:
-        """Compare class and fields."""
         return self is other or (
             isinstance(other, ValueEquality)
             and type(self) is type(other)
@@ -32,11 +31,10 @@ class ValueEquality:
         )
 
     def __hash__(self) -> int:
-        """Hash class and fields."""
         return hash(self._content())
 
     def _content(self) -> Any:
-        """Return what to compare, made once where the class has room for it."""
+        """Computed once where the class has a `__dict__`."""
         room = getattr(self, "__dict__", {})
         if _CONTENT not in room:
             room[_CONTENT] = hashable(self)
@@ -44,7 +42,7 @@ class ValueEquality:
 
 
 def hashable(value: Any) -> Any:
-    """Return a value to compare and hash by: arrays and records by their content."""
+    """Key for comparing and hashing a value: arrays and records by their content."""
     if isinstance(value, np.ndarray):
         array = cast("np.ndarray[Any, Any]", value)
         return array.shape, array.tobytes()

@@ -29,7 +29,7 @@ _DAMAGED = (
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """What a file is known by."""
+    """Size and digest of a file."""
 
     bytes: int
     sha256: str
@@ -45,7 +45,7 @@ class Archive(Protocol):
 
 @contextmanager
 def make_archive(place: Path) -> Iterator[Archive]:
-    """Make a folder, or a zip file where it is named so: whole or not at all.
+    """Make a folder, or a zip file if its name ends so: complete or not at all.
 
     Raises BadInput where something is there already.
     """
@@ -102,9 +102,9 @@ def store_chunks(archive: Archive, name: str, chunks: Iterable[bytes]) -> Stored
 
 
 def read_checked(archive: Archive, name: str, stored: Stored) -> Iterator[bytes]:
-    """Yield the pieces of a file. Raises BadInput that names it where it is damaged.
+    """Pieces of a file. Raises BadInput that names it where it is damaged.
 
-    Only after the last piece it is known to be whole.
+    Only after the last piece it is known to be intact.
     """
     digest, count = hashlib.sha256(), 0
     try:
@@ -125,7 +125,7 @@ def read_checked(archive: Archive, name: str, stored: Stored) -> Iterator[bytes]
 
 
 def check_name(name: str, roots: Iterable[str]) -> str:
-    """Return a name of an archive; BadInput where it leads out of these folders."""
+    """The name itself. Raises BadInput where it leads out of these folders."""
     path = PurePosixPath(name)
     is_inside = path.parts[:1] and path.parts[0] in roots and ".." not in path.parts
     if not is_inside or "\\" in name or "\0" in name or str(path) != name:

@@ -1,8 +1,8 @@
-"""Keeps a data folder: catalogue with jobs and users, Runs, results; and puts it back.
+"""Backup and restore of a data folder: catalogue with jobs and users, Runs, results.
 
 A service may measure meanwhile. The catalogue is one consistent view; the files it
-names are closed and change no more. A Run that is being recorded is left out and named:
-reading it could keep the cell from closing it.
+names are closed and do not change any more. A Run that is being recorded is left out
+and named: reading it could keep the cell from closing it.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ SCHEMA = "backup/1"
 MANIFEST, MANIFEST_SUM = "manifest.json", "manifest.sha256"
 _CATALOGUE, _FILES = "catalogue", ("runs", "results")
 _ROOTS = (_CATALOGUE, *_FILES)
-_STAYS = (".lock", "tls", "tmp", "aside-", ".restoring-")  # keys are kept by nobody
-_BUNDLES = "bundles"  # packed from Runs, and packed again when asked for
+_STAYS = (".lock", "tls", "tmp", "aside-", ".restoring-")  # keys are never backed up
+_BUNDLES = "bundles"  # packed from Runs, and packed again on request
 _RECORDED = "it is being recorded; keep the folder again once it is closed"
 _REPLACED = "it was replaced meanwhile"
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What a backup holds.
+    """Content of a backup.
 
     rows : of the catalogue, by table; files : by name; left_out : and why
     """
@@ -65,9 +65,9 @@ class Kept:
 
 
 def make_backup(settings: Settings, place: Path) -> Kept:
-    """Keep the data folder of some settings in a folder or a zip file.
+    """Back up the data folder of some settings into a folder or a zip file.
 
-    Raises BadInput where there is nothing to keep or something is there already.
+    Raises BadInput where there is nothing to back up or something is there already.
     """
     folder = settings.data_dir
     if place.absolute().is_relative_to(folder.absolute()):
@@ -92,10 +92,10 @@ def make_backup(settings: Settings, place: Path) -> Kept:
 
 
 def restore_backup(settings: Settings, place: Path, *, force: bool = False) -> Kept:
-    """Put a backup into the data folder of some settings, and say what came back.
+    """Restore a backup into the data folder of some settings; gives its content.
 
-    Every file is checked before anything is replaced. Where the folder holds data they
-    are moved to `aside-TIME` in it, if `force`; else nothing is done.
+    Every file is checked before anything is replaced. Data in the folder are moved to
+    `aside-TIME` in it, if `force`; else nothing is done.
 
     Raises BadInput where a file of the backup is damaged or missing, InUse.
     """
@@ -122,8 +122,6 @@ def restore_backup(settings: Settings, place: Path, *, force: bool = False) -> K
 
 
 class _Counted:
-    """Counts the lines that pass."""
-
     def __init__(self, lines: Iterator[bytes]) -> None:
         self._lines, self.count = lines, 0
 
@@ -136,7 +134,6 @@ class _Counted:
 def _store_files(
     archive: Archive, folder: Path, files: dict[str, Stored], *, is_served: bool
 ) -> dict[str, str]:
-    """Store Runs and results; return what is left out and why."""
     left_out: dict[str, str] = {}
     for source in _list_files(folder):
         name = source.relative_to(folder).as_posix()
@@ -149,7 +146,7 @@ def _store_files(
             continue
         try:
             files[name] = store_file(archive, name, source)
-        except FileNotFoundError:  # a result that is written anew at this moment
+        except FileNotFoundError:  # a result that is being written again
             left_out[name] = _REPLACED
     return left_out
 
@@ -207,7 +204,6 @@ def _unpack(archive: Archive, kept: Kept, draft: Path) -> None:
 
 
 def _put_catalogue(settings: Settings, kept: Kept, draft: Path) -> None:
-    """Make the catalogue in the draft, or in the empty database that is set."""
     url = settings.database
     if not settings.database_url:
         url = f"sqlite:///{draft / 'catalogue.sqlite'}"
@@ -228,12 +224,11 @@ def _open_lines(kept: Kept, draft: Path) -> Iterator[dict[str, Iterator[bytes]]]
 
 
 def _list_data(folder: Path) -> list[Path]:
-    """Return what the folder holds, its lock, keys and earlier data left out."""
     return [one for one in sorted(folder.iterdir()) if not one.name.startswith(_STAYS)]
 
 
 def _exchange(folder: Path, draft: Path, present: list[Path], aside: Path) -> None:
-    """Move what is there aside, then the draft into its place, the catalogue last."""
+    """Move present files aside, then the draft into their place, the catalogue last."""
     if present:
         aside.mkdir()
     for one in present:

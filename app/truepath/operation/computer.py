@@ -21,7 +21,7 @@ _ASK_S = 5.0
 
 
 def look_at_computer() -> Iterator[Finding]:
-    """Yield what is found of the computer itself."""
+    """Versions, clock, memory and threads."""
     yield look_at_versions()
     yield look_at_clock()
     yield look_at_memory(Path("/proc/meminfo"))
@@ -29,7 +29,7 @@ def look_at_computer() -> Iterator[Finding]:
 
 
 def look_at_versions() -> Finding:
-    """Return whether the libraries are those that this version of ours takes."""
+    """Whether the libraries have the versions that this package requires."""
     python = ".".join(map(str, sys.version_info[:3]))
     ours = f"Truepath {version('truepath')}, Python {python}"
     wrong = list(_list_wrong_versions())
@@ -55,7 +55,7 @@ def _list_wrong_versions() -> Iterator[str]:
 
 
 def look_at_clock(now: datetime | None = None) -> Finding:
-    """Return whether the clock is set, and kept, as far as the system says."""
+    """Whether the clock is set and synchronised, as far as the system reports it."""
     now = now or datetime.now(UTC)
     shown = f"{now:%Y-%m-%d %H:%M:%S} UTC"
     if now < _MADE:
@@ -88,7 +88,7 @@ def _is_clock_kept() -> bool | None:
 
 
 def look_at_memory(meminfo: Path) -> Finding:
-    """Return whether there is memory for an analysis; `meminfo` as Linux writes it."""
+    """Whether there is memory for an analysis; `meminfo` as Linux writes it."""
     try:
         lines = meminfo.read_text(encoding="ascii").splitlines()
         told = dict(line.split(":", 1) for line in lines)
@@ -103,7 +103,7 @@ def look_at_memory(meminfo: Path) -> Finding:
 
 
 def look_at_threads() -> Finding:
-    """Return whether linear algebra is kept to one thread a process."""
+    """Whether linear algebra is limited to one thread per process."""
     several = {
         name: value
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")

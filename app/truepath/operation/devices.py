@@ -1,7 +1,7 @@
 """The machine file, serial ports and devices of the settings.
 
-A device is only asked who it is, and only where no service runs that holds its port:
-that one is asked instead. Nothing moves.
+A device is only asked for its identity, and only where no running service holds its
+port: that service is queried instead. Nothing moves.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _PORT_OPTIONS = ("port", "serial_port")
 
 
 def look_at_devices(settings: Settings, running: RunningService) -> Iterator[Finding]:
-    """Yield what is found of the machine and its devices."""
+    """Each machine of the settings, its ports and devices."""
     if settings.simulated:
         yield Finding("devices", Grade.OK, "simulated")
         return
@@ -66,7 +66,7 @@ def _list_devices(
 
 
 def look_at_machine(file: Path | None) -> Finding:
-    """Return whether the machine file can be read."""
+    """Whether the machine file can be read."""
     if file is None:
         remedy = "set machine_file to drive a machine"
         return Finding("machine", Grade.WARNING, "no machine: analyses only", remedy)
@@ -81,7 +81,7 @@ def look_at_machine(file: Path | None) -> Finding:
 
 
 def look_at_port(word: str, options: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield whether a serial port of a device is there and may be opened."""
+    """Whether a serial port of a device exists and may be opened."""
     named = [options[name] for name in _PORT_OPTIONS if name in options]
     for port in (Path(p) for p in named if isinstance(p, str) and p.startswith("/")):
         subject = f"{word} port"
@@ -110,7 +110,7 @@ def _find_group(port: Path) -> str:
 
 
 def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield who answers, and what its sensors show by the ways to read them."""
+    """Identity of a device, and its sensors by each way to read them."""
     try:
         device = make_device(word, name, options)
     except BadInput as error:
@@ -148,7 +148,7 @@ def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
 
 
 def read_cell(running: RunningService) -> Finding:
-    """Return what the running service says of its devices."""
+    """State of the devices as the running service reports it."""
     if running.system is None:
         return Finding("devices", Grade.UNTOLD, "held by the service that runs")
     cell = running.system["cell"]
@@ -159,6 +159,5 @@ def read_cell(running: RunningService) -> Finding:
 
 
 def _word(subject: str, grade: Grade, said: str) -> Finding:
-    """Return what a driver says, its remedy as that of the finding."""
     text, _, remedy = said.rpartition("; ")
     return Finding(subject, grade, text or remedy, remedy if text else "")

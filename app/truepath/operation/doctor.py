@@ -1,4 +1,4 @@
-"""Looks at everything that an installation needs, and changes nothing."""
+"""Checks everything that an installation needs, and changes nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from truepath.settings import Settings
 
 
 def examine(settings: Settings) -> Iterator[Finding]:
-    """Yield every finding, as it is found: devices, which may take seconds, at last."""
+    """Findings one by one; devices, which may take seconds, come last."""
     running = find_service(settings)
     yield from look_at_computer()
     yield from look_at_plugins()
@@ -28,7 +28,7 @@ def examine(settings: Settings) -> Iterator[Finding]:
 
 
 def look_at_plugins() -> Iterator[Finding]:
-    """Yield each installed plug-in that cannot be used."""
+    """Each installed plug-in that cannot be used."""
     for group in DEVICES.values():
         gather(group, read_options)
     for look in (list_formats, list_families, list_dialects):

@@ -1,4 +1,4 @@
-"""One thing that was looked at."""
+"""One checked subject."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Grade(StrEnum):
-    """How it is. `WRONG` keeps the service from measuring; `UNTOLD` cannot be seen."""
+    """Result of a check. `WRONG` prevents measurements; `UNTOLD` is unknown."""
 
     OK = "ok"
     UNTOLD = "untold"
@@ -17,7 +17,7 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was looked at, how it is, and what to do about it.
+    """A checked subject, the result, and the remedy.
 
     subject : short, such as `disk`; text : what was found
     remedy : empty where nothing is to be done

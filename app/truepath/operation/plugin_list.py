@@ -1,6 +1,6 @@
-"""Every plug-in that is installed: whose it is, and whether it keeps its interface.
+"""Every installed plug-in: its origin, and whether it conforms to its interface.
 
-Nothing here opens a device but the one that is asked for by its word.
+No device is opened, except the one given to `check_device`.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ INTERFACE_VERSIONS: Mapping[str, int] = {
     programs.GROUP: Dialect.interface_version,
     installed.GROUP: CompensationFormat.interface_version,
 }
-"""Of what the plug-ins of each entry-point group keep."""
+"""By entry-point group, the version that its plug-ins must conform to."""
 
 
 @dataclass(frozen=True, slots=True)
 class PluginEntry:
-    """A plug-in, and what is known of it.
+    """A plug-in and its checks.
 
-    fault : why it cannot be used; failures : promises that it does not keep
-    was_checked : as far as it can be without a device
+    fault : why it cannot be used; failures : violations of its interface
+    was_checked : as far as that is possible without a device
     """
 
     group: str
@@ -67,14 +67,14 @@ class PluginEntry:
 
     @property
     def is_well(self) -> bool:
-        """Whether nothing is known against it."""
+        """Whether no fault and no failure is known."""
         return not self.fault and not self.failures
 
 
 def list_plugins(*, checks: bool = False) -> Iterator[PluginEntry]:
-    """Yield every plug-in, whatever is wrong with the others.
+    """Every plug-in, whatever is wrong with the others.
 
-    checks : hold each against its interface, as far as that needs no device
+    checks : test each against its interface, as far as that needs no device
     """
     for group in INTERFACE_VERSIONS:
         for _, point in sorted(find_plugins(group).items()):
@@ -82,7 +82,7 @@ def list_plugins(*, checks: bool = False) -> Iterator[PluginEntry]:
 
 
 def list_left_out() -> tuple[str, ...]:
-    """Return what bears no name that could be listed, and lists that are broken."""
+    """Plug-ins without a valid name, and broken lists."""
     return tuple(sorted(left_out))
 
 
@@ -121,7 +121,7 @@ def _examine(point: EntryPoint, *, checks: bool) -> PluginEntry:
 
 
 def check_device(word: str, settings: MachineSettings) -> PluginEntry:
-    """Hold a driver against the device that the settings name. A controller MOVES."""
+    """Test a driver against the device in the settings. A controller MOVES."""
     name = getattr(settings, f"{word}_driver", "")
     if word not in DEVICES or not name:
         raise BadInput(f"no {word} is set; devices are {', '.join(DEVICES)}")

@@ -1,4 +1,4 @@
-"""Takes secrets out of settings and texts before anybody else reads them."""
+"""Removes secrets from settings and texts before another person reads them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SECRET_NAME = re.compile(
     re.IGNORECASE,
 )
 _SHORTEST = 4
-"""Of a secret that is looked for in texts: a shorter one is in every line."""
+"""Of a secret that is searched for in texts: a shorter one is in every line."""
 _PATTERNS = (
     (
         re.compile(
@@ -42,7 +42,7 @@ _PATTERNS = (
 
 
 class Redactor:
-    """Hides the secrets of some settings, and what looks like one, in texts."""
+    """Hides the secrets of some settings, and texts that look like one."""
 
     def __init__(self, settings: Settings) -> None:
         secrets = {s for s in _list_secrets(settings) if len(s) >= _SHORTEST}
@@ -50,7 +50,7 @@ class Redactor:
         self._secrets = sorted(secrets, key=len, reverse=True)
 
     def redact(self, text: str) -> str:
-        """Return a text without them."""
+        """With `HIDDEN` in place of each secret."""
         for secret in self._secrets:
             text = text.replace(secret, HIDDEN)
         for pattern, instead in _PATTERNS:
@@ -59,9 +59,9 @@ class Redactor:
 
 
 def redact_settings(settings: Settings) -> Iterator[tuple[str, Any]]:
-    """Yield every setting by name, as plain values, its secrets hidden.
+    """Every setting by name, as plain values, its secrets hidden.
 
-    Names of files that hold a secret stay: what is in them is never read.
+    Names of files that hold a secret stay: their content is never read.
     """
     redactor = Redactor(settings)
     for name, value in settings.model_dump(mode="json").items():
@@ -90,7 +90,7 @@ def _list_secrets(settings: Settings) -> Iterator[str]:
 
     try:
         password = make_url(settings.database).password
-    except BadInput:  # its file cannot be read; whoever connects is told so
+    except BadInput:  # its file cannot be read; reported on connection
         return
     if password is not None:
         yield str(password)

@@ -1,4 +1,4 @@
-"""The service itself: its port, and whether one runs on this data folder already."""
+"""The service: its port, and whether one runs on this data folder already."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this o
 
 @dataclass(frozen=True, slots=True)
 class RunningService:
-    """Whether a service holds the data folder, and what it says of itself.
+    """Whether a service holds the data folder, and its own report.
 
     answers : at the address that is set
-    system : its `GET /system`; None where it does not answer or wants a log-in first
+    system : its `GET /system`; None where it does not answer or requires a login first
     """
 
     is_there: bool
@@ -34,7 +34,7 @@ class RunningService:
 
 
 def find_service(settings: Settings) -> RunningService:
-    """Return the service that holds the data folder of these settings, if any does."""
+    """The service that holds the data folder of these settings, if there is one."""
     if not settings.data_dir.exists():
         return RunningService(is_there=False)
     try:
@@ -44,12 +44,12 @@ def find_service(settings: Settings) -> RunningService:
         answers = _ask(settings, "/healthz") is not None
         system = _ask(settings, "/api/v1/system") if answers else None
         return RunningService(True, answers, system)
-    except BadInput:  # the folder cannot be written; told of the folder
+    except BadInput:  # the folder cannot be written; a separate finding
         return RunningService(is_there=False)
 
 
 def read_metrics(settings: Settings) -> str | None:
-    """Return the metrics of the service; None where it gives none without a log-in."""
+    """None where the service gives no metrics without a login."""
     content = _fetch(settings, "/metrics")
     return None if content is None else content.decode("utf-8", "replace")
 
@@ -81,12 +81,12 @@ def _connect(settings: Settings) -> HTTPConnection:
     if settings.tls_cert is None:
         return HTTPConnection(host, settings.port, timeout=_ANSWER_S)
     context = ssl.create_default_context(cafile=settings.tls_cert)
-    context.check_hostname = False  # asked by address; the certificate bears a name
+    context.check_hostname = False  # called by address; the certificate has a name
     return HTTPSConnection(host, settings.port, timeout=_ANSWER_S, context=context)
 
 
 def look_at_service(settings: Settings, running: RunningService) -> Finding:
-    """Return whether the service runs, or could listen where it is set to."""
+    """Whether the service runs, or could listen at its address."""
     place = f"{settings.host} port {settings.port}"
     if running.system is not None:
         text = f"runs at {place}, version {running.system['version']}"

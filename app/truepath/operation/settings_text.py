@@ -51,7 +51,7 @@ class SettingText:
 
 
 def list_settings() -> Iterator[SettingText]:
-    """Yield every setting, in the order in which they are declared."""
+    """In the order in which they are declared."""
     for name, field in Settings.model_fields.items():
         yield SettingText(
             name,
@@ -63,7 +63,7 @@ def list_settings() -> Iterator[SettingText]:
 
 
 def write_example() -> str:
-    """Return a TOML file with every setting as a comment."""
+    """TOML with every setting as a comment."""
     lines = [
         "# Settings of Truepath; what is commented out is the default, or an example.",
         "# Environment variables TRUEPATH_… beat this file.",
@@ -75,7 +75,7 @@ def write_example() -> str:
 
 
 def write_toml(value: object) -> str:
-    """Return a value as TOML; JSON strings and arrays are TOML as well."""
+    """As TOML; JSON strings and arrays are TOML as well."""
     if isinstance(value, Mapping):
         pairs = (f"{json.dumps(k)} = {write_toml(v)}" for k, v in value.items())
         return f"{{ {', '.join(pairs)} }}" if value else "{}"
@@ -87,7 +87,7 @@ def write_toml(value: object) -> str:
 
 
 def _write_default(field: FieldInfo) -> str:
-    """Return what stands in for a setting that is not given; empty for nothing."""
+    """Empty where there is no default."""
     if field.default_factory is not None:
         made: Any = field.default_factory
         # A folder of the user's is another one on every computer.

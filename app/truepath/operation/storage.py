@@ -21,7 +21,7 @@ AMPLE_BYTES = 5 << 30
 
 
 def look_at_storage(settings: Settings) -> Iterator[Finding]:
-    """Yield what is found of the data folder of these settings."""
+    """Rights, file system, room and catalogue of the data folder."""
     folder = settings.data_dir
     place = find_existing(folder)
     yield look_at_rights(folder, place)
@@ -31,13 +31,13 @@ def look_at_storage(settings: Settings) -> Iterator[Finding]:
 
 
 def find_existing(folder: Path) -> Path:
-    """Return the folder, or the nearest one above that exists."""
+    """The folder, or the nearest one above that exists."""
     place = folder.absolute()
     return next(p for p in (place, *place.parents) if p.exists())
 
 
 def look_at_rights(folder: Path, place: Path) -> Finding:
-    """Return whether this account may write; `place` as `find_existing` has it."""
+    """Whether this account may write; `place` as `find_existing` has it."""
     if not place.is_dir():
         remedy = "give another data_dir"
         return Finding("data folder", Grade.WRONG, f"{place} is no folder", remedy)
@@ -51,7 +51,7 @@ def look_at_rights(folder: Path, place: Path) -> Finding:
 
 
 def look_at_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
-    """Return whether the folder is on a disk of this computer."""
+    """Whether the folder is on a disk of this computer."""
     kind = find_file_system(place.resolve(), mounts)
     if kind is None:
         return Finding("file system", Grade.UNTOLD, "the system does not tell")
@@ -63,7 +63,7 @@ def look_at_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
 
 
 def look_at_room(place: Path) -> Finding:
-    """Return whether the disk has room for Runs."""
+    """Whether the disk has room for Runs."""
     free = shutil.disk_usage(place).free
     text = f"{free / 1e9:.1f} GB are free"
     if free < LEAST_FREE_BYTES:
@@ -76,7 +76,7 @@ def look_at_room(place: Path) -> Finding:
 
 
 def look_at_catalogue(settings: Settings) -> Finding:
-    """Return whether the catalogue can be used and agrees with the Runs on disk."""
+    """Whether the catalogue can be used and agrees with the Runs on disk."""
     if not settings.database_url and not settings.data_dir.exists():
         return Finding("catalogue", Grade.OK, "there is none yet")
     database = Database(settings.database)

@@ -1,7 +1,7 @@
-"""One zip file for who is to help: what an installation is, and what went on in it.
+"""One zip file for support: description and logs of an installation.
 
 Every text passes the redactor, so that no password, key or token leaves the plant. A
-part that cannot be had is named with the reason, for the others count all the same.
+missing part is named with the reason; the others are written all the same.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ _NO_LOG = "log_file is not set; see the journal of the system"
 
 @dataclass(frozen=True, slots=True)
 class SupportBundle:
-    """What was written: size of each part, and why others are missing."""
+    """Written parts with their sizes, and reasons for missing ones."""
 
     parts: dict[str, int]
     missing: dict[str, str]
 
 
 class _Absent(Exception):
-    """A part cannot be had."""
+    pass
 
 
 def write_support_bundle(
     settings: Settings, file: Path, max_bytes: int
 ) -> SupportBundle:
-    """Write a zip file of at most so many bytes; the ends of log files are kept.
+    """Write a zip file of at most so many bytes; the ends of log files are included.
 
     Raises BadInput where a file is there already.
     """
@@ -141,7 +141,7 @@ def _show_metrics(settings: Settings) -> str:
 def _read_logs(
     settings: Settings, redactor: Redactor, room: int
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the ends of the log files that there is room for, the newest first."""
+    """Ends of the log files within the limit, the newest first."""
     for file in [] if settings.log is None else settings.log.list_files():
         if room <= 0:
             return
@@ -159,7 +159,7 @@ def _read_logs(
 def _write_zip(file: Path, parts: dict[str, bytes]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     try:
-        # What is in it is for nobody else on this computer.
+        # Its content is private to this account.
         handle = os.open(file, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
     except FileExistsError as error:
         raise BadInput(f"{file}: is there already; name another file") from error

@@ -63,7 +63,7 @@ _HOMES = ("/home", "/root", "/run/user")
 
 @dataclass(frozen=True, slots=True)
 class UnitOrder:
-    """What the unit is to start.
+    """Content of the unit.
 
     program : the `truepath` of the installation, as an absolute path
     config : file of settings, None for the defaults
@@ -79,7 +79,7 @@ class UnitOrder:
 
 
 def write_unit(order: UnitOrder) -> str:
-    """Return the text of the unit."""
+    """Text of the unit file."""
     words = [str(order.program), "serve"]
     if order.config is not None:
         words += ["--config", str(order.config)]
@@ -99,5 +99,5 @@ def write_unit(order: UnitOrder) -> str:
 
 
 def _quote(word: str) -> str:
-    """Return a word as systemd reads it: `%` and `$` are no signs of its own."""
+    """With `%` and `$` escaped for systemd."""
     return shlex.quote(word).replace("%", "%%").replace("$", "$$")

@@ -1,11 +1,11 @@
-"""What follows from an estimate: error tables, prediction, verdict, `result.json`.
+"""Results of an estimate: error tables, prediction, verdict, `result.json`.
 
 Here: numbers of one result. Not here: answers that compare, test or show results
 (`answers`), files for controls (`compensation`).
 
 `analysis` takes Runs through alignment, estimation and the grade of the set-up to the
-findings; `result_json` states them. From a result file alone come error tables
-and predictions at any points.
+findings; `result_json` writes them. From a result file alone come error tables and
+predictions at any points.
 
 Every number has a unit and a standard uncertainty (k = 1). Reports show expanded
 uncertainties (k = 2).
@@ -15,7 +15,7 @@ prediction is that of the map without its best-fit rigid motion over the travel:
 motion is a matter of convention and has no uncertainty. Tables hold for the measured
 target offsets, and for any tool if all six motions of every axis are known.
 
-Linear propagation C_y = J C Jᵀ is checked by adaptive Monte Carlo trials where asked
+Linear propagation C_y = J C Jᵀ is checked by adaptive Monte Carlo trials on request
 (`trial_results`).
 
 References: ISO 230-1:2012; JCGM 101:2008 (trials, clauses 7.9.4 and 8).

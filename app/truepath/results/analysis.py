@@ -1,7 +1,7 @@
-"""From Runs to what is stated of their machine, each room entered in the order of data.
+"""From Runs to the findings on their machine, each room entered in the order of data.
 
 The facts of the Runs, their alignment, one estimate of all, the grade of the set-up,
-trials that its uncertainty is held against, and what follows from it.
+trials of its uncertainty, and what follows from it.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ def analyse(
 ) -> Findings:
     """Analyse Runs of one machine, of either mode, in one estimate.
 
-    model : whose effects are estimated beside the error motions, as well as it knows
-        them
-    perpendicular_only : leave out what is measured along the travel
-    monte_carlo : the trials that the uncertainty is held against, if it is to be
+    model : whose effects are estimated together with the error motions, with its
+        covariance as prior
+    perpendicular_only : leave out components along the travel
+    monte_carlo : the trials that the uncertainty is tested against, if any
     mapper : computes blocks of trials, here or elsewhere
     on_progress : receives the share done and the stage: aligning, estimating,
         validating where trials are run, reporting
 
-    Raises EstimationError if the data do not carry the answer, BundleError if the Runs
-    are not of one machine, or the model is of another.
+    Raises EstimationError if the data do not determine the answer, BundleError if the
+    Runs are not of one machine, or the model is of another.
     """
     aligned, solved, tried = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
     on_progress(0.0, "aligning")
@@ -120,7 +120,6 @@ def _grade_set_ups(
     checked: CheckedEstimate,
     perpendicular_only: bool,
 ) -> Grade:
-    """Return what the set-ups of all Runs can tell, the tracker where it was found."""
     set_ups = [
         SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
         for run, found in zip(runs, checked.first_parts, strict=True)
@@ -129,7 +128,6 @@ def _grade_set_ups(
 
 
 def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
-    """Return the facts of the Runs, each with a name of its own."""
     names = number_names([run.name for run in runs])
     return tuple(
         replace(summarize_run(run), name=name)
@@ -138,7 +136,7 @@ def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
 
 
 def _refuse_twice(summaries: Sequence[RunSummary]) -> None:
-    """Raise BundleError for what is given twice: its noise would count as two."""
+    """Raise BundleError for a measurement given twice: its noise would count as two."""
     for known, given in combinations(summaries, 2):
         if known.digest == given.digest:
             problem = f"is the same measurement as {known.name}"

@@ -1,7 +1,8 @@
-"""Errors that look as if another program had been driven: scaled, leaning or shifted.
+"""Errors that look as if another program had been executed: scaled, sheared or shifted.
 
-An estimate cannot tell a program that was scaled from a machine whose scale is wrong.
-Machines err far less than programs that were changed, so that much of it is a doubt.
+An estimate cannot distinguish a program that was scaled from a machine whose scale is
+wrong. Errors of machines are far smaller than changes of programs, so a large one is a
+doubt.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _ALIKE = 1e-6  # of the strongest column: what is left of it is rounding
 
 
 def judge_program(machine: Machine, volumetric: VolumetricError) -> Verdict:
-    """Return a doubt for each way in which another program explains the error."""
+    """A doubt for each change of the program that explains much of the error."""
     size = _fit_changes(machine, volumetric)
     reasons: list[Reason] = []
     for (kind, axes), value in size.items():
@@ -44,7 +45,7 @@ def judge_program(machine: Machine, volumetric: VolumetricError) -> Verdict:
 def _fit_changes(
     machine: Machine, volumetric: VolumetricError
 ) -> dict[tuple[str, tuple[int, ...]], float]:
-    """Return how much of each change of the program the error contains."""
+    """Size of each change of the program in the error, in mm, rad or ratio."""
     q = volumetric.position_mm
     place = make_standstill(machine, q).point_mm
     moves = [_differentiate(machine, q, k) for k in range(q.shape[1])]
@@ -72,7 +73,7 @@ def _fit_changes(
 def _differentiate(
     machine: Machine, q: Float64[np.ndarray, "n a"], axis: int
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return how the target moves with an axis, a mm or a radian."""
+    """Motion of the target per mm or radian of an axis."""
     step = np.zeros(q.shape[1])
     step[axis] = _STEP
     ahead, behind = (make_standstill(machine, q + s * step).point_mm for s in (1, -1))
@@ -83,7 +84,7 @@ def _differentiate(
 def _drop_rigid(
     place: Float64[np.ndarray, "n 3"], columns: Float64[np.ndarray, "m c"]
 ) -> Float64[np.ndarray, "m c"]:
-    """Return columns without the rigid motions of the places in them."""
+    """Columns without the rigid motions of all points."""
     rigid = np.zeros((len(place), 3, 6))
     rigid[:, :, :3] = np.eye(3)
     for k, turn in enumerate(np.eye(3)):

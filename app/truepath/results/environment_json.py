@@ -1,4 +1,4 @@
-"""What a result states of the air and the sensors of a Run."""
+"""Air and sensors of a Run in a result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CORRECTED = (INSTRUMENT, SERVICE)
 
 
 def environment_json(summary: RunSummary) -> dict[str, Any]:
-    """Return sensors, what was wrong with them, refraction and what it leaves."""
+    """Sensors and their faults, refraction and the scale that it leaves uncertain."""
     refraction = summary.refraction
     ppm, per_k, per_hpa = state_scale_ppm(refraction)
     is_corrected = refraction.by in _CORRECTED
@@ -40,7 +40,7 @@ def environment_json(summary: RunSummary) -> dict[str, Any]:
 
 
 def describe_refraction(refraction: Refraction) -> str:
-    """Return who has corrected the ranges for the air, in a sentence."""
+    """Which party corrected the ranges for the air; completes a sentence."""
     if refraction.by == INSTRUMENT:
         return "corrected by the instrument itself"
     if refraction.by == SERVICE and refraction.index is not None:
@@ -56,7 +56,7 @@ def describe_refraction(refraction: Refraction) -> str:
 
 
 def describe_scale(refraction: Refraction) -> str:
-    """Return what the air leaves of the scale of all ranges, in a sentence."""
+    """Uncertainty by the air of the scale of all ranges; completes a sentence."""
     ppm, per_k, per_hpa = state_scale_ppm(refraction)
     what = f"{per_k:.2f} ppm a K and {per_hpa:.2f} ppm a hPa that the air is mistaken"
     common = (

@@ -15,12 +15,12 @@ HEADER = ["error", "position_mm", "value", "uncertainty", "unit", "extrapolated"
 
 
 def error_tables_csv(tables: ErrorTables, verdict: Verdict) -> str:
-    """Return every value on a row of its own; uncertainties are standard ones (k = 1).
+    """Every value on a row of its own; uncertainties are standard ones (k = 1).
 
     A squareness belongs to no position: its cell is empty. `extrapolated` is 1 beyond
     the measured range of the axis. A machine with rotary axes has a further column,
-    `position_deg`. The last column is the state of the verdict: rows that are copied
-    elsewhere take it along.
+    `position_deg`. The last column is the state of the verdict, so that copied rows
+    keep it.
     """
     turns = any(table.position_unit == "deg" for table in tables.tables)
     cells = len(HEADER) + turns
@@ -51,11 +51,11 @@ def tables_json(
     measured: Ranges,
     machine: Machine,
 ) -> dict[str, Any]:
-    """Return the keys of all tables.
+    """The keys of all tables.
 
     direction : the estimate's own model of the direction of approach
     """
-    # A known effect, such as lost motion, makes half differences of its own.
+    # A prior effect, such as lost motion, also makes half differences.
     model = "constant" if halves and direction == "none" else direction
     return {
         "error_tables": {
@@ -86,7 +86,7 @@ def tables_json(
 
 
 def observability_json(found: Observability) -> dict[str, Any]:
-    """Return what the data tell and what they do not."""
+    """Rank, and parameters that the data do not determine, or only weakly."""
     return {
         "rank": found.rank,
         "parameters": found.parameters,
@@ -104,7 +104,6 @@ def _columns_json(table: ErrorTable) -> dict[str, Any]:
 
 
 def _locations_json(tables: ErrorTables) -> dict[str, Any]:
-    """Return where rotary axes are; nothing for a machine that has none."""
     places = {
         place.symbol: {
             f"value_{place.unit}": place.value,

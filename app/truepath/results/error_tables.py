@@ -26,7 +26,7 @@ class ErrorTable:
     unit : "um" or "urad", of `value` and `uncertainty`
     position_mm : of the axis; in deg where `position_unit` says so
     uncertainty : standard uncertainty (k = 1) in the gauge of the table
-    measured : lowest and highest position that was measured; None where nobody knows
+    measured : lowest and highest position that was measured; None where unknown
     """
 
     symbol: str
@@ -39,7 +39,7 @@ class ErrorTable:
 
     @property
     def extrapolated(self) -> Bool[np.ndarray, " n"]:
-        """Tell which positions lie beyond the measured range."""
+        """Beyond the measured range; nowhere if that is unknown."""
         if self.measured is None:
             return np.zeros(len(self.position_mm), bool)
         low, high = self.measured
@@ -74,14 +74,14 @@ class ErrorTables:
     locations: tuple[SingleError, ...] = ()
 
     def table(self, symbol: str) -> ErrorTable | None:
-        """Return the table of an error motion, or None where it is not known."""
+        """None where the error motion is not known."""
         return next((t for t in self.tables if t.symbol == symbol), None)
 
 
 def build_error_tables(
     estimated: EstimatedModel, measured: Ranges | None = None
 ) -> ErrorTables:
-    """Return the tables of an estimate, or of a result or model file.
+    """Of an estimate, or of a result or model file.
 
     measured : by axis, the range that was measured, if it is known
     """
@@ -113,7 +113,7 @@ def build_error_tables(
 
 
 def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
-    """Return equidistant positions about 25 mm or 10 deg apart, both ends included."""
+    """Equidistant, about 25 mm or 10 deg apart, 5 at least, both ends included."""
     step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
     intervals = round((axis.high - axis.low) / step)
     return np.linspace(axis.low, axis.high, max(intervals + 1, _FEWEST))
@@ -124,7 +124,7 @@ def build_error_table(
     motion: ErrorCurve,
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
-    """Return one error motion at given positions."""
+    """One error motion at given positions, in the unit of its axis."""
     part = estimated.at_targets.part(motion.symbol)
     stated = evaluate(motion.symbol, motion.rows(position_mm), *part)
     return ErrorTable(
@@ -137,9 +137,9 @@ def build_error_table(
 
 
 def compute_half_differences(estimated: EstimatedModel) -> tuple[ErrorTable, ...]:
-    """Return half the difference of both directions of each error motion that has one.
+    """Half the difference of both directions of each error motion that has one.
 
-    Going up an axis errs by its table plus the half difference, coming down by the
+    The error in + direction is the table plus the half difference, in − direction the
     table less it.
     """
     estimated = estimated.at_targets
@@ -168,7 +168,7 @@ def evaluate(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return numbers that are linear in the parameters, and their uncertainties."""
+    """Values linear in the parameters, and their uncertainties, in µm or µrad."""
     scale = scale_of(find_unit(symbol))
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return scale * (rows @ theta), scale * np.sqrt(np.maximum(variance, 0.0))

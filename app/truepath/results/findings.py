@@ -1,4 +1,4 @@
-"""Everything that a result states, gathered once for the result file and the report."""
+"""All content of a result, gathered once for the result file and the report."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ from truepath.results.volumetric_error import (
 class Provenance:
     """Which program computed a result from which Runs, when and how.
 
-    model : whose effects are beside the error motions, if one was given
+    model : whose effects are estimated together with the error motions, if one was
+        given
     """
 
     runs: tuple[RunSummary, ...]
@@ -57,7 +58,7 @@ class Provenance:
         return self.model is not None and self.model.is_of(self.runs)
 
     def judge_model(self) -> Verdict:
-        """Return what to know of a result for which the model's numbers were used."""
+        """Reasons from use of the model's numbers; empty where not used."""
         if self.model is None or self.repeats_model:
             return Verdict()
         return self.model.judge_use()
@@ -65,10 +66,10 @@ class Provenance:
     def state_length_scale(
         self, tracker: TrackerNoise, *, has_known: bool
     ) -> float | None:
-        """Return the standard uncertainty that all lengths have in common, of 1.
+        """Standard uncertainty that all lengths have in common, of 1.
 
-        Of several Runs that which knows its air worst: one tracker measures them all.
-        None where there are none.
+        Of several Runs the largest: one tracker measures them all. None where there are
+        none.
 
         has_known : of Runs with known lengths, or of those without
         """
@@ -111,10 +112,10 @@ class NoiseFound:
 
 @dataclass(frozen=True, slots=True)
 class RunFindings:
-    """What is said of one Run.
+    """Findings on one Run.
 
     number : of the Run in the estimate, from 0
-    part : of the Run given, from 1, where it was split at a knock; else 0
+    part : of the Run given, from 1, where it was split at a shift of the set-up; else 0
     """
 
     number: int
@@ -130,16 +131,16 @@ class Findings:
     """An estimate and what follows from it.
 
     runs : the Runs that it was made from, in the order given
-    trials : what trials say of it, if they were run
-    grade : what the set-up was worth before the measurement, if it was asked
+    trials : simulated trials of it, if they were run
+    grade : of the set-up before the measurement, if requested
     verdict : whether the result may be used
-    left_out : of each Run given, what was not used; knocks : steps of the set-up
-    contributions : what each Run given brought, if it was asked
-    budget : what each source of uncertainty brings, if it was asked
+    left_out : of each Run given, what was not used; knocks : shifts of the set-up
+    contributions : of each Run given, if requested
+    budget : share of each source of uncertainty, if requested
     both_directions : the volumetric error with lost motion, where that is determined
     length_scale_ppm : standard uncertainty that all lengths have in common, of air and
         tracker, which the covariance of the estimate contains
-    known_scale : what known lengths say of it, where there were some
+    known_scale : scale by known lengths, where there were some
     """
 
     estimate: Estimate
@@ -160,11 +161,11 @@ class Findings:
 
     @property
     def main(self) -> RunFindings:
-        """The Run that most used samples come from."""
+        """The Run with the most used samples."""
         return self.runs[self.estimate.main]
 
     def find_without_um(self, run: RunFindings) -> float | None:
-        """Return what the other Runs would leave; None where they tell too little."""
+        """Uncertainty without this Run; None where the others determine too little."""
         if self.contributions is None or not self.contributions.without_mm:
             return None
         number = [one.digest for one in self.provenance.runs].index(run.summary.digest)
@@ -178,7 +179,7 @@ def state_checked_findings(
     trials: TrialResults | None = None,
     grade: Grade | None = None,
 ) -> Findings:
-    """Return what is stated of an estimate, and its verdict."""
+    """With the verdict, rejected data and shifts of the set-up."""
     found = state_findings(checked.estimate, provenance, trials, grade, checked.given)
     own = judge(checked, [run.name for run in provenance.runs])
     return replace(
@@ -204,7 +205,7 @@ def state_findings(
     grade: Grade | None = None,
     given: Sequence[int] | None = None,
 ) -> Findings:
-    """Return what is stated of an estimate.
+    """Findings of an estimate, without a verdict.
 
     given : of each Run of the estimate, which of the provenance it is of; as many, in
         order, if left out
@@ -241,11 +242,11 @@ def state_findings(
 def settle_lengths(
     estimate: Estimate, provenance: Provenance, sources: Sequence[int]
 ) -> tuple[Estimate, float, KnownScale | None]:
-    """Return an estimate with the scale of air, tracker and known lengths in it.
+    """An estimate with the scale of air, tracker and known lengths in it.
 
-    Known lengths settle that of their own Runs alone: air of another hour is other air.
-    Of a joint estimate it is unknown how much of it came from which Run: one that has
-    no known length may be off by as much as was found.
+    Known lengths determine the scale of their own Runs alone: air of another hour is
+    other air. Of a joint estimate it is unknown how much of it came from which Run: one
+    without known lengths may deviate by as much as was found.
 
     sources : of each Run of the estimate, which of the provenance it is of
     """
@@ -264,15 +265,14 @@ def settle_lengths(
 
 
 def _number_part(sources: Sequence[int], number: int) -> int:
-    """Return which part of its Run one is, 0 where it is all of it."""
     own = [k for k, source in enumerate(sources) if source == sources[number]]
     return own.index(number) + 1 if len(own) > 1 else 0
 
 
 def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:
-    """Return the residuals of each row, as `Residuals.rms_mm` counts them.
+    """RMS residual of each row, counted as `Residuals.rms_mm` does.
 
-    across_only : only what lies across the travel was used
+    across_only : only components across the travel were used
     """
     residuals = run.residuals
     if across_only:
@@ -287,7 +287,7 @@ def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:
 
 
 def state_noise(run: RunEstimate) -> NoiseFound:
-    """Return the noise of a Run in µm."""
+    """At the mean distance, in µm."""
     noise = run.noise
     stated = UM_PER_MM * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
     along = UM_PER_MM * noise.along_sigma_mm

@@ -28,10 +28,10 @@ def grade_set_up(
     tracker_mm: Sequence[float] | None = None,
     perpendicular_only: bool = False,
 ) -> dict[str, Any]:
-    """Return the grade of a set-up as JSON.
+    """Grade of a set-up as JSON.
 
-    tracker_mm : where the tracker stands, in the frame that it stands on; four usual
-        places are tried where nobody has said so
+    tracker_mm : station of the tracker, in the frame that it stands on; if None the
+        worst of four typical stations counts
     """
     stand = None if tracker_mm is None else np.array(tracker_mm, np.float64)
     return grade_json(
@@ -42,7 +42,7 @@ def grade_set_up(
 
 
 def grade_json(found: Grade) -> dict[str, Any]:
-    """Return the grade; uncertainties are standard ones (k = 1)."""
+    """Uncertainties are standard ones (k = 1)."""
     return {
         "number": found.number,
         "verdict": found.verdict,
@@ -63,7 +63,7 @@ def grade_json(found: Grade) -> dict[str, Any]:
 
 
 def in_words(found: Grade) -> str:
-    """Return what a person needs to know before the machine moves."""
+    """Sentences for the operator before the machine moves."""
     said = (
         f"{found.number:.2f}, {found.verdict}: {_MEANS[found.verdict]}; expected are "
         f"{2 * UM_PER_MM * found.sigma_mm:.1f} µm (k = 2)"

@@ -1,8 +1,9 @@
-"""What the scale that all lengths have in common makes of a statistic of them.
+"""Contribution of the common scale of all lengths to a statistic of them.
 
-A mean length is least near the right scale: it grows with the square of what the scale
-is off. Twice the standard uncertainty, each way, therefore tells what one contributes;
-where the statistic is linear in the scale the two are the same.
+A mean length is least near the right scale: it grows with the square of the error of
+the scale. Half the change at twice the standard uncertainty, the larger of both signs,
+is therefore stated; where the statistic is linear in the scale it is the same as that
+at once.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ TWICE: tuple[float, float] = (-2.0, 2.0)
 def state_scale_share(
     value: Float64[np.ndarray, " m"], at_twice: Float64[np.ndarray, "m 2"]
 ) -> Float64[np.ndarray, " m"]:
-    """Return the standard uncertainty of statistics by the scale of their lengths.
+    """Standard uncertainty of statistics by the scale of their lengths.
 
     at_twice : the same with all lengths off by `TWICE` its standard uncertainty
     """

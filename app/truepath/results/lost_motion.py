@@ -1,8 +1,8 @@
-"""Lost motion as a result states it beside its model: by the direction of each axis.
+"""Lost motion that a result holds next to its model: by the direction of each axis.
 
 A calibration finds half the difference of both directions with a model of its own, and
-states it as tables; the model of its file is the mean of both. Effects of an extended
-model have their lost motion themselves: what they have is not counted again.
+holds it as tables; the model of its file is the mean of both. Effects of an extended
+model may contain lost motion: that is not counted again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Sigma = Float64[np.ndarray, " m"]
 def find_lost_motion_mm(
     result: CalibrationResult, at: Conditions
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what the stated half differences move the target by.
+    """Displacement of the target by the tables of half differences.
 
     Each axis counts by the direction of its own last motion, and 0 where it has not
     moved yet.
@@ -38,9 +38,9 @@ def find_lost_motion_mm(
 def list_lost_departures_mm(
     result: CalibrationResult, at: Conditions
 ) -> Float64[np.ndarray, "n 3 s"]:
-    """Return what one standard uncertainty of each half difference moves it by.
+    """Displacement by one standard uncertainty of each half difference.
 
-    Each is wholly correlated along its axis, as a half width is.
+    Each is fully correlated along its axis, as a half width is.
     """
     each = [
         _displace(at, symbol, (table[0], sigma))
@@ -50,7 +50,6 @@ def list_lost_departures_mm(
 
 
 def _list_stated(result: CalibrationResult) -> Iterator[tuple[str, Table, Sigma]]:
-    """Yield symbol, table and standard uncertainty of what no effect has itself."""
     effects = result.model.effects
     own = {
         effect.half_difference.symbol for effect in effects if effect.half_difference

@@ -1,8 +1,8 @@
 """Lost motion across or about an axis: error motions that depend on the direction.
 
-A result states half the difference of both directions by symbol (EYX, EAZ, …), over
-the positions of the axis. Coming up, the tool is off by the error's arm times it;
-coming down, by as much the other way.
+A result holds half the difference of both directions by symbol (EYX, EAZ, …), over the
+positions of the axis. The displacement in + direction is the error's arm times it, in −
+direction the opposite.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SEED = 3  # of its draws, which are independent of those of positioning
 
 
 def complete_across(result: CalibrationResult) -> CalibrationResult:
-    """Return the result with what its model has and none of its tables states."""
+    """Add half differences that only the effects of the model have as tables."""
     more = [
         half
         for half in compute_half_differences(result)
@@ -45,7 +45,7 @@ def complete_across(result: CalibrationResult) -> CalibrationResult:
 
 
 def remove_across(result: CalibrationResult, symbol: str) -> CalibrationResult:
-    """Return the result without that of one error motion."""
+    """Without the half difference of one error motion."""
     kept = {name: one for name, one in result.half_across.items() if name != symbol}
     sigmas = {name: one for name, one in result.half_across_u.items() if name != symbol}
     return replace(result, half_across=kept, half_across_u=sigmas)
@@ -54,7 +54,7 @@ def remove_across(result: CalibrationResult, symbol: str) -> CalibrationResult:
 def find_across_mm(
     result: CalibrationResult, at: Conditions
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what all axes coming up moves the tool by; coming down, minus that."""
+    """Displacement of the tool with all axes in + direction; in −, the opposite."""
     moved = np.zeros((len(at), 3))
     for symbol, table in result.half_across.items():
         moved += _displace(at, symbol, table)
@@ -64,9 +64,9 @@ def find_across_mm(
 def draw_across_mm(
     result: CalibrationResult, at: Conditions, draws: int
 ) -> Float64[np.ndarray, "2 n 3 d"]:
-    """Return what that may be wrong by, coming up and coming down.
+    """Samples of the error of `find_across_mm`, in + and in − direction.
 
-    Each error motion is wholly correlated along its axis, as it is where it is one
+    Each error motion is fully correlated along its axis, as it is where it is one
     number for all positions.
     """
     moved = np.zeros((len(at), 3, draws))
@@ -79,7 +79,7 @@ def draw_across_mm(
 
 
 def list_across_tables(result: CalibrationResult) -> Iterator[ErrorTable]:
-    """Yield the half differences as files state them; 0 where no uncertainty is."""
+    """In the order of the machine's axes; 0 where there is no uncertainty."""
     for axis in result.machine.axes:
         for symbol in list_error_motions(axis.name):
             if symbol in result.half_across:

@@ -21,7 +21,7 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
-_USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
+_USUAL_ENDS = 0.05  # of the travel: lines rarely go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache
 
 
@@ -30,7 +30,7 @@ class Prediction:
     """Volumetric error δ = actual − nominal at n points, without its rigid motion.
 
     error_um : (n, 3); uncertainty_um : (n, 3), standard uncertainty (k = 1)
-    warnings : what a user should know about it, a sentence each
+    warnings : sentences for the user
     verdict : of the result that it is from
     """
 
@@ -76,7 +76,7 @@ def predict(
 def find_unmeasured(
     result: CalibrationResult, position: Float64[np.ndarray, "n a"]
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which points lie beyond the measured range by more than ends usually do.
+    """Points beyond the measured range by more than 5 % of the travel.
 
     position : (n, axes) in the column order of the machine
     """

@@ -1,8 +1,8 @@
 """The content of `result.json` (schema `result/1` of the file formats).
 
-`error_tables` holds what is known and nothing else: an error motion that the measured
-targets cannot tell is named in `observability.unobservable`. `model` carries what
-prediction needs, so that the file alone gives the map of the estimate.
+`error_tables` holds known error motions only: one that the measured targets do not
+determine is named in `observability.unobservable`. `model` has the parameters for
+prediction, so that the file alone gives the map of the estimate.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _BUDGET_ON = (
 
 
 def result_json(found: Findings) -> dict[str, Any]:
-    """Return the content of the result file."""
+    """The whole content of `result.json`."""
     estimate, machine = found.estimate, found.estimate.model.machine
     halves = compute_half_differences(estimate)
     return {
@@ -175,7 +175,6 @@ def _known_scale_json(known: KnownScale | None) -> dict[str, Any] | None:
 
 
 def _control_json(provenance: Provenance) -> dict[str, Any]:
-    """Return whether the control compensated in all Runs alike, and by which files."""
     keys = ("control_compensation", "active_tables")
     told = {tuple(run.source.get(key) for key in keys) for run in provenance.runs}
     if len(told) > 1:
@@ -297,7 +296,7 @@ def _lines_json(run: RunFindings) -> list[dict[str, Any]]:
 
 
 def _along_lines_json(found: Findings, run: RunFindings) -> list[dict[str, Any]]:
-    """Return the residual of every cell by line, over the way from the line's first."""
+    """Residual of every cell by line, over the distance from the line's first."""
     residuals, machine = run.estimate.residuals, found.estimate.model.machine
     straight = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
     place_mm = residuals.position_mm[:, straight]

@@ -1,8 +1,8 @@
-"""The stated uncertainties held against trials: every table, and the map.
+"""The stated uncertainties tested by trials: every table, and the map.
 
-What the tables and the volumetric error state follows from the linear law. Trials of
-the same measurement (JCGM 101) give each number's estimate, standard uncertainty and
-95 % interval anew, and clause 8 says whether the linear law stands.
+Uncertainties of tables and volumetric error follow from the linear law. Trials of the
+same measurement (JCGM 101) give estimate, standard uncertainty and 95 % interval of
+each number independently, and clause 8 decides whether the linear law is valid.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _Place = tuple[str, str, Float64[np.ndarray, "n k"], str]
 
 @dataclass(frozen=True, slots=True)
 class TrialQuantity:
-    """One table, squareness or location, or the map, with what the trials make of it.
+    """One table, squareness or location, or the map, with the numbers of the trials.
 
     name : its symbol, or `MAP`; unit : "um" or "urad", of every number
-    position : (n, k) where the n numbers stand, in mm or deg; k = 0 for a single one;
-        of the map, axis positions, with x, y, z of one point after another
+    position : (n, k) of the n numbers, in mm or deg; k = 0 for a single one; of the
+        map, axis positions, with x, y, z of one point after another
     value, linear : (m,) as stated, and its standard uncertainty by the linear law
     mean, sigma, low, high : (m,) by the trials; low and high end the 95 % interval
     tolerance : (m,) δ; agrees : (m,) clause 8 validates the linear law
@@ -69,9 +69,9 @@ class TrialQuantity:
 
 @dataclass(frozen=True, slots=True)
 class TrialResults:
-    """What the trials say of a whole result.
+    """Trials of a whole result.
 
-    settled : every number stood still to a fifth of its tolerance
+    settled : every number was stable to a fifth of its tolerance
     """
 
     plan: TrialPlan
@@ -81,7 +81,7 @@ class TrialResults:
 
     @property
     def numbers(self) -> int:
-        """How many numbers were held against the trials."""
+        """How many numbers were tested."""
         return sum(len(q.agrees) for q in self.quantities)
 
     @property
@@ -106,7 +106,7 @@ def run_trials(
     run: Mapper = map,
     on_progress: ShareProgress = ignore_progress,
 ) -> TrialResults:
-    """Run trials of an estimate that has kept its fit.
+    """Run trials of an estimate. Raises ValueError where it has not kept its fit.
 
     run : computes blocks of trials, here or elsewhere
     on_progress : receives the share done
@@ -165,7 +165,7 @@ def _compare_sigmas(quantity: TrialQuantity) -> float:
 
 
 def trials_json(held: TrialResults) -> dict[str, Any]:
-    """Return the key `monte_carlo` of `result.json`."""
+    """Content of the key `monte_carlo` of `result.json`."""
     named = {q.name: q for q in held.quantities}
     return {
         "method": METHOD,

@@ -1,7 +1,7 @@
-"""Effects that a model has brought into an analysis: as known before it, and with it.
+"""Effects from a model in an analysis: as known before it, and with it.
 
-The Run is held against what was known: where it moves an effect further than chance
-would, the machine is not any more as the model has it.
+The Run is tested against the prior: where it moves an effect further than chance would,
+the machine is no longer as the model has it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 class UpdatedEffect:
     """One effect of the machine.
 
-    before, after : its numbers as the model knew them, and as they are with the Run
+    before, after : its numbers in the model, and with the Run
     chance : of so large a difference if nothing has changed; None where the Run does
-        not tell
+        not determine it
     """
 
     effect: CatalogueEffect
@@ -38,19 +38,19 @@ class UpdatedEffect:
 
     @property
     def title(self) -> str:
-        """The effect in words."""
+        """English title of the catalogue."""
         return self.effect.title
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the Run agrees with what was known; None where it does not tell."""
+        """None where the Run does not determine the effect."""
         return None if self.chance is None else self.chance >= _DOUBTFUL
 
 
 def list_updated_effects(
     known: KnownEffects, estimated: EstimatedModel, chances: Sequence[float | None]
 ) -> tuple[UpdatedEffect, ...]:
-    """Return the known effects, with the parameters that the model has now.
+    """Prior effects, with the parameters of the present model.
 
     chances : of each effect, as `UpdatedEffect.chance`
     """
@@ -68,7 +68,7 @@ def list_updated_effects(
 def state_updated_effects(
     effects: tuple[UpdatedEffect, ...], *, repeats_model: bool
 ) -> list[dict[str, Any]]:
-    """Return the effects as `result.json` states them."""
+    """Content of the key `effects` of `result.json`."""
     if repeats_model:  # nothing was known before
         return [_effect_json(one, None) | {"agrees": None} for one in effects]
     return [
@@ -78,7 +78,7 @@ def state_updated_effects(
 
 
 def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
-    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
+    """Values and uncertainties; `name[x]`, `name[y]` … make a list."""
     stated: dict[str, Any] = {}
     for name, m in found.items():
         whole, vector, _ = name.partition("[")
@@ -92,7 +92,7 @@ def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
 
 
 def state_predicted_effects(found: Forecast) -> list[dict[str, Any]]:
-    """Return effects as a plan states them: as known, and as it will leave them."""
+    """Effects of a plan: as known, and as predicted after its measurement."""
     known, model = found.known, found.model
     theta = np.zeros(model.size)
     theta[known.locate(model)] = known.theta
@@ -111,12 +111,12 @@ def _effect_json(one: UpdatedEffect, before: dict[str, Any] | None) -> dict[str,
 
 
 def prior_model_json(model: PriorModel) -> dict[str, Any]:
-    """Return the model that a result or a plan was made with."""
+    """The model that a result or a plan was made with."""
     return {"source": model.source, "version": model.version, "sha256": model.sha256}
 
 
 def describe_use(model: PriorModel, *, repeats_model: bool) -> str:
-    """Say what an analysis has taken from a model, and what not."""
+    """Sentence on what an analysis has taken from a model, and what not."""
     if repeats_model:
         taken = (
             "the effects of the machine; their numbers are estimated from this "

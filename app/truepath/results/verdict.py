@@ -1,9 +1,9 @@
-"""Whether a result may be used: what the whole fit says of itself.
+"""Whether a result may be used, from the consistency of the whole fit.
 
-What was left out is a reason, and so is a step of the set-up that was solved for. The
-noise that the estimate finds may not hide a broken fit: residuals are held against what
-the tracker states, with the correlated part that is usual, and against a drift of the
-set-up during the Run, to which places that are measured early and late add.
+Data left out are a reason, and so is a shift of the set-up that was solved for. The
+estimated noise may not hide a broken fit: residuals are compared with the stated noise
+of the tracker, with the correlated part that is typical, and with a drift of the set-up
+during the Run, to which positions measured early and late add.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncerta
 _PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
-_MATERIAL = 2.0 * 11.5e-6  # of a usual machine: 2 K of steel
+_MATERIAL = 2.0 * 11.5e-6  # of a typical machine: 2 K of steel
 _APART = 6.0  # χ² of two parameters: by chance once in 20
 _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
@@ -71,7 +71,7 @@ _GAIN = 0.35, 1.0  # expected to be left, of the mean error found
 
 
 def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
-    """Return what a checked estimate says of itself.
+    """Reasons from a checked estimate.
 
     names : of the Runs given
     """
@@ -104,7 +104,7 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 
 
 def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> Verdict:
-    """Return what to know of how the machines drove, and were recorded.
+    """Reasons from the execution of the program and its recording.
 
     drivings : of the Runs given; none of standstill points
     """
@@ -118,7 +118,7 @@ def judge_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> V
 
 
 def judge_recording(seen: Observations) -> Verdict:
-    """Return what there is to know of a recording before anything is estimated."""
+    """Reasons from a recording, before anything is estimated."""
     left_out = _judge_left_out(seen.left_out, len(seen.measured_rows), seen.used)
     return Verdict.merge(
         [Verdict(tuple(left_out)), judge_driving([seen.driving], [""])]
@@ -126,7 +126,7 @@ def judge_recording(seen: Observations) -> Verdict:
 
 
 def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
-    """Return which sensors showed what cannot be; doubtful where one is missing."""
+    """Sensors with impossible readings; doubtful where one is missing."""
     reasons: list[Reason] = []
     for one in summaries:
         used = {sensor.name for sensor in one.sensors if sensor.is_used}
@@ -139,7 +139,7 @@ def judge_sensors(summaries: Sequence[RunSummary]) -> Verdict:
 
 
 def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdict:
-    """Return which Runs are not corrected for the air, or for air nobody measured."""
+    """Runs that are not corrected for the air, or for assumed air only."""
     reasons: list[Reason] = []
     for one, name in zip(refractions, names, strict=True):
         if one.by != NOBODY and not one.why:
@@ -157,9 +157,9 @@ def judge_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdic
 
 
 def judge_scale(found: EstimatedModel, known: KnownScale | None = None) -> Verdict:
-    """Return what is known of the scale of all lengths, and whether axes share one.
+    """Scale by known lengths, and whether all axes share one scale error.
 
-    known : what known lengths say; the estimate is without it
+    known : scale by known lengths; the estimate is without it
     """
     if known is None:
         return Verdict(tuple(_judge_common_slope(found, "all-axes-scaled", "doubtful")))
@@ -177,7 +177,6 @@ def judge_scale(found: EstimatedModel, known: KnownScale | None = None) -> Verdi
 def _judge_common_slope(
     found: EstimatedModel, kind: str, state: State
 ) -> Iterator[Reason]:
-    """Yield a reason where all linear axes are too long, or too short, by the same."""
     motions = list_lengths(found.model)
     if len(motions) < len(LINEAR):
         return
@@ -208,7 +207,7 @@ def judge_range(
     given: Sequence[int],
     names: Sequence[str],
 ) -> Verdict:
-    """Return whether the distances of a Run are all off by the same amount.
+    """Whether the distances of a Run all have the same offset.
 
     scores : of each Run of the estimate; given : the Run that it is of
     """
@@ -237,10 +236,10 @@ def judge_range(
 
 
 def judge_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
-    """Return whether the data contradict the order of the linear axes.
+    """Whether the data contradict the order of the linear axes.
 
-    fit : whose result is contradicted; scores : of each of its Runs. Where distances
-        that are all off explain as much, the order is not blamed.
+    fit : whose result is contradicted; scores : of each of its Runs. The order is
+        accepted where an offset of all distances explains as much.
     """
     other, times = _find_better_order(fit, scores)
     if times < _OTHER_CHAIN[0]:
@@ -252,7 +251,7 @@ def judge_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
 
 
 def judge_gain(volumetric: VolumetricError) -> Verdict:
-    """Return whether a compensation is expected to make the machine better."""
+    """Whether a compensation is expected to improve the machine."""
     left_um, found_um = volumetric.after.mean.value_um, volumetric.before.mean.value_um
     state = _grade(left_um / max(found_um, 1e-9), _GAIN)
     if state == "usable":
@@ -262,7 +261,7 @@ def judge_gain(volumetric: VolumetricError) -> Verdict:
 
 
 def judge_live(check: LiveCheck, lines: int) -> Verdict:
-    """Return what a measurement under way says of itself.
+    """Reasons from a measurement in progress.
 
     lines : that the estimate is made from
     """
@@ -282,13 +281,13 @@ def judge_live(check: LiveCheck, lines: int) -> Verdict:
 
 
 def judge_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
-    """Return what a discovery, and the model that it has made, say of themselves.
+    """Reasons from a discovery, and from the model that it made.
 
-    What was found is in the model, so that what is left counts: on lines held out of
-    the fit, over what a complete model would leave there, and the noise that was found,
-    over what the tracker states.
+    Effects found are in the model, so that the residual counts: on lines held out of
+    the fit, over that of a complete model, and the estimated noise, over the stated
+    noise of the tracker.
 
-    parent : what the Runs were held against
+    parent : what the Runs were compared with
     """
     names = number_names([one.run.name for one in found.aligned])
     reasons: list[Reason] = []
@@ -310,7 +309,7 @@ def judge_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
 def _judge_left_out(
     left_out: Sequence[LeftOut], measured: int, used: int
 ) -> Iterator[Reason]:
-    """Yield what to know of samples that are not used.
+    """Reasons from samples that are not used.
 
     measured : lines with data; used : samples
     """
@@ -361,7 +360,7 @@ def _judge_left_out(
             state = _grade(len(rows) / (measured + len(rows)), _LINES)
             yield Reason(kind, state, {kind.split("-")[0]: _list_lines(rows)})
     apart = ("astray", "again", *_BESIDE)
-    # What is astray is judged by the lines that it leaves without data.
+    # Lines off the path are judged by the lines that they leave without data.
     share = sum(each.samples for each in left_out if each.cause not in apart)
     share /= max(share + used, 1)
     if share > _LEFT_OUT[0]:
@@ -486,10 +485,10 @@ def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
 def _judge_unseen(
     left_out: Sequence[LeftOut], misfits: Sequence[Misfit]
 ) -> Iterator[Reason]:
-    """Yield where a knock would not show, and may be what made data wrong.
+    """A shift of the set-up that would not show, and may have made data wrong.
 
     Where the target changes, and nothing from before is measured again, the seats of
-    later targets and the locations of axes follow a step of the set-up.
+    later targets and the locations of axes follow a shift of the set-up.
     """
     unseen = frozenset[int]().union(*(misfit.unseen for misfit in misfits))
     rows = {each.row for each in left_out if each.row >= 0}
@@ -502,17 +501,13 @@ def _judge_unseen(
 
 
 def _grade(value: float, limits: tuple[float, float]) -> State:
-    """Return the state for a value.
-
-    limits : of what is usable, and of what is doubtful
-    """
     return ("usable", "doubtful", "not-usable")[int(np.searchsorted(limits, value))]
 
 
 def _find_better_order(
     fit: Fit, scores: Sequence[RangeOffsetScore | None]
 ) -> tuple[str, float]:
-    """Return the chain that fits best, and by which factor χ² is less than declared.
+    """The chain that fits best, and by which factor χ² is less than declared.
 
     The factor is 1 where the declared one fits as well once distances are corrected.
     The order moves no nominal point, only the levers of turns: alignment cannot see it,
@@ -523,7 +518,7 @@ def _find_better_order(
     exact = [0.0] * len(fit.runs)
     orders = list_orders(declared, names)
     left = {m.chain: _fit_order(fit, m, exact) for m in orders}
-    if np.isinf(left[declared.chain]):  # what was measured does not tell it
+    if np.isinf(left[declared.chain]):  # the data do not determine it
         return declared.chain, 1.0
     best = min(left, key=lambda chain: left[chain])
     offsets_mm = [0.0 if score is None else score.offset_mm for score in scores]
@@ -533,7 +528,7 @@ def _find_better_order(
 
 
 def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> float:
-    """Return χ² of an order; infinite where the data do not determine the machine."""
+    """χ² of an order; infinite where the data do not determine the machine."""
     inputs: list[RunInput] = []
     for run, offset_mm in zip(fit.runs, too_long_mm, strict=True):
         seen, (white, ou) = run.observations, _NOISE

@@ -1,12 +1,13 @@
 """The volumetric error over the travel before and after compensation.
 
 Before is the estimated map on a grid, the mean of both directions of travel. After is
-what the stated uncertainty leaves where −δ̂ is applied in full: errors drawn from the
-covariance of the estimate (JCGM 101). Both are without the rigid motion of the whole
-volume. That the machine then does as promised is for a measurement of its own to show.
+the residual by the stated uncertainty where −δ̂ is applied in full: errors sampled from
+the covariance of the estimate (JCGM 101). Both are without the rigid motion of the
+whole volume. Whether the machine then follows the prediction needs a separate
+measurement.
 
 The scale of the air is common to all lengths and shows in no residual: it is in the
-covariance, and its part of each figure is stated beside.
+covariance, and its part of each figure is stated separately.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from truepath.results.length_scale import TWICE, state_scale_share
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
-_DRAWS = 200  # tell a spread to 5 %
+_DRAWS = 200  # determine a spread to 5 %
 _SHARE = 0.95  # of the places, below the stated quantile
 _QUANTILES = 101  # every per cent
 _EVEN = 2048  # positions that fill the travel
@@ -74,7 +75,7 @@ class VolumetricError:
 def compute_volumetric_error(
     estimated: EstimatedModel, length_scale_ppm: float = 0.0
 ) -> VolumetricError:
-    """Return the volumetric error of the first target over the axis travel.
+    """Of the first target, on a grid over the axis travel.
 
     length_scale_ppm : standard uncertainty that all lengths have in common, which the
         covariance contains
@@ -116,9 +117,9 @@ def compute_volumetric_error(
 def find_scale_um(
     volumetric_map: VolumetricMap, at: Conditions, length_scale_ppm: float
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what one standard uncertainty of the scale makes of the map at places.
+    """Change of the map by one standard uncertainty of the scale.
 
-    From where it counts is no matter: a shift of all places goes with the rigid motion.
+    The origin does not matter: a shift of all points goes with the rigid motion.
     """
     away_mm = at.point_mm - volumetric_map.centre_mm
     return UM_PER_MM * PER_PPM * length_scale_ppm * away_mm
@@ -127,7 +128,7 @@ def find_scale_um(
 def make_grid(
     axes: Sequence[Axis], linear: int, rotary: int = 0
 ) -> Float64[np.ndarray, "n a"]:
-    """Return a grid over the travel, ends included, the first axis slowest.
+    """Grid over the travel, ends included, the first axis slowest.
 
     linear, rotary : points of an axis
     """
@@ -139,7 +140,7 @@ def make_grid(
 
 
 def fill_travel(axes: Sequence[Axis], count: int) -> Float64[np.ndarray, "n a"]:
-    """Return positions that fill the travel of axes evenly."""
+    """Quasi-random positions (Sobol), evenly distributed; the same in every call."""
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
     unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(count)
     return low + unit * (high - low)
@@ -148,7 +149,7 @@ def fill_travel(axes: Sequence[Axis], count: int) -> Float64[np.ndarray, "n a"]:
 def draw_parameters(
     covariance: Float64[np.ndarray, "p p"],
 ) -> Float64[np.ndarray, "p d"]:
-    """Return departures of the parameters by their covariance, always the same."""
+    """Samples of the parameters' errors by their covariance, the same in every call."""
     value, vector = np.linalg.eigh(covariance)
     unit = np.random.default_rng(0).standard_normal((len(covariance), _DRAWS))
     # By the symmetric root: eigenvectors of one eigenvalue are any of many, by chance.
@@ -167,7 +168,7 @@ def make_spread(
     drawn: Float64[np.ndarray, "3 d"],
     at_twice: Float64[np.ndarray, "3 2"],
 ) -> Spread:
-    """Return mean, 95 % and largest with the spread of those drawn.
+    """Mean, 95 % and largest, with the spread of the samples.
 
     at_twice : the same with all lengths off by `TWICE` the uncertainty of their scale
     """
@@ -180,10 +181,10 @@ def make_spread(
 def compute_both_directions(
     estimated: EstimatedModel, length_scale_ppm: float = 0.0
 ) -> Spread | None:
-    """Return length of the error over both directions; None without lost motion.
+    """Length of the error over both directions; None without lost motion.
 
-    Mean and 95 % are over positions that fill the travel evenly, as in the account of
-    compensation files; the largest is that on a grid with the corners too.
+    Mean and 95 % are over positions evenly distributed in the travel, as in the record
+    of compensation files; the largest is that on a grid with the corners too.
 
     length_scale_ppm : standard uncertainty that all lengths have in common, which the
         covariance contains

@@ -1,4 +1,4 @@
-"""Who sends a request, and whether that may be: what the routes ask."""
+"""Sender of a request, and whether it is allowed: queries of the routes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from truepath.users.tokens import Tokens
 FREE_TRIES = 5
 FREE_TRIES_OF_SOURCE = 20
 LONGEST_DELAY_S = 2.0
-"""Of a name that fails from everywhere: it slows guessing, and keeps nobody out."""
+"""Of a name that fails from any source: it slows guessing, and locks nobody out."""
 _BURST, _CHANGES_PER_S = 200, 20.0
 
 
@@ -32,7 +32,7 @@ _BURST, _CHANGES_PER_S = 200, 20.0
 class AccessRules:
     """How access is set up.
 
-    log_in_required : else whoever reaches the service may do everything
+    log_in_required : else any client may do everything
     arming_by_key : whether a program may set the machine in motion
     session_s : how long a session lasts
     secure_cookie : whether the cookie of a session goes over TLS only
@@ -61,20 +61,20 @@ class Access:
         self._hashing = threading.Semaphore(2)
 
     def identify(self, token: str) -> Actor | None:
-        """Return whose token it is; None if it is none or valid no more."""
+        """Owner of a token; None if it is unknown or has expired."""
         if not self.rules.log_in_required:
             return LOCAL
         return self.tokens.find(token) if token else None
 
     def find_delay_s(self, name: str, source: str) -> float:
-        """Return for how long a log-in is put off. Raises TooManyTries."""
+        """Delay of a log-in, s. Raises TooManyTries."""
         self._check(name, source)
         return self._failed_of_name.find_wait_s(name)
 
     def log_in(self, name: str, password: str, source: str) -> tuple[str, Actor]:
-        """Return the token of a new session, and whose it is.
+        """Token of a new session, and its owner.
 
-        Raises WrongPassword; TooManyTries, before the password is looked at, while name
+        Raises WrongPassword; TooManyTries, before the password is checked, while name
         or source have to wait.
         """
         own = self._check(name, source)
@@ -95,24 +95,24 @@ class Access:
         return self.tokens.open_session(user.name), Actor(user.name, user.role)
 
     def _check(self, name: str, source: str) -> str:
-        # By name and source: nobody else's mistakes keep a person from a machine.
+        # By name and source: another person's mistakes lock nobody out.
         own = f"{name}@{source}"
         self._failed.check(own)
         self._failed_of_source.check(source)
         return own
 
     def limit_changes(self, actor: Actor) -> None:
-        """Raise TooManyRequests if somebody changes too much in a short time."""
+        """Raise TooManyRequests if an actor changes too much in a short time."""
         if self.rules.log_in_required:
             self._changes.take(actor.name)
 
     def close(self) -> None:
-        """Write what the audit log still lacks."""
+        """Write the waiting entries of the audit log."""
         self.audit_writer.close()
 
 
 def require_role(actor: Actor | None, least: Role) -> Actor:
-    """Return the actor. Raises NotLoggedIn, RoleTooLow."""
+    """The actor itself. Raises NotLoggedIn, RoleTooLow."""
     if actor is None:
         raise NotLoggedIn("no valid session or API key came with the request")
     if not includes(actor.role, least):

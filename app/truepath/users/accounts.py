@@ -28,13 +28,13 @@ class User:
 
 
 class Accounts:
-    """Adds, changes and removes users; for any thread or process."""
+    """Adds, changes and removes users; safe for threads and processes."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def list_all(self) -> list[User]:
-        """Return all users by name."""
+        """Sorted by name."""
         query = select(users).order_by(users.c.name)
         with self._database.read() as connection:
             return [
@@ -43,7 +43,7 @@ class Accounts:
             ]
 
     def find(self, name: str) -> tuple[User, str] | None:
-        """Return a user with the hash of the password; None if there is none."""
+        """A user with the hash of the password; None if there is none."""
         with self._database.read() as connection:
             row = connection.execute(select(users).where(users.c.name == name)).first()
         if row is None:
@@ -51,7 +51,7 @@ class Accounts:
         return User(row.name, Role(row.role), row.created), row.password_hash
 
     def add(self, name: str, role: Role, password: str) -> User:
-        """Add a user. Raises BadInput, UserConflict if there is one of that name."""
+        """Raises BadInput, UserConflict if there is a user of that name."""
         check_name(name)
         _require_personal(role)
         kept = hash_password(password)
@@ -67,7 +67,7 @@ class Accounts:
         return user
 
     def set_role(self, name: str, role: Role) -> Role:
-        """Give a user another role, at once; return the one before.
+        """Change a role, effective at once; the result is the role before.
 
         Raises NotFound, UserConflict for the last administrator.
         """
@@ -84,7 +84,7 @@ class Accounts:
         return self._database.write(change)
 
     def set_password(self, name: str, password: str) -> None:
-        """Give a user another password, and end all sessions. Raises NotFound."""
+        """Also ends all sessions of the user. Raises NotFound."""
         kept = hash_password(password)
 
         def change(connection: Connection) -> None:
@@ -96,7 +96,7 @@ class Accounts:
         self._database.write(change)
 
     def remove(self, name: str) -> Role:
-        """Remove a user and all sessions; return the role.
+        """Remove a user and all sessions; the result is the role.
 
         Raises NotFound, UserConflict for the last administrator.
         """
@@ -112,7 +112,7 @@ class Accounts:
 
 
 def check_name(name: str) -> None:
-    """Raise BadInput for what is no name of a user or key."""
+    """Raise BadInput for an invalid name of a user or key."""
     if not _NAME.match(name):
         raise BadInput(
             f"{name!r} is no name; use 1 to 64 letters, digits and _ . @ -, "

@@ -23,9 +23,9 @@ _BLOCK = 500
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What somebody did, or was refused.
+    """An action or a refused request.
 
-    who, role : of the actor; empty where nobody is known
+    who, role : of the actor; empty where unknown
     source : address of the computer, `via` the proxy that has passed it on, if any;
         `command line` for a command on the service's own
     what : the verb and its object, as `POST /api/v1/jobs/ID/arm`
@@ -55,7 +55,7 @@ class AuditRow:
 
 
 class AuditLog:
-    """The audit log of one catalogue, for any thread or process."""
+    """The audit log of one catalogue; safe for threads and processes."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -65,11 +65,11 @@ class AuditLog:
         return self._database.write(lambda connection: self.join(connection, entry))
 
     def join(self, connection: Connection, entry: Entry) -> AuditRow:
-        """Add an entry within the transaction of what it tells of."""
+        """Add an entry within the transaction that it describes."""
         return _append(connection, entry)
 
     def read(self, *, after: int = 0, limit: int | None = None) -> Iterator[AuditRow]:
-        """Yield rows in their order, from the one behind `after`."""
+        """Rows in their order, from the one after `after`."""
         left = limit
         while left is None or left > 0:
             count = _BLOCK if left is None else min(left, _BLOCK)
@@ -84,7 +84,7 @@ class AuditLog:
             left = None if left is None else left - count
 
     def read_newest(self, *, before: int | None = None, limit: int) -> list[AuditRow]:
-        """Return the newest rows first, below `before` where that is given."""
+        """The newest rows first, below `before` where that is given."""
         query = select(audit).order_by(audit.c.seq.desc()).limit(limit)
         if before is not None:
             query = query.where(audit.c.seq < before)
@@ -92,12 +92,12 @@ class AuditLog:
             return [_decode(row) for row in connection.execute(query)]
 
     def read_head(self) -> tuple[int, str]:
-        """Return number and hash of the newest row, as they were noted with it."""
+        """Number and hash of the newest row, as they were stored with it."""
         with self._database.read() as connection:
             return _read_head(connection)
 
     def verify(self) -> list[str]:
-        """Return what is wrong with the chain, each row by its number; else nothing."""
+        """Faults of the chain, each row by its number; empty if it is intact."""
         wrong: list[str] = []
         expected, before = 1, FIRST
         # The head first: a row that is added meanwhile is no fault.
@@ -116,7 +116,7 @@ class AuditLog:
 
 
 def encode_row(row: AuditRow) -> dict[str, Any]:
-    """Return a row as it is exported."""
+    """A row in the form of an export."""
     return {"seq": row.seq, **asdict(row.entry), "hash": row.hash}
 
 

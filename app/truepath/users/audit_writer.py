@@ -1,7 +1,7 @@
-"""Writes the audit log in a thread of its own: no request waits for a locked file.
+"""Writes the audit log in its own thread: no request waits for a locked file.
 
-What anybody can send without end, refusals and stops, is a row the first time and then,
-however often it repeats, one row in `REPEATS_S` that counts.
+Requests that a client can repeat without limit, refusals and stops, are one row the
+first time and then one row with a count per `REPEATS_S`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,15 @@ log = structlog.get_logger(__name__)
 
 REPEATS_S = 10.0
 MOST_WAITING = 5_000
-"""What comes beyond is not in the audit log; the log of the service says how much."""
+"""Entries beyond are not in the audit log; the log of the service says how many."""
 MOST_KINDS = 200
-"""What repeats beyond so many kinds at one time is counted together, by outcome."""
+"""Repeats of more kinds at one time are counted together, by outcome."""
 _PAUSE_S = 1.0
 _CLOSE_S = 5.0
 
 
 @dataclass(slots=True)
 class _Repeats:
-    """What repeats a row that was written: the newest of it, and how often."""
-
     newest: Entry
     due_s: float
     count: int = 0
@@ -55,13 +53,13 @@ class AuditWriter:
         self._thread.start()
 
     def record(self, entry: Entry, *, may_repeat: bool = False) -> Future[None]:
-        """Take an entry on; done once it is committed.
+        """Queue an entry; the future is done once it is committed.
 
         may_repeat : count it where the same was recorded shortly before
         """
         stamped = replace(entry, at=entry.at or format_utc_now())
         done: Future[None] = Future()
-        done.set_running_or_notify_cancel()  # whoever waits cannot take it back
+        done.set_running_or_notify_cancel()  # no waiting caller can cancel it
         with self._changed:
             if may_repeat and self._count_repeat(stamped):
                 done.set_result(None)
@@ -70,7 +68,7 @@ class AuditWriter:
         return done
 
     def close(self) -> None:
-        """Write what waits, then end; log how much could not be written."""
+        """Write the waiting entries, then end; log how many could not be written."""
         with self._changed:
             self._closing.set()
             self._add_repeats(float("inf"))
@@ -105,7 +103,6 @@ class AuditWriter:
             log.error("too much waits for the audit log", not_written=self._lost)
 
     def _add_repeats(self, now_s: float) -> None:
-        """Let rows wait of what has repeated, and forget what has not."""
         for key, one in [*self._repeats.items()]:
             if one.due_s > now_s:
                 continue
@@ -123,7 +120,6 @@ class AuditWriter:
             item[1].set_result(None)
 
     def _wait_for_next(self) -> tuple[Entry, Future[None]] | None:
-        """Return the oldest that waits; None once nothing does and it ends."""
         with self._changed:
             self._add_repeats(host_clock.now_s())
             while not self._waiting:
@@ -141,7 +137,7 @@ class AuditWriter:
             return self._waiting[0]
 
     def _write(self, entry: Entry) -> bool:
-        """Write one entry, however long the catalogue is away; False at the end."""
+        """Repeats while the catalogue is unavailable; False at the end."""
         while True:
             try:
                 self._audit_log.append(entry)

@@ -1,4 +1,4 @@
-"""Waiting times after log-ins that failed, and a limit on changes in a short time."""
+"""Waiting times after failed log-ins, and a limit on changes in a short time."""
 
 from __future__ import annotations
 
@@ -11,21 +11,19 @@ from truepath_drivers import host_clock
 
 LONGEST_WAIT_S = 900.0
 FORGET_S = 3600.0
-"""After so long without a failure earlier ones count no more."""
+"""After so long without a failure earlier ones no longer count."""
 _REMEMBERED = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class _Failures:
-    """Those of one key: how many, when the newest, and until when it waits."""
-
     count: int = 0
     last_s: float = 0.0
     until_s: float = 0.0
 
 
 class BackOff:
-    """Counts failures of each key, and lets a key wait longer after each further one.
+    """Counts failures of each key, and makes a key wait longer after each further one.
 
     free : failures before the first wait of 1 s, which then doubles to the longest
     """
@@ -49,7 +47,7 @@ class BackOff:
             )
 
     def find_wait_s(self, key: str) -> float:
-        """Return how long the key has to wait still."""
+        """Remaining wait of the key, s."""
         with self._lock:
             failures = self._failed.get(key, _Failures())
         return max(0.0, failures.until_s - host_clock.now_s())
@@ -68,16 +66,13 @@ class BackOff:
                 self._failed.popitem(last=False)
 
     def forget(self, key: str) -> None:
-        """Begin anew with a key: it has succeeded."""
+        """Reset a key after a success."""
         with self._lock:
             self._failed.pop(key, None)
 
 
 class RateLimit:
-    """So many requests of one key at once, and so many each second.
-
-    Raises TooManyRequests beyond.
-    """
+    """Limits requests per key: a burst, then a rate per second."""
 
     def __init__(
         self,
@@ -89,7 +84,7 @@ class RateLimit:
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def take(self, key: str) -> None:
-        """Count one request."""
+        """Count one request. Raises TooManyRequests beyond the limit."""
         now = host_clock.now_s()
         with self._lock:
             left, since_s = self._left.pop(key, (float(self._burst), now))

@@ -1,4 +1,4 @@
-"""How long ago something was, although the wall clock jumps."""
+"""Age of a moment, independent of jumps of the wall clock."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 class Moment:
     """One moment on both clocks.
 
-    wall_s : seconds of the epoch, as the wall clock had it
+    wall_s : seconds of the epoch, by the wall clock
     boot_s : seconds since the computer was started, those asleep among them
-    boot_id : which start that was
+    boot_id : identifies the boot; empty where unknown
     """
 
     wall_s: float
@@ -25,14 +25,14 @@ class Moment:
     boot_id: str
 
     def age_s(self, now: Moment) -> float:
-        """Return how long ago it was; across a reboot the wall clock has to do."""
+        """By the clock of the boot; across a reboot by the wall clock."""
         if self.boot_id and self.boot_id == now.boot_id:
             return now.boot_s - self.boot_s
         return max(0.0, now.wall_s - self.wall_s)
 
 
 def read_moment() -> Moment:
-    """Return the present moment."""
+    """The present moment on both clocks."""
     try:
         boot_id = _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:

@@ -27,10 +27,10 @@ class TlsFiles:
 
 
 def check_tls_files(files: TlsFiles, now: datetime | None = None) -> datetime:
-    """Return until when the certificate holds.
+    """End of validity of the certificate.
 
     Raises BadInput if a file cannot be read, they do not belong together, or the
-    certificate does not hold now.
+    certificate is not valid now.
     """
     cert = _read_certificate(files.cert)
     _read(files.key, "tls_key")
@@ -60,7 +60,7 @@ def check_tls_files(files: TlsFiles, now: datetime | None = None) -> datetime:
 def create_certificate(names: Sequence[str], folder: Path, days: int) -> TlsFiles:
     """Make a self-signed certificate for names or addresses, with its key, in a folder.
 
-    Raises BadInput for what is no name, or if there is one already.
+    Raises BadInput for an invalid name, or if there is one already.
     """
     files = TlsFiles(folder / "cert.pem", folder / "key.pem")
     for file in (files.cert, files.key):

@@ -17,7 +17,7 @@ _NOBODY = (  # a hash of the same cost; to make one takes a third of a second
 
 
 def hash_password(password: str) -> str:
-    """Return what is kept of a password. Raises BadInput if it is too short."""
+    """Hash of a password. Raises BadInput if it is too short or too long."""
     if not SHORTEST <= len(password) <= LONGEST:
         raise BadInput(
             f"the password has {len(password)} characters; "
@@ -27,7 +27,7 @@ def hash_password(password: str) -> str:
 
 
 def is_password(password: str, kept: str | None) -> bool:
-    """Say whether it is the password. Without a user it takes just as long."""
+    """Whether it is the password. Without a user it takes just as long."""
     try:
         return _hasher.verify(kept or _NOBODY, password) and kept is not None
     except (VerificationError, InvalidHashError):

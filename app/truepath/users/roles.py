@@ -1,4 +1,4 @@
-"""Roles, and which of them may do what another may."""
+"""Roles, and which of them include another."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def includes(role: Role, least: Role) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Actor:
-    """Who sends a request.
+    """Sender of a request.
 
-    name : of the user or of the API key; empty where nobody logs in
-    is_person : a session of a user, or somebody at this computer
+    name : of the user or of the API key; empty where there is no login
+    is_person : a session of a user, or a person at this computer
     """
 
     name: str
@@ -48,4 +48,4 @@ class Actor:
 
 
 LOCAL = Actor("", Role.ADMINISTRATOR)
-"""Whoever uses a service without log-in."""
+"""Any client of a service without login."""

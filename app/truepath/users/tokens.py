@@ -1,4 +1,4 @@
-"""Sessions of people and API keys of programs: opaque tokens, kept as their hash."""
+"""Sessions of people and API keys of programs: opaque tokens, stored as their hash."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Key:
 
 
 class Tokens:
-    """Makes, finds and revokes tokens; for any thread or process.
+    """Makes, finds and revokes tokens; safe for threads and processes.
 
     session_s : how long a session lasts
     """
@@ -50,7 +50,7 @@ class Tokens:
         self._read_moment = read_moment
 
     def open_session(self, name: str) -> str:
-        """Return the token of a new session of a user; forget those that ended."""
+        """Token of a new session of a user; deletes sessions that ended."""
         token, row = self._make(kind="session", name=name, lifetime_s=self.session_s)
 
         def change(connection: Connection) -> None:
@@ -61,7 +61,7 @@ class Tokens:
         return token
 
     def create_key(self, name: str, role: Role, days: float | None = None) -> str:
-        """Return the token of a new API key, which is shown this once.
+        """Token of a new API key, which is shown this once.
 
         Raises BadInput, UserConflict if a key or a user has that name.
         """
@@ -84,7 +84,7 @@ class Tokens:
         return token
 
     def list_keys(self) -> list[Key]:
-        """Return all API keys by name."""
+        """Sorted by name."""
         query = select(tokens).where(tokens.c.kind == "key").order_by(tokens.c.name)
         with self._database.read() as connection:
             rows = connection.execute(query).all()
@@ -94,22 +94,22 @@ class Tokens:
         ]
 
     def revoke_key(self, name: str) -> None:
-        """End an API key at once. Raises NotFound."""
+        """Effective at once. Raises NotFound."""
         own = (tokens.c.kind == "key") & (tokens.c.name == name)
         query = delete(tokens).where(own)
         if self._database.write(lambda c: c.execute(query).rowcount) == 0:
             raise NotFound(f"there is no API key {name}")
 
     def end(self, token: str) -> None:
-        """End a session. A second time, or of no session: nothing."""
+        """Does nothing for an unknown or ended session."""
         own = (tokens.c.kind == "session") & (tokens.c.sha256 == _hash(token))
         query = delete(tokens).where(own)
         self._database.write(lambda connection: connection.execute(query).rowcount)
 
     def find(self, token: str) -> Actor | None:
-        """Return whose token it is; None if it is none, has ended or was revoked.
+        """Owner of a token; None if it is unknown, has expired or was revoked.
 
-        The role of a user counts as it is now.
+        The role of a user is the present one.
         """
         query = (
             select(tokens, users.c.role.label("user_role"))

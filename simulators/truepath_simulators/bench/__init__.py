@@ -1,4 +1,4 @@
-"""The bench: simulated devices started together, steered by a command or a test.
+"""The bench: simulated devices started together, controlled by a command or a test.
 
 Not here: the devices themselves (`tracker`, `cnc`).
 """

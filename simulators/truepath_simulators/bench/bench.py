@@ -1,4 +1,4 @@
-"""Tracker and CNC as processes, ready to be driven by demonstrations and tests."""
+"""Tracker and CNC as processes, for demonstrations and tests."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _HOSTS = {"thermometers": "cnc"}  # devices in the process of another
 
 @dataclass(frozen=True, slots=True)
 class FollowedMotion:
-    """Where axes and target are at some times.
+    """Axis positions and target at some times.
 
     time_s : (n,) of the machine's clock
     position : (n, axes) as commanded
-    target_mm : (n, 3) in the frame that the tracker stands on
+    target_mm : (n, 3) in the frame on which the tracker stands
     """
 
     time_s: np.ndarray
@@ -60,18 +60,18 @@ class FollowedMotion:
 class Bench(DeviceProcesses):
     """A simulated machine with its tracker, behind real links.
 
-    machine : content of machine.json; the bundled demonstration machine without it
-    speed : device clocks run so many times faster than the wall clock; the patience of
-        links (keep-alive, watchdog) stays in wall seconds
+    machine : content of machine.json; the bundled demonstration machine if None
+    speed : device clocks run so many times faster than the wall clock; the time limits
+        of links (keep-alive, watchdog) stay in wall seconds
     faults : see `truepath_simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
     source : axis positions in place of the simulated CNC, a name or a descriptor, see
         `followed_positions`; source_unit_s : a step of its first column
     protocol : `gst` where it streams; `geocom` and `t2sa` are polled
-    hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
+    hidden : effects outside of a rigid-body model, or `name[*size_um]`, sampled by the
         seed; their time begins with the bench
-    compensation : tables that the controller has, or their files
+    compensation : tables of the controller, or their files
     """
 
     def __init__(
@@ -136,13 +136,13 @@ class Bench(DeviceProcesses):
 
     @property
     def pose(self) -> TrackerPose:
-        """Where the tracker stands, in the frame that it stands on."""
+        """Pose of the tracker in the frame on which it stands."""
         return self._pose
 
     def start(self) -> Self:
-        """Start both processes; returns when both listen.
+        """Start both processes; blocks until both listen.
 
-        Raises SimulatorError if one does not come up.
+        Raises SimulatorError if one does not start.
         """
         folder = self._folder()
         motion = new_board() if self._source is None else _open(self._source)
@@ -178,7 +178,7 @@ class Bench(DeviceProcesses):
         return self
 
     def inject(self, fault: str) -> None:
-        """Let a fault begin now, or as long after now as it says."""
+        """Start a fault now, or after its own delay."""
         named = parse_fault(fault).device
         device = _HOSTS.get(named, named)
         if device not in self._processes:
@@ -186,7 +186,7 @@ class Bench(DeviceProcesses):
         self._processes[device].tell(fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
-        """Set the tracker down at a place, turned and tilted anew by the number."""
+        """Move the tracker to a position, with a new orientation by the number."""
         place = [float(v) for v in place_mm]
         self._processes["tracker"].tell(json.dumps({"place": place, "number": number}))
         self._pose = place_anew(place, self._common["seed"] + 1000 * number)
@@ -196,11 +196,11 @@ class Bench(DeviceProcesses):
         compensation: LoadedTables | Sequence[Path | str],
         rules: Mapping[str, Any] | None = None,
     ) -> None:
-        """Give the controller other tables, while its axes stand; none without files.
+        """Replace the controller's tables while its axes stand; none without files.
 
-        rules : of files, as `truepath_simulators.compensation.rules.Rules` has them
+        rules : of files, as in `truepath_simulators.compensation.rules.Rules`
 
-        Raises SimulatorError if they move, or naming what is wrong with the tables.
+        Raises SimulatorError if the axes move, or naming the fault of the tables.
         """
         if self._reader is not None:
             timeline = self._reader.timeline()
@@ -213,15 +213,15 @@ class Bench(DeviceProcesses):
             device.tell(json.dumps({"compensation": self.compensation.as_json()}))
 
     def read_state(self) -> dict[str, Any]:
-        """Return what every device says of itself, and which tables are loaded."""
+        """State of every device, and names of the loaded tables."""
         state = super().read_state()
         state.get("cnc", {})["compensation"] = list(self.compensation.files)
         return state
 
     def truth_at(self, points_mm: np.ndarray, direction: float = 1.0) -> np.ndarray:
-        """Return the true volumetric error in µm at axis positions, (n, 3).
+        """True volumetric error, µm, at axis positions, (n, 3).
 
-        That of the machine with its tables, where all axes came in the direction.
+        With the loaded tables, all axes arriving in the direction.
         """
         points = np.asarray(points_mm, float)
         return 1e3 * measure_deviation_mm(
@@ -229,14 +229,14 @@ class Bench(DeviceProcesses):
         )
 
     def now_s(self) -> float:
-        """Return the time of the machine's clock."""
+        """Time of the machine's clock."""
         return MachineClock(self._common["epoch_ns"], self._common["speed"]).now_s()
 
     def follow(self, time_s: np.ndarray, target: str = "") -> FollowedMotion:
-        """Return where axes and target truly are at times (n,) of the machine's clock.
+        """True axes and target at times (n,) of the machine's clock.
 
-        Up to now, and as far back as the last minute of the wall clock; hidden effects
-        are in it, the pose of the tracker and its noise are not.
+        Up to now, and as far back as the last minute of the wall clock; with hidden
+        effects, without the pose of the tracker and its noise.
         """
         timeline = None if self._reader is None else self._reader.timeline()
         if timeline is None:
@@ -250,7 +250,7 @@ class Bench(DeviceProcesses):
         return FollowedMotion(time_s, timeline.positions(time_s), place)
 
     def hidden_truth(self) -> list[dict[str, Any]]:
-        """Return the hidden effects in the form of `discovery.json`."""
+        """Hidden effects in the form of `discovery.json`."""
         return [effect.truth(self._clock) for effect in self.hidden]
 
     def close(self) -> None:

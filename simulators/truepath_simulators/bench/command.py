@@ -1,8 +1,8 @@
 """`truepath simulate`: the simulated tracker and CNC as stand-alone processes.
 
 Prints where they listen, one line each (or one JSON object), and serves until SIGINT or
-SIGTERM. Lines on standard input, where there are any, are faults to inject, or
-`move X,Y,Z`, which sets the tracker down elsewhere.
+SIGTERM. Lines on standard input are faults to inject, or `move X,Y,Z`, which moves the
+tracker.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CHECK_S = 0.5
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run until a signal comes. Exit status 2 on a bad machine, fault or port."""
+    """Runs until a signal comes. Exit status 2 on a bad machine, fault or port."""
     options = make_parser().parse_args(argv)
     try:
         bench = _rig(options)
@@ -148,8 +148,6 @@ def _move(bench: Bench, place: str) -> None:
 
 
 class _LineReader:
-    """Lines of a descriptor as they come."""
-
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self.ended = False
@@ -157,7 +155,7 @@ class _LineReader:
 
     @property
     def ours(self) -> bool:
-        """Whether reading is allowed: a terminal stops a background job that reads."""
+        """A terminal stops a background job that reads."""
         if not os.isatty(self.descriptor):
             return True
         return os.tcgetpgrp(self.descriptor) == os.getpgrp()
@@ -171,7 +169,6 @@ class _LineReader:
 
 @contextmanager
 def _signals() -> Iterator[int]:
-    """Yield a descriptor that becomes readable with SIGINT or SIGTERM."""
     read, write = os.pipe()
     os.set_blocking(write, False)
     before = {

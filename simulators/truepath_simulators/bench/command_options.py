@@ -1,4 +1,4 @@
-"""What `truepath simulate` takes: its options, and what their values may be."""
+"""Options of `truepath simulate`, and their valid values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LAST_PORT = 65535
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of `truepath simulate`."""
+    """Parser of `truepath simulate`; its epilog lists the faults."""
     parser = argparse.ArgumentParser(
         prog="truepath simulate",
         description="A simulated tracker and CNC (Modbus) for test rigs.",

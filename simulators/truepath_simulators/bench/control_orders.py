@@ -1,4 +1,4 @@
-"""What a rig does by order of its control socket."""
+"""Orders that a rig executes from its control socket."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Order = dict[str, Any]
 
 
 def obey(rig: DeviceProcesses, order: Order) -> dict[str, Any]:
-    """Do an order and return its answer. Raises SimulatorError, telling what is wrong.
+    """Execute an order and give its answer. Raises SimulatorError with the reason.
 
-    `own` and `links` and `state` are for every rig, the others for a bench.
+    `own`, `links` and `state` are for every rig, the others for a bench.
     """
     verb = order.get("do")
     if verb in _ANY:

@@ -1,7 +1,7 @@
 """The control socket of a rig: orders in, answers out, one JSON object a line.
 
-A Unix socket that its owner alone can open. Nothing blocks: the rig serves it beside
-everything else. `truepath_simulators.bench.rig` is the other end.
+A Unix socket that only its owner can open. Nothing blocks: the rig serves it together
+with everything else. `truepath_simulators.bench.rig` is the other end.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ Answer = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 class ControlSocket:
-    """Takes any number of clients.
+    """Accepts any number of clients.
 
     path : of the socket; one left behind by a rig that was killed is replaced
-    answer : does an order and returns the answer; raises SimulatorError
+    answer : executes an order and returns the answer; raises SimulatorError
 
-    Raises SimulatorError if something else is there, or a rig that still listens.
+    Raises SimulatorError if the path is taken by something else or by a rig that still
+    listens.
     """
 
     def __init__(self, path: Path, answer: Answer) -> None:
@@ -45,7 +46,7 @@ class ControlSocket:
         return [self._listener.fileno(), *self._clients]
 
     def serve(self) -> None:
-        """Take new clients and answer what has come."""
+        """Accept new clients and answer what has arrived; never waits."""
         with contextlib.suppress(BlockingIOError):
             link, _ = self._listener.accept()
             link.settimeout(0.0)
@@ -67,17 +68,13 @@ class ControlSocket:
 
 
 class _Client:
-    """One connection.
-
-    owns : the rig ends with this connection
-    """
+    """owns : the rig ends with this connection"""
 
     def __init__(self, link: socket.socket) -> None:
         self.owns = False
         self._link, self._rest = link, b""
 
     def serve(self, answer: Answer) -> bool:
-        """Answer what has come; False once the client has gone."""
         try:
             data = self._link.recv(_BLOCK)
         except BlockingIOError:

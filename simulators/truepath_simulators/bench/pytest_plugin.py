@@ -1,6 +1,6 @@
-"""pytest fixtures: simulated devices for the tests of anybody's software.
+"""pytest fixtures: simulated devices for tests of any software.
 
-Loaded by pytest wherever Truepath is installed; it costs nothing until a test asks.
+Loaded by pytest wherever Truepath is installed; it costs nothing until a test uses it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _OPTION = "--truepath-control"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that names a rig which already runs."""
+    """Add the option with the control socket of a running rig."""
     group = parser.getgroup("truepath")
     text = "control socket of a running `truepath simulate`, in place of fresh rigs"
     group.addoption(_OPTION, metavar="PATH", default="", help=text)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the marker known."""
+    """Register the marker `truepath_bench`."""
     text = "truepath_bench(**options): options of `truepath simulate` for the fixture"
     config.addinivalue_line("markers", text)
 
@@ -36,7 +36,7 @@ def truepath_bench(
 ) -> Rig:
     """A simulated machine with its tracker, fresh for each test.
 
-    The marker `truepath_bench(seed=3, speed=5.0)` gives it options.
+    The marker `truepath_bench(seed=3, speed=5.0)` sets its options.
     """
     marker = request.node.get_closest_marker("truepath_bench")
     return start_truepath_bench(**(marker.kwargs if marker else {}))
@@ -46,7 +46,7 @@ def truepath_bench(
 def start_truepath_bench(
     request: pytest.FixtureRequest,
 ) -> Iterator[Callable[..., Rig]]:
-    """Start rigs by their options; they end with the test."""
+    """Factory of rigs by their options; they end with the test."""
     with ExitStack() as stack:
         yield _starter(request.config, stack)
 
@@ -55,7 +55,7 @@ def start_truepath_bench(
 def start_lasting_truepath_bench(
     request: pytest.FixtureRequest,
 ) -> Iterator[Callable[..., Rig]]:
-    """Start rigs by their options; they end with the session."""
+    """Factory of rigs by their options; they end with the session."""
     with ExitStack() as stack:
         yield _starter(request.config, stack)
 

@@ -1,4 +1,4 @@
-"""A running `truepath simulate`, worked by its control socket."""
+"""Client of a running `truepath simulate`, over its control socket."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _END_TIMEOUT_S = 10.0
 
 
 class Rig:
-    """One connection to a rig. Raises SimulatorError where the rig says no.
+    """One connection to a rig. Raises SimulatorError if the rig refuses an order.
 
     control : path of its socket, as given to `--control`
     """
@@ -49,7 +49,7 @@ class Rig:
         return self.links["modbus_tcp"]
 
     def order(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Give any order and return its answer."""
+        """Send any order; gives its answer."""
         line = json.dumps({"do": verb, **arguments})
         try:
             self._socket.sendall(line.encode() + b"\n")
@@ -64,19 +64,19 @@ class Rig:
         return answer
 
     def inject(self, fault: str) -> None:
-        """Let a fault begin now, or as long after now as it says."""
+        """Start a fault now, or after its own delay."""
         self.order("inject", fault=fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
-        """Set the tracker down at a place, turned and tilted anew by the number."""
+        """Move the tracker to a position, with a new orientation by the number."""
         self.order("move-tracker", place_mm=list(place_mm), number=number)
 
     def load_compensation(
         self, files: Sequence[Path | str], **rules: str | bool | float
     ) -> list[str]:
-        """Give the controller these tables while its axes stand; return their names.
+        """Replace the controller's tables while its axes stand; gives their names.
 
-        files : none takes its tables away
+        files : none removes its tables
         rules : `backlash_reading`, `reversed_sign`, `tool_length_mm`,
             `measuring_system` of `truepath_simulators.compensation.rules.Rules`
         """
@@ -84,38 +84,38 @@ class Rig:
         return self.order("compensate", files=paths, **rules)["files"]
 
     def read_state(self) -> dict[str, Any]:
-        """Return what `tracker` and `cnc` say of themselves."""
+        """States that `tracker` and `cnc` report."""
         return self.order("state")
 
     def read_position(
         self, time_s: Sequence[float] | None = None, target: str = ""
     ) -> dict[str, Any]:
-        """Return where axes and target truly are: now, or at machine times."""
+        """True axes and target: now, or at machine times."""
         when = {} if time_s is None else {"time_s": list(time_s)}
         return self.order("position", target=target, **when)
 
     def read_truth(self) -> dict[str, Any]:
-        """Return the volumetric error on a grid, hidden effects, squareness, pose."""
+        """Volumetric error on a grid, hidden effects, squareness, pose."""
         return self.order("truth")
 
     def truth_at(self, points: np.ndarray, direction: float = 1.0) -> np.ndarray:
-        """Return the true volumetric error in µm at axis positions, (n, 3).
+        """True volumetric error, µm, at axis positions, (n, 3).
 
-        That of the machine with its tables, where all axes came in the direction.
+        With the loaded tables, all axes arriving in the direction.
         """
         rows = np.asarray(points, float).tolist()
         told = self.order("truth", points=rows, direction=direction)
         return np.array(told["deviation_um"])
 
     def close(self) -> None:
-        """Let go of the rig."""
+        """Close the connection; a rig that it owns ends."""
         self._lines.close()
         self._socket.close()
 
 
 @contextlib.contextmanager
 def running_rig(options: Mapping[str, Any]) -> Iterator[Rig]:
-    """Start a rig and yield it; it ends with the block, or with this process.
+    """A fresh rig that ends with the block, or with this process.
 
     options : those of `truepath simulate` without their dashes, `_` for `-`; True for
         one without a value, a list for one that may be given several times
@@ -139,7 +139,7 @@ def running_rig(options: Mapping[str, Any]) -> Iterator[Rig]:
 
 
 def spell(options: Mapping[str, Any]) -> list[str]:
-    """Return options as words of a command line."""
+    """Options as words of a command line."""
     words: list[str] = []
     for name, value in options.items():
         flag = "--" + name.replace("_", "-")

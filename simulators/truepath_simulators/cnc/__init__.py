@@ -1,4 +1,4 @@
-"""A controller behind Modbus, thermometers beside it, and the process that is both.
+"""A controller behind Modbus, thermometers, and the process with both.
 
-Not here: how it moves (`motion`), what it makes of tables (`compensation`).
+Not here: its motion (`motion`), its use of tables (`compensation`).
 """

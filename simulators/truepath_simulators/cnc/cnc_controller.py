@@ -1,7 +1,7 @@
 """The controller of the CNC without its wire: path, states, motion. Time is given.
 
-Every change of the motion takes effect a little after the decision, so that it is
-published before anyone needs to know it.
+Every change of the motion takes effect shortly after the decision, so that it is
+published before any process needs it.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _LONG_LEAD = 5.0
 
 
 class Controller:
-    """Runs one machine. All times are machine seconds.
+    """States and motion of one machine. All times are machine seconds.
 
-    publish : is given every new timeline before it takes effect
-    lead_s : how long after a decision to brake it takes effect; five times as long
-        after one to move
+    publish : receives every new timeline before it takes effect
+    lead_s : delay until a decision to brake takes effect; five times as long for one to
+        move
     """
 
     model = "Simulated CNC"
@@ -78,11 +78,11 @@ class Controller:
         publish(self._timeline)
 
     def update(self, now_s: float) -> None:
-        """Let time pass: a motion that has ended changes the state."""
+        """Advance the time: a motion that has ended changes the state."""
         if self.state is not MotionState.RUNNING or now_s < self._timeline.end_s:
             return
         if self._is_stalled and self._stopping_for is None:
-            return  # it says that it runs, and stands
+            return  # it reports RUNNING and stands
         self.state = self._stopping_for or MotionState.FINISHED
         self.hold_reason = self._stopping_reason
         self._stopping_for, self._stopping_reason = None, HoldReason.NONE
@@ -93,22 +93,22 @@ class Controller:
         return self._running is not None
 
     def position(self, now_s: float) -> np.ndarray:
-        """Return where the axes are."""
+        """Axis positions, mm or deg."""
         return self._timeline.positions(np.array([now_s]))[0]
 
     def feed_mm_min(self, now_s: float) -> float:
-        """Return how fast they move along the path."""
+        """Feed along the path."""
         return 60.0 * max(float(self._timeline.speeds(np.array([now_s]))[0]), 0.0)
 
     def line(self, now_s: float) -> int:
-        """Return the row of the path that the machine moves towards or dwells at."""
+        """Row of the path towards which the machine moves, or at which it dwells."""
         if self._runs_path:
             at_s = max(now_s, self._begin_s)  # until then it shows an earlier program
             self._line = int(self._timeline.rows(np.array([at_s]))[0])
         return self._line
 
     def refusal(self, command: Command) -> Result | None:
-        """Return why a command cannot be done in this state, None if it can."""
+        """Reason why a command is not possible in this state; None if it is."""
         if self.state in ALLOWED[command]:
             return None
         if self.state is MotionState.ALARM:
@@ -116,7 +116,7 @@ class Controller:
         return Result.NOT_READY if self.state in UNABLE else Result.WRONG_STATE
 
     def fault_of(self, program: Program) -> Result | None:
-        """Return what is wrong with rows, None if nothing is."""
+        """Fault of the rows of a path; None if there is none."""
         feed_mm_min = 60.0 * program.feed_mm_s
         if np.any(feed_mm_min <= 0.0) or np.any(feed_mm_min > MAX_FEED_MM_MIN):
             return Result.BAD_ARGUMENT
@@ -137,19 +137,19 @@ class Controller:
         return None if all(inside) else Result.OUT_OF_TRAVEL
 
     def commit(self, program: Program) -> None:
-        """Take a path that `fault_of` has passed."""
+        """Store a path that `fault_of` has passed."""
         self.path = program
         self.state = MotionState.READY
         self._runs_path, self._line = False, 0
 
     def forget_path(self) -> None:
-        """Drop the committed path."""
+        """Remove the committed path."""
         self.path = None
         if self.state is MotionState.READY:
             self.state = MotionState.IDLE
 
     def move_to(self, row: Program, now_s: float) -> None:
-        """Move straight to a position that `fault_of` has passed."""
+        """Move on a straight line to a position that `fault_of` has passed."""
         self._runs_path, self._line = False, 0
         self._run(row, now_s)
 
@@ -162,13 +162,13 @@ class Controller:
         return Result.DONE
 
     def hold(self, reason: HoldReason, now_s: float) -> None:
-        """Brake along the line and stay there. Nothing where nothing runs."""
+        """Brake along the line and stay there; no effect without a motion."""
         if self.state is MotionState.RUNNING and self._stopping_for is None:
             self._brake(MotionState.HELD, now_s)
             self._stopping_reason = reason
 
     def resume(self, now_s: float) -> None:
-        """Go on after a hold; while braking for one, as soon as the axes stand."""
+        """Continue after a hold; while braking for one, as soon as the axes stand."""
         braking = self._stopping_for is MotionState.HELD
         if (self.state is not MotionState.HELD and not braking) or not self._running:
             return
@@ -179,7 +179,7 @@ class Controller:
         self._stopping_for, self._stopping_reason = None, HoldReason.NONE
 
     def abort(self, now_s: float) -> None:
-        """Stop and forget the path."""
+        """Stop and remove the path."""
         if self.state in UNABLE:
             return
         self.path = None
@@ -192,12 +192,12 @@ class Controller:
             self._stopping_reason = HoldReason.NONE
 
     def alarm(self, code: int, text: str, now_s: float) -> None:
-        """Stop by a fault of the machine."""
+        """Stop because of a fault of the machine."""
         self.alarm_code, self.alarm_text = code, text
         self.disable(MotionState.ALARM, now_s)
 
     def disable(self, state: MotionState, now_s: float) -> None:
-        """Stop for a state in which the machine cannot be driven."""
+        """Stop for a state in which the machine cannot move."""
         if state is MotionState.UNHOMED:
             self.is_referenced = False
         if self.state is not MotionState.RUNNING:
@@ -209,18 +209,18 @@ class Controller:
             self._stopping_reason = HoldReason.NONE
 
     def enable(self) -> None:
-        """Leave a state whose cause has gone; the path is forgotten."""
+        """Leave a state whose cause has gone; the path is removed."""
         if self.state in UNABLE:
             self.state, self.path = MotionState.IDLE, None
             self.alarm_code, self.alarm_text = 0, ""
 
     @property
     def feed_override(self) -> float:
-        """The factor on the feed."""
+        """Factor on the feed."""
         return self._override
 
     def override(self, factor: float, now_s: float) -> None:
-        """Turn the feed override; 1 is the programmed feed, at 0 nothing moves."""
+        """Set the feed override; 1 is the programmed feed, at 0 nothing moves."""
         was_stalled = self._is_stalled
         self._override = factor
         if self.state is not MotionState.RUNNING or self._stopping_for is not None:
@@ -261,7 +261,7 @@ class Controller:
         )
 
     def _slow_down(self, now_s: float) -> None:
-        # What stands before the begin of a motion is no dwell of its program.
+        # A standstill before the begin of a motion is no dwell of its program.
         at_s = max(now_s + self._lead_s, self._begin_s)
         if self._running is not None:
             self._running = interruption.find_rest(self._timeline, self._running, at_s)

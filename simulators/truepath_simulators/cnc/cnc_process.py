@@ -1,4 +1,4 @@
-"""The CNC as a process of its own: `python -m truepath_simulators.cnc.cnc_process`."""
+"""The CNC as a separate process: `python -m truepath_simulators.cnc.cnc_process`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from truepath_simulators.motion.profile import Limits
 
 PERIOD_S = 0.01
 _LEAD_S = 0.02
-_LATE_S = 0.1  # ten periods: a busy computer, not yet one that stands
+_LATE_S = 0.1  # ten periods: a busy computer, not yet a suspended one
 _HEARTBEAT = BY_NAME["heartbeat"].address
 _ALARM_TEXT = "Servo alarm: following error of an axis"
 _DISABLING = {
@@ -40,7 +40,7 @@ _DISABLING = {
 
 
 class Panel:
-    """What happens to the machine besides its masters: operator, alarms, faults."""
+    """Events of the machine apart from its masters: operator, alarms, faults."""
 
     def __init__(
         self,
@@ -58,11 +58,11 @@ class Panel:
         self._overridden: Fault | None = None
 
     def inject(self, line: str) -> None:
-        """Take a fault that begins now."""
+        """Add a fault that begins now."""
         self._faults.add(parse_fault(line), self._clock.now_s())
 
     def read_state(self) -> dict[str, Any]:
-        """Return what the controller knows of itself."""
+        """State, position, path and alarm of the controller."""
         controller, now_s = self._controller, self._clock.now_s()
         controller.update(now_s)
         return {
@@ -77,7 +77,7 @@ class Panel:
         }
 
     def update(self) -> None:
-        """Let time pass: states, watchdog, operator, alarms."""
+        """Advance the time: states, watchdog, operator, alarms."""
         now_s = self._clock.now_s()
         self._controller.update(now_s)
         self._registers.watch()
@@ -94,7 +94,7 @@ class Panel:
             self._controller.is_referenced = False
 
     def compensate(self, tables: dict[str, Any]) -> None:
-        """Say that axes are corrected, where there are tables."""
+        """Report compensation as active if there are tables."""
         self._controller.is_compensating = bool(tables["files"])
 
     @property
@@ -103,11 +103,11 @@ class Panel:
         return self._controller.has_moved
 
     def disconnects(self) -> bool:
-        """Tell whether connections break now."""
+        """Whether connections break now."""
         return self._strikes("disconnect", self._clock.now_s()) is not None
 
     def answer(self, pdu: bytes) -> bytes | None:
-        """Return the answer to a request; None where the device is mute."""
+        """Answer to a request; None where the device is silent."""
         now_s = self._clock.now_s()
         if self._strikes("silence", now_s):
             return None
@@ -188,23 +188,18 @@ def main() -> None:
 
 
 class _Thermometers:
-    """The gateway of the sensors and its port."""
-
     def __init__(
         self, gateway: ThermometerGateway, port: ModbusTcpPort, clock: MachineClock
     ) -> None:
         self._gateway, self._port, self._clock = gateway, port, clock
 
     def inject(self, line: str) -> None:
-        """Take a fault that begins now."""
         self._gateway.faults.add(parse_fault(line), self._clock.now_s())
 
     def descriptors(self) -> list[int]:
-        """Return the descriptors of the port."""
         return self._port.descriptors()
 
     def serve(self, *, has_moved: bool) -> None:
-        """Answer what is asked now."""
         now_s, faults = self._clock.now_s(), self._gateway.faults
         if has_moved:
             faults.begin(now_s)

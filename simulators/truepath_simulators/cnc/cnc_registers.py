@@ -1,4 +1,4 @@
-"""The register map of the CNC over its controller: what masters read and write."""
+"""Register map of the CNC over its controller, as read and written by masters."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _BEATING = frozenset({Command.MOVE_TO, Command.START, Command.RESUME})
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Machine seconds, and wall seconds in which the device ran; read at a request."""
+    """Machine seconds, and wall seconds in which the device ran; read on demand."""
 
     machine_s: Callable[[], float]
     wall_s: Callable[[], float]
@@ -81,14 +81,14 @@ class CncRegisters(Registers):
         self._put("watchdog", self._watchdog_ms)
 
     def read(self, address: int, count: int) -> list[int]:
-        """Return registers; those of the status are as they are now."""
+        """Registers; those of the status are current. Raises ModbusError."""
         self._check(address, count, _EXISTING)
         if address < BY_NAME["alarm_text"].end and address + count > 100:
             self._refresh(self._clocks.machine_s())
         return self._words[address : address + count]
 
     def write(self, address: int, values: list[int]) -> None:
-        """Write registers, then do what they order."""
+        """Write registers, then execute their command. Raises ModbusError."""
         self._check(address, len(values), _WRITABLE)
         if address == regmap.COMMAND.address:
             self._check_covered(values)
@@ -106,7 +106,7 @@ class CncRegisters(Registers):
             self._put("command_ack", sequence)
 
     def watch(self) -> None:
-        """Hold the feed where the host has been silent for too long."""
+        """Hold the feed if the host has been silent for too long."""
         silent_s = self._clocks.wall_s() - self._last_beat_s
         if silent_s > 1e-3 * self._watchdog_ms:
             self._controller.hold(HoldReason.WATCHDOG, self._clocks.machine_s())
@@ -117,7 +117,7 @@ class CncRegisters(Registers):
         self._put("model", "Pump drive")
 
     def lie_about_position(self, scale: float, off_mm: float) -> None:
-        """Show so much of every position, and so much more."""
+        """Show positions times a scale, plus an offset."""
         self._scale, self._off_mm = scale, off_mm
 
     def _check(self, address: int, count: int, allowed: frozenset[int]) -> None:
@@ -125,7 +125,7 @@ class CncRegisters(Registers):
             raise ModbusError(ILLEGAL_ADDRESS)
 
     def _check_covered(self, values: list[int]) -> None:
-        """Refuse a new number without its verb, or a verb without its arguments."""
+        """Rejects a new number without its verb, or a verb without its arguments."""
         if values[0] in (0, self._value("command_ack")):
             return
         try:
@@ -275,7 +275,7 @@ class CncRegisters(Registers):
         return Result.DONE
 
     def _home(self, _now_s: float) -> Result:
-        """Be homed at once, where the axes stand."""
+        """At once, where the axes stand."""
         if self._controller.state is MotionState.UNHOMED:
             self._controller.enable()
         self._controller.is_referenced = True

@@ -32,12 +32,12 @@ Answer = Callable[[int, bytes], bytes | None]
 
 
 class ModbusPort(ABC):
-    """A way by which masters come."""
+    """A port for Modbus masters."""
 
     @property
     @abstractmethod
     def address(self) -> dict[str, str | int]:
-        """Where masters find it."""
+        """Address for masters."""
 
     @abstractmethod
     def descriptors(self) -> list[int]:
@@ -45,11 +45,11 @@ class ModbusPort(ABC):
 
     @abstractmethod
     def serve(self, answer: Answer) -> None:
-        """Answer every request that is there now."""
+        """Answer every request that has arrived."""
 
     @abstractmethod
     def disconnect(self) -> None:
-        """Break what connections there are."""
+        """Break all connections."""
 
     @abstractmethod
     def close(self) -> None:
@@ -72,11 +72,11 @@ class ModbusTcpPort(ModbusPort):
         return {"host": host, "port": port}
 
     def descriptors(self) -> list[int]:
-        """Return the listener and every connection."""
+        """The listener and every connection."""
         return [self._listener.fileno(), *(m.fileno() for m in self._masters)]
 
     def serve(self, answer: Answer) -> None:
-        """Take new masters and answer all."""
+        """Accept new masters and answer all."""
         self._accept()
         for master in list(self._masters):
             try:
@@ -92,7 +92,7 @@ class ModbusTcpPort(ModbusPort):
             self._drop(master)
 
     def close(self) -> None:
-        """Close everything."""
+        """Close the connections and the listener."""
         self.disconnect()
         self._listener.close()
 
@@ -124,7 +124,7 @@ class ModbusTcpPort(ModbusPort):
 
 
 class ModbusRtuPort(ModbusPort):
-    """A pseudo-terminal that looks like a serial line with devices on it."""
+    """A pseudo-terminal in place of a serial line with devices."""
 
     def __init__(self, link: Path | None, units: Sequence[int] = (UNIT,)) -> None:
         self._units = units
@@ -138,11 +138,11 @@ class ModbusRtuPort(ModbusPort):
         return {"serial_port": self._pty.address["port"]}
 
     def descriptors(self) -> list[int]:
-        """Return the terminal."""
+        """The terminal."""
         return self._pty.descriptors()
 
     def serve(self, answer: Answer) -> None:
-        """Answer what is for our units; a broadcast (unit 0) is done without answer."""
+        """Answer requests to our units; a broadcast (unit 0) has no answer."""
         data = self._pty.receive()
         if not data:
             return
@@ -157,7 +157,7 @@ class ModbusRtuPort(ModbusPort):
                 self._pty.send(rtu_frame(unit, reply))
 
     def disconnect(self) -> None:
-        """Hang up the terminal; another takes its name."""
+        """Hang up the terminal; a new one takes its name."""
         self._pty.disconnect()
 
     def close(self) -> None:
@@ -171,7 +171,7 @@ def make_modbus_ports(
     tcp_units: Sequence[int] = _TCP_UNITS,
     rtu_units: Sequence[int] = (UNIT,),
 ) -> dict[str, ModbusPort]:
-    """Return the ports of a device's link, as a bench states it."""
+    """Ports of a device's link, in the form of a bench."""
     tcp = ModbusTcpPort(link["host"], link["port"], tcp_units)
     ports: dict[str, ModbusPort] = {"tcp": tcp}
     if link["rtu"]:

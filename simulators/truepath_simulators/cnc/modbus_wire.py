@@ -1,7 +1,8 @@
 """Modbus on the device side: requests in, answers out, over TCP and RTU. No I/O.
 
 Written after the Modbus application protocol (V1.1b3) and the guides for TCP (V1.0b)
-and serial line (V1.02), not with the library of the driver: the two may disagree.
+and serial line (V1.02), independent of the driver's library, so that the two may
+disagree.
 """
 
 from __future__ import annotations
@@ -35,19 +36,19 @@ class ModbusError(Exception):
 
 
 class Registers(ABC):
-    """Holding registers behind a server. Both raise ModbusError."""
+    """Holding registers behind a server. Both methods raise ModbusError."""
 
     @abstractmethod
     def read(self, address: int, count: int) -> list[int]:
-        """Return one consistent snapshot."""
+        """One consistent snapshot."""
 
     @abstractmethod
     def write(self, address: int, values: list[int]) -> None:
-        """Let all values take effect together."""
+        """All values take effect together."""
 
 
 def answer(pdu: bytes, registers: Registers) -> bytes:
-    """Return the answer to a request, without unit and without framing."""
+    """Answer to a request, without unit and without framing."""
     try:
         return _answer(pdu, registers)
     except ModbusError as error:
@@ -55,7 +56,7 @@ def answer(pdu: bytes, registers: Registers) -> bytes:
 
 
 def exception(pdu: bytes, code: int) -> bytes:
-    """Return an exception as the answer to a request."""
+    """An exception as the answer to a request."""
     return bytes([pdu[0] | 0x80, code])
 
 
@@ -93,7 +94,7 @@ class TcpFramer:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[int, int, bytes]] | None:
-        """Return the requests complete now; None where the stream is not Modbus."""
+        """Requests that are complete now; None where the stream is not Modbus."""
         self._buffer += data
         requests: list[tuple[int, int, bytes]] = []
         while len(self._buffer) >= _MBAP.size + 1:
@@ -109,7 +110,7 @@ class TcpFramer:
 
 
 def tcp_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Return the bytes of an answer on a TCP connection."""
+    """Bytes of an answer on a TCP connection."""
     return _MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu
 
 
@@ -120,7 +121,7 @@ class RtuFramer:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Return the requests complete now; what does not check is skipped."""
+        """Requests that are complete now; bytes that fail the CRC are skipped."""
         self._buffer = (self._buffer + data)[-_MAX_BUFFER:]
         requests: list[tuple[int, bytes]] = []
         while len(self._buffer) >= 4:
@@ -136,18 +137,18 @@ class RtuFramer:
         return requests
 
     def expire(self) -> None:
-        """Forget half a request: the line has been silent since."""
+        """Discard an incomplete request after a silence of the line."""
         self._buffer = b""
 
 
 def rtu_frame(unit: int, pdu: bytes) -> bytes:
-    """Return the bytes of an answer on a serial line."""
+    """Bytes of an answer on a serial line."""
     body = bytes([unit]) + pdu
     return body + struct.pack("<H", crc16(body))
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of Modbus RTU; 0 over a frame that has its own at the end."""
+    """CRC of Modbus RTU; 0 over a frame with its own CRC at the end."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
@@ -155,7 +156,6 @@ def crc16(data: bytes) -> int:
 
 
 def _rtu_length(buffer: bytes) -> int:
-    """Return how long the first request of a buffer is, as far as one can tell."""
     function = buffer[1]
     counted = {15: (6, 9), 16: (6, 9), 22: (None, 10), 23: (10, 13)}
     at, fixed = counted.get(function, (None, 8))

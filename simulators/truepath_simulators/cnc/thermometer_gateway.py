@@ -1,8 +1,8 @@
 """A Modbus gateway with the sensors of a machine: scales, spindle, air. No I/O.
 
-Unit 1 has input registers, one an axis scale and one for the spindle, in 0.01 °C.
-Unit 2 has holding registers: air temperature and pressure as float32, the pressure with
-its low word first, humidity in 0.1 %.
+Unit 1 has input registers, one per axis scale and one for the spindle, in 0.01 °C. Unit
+2 has holding registers: air temperature and pressure as float32, the pressure with its
+low word first, humidity in 0.1 %.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _AIR_FIRST = 100
 class Sensor:
     """A sensor and its registers.
 
-    form : of its words in `struct`, high word first; shows : by the machine's clock
+    form : of its words in `struct`, high word first; shows : value at machine time
     """
 
     name: str
@@ -54,11 +54,11 @@ class Sensor:
 
     @property
     def words(self) -> int:
-        """Registers that it takes."""
+        """Number of its registers."""
         return struct.calcsize(self.form) // 2
 
     def encode(self, value: float) -> list[int]:
-        """Return the words of a value; of NaN those of a broken wire."""
+        """Words of a value; those of a broken wire for NaN."""
         if self.kind == "float32":
             data = struct.pack(self.form, value)
         elif math.isnan(value):
@@ -69,7 +69,7 @@ class Sensor:
         return words[::-1] if self.swapped else words
 
     def describe(self) -> dict[str, Any]:
-        """Return its row of a register list."""
+        """Its row of a register list."""
         return {
             "name": self.name,
             "unit": self.unit,
@@ -121,11 +121,11 @@ class ThermometerGateway:
         ]
 
     def describe(self) -> list[dict[str, Any]]:
-        """Return the register list that reads all sensors."""
+        """Register list that reads all sensors."""
         return [sensor.describe() for sensor in self.sensors]
 
     def answer(self, unit: int, pdu: bytes, now_s: float) -> bytes | None:
-        """Return the answer to a request at a time of the machine's clock."""
+        """Answer to a request at machine time; None for silence."""
         if pdu[0] not in _FUNCTIONS or len(pdu) < _REQUEST.size:
             return exception(pdu, ILLEGAL_FUNCTION)
         if (refused := self.faults.strikes("exception", now_s)) is not None:

@@ -1,12 +1,12 @@
-"""What a simulated controller makes of the compensation tables that it is given.
+"""Correction by a simulated controller from its compensation tables.
 
 Each file of this package reads one maker's form by the rules that are public, and knows
-nothing of how tables are made. What a controller adds depends on the commanded
-positions and on the direction in which each axis last moved; the axes are driven to the
-command plus that, and the machine does what it does there.
+nothing of how tables are made. The addition of a controller depends on the commanded
+positions and on the direction in which each axis last moved; the axes move to the
+command plus that addition, and the machine has its errors there.
 
-    correction     curves, products of curves, what they add to the axes
-    rules          readings that no public text settles, as options
+    correction     curves, products of curves, their additions to the axes
+    rules          interpretations that no public text decides, as options
     linuxcnc       its tables, and joints of a table on a trunnion by the module's pins
     siemens_tables, heidenhain_tables, fanuc_tables, isg_tables, etalon_tables
     loading        files of any of these forms

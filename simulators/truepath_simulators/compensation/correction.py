@@ -1,4 +1,4 @@
-"""Curves over axis positions, their products, and what they add to the axes."""
+"""Curves over axis positions, their products, and their additions to the axes."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from truepath_simulators.machine.truth_machine import TruthMachine
 
 
 class Correction(ABC):
-    """What a controller adds to the commanded positions of its axes."""
+    """Addition of a controller to the commanded positions of its axes."""
 
     @abstractmethod
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return mm or deg to add to each axis, (n, axes).
+        """Addition to each axis, mm or deg, (n, axes).
 
         position : (n, axes) as commanded
-        heading : (n, axes) direction in which each axis moves or last moved, 1 or −1,
-            0 where it has not moved yet
+        heading : (n, axes) direction in which each axis moves or last moved, 1 or −1, 0
+            where it has not moved yet
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Values at positions of an axis, straight between them; end values hold beyond.
+    """Values at positions of an axis, linear between them; end values hold beyond.
 
     column : of the axis; at, value : (m,) ascending
     side : 1 or −1 for a curve of that direction of travel alone, 0 for both. An axis
-        that has not moved yet counts as one that came in + direction
+        that has not moved yet counts as one that arrived in + direction
     period : length after which the curve repeats, 0 for none
-    is_stepped : the value of the nearest position in place of a straight line
+    is_stepped : the value of the nearest position instead of a line
     """
 
     column: int
@@ -42,7 +42,7 @@ class Curve:
     is_stepped: bool = False
 
     def read(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return its values, (n,), 0 in the direction that it is not for."""
+        """Values, (n,); 0 in the direction that it is not for."""
         place = position[:, self.column]
         if self.period:
             place = self.at[0] + np.mod(place - self.at[0], self.period)
@@ -76,7 +76,7 @@ class TableCorrection(Correction):
     terms: tuple[Term, ...]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return the sum for each axis."""
+        """Sum for each axis."""
         total = np.zeros_like(position, dtype=float)
         for term in self.terms:
             value = np.full(len(position), term.factor)
@@ -88,13 +88,13 @@ class TableCorrection(Correction):
 
 @dataclass(frozen=True, slots=True)
 class ChainedCorrection(Correction):
-    """What one adds, and another one where the first has sent the axes."""
+    """First correction, and a second one at the positions corrected by the first."""
 
     first: Correction
     then: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return what both add."""
+        """Sum of both."""
         once = self.first.added(position, heading)
         return once + self.then.added(position + once, heading)
 
@@ -106,7 +106,7 @@ class ReversedCorrection(Correction):
     right: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return the negative."""
+        """The negative."""
         return -self.right.added(position, heading)
 
 
@@ -117,9 +117,9 @@ def measure_deviation_mm(
     direction: float = 1.0,
     target: str = "",
 ) -> np.ndarray:
-    """Return actual minus nominal tool point of the machine with its tables, (n, 3).
+    """Actual minus nominal tool point of the machine with its tables, (n, 3) mm.
 
-    position : (n, axes) as commanded; direction : in which all axes came there
+    position : (n, axes) as commanded; direction : in which all axes arrive
     """
     driven = position
     if correction is not None:

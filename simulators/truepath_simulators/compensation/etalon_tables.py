@@ -1,8 +1,8 @@
-"""ISG kernel, Beckhoff TF5280: Etalon Exchange, a block a parameter.
+"""ISG kernel, Beckhoff TF5280: Etalon Exchange, a block per parameter.
 
 `[NAME]`, then `VALUE = number`, or `Gridpoints = {` with a row of position and value
-each until `}`; `//` begins a comment. The control does with the parameters what it does
-with those of ISG_CSV. Source: ISG kernel manual, Etalon Exchange Format.
+each until `}`; `//` begins a comment. The control uses the parameters like those of
+ISG_CSV. Source: ISG kernel manual, Etalon Exchange Format.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _Parameter:
 def read_etalon(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> VolumetricCorrection:
-    """Return what the controller makes of the file."""
+    """Correction by the control. Raises SimulatorError."""
     constants: dict[str, float] = {}
     blocks: list[Block] = []
     for symbol, parameter in _read_parameters(name, text).items():

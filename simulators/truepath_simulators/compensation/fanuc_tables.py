@@ -28,7 +28,7 @@ Parameters = dict[tuple[int, int], str]
 
 
 def read_fanuc(files: Mapping[str, str], machine: MachineFile) -> Iterator[Term]:
-    """Yield what data and parameters add, axis numbers in the order of the columns."""
+    """Corrections by data and parameters; axis numbers in the order of the columns."""
     data: dict[int, int] = {}
     parameters: Parameters = {}
     for name, text in files.items():
@@ -71,7 +71,6 @@ def _read_axis(
     turn = float(parameters.get((3625, column + 1), "0"))
 
     def make_curve(begin: int, amount: float, side: int) -> Curve:
-        """Return the running sum at the ends of the sections."""
         steps = [data.get(begin + k, 0) for k in range(last - first + 1)]
         sums = np.concatenate([[0.0], np.cumsum(steps)])
         below = reference - first + 1

@@ -1,7 +1,7 @@
-"""Heidenhain: a `.com` table an axis, activated by the `.cma` table.
+"""Heidenhain: a `.com` table per axis, activated by the `.cma` table.
 
-[axis of the column] = F(axis in whose column of the .cma the table stands). Values are
-those of the error curve and are taken away. Whether BACKLASH holds the value in
+[axis of the column] = F(axis in whose column of the .cma the table is named). Values
+are those of the error curve and are subtracted. Whether BACKLASH holds the value in
 negative travel or what is added there is an option: "the compensation values measured
 in the negative direction". Sources: MANUALplus 620 Technical Manual, pages 716 to 718;
 TNC 407 Technical Manual, pages 152 and 153.
@@ -25,7 +25,7 @@ Columns = dict[str, list[str]]
 def read_heidenhain(
     files: Mapping[str, str], machine: MachineFile, rules: Rules
 ) -> Iterator[Term]:
-    """Yield what the tables named by the active line of the .cma add."""
+    """Corrections by the tables in the active line of the .cma file."""
     names = [name for name in files if name.lower().endswith(".cma")]
     if len(names) != 1:
         raise SimulatorError("one .cma file says which .com tables are active")

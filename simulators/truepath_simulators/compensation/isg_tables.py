@@ -1,12 +1,12 @@
 """ISG kernel, Beckhoff TF5280: volumetric compensation by error motions, ISG_CSV.
 
 Blocks split by `#`: constants (squareness, location), or one or two arguments and error
-motions, mm and rad. The controller composes the chain with them, finds where the tool
-would be, and takes what it is off by away with the straight axes. The tip is at P0X,
-P0Y, P0Z, 0 where left out, plus the length that the control knows along the unit vector
-N0X, N0Y, N0Z. Rotary axes turn about PXC, PYC, PZC; their errors are taken to be of the
-tool relative to the workpiece, which no public text says.
-Source: ISG kernel manual, volumetric compensation.
+motions, mm and rad. The controller composes the chain with them, computes the tool
+point, and subtracts its error with the linear axes. The tip is at P0X, P0Y, P0Z, 0
+where left out, plus the length that the control knows along the unit vector N0X, N0Y,
+N0Z. Rotary axes turn about PXC, PYC, PZC; their errors are taken to be of the tool
+relative to the workpiece, which no public text says. Source: ISG kernel manual,
+volumetric compensation.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class VolumetricCorrection(Correction):
-    """Minus the error that the chain makes of error motions, by the straight axes."""
+    """Minus the error of the chain from error motions, by the linear axes."""
 
     nominal: TruthMachine
     blocks: tuple[Block, ...]
@@ -57,7 +57,7 @@ class VolumetricCorrection(Correction):
     tool_length_mm: float
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return mm to add; nothing to rotary axes."""
+        """Addition in mm; 0 for rotary axes."""
         del heading
         machine = self.nominal.machine
         x, y, z = (
@@ -73,7 +73,9 @@ class VolumetricCorrection(Correction):
         actual = self._place_axes().point_mm(position, tool, "workpiece", carry)
         error = actual - nominal
         steps = np.empty((len(position), 3, 3))
-        for k in range(3):  # exact: the tool point is linear in the straight axes
+        for k in range(
+            3
+        ):  # exact: the tool point is linear in the linear axes' positions
             moved = position.astype(float).copy()
             moved[:, k] += 1.0
             steps[:, :, k] = self.nominal.nominal_point_mm(moved, tool) - nominal
@@ -82,7 +84,6 @@ class VolumetricCorrection(Correction):
         return total
 
     def _place_axes(self) -> TruthMachine:
-        """Return the machine with its rotary axes where the constants say."""
         joints = dict(self.nominal.joints)
         for name, joint in joints.items():
             if isinstance(joint, RotaryJoint):
@@ -94,7 +95,7 @@ class VolumetricCorrection(Correction):
         return replace(self.nominal, joints=joints)
 
     def _find_motions(self, axis: str, position: np.ndarray) -> np.ndarray:
-        """Return error motions of an axis, (n, 6), squareness and location in them."""
+        """With squareness and location, (n, 6)."""
         names = self.nominal.machine.axis_names
         total = np.zeros((len(position), 6))
         for block in self.blocks:
@@ -120,7 +121,7 @@ class VolumetricCorrection(Correction):
 def read_isg(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> VolumetricCorrection:
-    """Return what the controller makes of the file."""
+    """Correction by the controller. Raises SimulatorError."""
     blocks: list[Block] = []
     constants: dict[str, float] = {}
     for head, table in _split_blocks(name, text):
@@ -139,7 +140,7 @@ def correct_volume(
     constants: Mapping[str, float],
     rules: Rules,
 ) -> VolumetricCorrection:
-    """Return the correction by the parameters of a file, of whatever form."""
+    """Correction by the parameters of a file of either form."""
     turning = [axis.name for axis in machine.rotary_axes]
     known = {*SQUARENESS, *_TOOL, *_TIP}
     known |= {f"{d}0{axis}" for axis in turning for d in _MOTIONS}
@@ -154,7 +155,6 @@ def correct_volume(
 
 
 def _centre_axes(machine: MachineFile, constants: Mapping[str, float]) -> MachineFile:
-    """Return the machine with the centres of its rotary axes as the file has them."""
     axes = [
         replace(
             axis,
@@ -209,7 +209,7 @@ def _make_block(
 
 
 def _interpolate(block: Block, value: np.ndarray, at: list[np.ndarray]) -> np.ndarray:
-    """Return values between rows; of two arguments bilinear; end values hold."""
+    """Linear between rows, bilinear for two arguments; end values hold."""
     if len(at) == 1:
         return np.interp(at[0], block.grid[0], value)
     first = block.grid[0]

@@ -1,12 +1,12 @@
-"""LinuxCNC: a `COMP_FILE` of type 0 a joint, and kinematics by pins.
+"""LinuxCNC: a `COMP_FILE` of type 0 per joint, and kinematics by pins.
 
 Rows of the file are `nominal forward reverse`; the loader keeps nominal − column as
 trim and adds it. Source: `src/emc/motion/usrmotintf.cc`, `control.c`.
 
 The table of `xyzac-trt-kins` or `xyzbc-trt-kins` comes from its pins.
 
-A program names points of the workpiece. With the pins as the machine was built the
-joints would come to the commanded positions; with those of a file they come elsewhere.
+A program names points of the workpiece. With the pins of the machine as built the
+joints would reach the commanded positions; with those of a file they reach others.
 `conventional-directions` is off. Source: `src/emc/kinematics/trtfuncs.c`.
 """
 
@@ -27,7 +27,7 @@ _SETP = re.compile(r"setp\s+xyz([ab])c-trt-kins\.([xyz])-(rot-point|offset)\s+(\
 
 @dataclass(frozen=True, slots=True)
 class KinematicCorrection(Correction):
-    """What other pins than the nominal ones move the straight joints by.
+    """Motion of the linear joints due to pins that differ from the nominal ones.
 
     tilt : column of the tilting joint; across : of the direction of its offset
     nominal, given : rot-point and offset, (2, 3) mm, the tool's length in the offset
@@ -40,7 +40,7 @@ class KinematicCorrection(Correction):
     given: np.ndarray
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return mm to add; nothing to rotary joints."""
+        """Addition in mm; 0 for rotary joints."""
         del heading
         total = np.zeros_like(position, dtype=float)
         tilt, turn = (np.radians(position[:, k]) for k in (self.tilt, self.turn))
@@ -63,7 +63,7 @@ class KinematicCorrection(Correction):
         return self._tilt(carried, tilt) + offset + point
 
     def _tilt(self, vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Turn right-handed about X, or about Y where the offset is along X."""
+        """Right-handed about X, or about Y where the offset is along X."""
         first, second = (1, 2) if self.across == 1 else (2, 0)
         turned = vector.copy()
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -73,12 +73,12 @@ class KinematicCorrection(Correction):
 
 
 def is_kinematics(text: str) -> bool:
-    """Tell whether a file sets pins of such a table."""
+    """Whether a file sets pins of such a table."""
     return _SETP.search(text) is not None
 
 
 def read_kinematics(name: str, text: str, machine: MachineFile) -> KinematicCorrection:
-    """Return what the pins make of the machine."""
+    """Kinematics by the pins. Raises SimulatorError."""
     pins: dict[str, float] = {}
     letters: set[str] = set()
     for number, line in enumerate(text.splitlines(), 1):
@@ -107,7 +107,6 @@ def read_kinematics(name: str, text: str, machine: MachineFile) -> KinematicCorr
 
 
 def _take(pins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return rot-point and offset; a pin that nobody sets is 0."""
     point, offset = (
         np.array([pins.get(f"{letter}-{what}", 0.0) for letter in "xyz"])
         for what in ("rot-point", "offset")
@@ -135,7 +134,7 @@ _AXIS = re.compile(r"(?:^|[-_.])([XYZABC])\.\w+$", re.IGNORECASE)
 
 
 def read_linuxcnc(name: str, text: str, machine: MachineFile) -> Iterator[Term]:
-    """Yield the trims of the joint whose letter ends the name, as in `comp-X.tbl`."""
+    """Trims of the joint whose letter ends the name, as in `comp-X.tbl`."""
     letter = _AXIS.search(name)
     axis = letter.group(1).upper() if letter else ""
     if axis not in machine.axis_names:

@@ -1,4 +1,4 @@
-"""Compensation files of any form that is simulated, told apart by their content."""
+"""Compensation files of any simulated form, distinguished by their content."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _OF_THE_VOLUME = {"isg": read_isg, "etalon": read_etalon, "plain": read_plain}
 
 @dataclass(frozen=True, slots=True)
 class LoadedTables:
-    """The files that a controller has taken.
+    """Files loaded into a controller.
 
     files : text by name, of one form; rules : its readings
     """
@@ -69,7 +69,7 @@ class LoadedTables:
     def from_paths(
         cls, paths: Iterable[Path | str], rules: Rules | None = None
     ) -> Self:
-        """Read files. Raises SimulatorError naming the one that cannot be read."""
+        """Raises SimulatorError naming the file that cannot be read."""
         files: dict[str, str] = {}
         for path in map(Path, paths):
             try:
@@ -81,15 +81,15 @@ class LoadedTables:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Return what `as_json` has said."""
+        """From the content of `as_json`."""
         return cls(dict(content["files"]), Rules(**content["rules"]))
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as one JSON object."""
+        """Content of one JSON object."""
         return {"files": dict(self.files), "rules": asdict(self.rules)}
 
     def correct(self, machine: MachineFile) -> Correction | None:
-        """Return what the controller adds; None without files.
+        """Correction by the controller; None without files.
 
         Raises SimulatorError naming the file, and the row where it has one.
         """
@@ -113,7 +113,6 @@ class LoadedTables:
 def _read_tables(
     form: str, files: Mapping[str, str], machine: MachineFile, rules: Rules
 ) -> Correction:
-    """Return what tables add, after the kinematics where a file sets them."""
     is_chain, read_chain = _KINEMATICS.get(form, (None, None))
     chains = {name: text for name, text in files.items() if is_chain and is_chain(text)}
     tables = {name: text for name, text in files.items() if name not in chains}

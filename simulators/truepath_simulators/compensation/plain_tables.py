@@ -1,10 +1,10 @@
-"""Plain tables, CSV and JSON, as software between plan and controller would take them.
+"""Plain tables, CSV and JSON, as software between plan and controller would use them.
 
 A row: axis, direction + or -, position in mm, shifts in µm, turns in µrad. At positions
-of the axes the tool errs by the sum over them of shift + turn × R, R the positions of
-the axes nearer to the tool; the axes are sent where that is taken away. Straight
-between rows; end values hold. Columns beyond these nine are of temperature, and the
-software knows none.
+of the axes the error of the tool is the sum over them of shift + turn × R, R the
+positions of the axes nearer to the tool; the axes are sent to the command minus that.
+Linear between rows; end values hold. Columns beyond these nine are of temperature,
+which the software ignores.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class PlainCorrection(Correction):
     curves: Mapping[int, tuple[tuple[Curve, ...], ...]]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return mm to add."""
+        """Addition in mm."""
         total = np.zeros_like(position, dtype=float)
         for place, column in enumerate(self.order):
             beyond = np.zeros((len(position), 3))
@@ -60,7 +60,7 @@ class PlainCorrection(Correction):
 def read_plain(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> PlainCorrection:
-    """Return what the software makes of the file, told apart by its first letter."""
+    """Correction by the software; the format is determined by the first character."""
     del rules
     if machine.axis_names != ("X", "Y", "Z"):
         raise SimulatorError(f"{name}: plain tables are simulated of X, Y and Z alone")
@@ -96,7 +96,6 @@ def _split_json(text: str) -> tuple[list[str], Iterable[list[str]]]:
 def _make_curves(
     column: int, found: Mapping[tuple[int, int], list[list[float]]]
 ) -> tuple[tuple[Curve, ...], ...]:
-    """Return the curves of six motions of an axis, those of both directions each."""
     by_side = {side: np.array(found[column, side]) for side in _SIDES.values()}
     return tuple(
         tuple(

@@ -1,4 +1,4 @@
-"""Readings of a form that no public text settles: of this controller, as options."""
+"""Interpretations of files that no public text decides, as options."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BACKLASH_READINGS: tuple[BacklashReading, ...] = ("negative-value", "difference"
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """How this controller takes its tables.
+    """Interpretation of tables by this controller.
 
     backlash_reading : of the column BACKLASH of Heidenhain tables: the value in
         negative travel, or what is added to the other column there
-    reversed_sign : it takes the tables with the other sign
-    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and
-        Etalon Exchange
+    reversed_sign : it uses the tables with the other sign
+    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and Etalon
+        Exchange
     measuring_system : of the axes of a SINUMERIK, the active one: 1 or 2; by axis as
         `X=1,Y=2`, 1 for others
     """
@@ -32,7 +32,7 @@ class Rules:
     measuring_system: int | str = 1
 
     def find_measuring_system(self, axis: str) -> int:
-        """Return the active measuring system of an axis. Raises SimulatorError."""
+        """Active measuring system of an axis. Raises SimulatorError."""
         text = str(self.measuring_system)
         if _BY_AXIS.fullmatch(text) is None:
             raise SimulatorError(

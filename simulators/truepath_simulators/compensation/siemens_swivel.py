@@ -1,8 +1,8 @@
-"""SINUMERIK: a swivel data set, as a program of five axes moves by it.
+"""SINUMERIK: a swivel data set, as used by a program of five axes.
 
-A program names where the tool's tip is on the workpiece. With the vectors as the
-machine was built the straight axes would come to the commanded positions; with those of
-a file they come elsewhere. The tool is entered with all three lengths of the target.
+A program names the position of the tool's tip on the workpiece. With the vectors of the
+machine as built the linear axes would reach the commanded positions; with those of a
+file they reach others. The tool is entered with all three lengths of the target.
 
 Source: Function Manual Tool Compensation (W1) 08/2005, 2.5 and page 4-3, where l4 = (0,
 0, 15) of a table moves the zero point by X 10.607, Z -4.393 at B 45.
@@ -35,7 +35,7 @@ class Link:
     direction: np.ndarray
 
     def turn(self, position: np.ndarray) -> Rotation:
-        """Return the turn of each position."""
+        """Rotation at each position."""
         angle = np.radians(position[:, self.column])
         return Rotation.from_rotvec(angle[:, None] * self.direction)
 
@@ -48,14 +48,14 @@ class Chain:
     offsets: tuple[np.ndarray, ...]
 
     def apply(self, position: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Return the point carried outwards: l + R (l + R (l + point))."""
+        """Point carried outwards: l + R (l + R (l + point))."""
         carried = point + self.offsets[-1]
         for link, offset in zip(self.links[::-1], self.offsets[-2::-1], strict=True):
             carried = link.turn(position).apply(carried) + offset
         return carried
 
     def undo(self, position: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Return the point that is carried there."""
+        """Inverse of `apply`."""
         carried = point - self.offsets[0]
         for link, offset in zip(self.links, self.offsets[1:], strict=True):
             carried = link.turn(position).inv().apply(carried) - offset
@@ -64,7 +64,7 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class SwivelCorrection(Correction):
-    """What other vectors than the nominal ones move the straight axes by.
+    """Motion of the linear axes due to vectors that differ from the nominal ones.
 
     straight : columns of X, Y, Z; tool : from its tip to its seat, mm
     nominal, given : chains of the head and of the table
@@ -76,7 +76,7 @@ class SwivelCorrection(Correction):
     given: tuple[Chain, Chain]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Return mm to add; nothing to rotary axes."""
+        """Addition in mm; 0 for rotary axes."""
         del heading
         tool = np.tile(self.tool, (len(position), 1))
         head, table = self.nominal
@@ -90,12 +90,12 @@ class SwivelCorrection(Correction):
 
 
 def is_swivel(text: str) -> bool:
-    """Tell whether a file sets a swivel data set."""
+    """Whether a file sets a swivel data set."""
     return _LINE.search(text) is not None
 
 
 def read_swivel(name: str, text: str, machine: MachineFile) -> SwivelCorrection:
-    """Return what the vectors make of the machine. Raises SimulatorError."""
+    """Correction by the vectors. Raises SimulatorError."""
     values = _collect(name, text)
     head = [a for a in machine.rotary_axes if a.name in machine.tool_side]
     table = [a for a in machine.rotary_axes if a.name in machine.workpiece_side]
@@ -117,12 +117,10 @@ def read_swivel(name: str, text: str, machine: MachineFile) -> SwivelCorrection:
 
 @dataclass(frozen=True, slots=True)
 class _Built:
-    """Chains of the machine as it is drawn."""
-
     machine: MachineFile
 
     def chain(self, axes: list[RotaryAxis], *, is_head: bool = False) -> Chain:
-        """Return the chain through the axes, the outermost first."""
+        """The outermost axis first."""
         names = self.machine.axis_names
         points = [np.array(axis.origin_mm, float) for axis in axes]
         if is_head:

@@ -1,11 +1,11 @@
-"""SINUMERIK: `$AA_ENC_COMP` an axis, `$AN_CEC` from one axis to another.
+"""SINUMERIK: `$AA_ENC_COMP` per axis, `$AN_CEC` from one axis to another.
 
 A positive value of `$AA_ENC_COMP` moves the axis in the negative direction; `$AN_CEC`
 is taken the same way. A table with `$AN_CEC_MULT_BY_TABLE` n gives its product with the
-table of index n − 1, which then gives nothing by itself, as in the manual's foundation
-that sags: ΔX1 = Z1 β(X1). Between MIN and MAX a value that was not entered is 0.
-The first index of `$AA_ENC_COMP` is 0 for measuring system 1, 1 for 2.
-Source: Function Manual Extended Functions 03/2013, K3, pages 238 to 252.
+table of index n − 1, which then gives nothing alone, as in the manual's foundation that
+sags: ΔX1 = Z1 β(X1). Between MIN and MAX a value that was not entered is 0. The first
+index of `$AA_ENC_COMP` is 0 for measuring system 1, 1 for 2. Source: Function Manual
+Extended Functions 03/2013, K3, pages 238 to 252.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class _Table:
 def read_siemens(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> Iterator[Term]:
-    """Yield what the tables of an INI file add.
+    """Corrections by the tables of an INI file.
 
-    rules : with the active measuring system of the axes. Tables of the other would do
-        nothing: they are refused by a SimulatorError.
+    rules : with the active measuring system of the axes. Tables of the other would have
+        no effect: they raise SimulatorError.
     """
     leadscrew, cross = _collect(name, text, rules)
     for axis, table in leadscrew.items():
@@ -119,7 +119,6 @@ def _make_curve(name: str, table: _Table, column: int) -> Curve:
 
 
 def _find_column(name: str, word: str, machine: MachineFile) -> int:
-    """Return the column of `AX2` or of a machine axis such as `Y1`."""
     numbered = re.fullmatch(r"AX(\d+)", word)
     if numbered and 1 <= int(numbered.group(1)) <= len(machine.axes):
         return int(numbered.group(1)) - 1

@@ -1,4 +1,4 @@
-"""What speed, reversals and drives do to the axes."""
+"""Effects of speed, reversals and drives on the axes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine.tracker_head import TrackerClock
 
 
-# A position loop that follows its command later than those of the other axes.
+# A position loop with more lag than those of the other axes.
 @dataclass(frozen=True, slots=True)
 class ServoMismatch(HiddenEffect):
-    """A first-order lag of one axis, ramps included; positive lags are late."""
+    """A first-order lag of one axis, ramps included; a positive lag is late."""
 
     name = "servo-mismatch"
     axis: str
@@ -28,15 +28,15 @@ class ServoMismatch(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis; at the usual feed it lags, or leads, by the size."""
+        """Random axis; at typical feed it lags, or leads, by the size."""
         lag_ms = occasion.size_um / occasion.feed_mm_s * float(rng.choice([-1.0, 1.0]))
         return cls(occasion.axis(rng), lag_ms)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the following error, r − c of lag r' = c − r.
+        """Following error, r − c of lag r' = c − r.
 
-        For a command c of cubic pieces r − c = −lag c' + lag² c'' − lag³ c'''; what a
-        piece's begin excites is a jump of lag³ c''', for 0.1 ms less than 0.1 nm.
+        For a command c of cubic pieces r − c = −lag c' + lag² c'' − lag³ c'''; the
+        begin of a piece excites a jump of lag³ c''', for 0.1 ms less than 0.1 nm.
         """
         lag_s = 1e-3 * self.lag_ms
         velocity, acceleration, jerk = motion.derivatives(self.axis, time_s)
@@ -49,7 +49,7 @@ class ServoMismatch(HiddenEffect):
 class ReversalSpike(HiddenEffect):
     """An excursion that fades with the travel since the reversal.
 
-    It has the sign of the direction that the axis then goes in.
+    It has the sign of the axis' direction after the reversal.
     """
 
     name = "reversal-spike"
@@ -60,7 +60,7 @@ class ReversalSpike(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis, a direction and how soon it fades."""
+        """Random axis, direction and decay length."""
         return cls(
             occasion.axis(rng),
             str(rng.choice(list("XYZ"))),
@@ -69,16 +69,16 @@ class ReversalSpike(HiddenEffect):
         )
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what is left of the excursion."""
+        """Remaining part of the excursion."""
         travel, sign = motion.since_reversal_mm(self.axis, time_s)
         left = 1e-3 * self.amplitude_um * sign * np.exp(-travel / self.decay_mm)
         return error_motion(f"E{self.direction}{self.axis}", left)
 
 
 # A carriage that leans back while its axis speeds up, and forward while it brakes.
-_USUAL_M_S2 = 1.5  # at which it is as large as is asked for
+_USUAL_M_S2 = 1.5  # at which it has the requested size
 _ARM_MM = 300.0
-_PIECES = 28  # of the past, of which the swing is not over
+_PIECES = 28  # of the past whose oscillation has not decayed
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class InertialBend(HiddenEffect):
     """An error motion in proportion to the acceleration of its axis.
 
     motion : `EYX`, `ECX` …; amount : µm or µrad at 1 m/s²
-    frequency_hz : at which it swings after each change of the acceleration; 0 for a
+    frequency_hz : of the oscillation after each change of the acceleration; 0 for a
         carriage that is stiff against the ramp
     """
 
@@ -100,7 +100,7 @@ class InertialBend(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a motion aside, or a turn, of the size at usual acceleration."""
+        """Random lateral motion or turn, of the size at typical acceleration."""
         axis = occasion.axis(rng)
         kind = str(rng.choice([k for k in "XYZABC" if k != axis]))
         arm_m = 1e-3 * _ARM_MM if kind in "ABC" else 1.0
@@ -113,7 +113,7 @@ class InertialBend(HiddenEffect):
         return {"axis": self.motion[2], "motion": self.motion}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the motion: a mass on a spring that the acceleration pulls."""
+        """The motion: a mass on a spring under the acceleration."""
         _, acceleration, jerk = motion.derivatives(self.motion[2], time_s)
         if self.frequency_hz:
             lag_s = 2.0 * self.damping / (2.0 * np.pi * self.frequency_hz)
@@ -122,11 +122,11 @@ class InertialBend(HiddenEffect):
         return error_motion(self.motion, unit * self.amount * 1e-3 * acceleration)
 
     def _swing(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return what each change of the jerk J excites, as an acceleration.
+        """Response to each change of the jerk J, as an acceleration.
 
         y'' + 2 d w y' + w^2 y = w^2 a answers to a = J t with
-        J (t - 2 d / w + exp(-d w t) (2 d / w cos v t + (2 d^2 - 1) / v sin v t)),
-        v = w sqrt(1 - d^2).
+            J (t - 2 d / w + exp(-d w t) (2 d / w cos v t + (2 d^2 - 1) / v sin v t)),
+            v = w sqrt(1 - d^2).
         """
         timeline, d = motion.timeline, self.damping
         w = 2.0 * np.pi * self.frequency_hz
@@ -161,7 +161,7 @@ class Vibration(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a direction and a frequency, evenly in its logarithm."""
+        """Random direction and frequency, uniform in its logarithm."""
         low, high = np.log(_SLOWEST_HZ), np.log(_FASTEST_HZ)
         return cls(
             str(rng.choice(list("XYZ"))),
@@ -171,14 +171,14 @@ class Vibration(HiddenEffect):
         )
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return frequency, on the tracker's clock, and amplitude."""
+        """Frequency, on the tracker's clock, and amplitude."""
         return {
             "frequency_hz": self.frequency_hz / (1.0 + clock.drift),
             "amplitude_um": self.amplitude_um,
         }
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return the wave."""
+        """The wave, mm."""
         del motion
         angle = 2.0 * np.pi * self.frequency_hz * time_s + self.phase_rad
         return along(self.direction, 1e-3 * self.amplitude_um * np.sin(angle))

@@ -1,4 +1,4 @@
-"""What a hidden effect answers."""
+"""Interface of a hidden effect."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Value = float | tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Occasion:
-    """What an effect is drawn for.
+    """Recording for which an effect is sampled.
 
-    size_um : how far it is to move the measured point about its mean, at most
-    duration_s : of the recording; feed_mm_s : usual one
-    distance_mm : from tracker to target, about
+    size_um : largest motion of the measured point about its mean
+    duration_s : of the recording; feed_mm_s : typical one
+    distance_mm : typical distance from tracker to target
     """
 
     machine: MachineFile
@@ -33,30 +33,30 @@ class Occasion:
 
     @classmethod
     def usual(cls, machine: MachineFile, size_um: float) -> Self:
-        """Return a recording of three minutes at 6 m/min, the tracker beside it."""
+        """A recording of three minutes at 6 m/min, the tracker next to the machine."""
         low, high = machine.low_mm, machine.high_mm
         reach_mm = float(np.linalg.norm(0.5 * (high - low)[:2]))
         return cls(machine, size_um, 180.0, 100.0, reach_mm + 350.0)
 
     def axis(self, rng: np.random.Generator) -> str:
-        """Draw one of the straight axes."""
+        """Random linear axis."""
         return str(rng.choice([axis.name for axis in self.machine.linear_axes]))
 
     def travel_mm(self, axis: str) -> float:
-        """Return how far a straight axis travels."""
+        """Length of travel."""
         found = self.machine.axes[self.machine.axis_names.index(axis)]
         return found.high - found.low
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffect(ABC):
-    """One physical cause that the nominal machine with its error motions lacks.
+    """One physical cause outside of the nominal machine with its error motions.
 
-    name : as the catalogue of effects calls it; what is not in it has a name of its own
-    needs_model : only a model made before shows it; one fitted to the same recording
-        has it already
-    on_ramps_alone : where the feed is constant it does nothing
-    unstated : numbers that files leave out, beside those with a usual value
+    name : that of the catalogue of effects; a separate name if it is not in it
+    needs_model : only an earlier model shows it; one fitted to the same recording
+        contains it
+    on_ramps_alone : it has no effect at constant feed
+    unstated : numbers that files leave out, in addition to those with a default
     """
 
     name: ClassVar[str]
@@ -68,17 +68,17 @@ class HiddenEffect(ABC):
     @classmethod
     @abstractmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw one of the size that is asked for."""
+        """Random effect of the requested size."""
 
     @property
     def keys(self) -> dict[str, str]:
-        """What tells it from others of its name: its texts, as axis and direction."""
+        """Its text fields, as axis and direction, distinguish it within its name."""
         return {
             name: text for name, text in asdict(self).items() if isinstance(text, str)
         }
 
     def parameters(self, clock: TrackerClock) -> Mapping[str, Value]:
-        """Return its numbers as files state them, times on the tracker's clock."""
+        """Its numbers as in files, times on the tracker's clock."""
         del clock
         usual = {field.name for field in fields(self) if field.default is not MISSING}
         return {
@@ -88,7 +88,7 @@ class HiddenEffect(ABC):
         }
 
     def truth(self, clock: TrackerClock) -> dict[str, Any]:
-        """Return name, keys and parameters in the form of `discovery.json`."""
+        """Name, keys and parameters in the form of `discovery.json`."""
         values = {
             name: {"value": list(value) if isinstance(value, tuple) else value}
             for name, value in self.parameters(clock).items()
@@ -96,7 +96,7 @@ class HiddenEffect(ABC):
         return {"name": self.name, **self.keys, "parameters": values}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what it adds to the error motions of joints, by axis.
+        """Additions to the error motions of joints, by axis.
 
         (n, 6) each: along X, Y, Z in mm, about X, Y, Z in rad.
         """
@@ -104,16 +104,16 @@ class HiddenEffect(ABC):
         return {}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return how far all shifts that the tracker sees, where it stands, (n, 3)."""
+        """Common shift of all points, in the tracker's base frame, (n, 3)."""
         del motion
         return np.zeros((len(time_s), 3))
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
-        """Return the error of range (mm), azimuth and elevation (rad), (n, 3)."""
+        """Error of range (mm), azimuth and elevation (rad), (n, 3)."""
         return np.zeros_like(polar)
 
     def warming_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
-        """Return what the sensor of an axis shows above its start, (n,)."""
+        """Reading of an axis' sensor above its start, (n,)."""
         del axis
         return np.zeros(len(time_s))
 
@@ -122,14 +122,14 @@ _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
 def error_motion(symbol: str, value: np.ndarray) -> dict[str, np.ndarray]:
-    """Return values (n,) of one error motion, `EXX` … `ECZ`, as `carry` does."""
+    """Values (n,) of one error motion, `EXX` … `ECZ`, in the form of `carry`."""
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
     return {symbol[2]: motions}
 
 
 def along(direction: str, value: np.ndarray) -> np.ndarray:
-    """Return values (n,) as vectors (n, 3) along X, Y or Z."""
+    """Values (n,) as vectors (n, 3) along X, Y or Z."""
     shift = np.zeros((len(value), 3))
     shift[:, _COLUMNS[direction]] = value
     return shift

@@ -1,4 +1,4 @@
-"""Effects by name, at random by seed, and as text for other processes."""
+"""Effects by name, sampled by seed, and as text for other processes."""
 
 from __future__ import annotations
 
@@ -94,15 +94,15 @@ _AT_REST = np.zeros(1)
 
 
 def draw(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
-    """Draw an effect of a name; raises SimulatorError naming those there are."""
+    """Random effect of a name; raises SimulatorError listing the known names."""
     rng = generator(seed, f"hidden: {name}")
     return _kind(name).draw(rng, occasion)
 
 
 def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
-    """Return the effect of a text.
+    """Effect from a text.
 
-    `name[*size_um]` draws one for a recording of usual length; a JSON object,
+    `name[*size_um]` samples one for a recording of typical length; a JSON object,
     `{"name": "backlash", "axis": "X", "width_um": 8}`, gives its numbers.
 
     Raises SimulatorError on an unknown name, a size that is no number, or numbers that
@@ -119,12 +119,12 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
 
 
 def as_json(effect: HiddenEffect) -> dict[str, Any]:
-    """Return an effect as the content of a JSON object."""
+    """Content of a JSON object."""
     return {"name": effect.name, **asdict(effect)}
 
 
 def from_json(content: Mapping[str, Any]) -> HiddenEffect:
-    """Return the effect of `as_json`; raises SimulatorError on what it is not."""
+    """From the content of `as_json`; raises SimulatorError on an invalid one."""
     values = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in content.items()
@@ -137,7 +137,7 @@ def from_json(content: Mapping[str, Any]) -> HiddenEffect:
 
 
 def _try_effect(text: str, machine: MachineFile) -> HiddenEffect:
-    """Return the effect of a JSON object once it has moved the machine at rest."""
+    """Proven by moving the machine at rest."""
     try:
         content = json.loads(text)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Guides and frames that bend, lean and twist, or are out of square."""
+"""Guides and frames that bend, lean or twist, or are out of square."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from truepath_simulators.machine_file import DIRECTIONS
 # A guide that bends under the carriage that travels on it.
 @dataclass(frozen=True, slots=True)
 class ElasticSag(HiddenEffect):
-    """−amplitude 4u(1 − u) v: most in mid guide, in proportion to what it bears.
+    """−amplitude 4u(1 − u) v: largest in mid guide, in proportion to its load.
 
     u : share of the travel along `axis`, the guide; v : along `by`, whose carriage
         brings the load from one guide to the other
@@ -32,10 +32,10 @@ class ElasticSag(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw guide, carriage and direction.
+        """Random guide, carriage and direction.
 
-        The mean over v is straightness, the mean over u a tilt, so that four times the
-        size is needed to move the point by the size about what is rigid.
+        The mean over v is straightness, the mean over u a tilt, so four times the size
+        is needed for a motion of the size in addition to the rigid part.
         """
         axis = occasion.axis(rng)
         by = str(rng.choice([n for n in "XYZ" if n != axis]))
@@ -43,7 +43,7 @@ class ElasticSag(HiddenEffect):
         return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the guide's deflection under the carriage."""
+        """Deflection of the guide under the carriage."""
         u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
         return error_motion(f"E{self.direction}{self.axis}", deflection)
@@ -52,7 +52,7 @@ class ElasticSag(HiddenEffect):
 # A slide that floats up on its oil: the faster, the higher.
 @dataclass(frozen=True, slots=True)
 class FloatingSlide(HiddenEffect):
-    """lift v² / (v² + usual²) across an axis, whichever way it goes at v."""
+    """lift v² / (v² + usual²) across an axis, the same in both directions of v."""
 
     name = "floating-slide"
     in_catalogue = False
@@ -64,13 +64,13 @@ class FloatingSlide(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis and a direction across it."""
+        """Random axis and direction across it."""
         axis = occasion.axis(rng)
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return how far the oil film carries."""
+        """Lift by the oil film."""
         square = motion.derivatives(self.axis, time_s)[0] ** 2
         lift = square / (square + self.usual_mm_s**2)
         return error_motion(f"E{self.direction}{self.axis}", 1e-3 * self.lift_um * lift)
@@ -95,13 +95,13 @@ class LeaningColumn(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw two axes and an angle; it acts over a quarter of a metre."""
+        """Two random axes and an angle; it acts over a quarter of a metre."""
         first, second, _ = rng.permutation(list("XYZ"))
         amplitude = 2.0 * occasion.size_um / _ARM_M
         return cls(f"E{rng.choice(list('ABC'))}{first}", str(second), amplitude)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the lean where both axes are."""
+        """Lean at the positions of both axes."""
         u, v = (motion.share(name, time_s) for name in (self.motion[2], self.by))
         lean = np.sin(np.pi * u) * np.cos(np.pi * v)
         return error_motion(self.motion, 1e-6 * self.amplitude_urad * lean)
@@ -110,7 +110,7 @@ class LeaningColumn(HiddenEffect):
 # A guide whose straightness waves with the pitch of its screws or rollers.
 @dataclass(frozen=True, slots=True)
 class WavyGuide(HiddenEffect):
-    """A rail drawn down by bolts of one pitch: the carriage rides over the waves."""
+    """A rail pulled down by bolts of one pitch: the carriage follows its waves."""
 
     name = "wavy-guide"
     in_catalogue = False
@@ -122,7 +122,7 @@ class WavyGuide(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis, a direction across it, and a pitch."""
+        """Random axis, direction across it, and pitch."""
         axis = occasion.axis(rng)
         return cls(
             axis,
@@ -133,12 +133,12 @@ class WavyGuide(HiddenEffect):
         )
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return pitch and amplitude."""
+        """Pitch and amplitude."""
         del clock
         return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the height of the rail under the carriage."""
+        """Height of the rail under the carriage."""
         run = motion.position_mm(self.axis, time_s) / self.pitch_mm
         wave = np.sin(2.0 * np.pi * run + self.phase_rad)
         return error_motion(
@@ -146,7 +146,7 @@ class WavyGuide(HiddenEffect):
         )
 
 
-# A frame that twists with two axes at once, in no shape that a catalogue has.
+# A frame that twists with two axes at once, in a shape outside of the catalogue.
 @dataclass(frozen=True, slots=True)
 class Twist(HiddenEffect):
     """amplitude sin(π waves u) sin(π waves v), u and v the shares of the travels."""
@@ -161,7 +161,7 @@ class Twist(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw two axes and how often each bulges: at least once up and once down."""
+        """Two random axes, each with about one wave up and one down."""
         first, second, _ = rng.permutation(list("XYZ"))
         waves = (float(rng.uniform(1.8, 2.2)), float(rng.uniform(1.8, 2.2)))
         direction = str(rng.choice(list("XYZ")))
@@ -173,7 +173,7 @@ class Twist(HiddenEffect):
         return {"plane": self.first + self.second, "direction": self.direction}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the bulge where both axes are."""
+        """Bulge at the positions of both axes."""
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):
             bulge *= np.sin(np.pi * waves * motion.share(name, time_s))
@@ -182,7 +182,7 @@ class Twist(HiddenEffect):
         )
 
 
-# Two axes that are out of square since the model in use was made: a crash, a move.
+# Two axes that went out of square after the model in use: by a crash, a move.
 @dataclass(frozen=True, slots=True)
 class Squareness(HiddenEffect):
     """The direction of travel of an axis is turned, as in the truth machine."""
@@ -194,9 +194,9 @@ class Squareness(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a pair of axes; from end to end of its travel one leans twice the size.
+        """Random pair of axes; over its travel one leans by twice the size.
 
-        The tracker's place takes up the mean.
+        The tracker's pose absorbs the mean.
         """
         symbol = str(rng.choice(list(SQUARENESS)))
         travel_m = 1e-3 * occasion.travel_mm(SQUARENESS[symbol][0])
@@ -204,7 +204,7 @@ class Squareness(HiddenEffect):
         return cls(symbol, sign * 2.0 * occasion.size_um / travel_m)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return s (R d − d) for the position s on the direction d of travel."""
+        """Shift s (R d − d) for the position s on the direction d of travel."""
         axis, around = SQUARENESS[self.symbol]
         angle = 1e-6 * self.value_urad
         turn = rotation_matrices(

@@ -1,8 +1,8 @@
-"""What the axes have done so far: positions, rates, reversals and lost motion.
+"""Past motion of the axes: positions, rates, reversals and lost motion.
 
-Within a piece of a timeline every axis moves in one direction only, so its history is
-told by the pieces' ends: nothing has to be sampled, and the answer does not depend on
-when it is asked for.
+Within a piece of a timeline every axis moves in one direction only, so the ends of the
+pieces determine its history: nothing has to be sampled, and the result does not depend
+on when it is requested.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _STANDS_MM = 1e-9
 
 @dataclass(frozen=True)
 class Motion:
-    """A timeline of a machine, with the memory that its axes have of it.
+    """A timeline of a machine, and the memory of its axes.
 
-    correction : what the controller adds to the commanded positions
+    correction : addition of the controller to the commanded positions
     """
 
     machine: MachineFile
@@ -33,29 +33,29 @@ class Motion:
     _remembered: dict[object, np.ndarray] = field(default_factory=dict)
 
     def driven(self, time_s: np.ndarray) -> np.ndarray:
-        """Return where the controller drives the axes, (n, axes): with its tables."""
+        """Positions of the axes with the controller's tables, (n, axes)."""
         position = self.timeline.positions(time_s)
         if self.correction is None:
             return position
         return position + self.correction.added(position, self.headings(time_s))
 
     def headings(self, time_s: np.ndarray) -> np.ndarray:
-        """Return in which direction each axis moves or last moved, (n, axes).
+        """Direction in which each axis moves or last moved, (n, axes).
 
         1 or −1; 0 for an axis that has not moved yet.
         """
         return self._remember("headings", self._find_headings)[self._piece(time_s)]
 
     def column(self, axis: str) -> int:
-        """Return the column of an axis."""
+        """Column of an axis."""
         return self.machine.axis_names.index(axis)
 
     def position_mm(self, axis: str, time_s: np.ndarray) -> np.ndarray:
-        """Return where an axis is commanded to be, (n,)."""
+        """Commanded position, (n,); deg for a rotary axis."""
         return self.timeline.positions(time_s)[:, self.column(axis)]
 
     def share(self, axis: str, time_s: np.ndarray) -> np.ndarray:
-        """Return how much of its travel an axis is commanded to have gone, (n,)."""
+        """Commanded position within the travel, 0 to 1, (n,)."""
         travel = self.machine.axes[self.column(axis)]
         gone = self.position_mm(axis, time_s) - travel.low
         return gone / (travel.high - travel.low)
@@ -63,7 +63,7 @@ class Motion:
     def derivatives(
         self, axis: str, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return velocity, acceleration and jerk of an axis, (n,) each."""
+        """Velocity, acceleration and jerk of an axis, (n,) each."""
         piece, column = self._piece(time_s), self.column(axis)
         heading = self.timeline.directions(time_s)[:, column]
         speed = self.timeline.speeds(time_s)
@@ -77,7 +77,7 @@ class Motion:
     def play_mm(
         self, axis: str, half_width_mm: float, time_s: np.ndarray
     ) -> np.ndarray:
-        """Return the output of the play operator, (n,): what really follows the axis.
+        """Output of the play operator, (n,): the part that follows the axis.
 
         It stays where it is until the axis has crossed the play, whose half is given.
         At first the axis is in the middle of it.
@@ -91,9 +91,9 @@ class Motion:
     def since_reversal_mm(
         self, axis: str, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return travel since an axis last turned back, and its direction since.
+        """Travel since an axis last reversed, and its direction since.
 
-        (n,) each; inf and 0 where it has not turned back.
+        (n,) each; inf and 0 where it has not reversed.
         """
         turns = self._remember((axis, np.inf), lambda: self._find_turns(axis))
         travel, sign = turns[self._piece(time_s)].T
@@ -106,7 +106,6 @@ class Motion:
         return self._remembered[key]
 
     def _find_headings(self) -> np.ndarray:
-        """Return the heading of each axis in each piece, kept while it stands."""
         step = np.diff(self.timeline.origin, axis=0)
         step = np.vstack([step, np.zeros((1, step.shape[1]))])
         sign = np.where(np.abs(step) > _STANDS_MM, np.sign(step), 0.0)
@@ -128,7 +127,7 @@ class Motion:
         return state
 
     def _find_turns(self, axis: str) -> np.ndarray:
-        """Return travel since the reversal as each piece begins, and the sign in it."""
+        """Travel since the reversal at the begin of each piece, and the sign in it."""
         begin = self.timeline.origin[:, self.column(axis)]
         step = np.append(np.diff(begin), 0.0)
         known = np.zeros((len(begin), 2))
@@ -144,7 +143,7 @@ class Motion:
 
 
 def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
-    """Return a new timeline with what was known of the time before it."""
+    """New timeline preceded by the known past."""
     if known is None or known.start_s[0] >= new.start_s[0]:
         return new
     past = known.cut(float(new.start_s[0]))
@@ -152,9 +151,9 @@ def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
 
 
 class MotionFollower:
-    """The motion on a board so far: play and friction remember it, the board not.
+    """Past motion of a board: play and friction need it, the board does not keep it.
 
-    remembers : whether anything looks back; tables of a direction do
+    remembers : whether any effect needs the past; tables of a direction do
     """
 
     def __init__(self, machine: MachineFile, *, remembers: bool) -> None:
@@ -164,7 +163,7 @@ class MotionFollower:
         self._motion: Motion | None = None
 
     def follow(self, timeline: Timeline) -> Motion:
-        """Return the motion up to the newest timeline of the board."""
+        """Motion up to the newest timeline of the board."""
         if self._motion is None or self._newest is not timeline:
             looks_back = self._remembers or self._correction is not None
             known = self._motion.timeline if self._motion and looks_back else None
@@ -174,7 +173,7 @@ class MotionFollower:
         return self._motion
 
     def correct(self, correction: Correction | None) -> None:
-        """Drive by these tables from now on."""
+        """Use these tables from now on."""
         self._correction = correction
         if self._motion is not None:
             self._motion = replace(self._motion, correction=correction)

@@ -22,26 +22,26 @@ class Backlash(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis; half of the width to either side."""
+        """Random axis; half of the width to either side."""
         return cls(occasion.axis(rng), 2.0 * occasion.size_um)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return how far the table is from where the screw is."""
+        """Distance of the table from the screw's position."""
         table = motion.play_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)
         return error_motion(f"E{self.axis}{self.axis}", off)
 
 
 # A carriage with play in its guide: friction leans it to one side or the other.
-_ARM_M = 0.33  # a turn is drawn so that it moves the tool as far as a shift does
+_ARM_M = 0.33  # a turn moves the tool as far as a shift
 
 
 @dataclass(frozen=True, slots=True)
 class LateralBacklash(HiddenEffect):
-    """Going up the carriage leans by +h, going down by −h.
+    """The carriage leans by +h on the way up, by −h on the way down.
 
-    motion : the error motion it leans in; half_width : h in µm or µrad
-    turnover_mm : travel after a reversal in which it leans over
+    motion : the error motion of the lean; half_width : h in µm or µrad
+    turnover_mm : travel after a reversal in which the lean changes sides
     """
 
     name = "lateral-backlash"
@@ -52,7 +52,7 @@ class LateralBacklash(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a straightness or an angle; an angle acts over a third of a metre."""
+        """Random straightness or angle; an angle acts over a third of a metre."""
         axis = occasion.axis(rng)
         letter = str(rng.choice([c for c in "XYZABC" if c != axis]))
         half = occasion.size_um * float(rng.choice([-1.0, 1.0]))
@@ -65,7 +65,7 @@ class LateralBacklash(HiddenEffect):
         return self.motion[1] in "ABC"
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return how far it leans, by how much of the play friction has crossed."""
+        """Lean, by the part of the play that friction has crossed."""
         half_mm = 0.5 * self.turnover_mm
         follows = motion.play_mm(self.axis, half_mm, time_s)
         lean = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -91,13 +91,13 @@ class WornScrew(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis and where it is worn."""
+        """Random axis and position of the wear."""
         middle, spread = rng.uniform(0.3, 0.7), rng.uniform(0.08, 0.14)
         width_um = 6.0 * occasion.size_um
         return cls(occasion.axis(rng), width_um, float(middle), float(spread))
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return how far the nut lags: half the width there, by the side it is on."""
+        """Lag of the nut: half the local width, by the side it is on."""
         half_mm = 0.5 * _TURNOVER_MM
         follows = motion.play_mm(self.axis, half_mm, time_s)
         side = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -112,7 +112,7 @@ _LEADS_MM = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 
 @dataclass(frozen=True, slots=True)
 class ScrewCyclic(HiddenEffect):
-    """amplitude sin(angle + phase) of the screw's angle, with a little of twice it."""
+    """amplitude sin(angle + phase) of the screw's angle, and a small harmonic."""
 
     name = "screw-cyclic"
     axis: str
@@ -123,7 +123,7 @@ class ScrewCyclic(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw one of the usual leads, and a second harmonic of at most a tenth."""
+        """One of the typical leads, and a second harmonic of at most a tenth."""
         return cls(
             occasion.axis(rng),
             float(rng.choice(_LEADS_MM)),
@@ -133,7 +133,7 @@ class ScrewCyclic(HiddenEffect):
         )
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the nut's error by the angle of the screw."""
+        """Error of the nut by the angle of the screw."""
         turned = motion.position_mm(self.axis, time_s) / self.lead_mm
         angle = 2.0 * np.pi * turned + self.phase_rad
         wave = np.sin(angle) + self.second_share * np.sin(2.0 * angle)

@@ -1,4 +1,4 @@
-"""Tracker, stand, table and nest that do not stay where they are."""
+"""Tracker, stand, table and nest that move during the measurement."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine.tracker_head import TrackerClock
 
 
-# A knock against the tracker, its stand or the target's nest.
+# An unintended shift of the tracker, its stand or the target's nest.
 @dataclass(frozen=True, slots=True)
 class SetupStep(HiddenEffect):
     """All points are shifted from one moment on.
@@ -26,7 +26,7 @@ class SetupStep(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a moment in the middle two thirds; the step is twice the size."""
+        """Random moment in the middle two thirds; the step is twice the size."""
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         x, y, z = 2.0 * occasion.size_um * direction
@@ -34,11 +34,11 @@ class SetupStep(HiddenEffect):
         return cls(moment_s, (float(x), float(y), float(z)))
 
     def parameters(self, clock: TrackerClock) -> dict[str, float | tuple[float, ...]]:
-        """Return the moment on the tracker's clock, and the step."""
+        """The moment on the tracker's clock, and the step."""
         return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return the step after the moment."""
+        """The step after the moment."""
         del motion
         return 1e-3 * np.outer(time_s >= self.time_s, self.step_um)
 
@@ -58,14 +58,14 @@ class SettlingStand(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw which way it leans, and how soon it rests."""
+        """Random direction of the lean, and time constant."""
         angle = float(rng.uniform(0.0, 2.0 * np.pi))
         tilt = 4.0 * 1e3 * occasion.size_um / occasion.distance_mm
         tau_s = float(rng.uniform(0.15, 0.4) * occasion.duration_s)
         return cls((tilt * float(np.cos(angle)), tilt * float(np.sin(angle))), tau_s)
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return how the points turn about a foot below the travel's low corner."""
+        """Turn of the points about a foot below the travel's low corner."""
         place = [motion.position_mm(name, time_s) for name in "XYZ"]
         arm = np.stack(place, axis=1) - motion.machine.low_mm
         arm[:, 2] += 1000.0
@@ -84,25 +84,25 @@ class TableDrift(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a direction; from begin to end it creeps twice the size."""
+        """Random direction; from begin to end it creeps twice the size."""
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         x, y, z = 2.0 * occasion.size_um / occasion.duration_s * direction
         return cls((float(x), float(y), float(z)))
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return the rate times the time."""
+        """Rate times time."""
         del motion
         return 1e-3 * np.outer(time_s, self.rate_um_per_s)
 
 
-# A target that sits loose in its nest: each start from rest seats it anew.
+# A target that is loose in its nest: it moves at each start from rest.
 _SEATS = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class LooseNest(HiddenEffect):
-    """Another shift on every line, at random: spread_um along each axis."""
+    """A different random shift on every line: spread_um along each axis."""
 
     name = "loose-nest"
     in_catalogue = False
@@ -112,11 +112,11 @@ class LooseNest(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw how it will sit."""
+        """Random seed of its positions."""
         return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return where it sits on each line."""
+        """Shift on each line."""
         seats = np.random.default_rng(self.chance).normal(size=(_SEATS, 3))
         row = motion.timeline.rows(time_s) % _SEATS
         return 1e-3 * self.spread_um * seats[row]

@@ -1,4 +1,4 @@
-"""All hidden effects together, as the tracker sees them."""
+"""All hidden effects together, as measured by the tracker."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def locate_target_mm(
     target: Sequence[str],
     hidden: Sequence[HiddenEffect],
 ) -> np.ndarray:
-    """Return the target at each time where the tracker stands, (n, 3).
+    """Target at each time in the frame on which the tracker stands, (n, 3).
 
     target : (n,) its name at each time
     """
@@ -38,7 +38,7 @@ def locate_target_mm(
 def carry_all(
     motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
 ) -> dict[str, np.ndarray]:
-    """Return what all effects add to the error motions of joints, (n, 6) by axis."""
+    """Sum of all additions to the error motions of joints, (n, 6) by axis."""
     total: dict[str, np.ndarray] = {}
     for effect in hidden:
         for axis, value in effect.carry(motion, time_s).items():
@@ -47,5 +47,5 @@ def carry_all(
 
 
 def misread(polar: np.ndarray, hidden: Sequence[HiddenEffect]) -> np.ndarray:
-    """Return readings (n, 3) with what effects do to them."""
+    """Readings (n, 3) with all effects."""
     return polar + sum((e.misread(polar) for e in hidden), np.zeros_like(polar))

@@ -1,4 +1,4 @@
-"""What the tracker reads wrong, and the air that its beam goes through."""
+"""Errors of the tracker's readings, and of the air along its beam."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CIRCLES = {"azimuth": 1, "elevation": 2}
 
 @dataclass(frozen=True, slots=True)
 class TrackerEccentricity(HiddenEffect):
-    """The angle read is wrong by amplitude sin(angle + phase)."""
+    """The angle has an error of amplitude sin(angle + phase)."""
 
     name = "tracker-eccentricity"
     circle: str
@@ -24,17 +24,17 @@ class TrackerEccentricity(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a circle and a phase.
+        """Random circle and phase.
 
         Offset and slope of the wave over the angles in use turn the tracker: ten times
-        the size is needed for its bend alone to move the point by the size.
+        the size is needed for its curvature alone to move the point by the size.
         """
         amplitude = 10.0 * 1e3 * occasion.size_um / occasion.distance_mm
         circle = str(rng.choice(list(_CIRCLES)))
         return cls(circle, amplitude, float(rng.uniform(0.0, 2.0 * np.pi)))
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
-        """Return the error of the reading head."""
+        """Error of the reading head."""
         column = _CIRCLES[self.circle]
         error = np.zeros_like(polar)
         error[:, column] = (
@@ -53,24 +53,24 @@ class TrackerRangeOffset(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a sign.
+        """Random sign.
 
-        Most of it shifts the tracker: eight times the size is needed for its bend to
-        move the point by the size.
+        Most of it shifts the tracker: eight times the size is needed for its curvature
+        to move the point by the size.
         """
         return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
-        """Return the offset in every range."""
+        """The offset in every range."""
         error = np.zeros_like(polar)
         error[:, 0] = 1e-3 * self.offset_um
         return error
 
 
-# A plume of warm air beside the machine: distances through it read too short.
+# A plume of warm air next to the machine: distances through it are too short.
 @dataclass(frozen=True, slots=True)
 class WarmPlume(HiddenEffect):
-    """The range errs by amplitude exp(−½ ((azimuth − middle) / width)²)."""
+    """The error of the range is amplitude exp(−½ ((azimuth − middle) / width)²)."""
 
     name = "warm-plume"
     in_catalogue = False
@@ -80,7 +80,7 @@ class WarmPlume(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw where it rises, over directions that a beam may have."""
+        """Random azimuth of the plume."""
         return cls(
             -3.0 * occasion.size_um,
             float(rng.uniform(-np.pi, np.pi)),
@@ -88,7 +88,7 @@ class WarmPlume(HiddenEffect):
         )
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
-        """Return what beams through it lack."""
+        """Error of the range of beams through it."""
         off = np.angle(np.exp(1j * (polar[:, 1] - self.middle_rad))) / self.width_rad
         error = np.zeros_like(polar)
         error[:, 0] = 1e-3 * self.amplitude_um * np.exp(-0.5 * off**2)

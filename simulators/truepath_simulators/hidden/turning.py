@@ -1,7 +1,7 @@
-"""What drives and weights of rotary axes do: play, gears that wobble, swivels that sag.
+"""Drives and weights of rotary axes: play, cyclic errors of gears, sag by swivels.
 
-A rotary axis that stands short by an angle turns the tool the other way against the
-workpiece where it carries the workpiece.
+If the axis carries the workpiece, a lag of its angle turns the tool the other way
+relative to the workpiece.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from truepath_simulators.hidden.motion import Motion
 
-_REACH_MM = 120.0  # usual, from the axis to a target
+_REACH_MM = 120.0  # typical, from the axis to a target
 _PERIODS_DEG = (4.0, 5.0, 6.0, 9.0, 12.0)
 
 
 def _turn(motion: Motion, axis: str, off_rad: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what an axis that stands off its angle does."""
+    """Reversed where the axis carries the workpiece."""
     carries_workpiece = axis in motion.machine.workpiece_side
     return error_motion(f"E{axis}{axis}", -off_rad if carries_workpiece else off_rad)
 
@@ -38,12 +38,12 @@ class TurningBacklash(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw an axis; half of the width to either side."""
+        """Random axis; half of the width to either side."""
         width = 2e3 * occasion.size_um / _REACH_MM
         return cls(_choose_rotary(rng, occasion), width)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return how far the table or head is from where its drive is."""
+        """Angle of the table or head relative to its drive."""
         half_deg = float(np.degrees(0.5e-6 * self.width_urad))
         follows = motion.play_mm(self.axis, half_deg, time_s)
         off_deg = follows - motion.position_mm(self.axis, time_s)
@@ -62,7 +62,7 @@ class GearCyclic(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw one of the usual periods."""
+        """Random axis, and one of the typical periods."""
         return cls(
             _choose_rotary(rng, occasion),
             float(rng.choice(_PERIODS_DEG)),
@@ -71,7 +71,7 @@ class GearCyclic(HiddenEffect):
         )
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the error of the angle."""
+        """Error of the angle."""
         turned = motion.position_mm(self.axis, time_s) / self.period_deg
         wave = np.sin(2.0 * np.pi * turned + self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)
@@ -90,7 +90,7 @@ class SwivelSag(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw guide, swivel and direction; part of it is straightness and location."""
+        """Random guide, swivel and direction; partly straightness and location."""
         return cls(
             occasion.axis(rng),
             _choose_rotary(rng, occasion),
@@ -100,7 +100,7 @@ class SwivelSag(HiddenEffect):
         )
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the guide's deflection."""
+        """Deflection of the guide."""
         u = motion.share(self.axis, time_s)
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
         sag = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * np.sin(angle)
@@ -119,13 +119,13 @@ class RotaryEccentricity(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw one."""
+        """Random axis and phase."""
         amplitude = 1e3 * occasion.size_um / _REACH_MM
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         return cls(_choose_rotary(rng, occasion), amplitude, phase)
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the error of the angle."""
+        """Error of the angle."""
         angle = np.radians(motion.position_mm(self.axis, time_s)) + self.phase_rad
         wave = np.sin(angle) - np.sin(self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)

@@ -1,4 +1,4 @@
-"""Parts that warm: scales, spindle and column, what coolant cools."""
+"""Parts that warm: scales, spindle and column, cycles of coolant."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from truepath_simulators.machine.tracker_head import TrackerClock
 class ThermalGrowth(HiddenEffect):
     """First-order warming from the begin of the recording; the sensor lags behind.
 
-    rise_k : the temperature's change in the end; sensor_lag_s : of the sensor, which
-        is told to the service where there is one
+    rise_k : final change of the temperature; sensor_lag_s : of the sensor, which the
+        service reads where there is one
     """
 
     name = "thermal-growth"
@@ -36,7 +36,7 @@ class ThermalGrowth(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw how fast it warms; its far end moves by twice the size."""
+        """Random time constant; the far end moves by twice the size."""
         axis = occasion.axis(rng)
         tau_s = float(rng.uniform(0.3, 1.0) * occasion.duration_s)
         coefficient = float(rng.uniform(8.0, 12.0))
@@ -47,7 +47,7 @@ class ThermalGrowth(HiddenEffect):
         return cls(axis, coefficient, rise_k, tau_s, lag_s, bool(rng.uniform() < 0.5))
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the coefficient, or growth and time constant without a sensor."""
+        """The coefficient, or growth and time constant without a sensor."""
         del clock
         if self.has_sensor:
             return {"coefficient_um_per_m_K": self.coefficient_um_per_m_k}
@@ -57,7 +57,7 @@ class ThermalGrowth(HiddenEffect):
         }
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the strain times the distance from the axis zero."""
+        """Strain times the distance from the axis zero."""
         rise_k = -self.rise_k * np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         axis = motion.machine.linear_axes[motion.column(self.axis)]
         reach_mm = motion.position_mm(self.axis, time_s) - axis.zero_mm
@@ -65,7 +65,7 @@ class ThermalGrowth(HiddenEffect):
         return error_motion(f"E{self.axis}{self.axis}", strain * reach_mm)
 
     def warming_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
-        """Return a first-order lag of a first-order rise."""
+        """A first-order lag of a first-order rise."""
         if axis != self.axis:
             return np.zeros(len(time_s))
         t = np.maximum(time_s, 0.0)
@@ -87,14 +87,14 @@ class SpindleGrowth(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw how fast; from begin to end the tool moves by twice the size."""
+        """Random time constant; from begin to end the tool moves by twice the size."""
         tau_s = float(rng.uniform(0.1, 0.8) * occasion.duration_s)
         reached = 1.0 - np.exp(-occasion.duration_s / tau_s)
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(float(2.0 * sign * occasion.size_um / reached), tau_s)
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return the tool's way along Z; no head is thought to swivel."""
+        """Motion of the tool along Z; a swivelling head is not considered."""
         del motion
         rise = -np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         return along("Z", 1e-3 * self.growth_um * rise)
@@ -118,7 +118,7 @@ class CoolantCycle(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Draw a period that is seen at least four times."""
+        """Random period that occurs at least four times."""
         longest = min(60.0, occasion.duration_s / 4.0)
         return cls(
             str(rng.choice(list("XYZ"))),
@@ -129,12 +129,12 @@ class CoolantCycle(HiddenEffect):
         )
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return period and amplitude."""
+        """Period, on the tracker's clock, and amplitude."""
         period_s = self.period_s * (1.0 + clock.drift)
         return {"period_s": period_s, "amplitude_um": self.amplitude_um}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Return the cycle."""
+        """The cycle, mm."""
         del motion
         angle = 2.0 * np.pi / self.period_s * time_s + self.phase_rad
         wave = np.sin(angle + self.sharpness * np.sin(angle))

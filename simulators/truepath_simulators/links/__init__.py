@@ -1,4 +1,4 @@
-"""Serial, TCP and UDP ends of the wire, and what damages what passes through them.
+"""Serial, TCP and UDP ends of the wire, and damage to their bytes.
 
 Not here: protocols, which are with the device that speaks them.
 """

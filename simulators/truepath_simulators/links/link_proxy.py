@@ -1,8 +1,8 @@
-"""What lies between a host and a device: a line or network that does harm, by a seed.
+"""A line or network between a host and a device that does harm, by a seed.
 
-It stands between any driver and any device, simulated or real: the host opens a
-pseudo-terminal or a TCP port here, the bytes go on to the device and back. What is done
-to them may change at any moment.
+It works between any driver and any device, simulated or real: the host opens a
+pseudo-terminal or a TCP port here, the bytes go on to the device and back. The harm may
+change at any moment.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Harm:
-    """What happens to the bytes of one direction; shares are of the pieces read.
+    """Damage to the bytes of one direction; shares are of the pieces read.
 
     latency_s, jitter_s : every piece comes later, by up to the jitter more; in order
     pause_s : between any two bytes, which then come one by one
@@ -38,7 +38,7 @@ class Harm:
     flip, drop, double, swap : one bit, the whole piece, twice, after the next piece
     halve, renumber : every piece loses its second half, has another first byte
     noise, noise_bytes : share of pieces with so many random bytes before them
-    is_hole : nothing comes through
+    is_hole : nothing passes
     """
 
     latency_s: float = 0.0
@@ -57,8 +57,6 @@ class Harm:
 
 
 class _Direction:
-    """Pieces on their way, each with the time at which it arrives."""
-
     def __init__(self, rng: np.random.Generator) -> None:
         self.harm = Harm()
         self.harmed = 0
@@ -66,7 +64,6 @@ class _Direction:
         self._ahead: deque[tuple[float, bytes]] = deque()
 
     def offer(self, piece: bytes, now_s: float) -> None:
-        """Take a piece that was sent."""
         harm, chance = self.harm, self._rng.random(5)
         hit = chance < (harm.flip, harm.drop, harm.double, harm.swap, harm.noise)
         self.harmed += int(hit.any() or harm.is_hole)
@@ -94,20 +91,17 @@ class _Direction:
             self._ahead.append((due_s, piece[begin : begin + size]))
 
     def take(self, now_s: float) -> list[bytes]:
-        """Return the pieces that have arrived."""
         arrived: list[bytes] = []
         while self._ahead and self._ahead[0][0] <= now_s:
             arrived.append(self._ahead.popleft()[1])
         return arrived
 
     def wait_s(self, now_s: float) -> float:
-        """Return how long nothing arrives, as far as that is of interest."""
         if not self._ahead:
             return _PERIOD_S
         return min(max(self._ahead[0][0] - now_s, 0.0), _PERIOD_S)
 
     def forget(self) -> None:
-        """Lose what is under way."""
         self._ahead.clear()
         self._kept = b""
 
@@ -139,19 +133,19 @@ class LinkProxy:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The options of the driver, with this link in place of the device's."""
+        """Options of the driver, with this link in place of the device's."""
         return {**self._device, **self._port.address}
 
     @property
     def harmed(self) -> int:
-        """Pieces that harm was done to."""
+        """Number of damaged pieces."""
         with self._lock:
             return self._to_device.harmed + self._to_host.harmed
 
     def harm(
         self, *, to_host: Harm | None = None, to_device: Harm | None = None
     ) -> None:
-        """Do other harm from now on; a direction without any is a good one."""
+        """Damage from now on; None is an intact direction."""
         with self._lock:
             self._to_host.harm = to_host or Harm()
             self._to_device.harm = to_device or Harm()
@@ -230,7 +224,6 @@ class LinkProxy:
         return [self._far if isinstance(self._far, int) else self._far.fileno()]
 
     def _read_far(self) -> bytes | None:
-        """Return what the device has sent; None for nothing."""
         try:
             match self._far:
                 case None:

@@ -1,6 +1,6 @@
 """Ports of a simulated device: a pseudo-terminal or a TCP listener. Nothing blocks.
 
-A port is a set of descriptors to wait for and a way for bytes; it never waits itself.
+A port is a set of descriptors to wait for and a channel for bytes; it never waits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Port(ABC):
     @property
     @abstractmethod
     def address(self) -> dict[str, str | int]:
-        """Where a host finds it: `port` (a path), or `host` and `port` (a number)."""
+        """Address for a host: `port` (a path), or `host` and `port` (a number)."""
 
     @abstractmethod
     def descriptors(self) -> list[int]:
@@ -34,24 +34,24 @@ class Port(ABC):
 
     @abstractmethod
     def list_blocked_descriptors(self) -> list[int]:
-        """Descriptors that become writable when waiting bytes can go on."""
+        """Descriptors that become writable when waiting bytes can be sent."""
 
     @abstractmethod
     def receive(self) -> bytes | None:
-        """Return what has come; b"" if nothing has, None if the host has gone."""
+        """Bytes that have arrived; b"" if none have, None if the host has gone."""
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Queue bytes and pass on what the other end takes now."""
+        """Queue bytes and send what the other end accepts now."""
 
     @property
     @abstractmethod
     def waiting_bytes(self) -> int:
-        """Bytes that the other end has not taken yet."""
+        """Bytes that the other end has not accepted yet."""
 
     @abstractmethod
     def disconnect(self) -> None:
-        """Break the connection as a pulled cable does; a host can connect anew."""
+        """Break the connection like a pulled cable; a host can connect again."""
 
     @abstractmethod
     def close(self) -> None:
@@ -77,22 +77,22 @@ class PtyPort(Port):
         return {"port": str(self._link or self._name)}
 
     def descriptors(self) -> list[int]:
-        """Return the master."""
+        """The master."""
         return [self._master]
 
     def list_blocked_descriptors(self) -> list[int]:
-        """Return the master while bytes wait."""
+        """The master while bytes wait."""
         return [self._master] if self._waiting else []
 
     def receive(self) -> bytes | None:
-        """Read what the host has written."""
+        """Bytes that the host has written."""
         try:
             return os.read(self._master, _BLOCK)
         except BlockingIOError:
             return b""
 
     def send(self, data: bytes) -> None:
-        """Write what the terminal takes: 16 kB where nobody reads."""
+        """Write what the terminal accepts: 16 kB if no host reads."""
         self._waiting += data
         with contextlib.suppress(BlockingIOError):
             while self._waiting:
@@ -133,9 +133,9 @@ class PtyPort(Port):
 
 
 def require_free(link: Path) -> None:
-    """Raise SimulatorError where something is that a link must not take the place of.
+    """Raises SimulatorError if a link must not replace what is there.
 
-    A link that leads nowhere was left by a rig that has ended.
+    A link to a missing terminal was left by a rig that has ended.
     """
     is_left = link.is_symlink() and str(link.readlink()).startswith(_PTYS)
     if link.exists() or (link.is_symlink() and not is_left):
@@ -145,7 +145,7 @@ def require_free(link: Path) -> None:
 
 
 class TcpPort(Port):
-    """A listener for one host at a time; while it is there, others are turned away."""
+    """A listener for one host at a time; further ones are rejected."""
 
     def __init__(self, host: str, port: int) -> None:
         self._listener = socket.create_server((host, port), backlog=4)
@@ -160,27 +160,27 @@ class TcpPort(Port):
         return {"host": host, "port": port}
 
     def descriptors(self) -> list[int]:
-        """Return the listener and the connection, if there is one."""
+        """The listener, and the connection if there is one."""
         descriptors = [self._listener.fileno()]
         if self._host is not None:
             descriptors.append(self._host.fileno())
         return descriptors
 
     def list_blocked_descriptors(self) -> list[int]:
-        """Return the connection while bytes wait."""
+        """The connection while bytes wait."""
         if self._host is None or not self._waiting:
             return []
         return [self._host.fileno()]
 
     def receive(self) -> bytes | None:
-        """Return what the present host has sent, else look for a new one."""
+        """Bytes of the present host; without any, a new host is accepted."""
         data = self._read_host()
         if data:
             return data
         with contextlib.suppress(BlockingIOError):
             fresh, _ = self._listener.accept()
-            # What it sent before it went is read first: only then its end shows. If it
-            # has gone, its last word goes with it, as it does on a line that breaks.
+            # Bytes that it sent before it went are read first: only then its end shows.
+            # If it has gone, its last bytes are lost, as on a line that breaks.
             sent = (self._read_host() or b"") + (self._read_host() or b"")
             if self._host is not None:
                 fresh.close()
@@ -192,7 +192,6 @@ class TcpPort(Port):
         return data
 
     def _read_host(self) -> bytes | None:
-        """Return what has come; None if the host has gone."""
         if self._host is None:
             return b""
         try:
@@ -207,7 +206,7 @@ class TcpPort(Port):
         return None
 
     def send(self, data: bytes) -> None:
-        """Send what the connection takes now; without a host it is lost."""
+        """Send what the connection accepts now; without a host it is lost."""
         if self._host is None:
             return
         self._waiting += data
@@ -221,11 +220,11 @@ class TcpPort(Port):
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that the connection has not taken."""
+        """Bytes that the connection has not accepted."""
         return len(self._waiting)
 
     def linger(self, seconds: bytes) -> None:
-        """Set what the end of the connection waits for, as `SO_LINGER` has it."""
+        """Set how the end of the connection waits, in the form of `SO_LINGER`."""
         if self._host is not None:
             self._host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, seconds)
 
@@ -242,7 +241,7 @@ class TcpPort(Port):
 
 
 def make_port(link: Mapping[str, Any]) -> Port:
-    """Return the port of a tracker's link, as a bench states it."""
+    """Port of a tracker's link, in the form of a bench."""
     if link["kind"] == "tcp":
         return TcpPort(link["host"], link["port"])
     return PtyPort(Path(link["symlink"]) if link["symlink"] else None)

@@ -1,7 +1,7 @@
 """A tracker whose software sends lines of text: it relays any tracker's stream.
 
-`START` and `STOP` come as lines from the one host that is connected; without them it
-streams as soon as somebody listens, as it does by datagrams.
+`START` and `STOP` come as lines from the one connected host; without them it streams as
+soon as a host listens, as it does by datagrams.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _PERIOD_S = 0.02
 class TextRelay:
     """Text lines over TCP, a pseudo-terminal or UDP, from `start` to `close`.
 
-    write_line : a block of samples and the index of one to a line without its end
+    write_line : line, without its end, of a sample from a block and an index
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class TextRelay:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options of a driver that reads it, with which the link is found."""
+        """Options of a driver that reads it, found by their addresses."""
         commands = {"start_command": "START", "stop_command": "STOP"}
         return {**self._port.address, **(commands if self._waits else {})}
 
@@ -86,7 +86,7 @@ class TextRelay:
 
 
 class _UdpPort(Port):
-    """Datagrams of a line each to a port of this host, which a driver listens at."""
+    """Datagrams of a line each to a port of this host, where a driver listens."""
 
     def __init__(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

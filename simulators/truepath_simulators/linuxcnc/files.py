@@ -85,11 +85,11 @@ _SPEED = {"LINEAR": 200, "ANGULAR": 90}
 
 @dataclass(frozen=True, slots=True)
 class LinuxCncMachine:
-    """A machine as LinuxCNC's files say it; one joint an axis.
+    """A machine in LinuxCNC's files; one joint per axis.
 
     travel : lowest and highest position of each axis, in LinuxCNC's order
     tables : compensation table (type 0) of an axis
-    kinematics : empty for axes that are the joints
+    kinematics : empty if axes are joints
     hal, ini : lines to add
     """
 
@@ -101,7 +101,7 @@ class LinuxCncMachine:
     name: str = "mill"
 
     def write_files(self, *, watchdog: bool) -> dict[str, str]:
-        """Return the files by name; `machine.ini` is the one to start."""
+        """Files by name; `machine.ini` is the one to start."""
         axes = "".join(self.travel)
         hal = _HAL.format(pins="f" * 2 * len(axes))
         hal += "".join(

@@ -1,9 +1,9 @@
-"""The register map before a real LinuxCNC: a Modbus TCP server beside it.
+"""The register map in front of a real LinuxCNC: a Modbus TCP server next to it.
 
 Runs in the namespaces of `rig`, by the project's Python with LinuxCNC's module:
 `python -m truepath_simulators.linuxcnc.gateway ORDERS`. Registers and verbs are those
 of the simulated CNC; planner, limits, kinematics and positions are LinuxCNC's. While it
-moves, the watchdog in HAL watches this program, as this program watches its master.
+moves, the watchdog in HAL monitors this program, and this program its master.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class LinuxCncController(Controller):
         self.update(time.monotonic())
 
     def update(self, now_s: float) -> None:
-        """Read LinuxCNC: what hinders it, and whether a motion has ended."""
+        """Read LinuxCNC's state: hindrances, and the end of a motion."""
         self._stat.poll()
         self.is_referenced = all(self._stat.homed[: len(self.machine.axes)])
         hindrance = self._find_hindrance()
@@ -87,15 +87,15 @@ class LinuxCncController(Controller):
         return self._driven is not None
 
     def position(self, now_s: float) -> np.ndarray:
-        """Return where the joints are."""
+        """Positions of the joints, mm or deg."""
         return np.array(self._stat.joint_actual_position[: len(self.machine.axes)])
 
     def feed_mm_min(self, now_s: float) -> float:
-        """Return how fast the planner moves."""
+        """Present speed of the planner."""
         return 60.0 * self._stat.current_vel
 
     def line(self, now_s: float) -> int:
-        """Return the row of the line that LinuxCNC moves along."""
+        """Row of the line on which LinuxCNC moves."""
         if self._runs_path and self._driven is not None and self._is_busy():
             self._line = self._driven.find_row(self._stat.motion_line)
         return self._line
@@ -133,13 +133,13 @@ class LinuxCncController(Controller):
             self._command.auto(self._cnc.AUTO_PAUSE)
 
     def resume(self, now_s: float) -> None:
-        """Go on after a hold."""
+        """Continue after a hold."""
         if self.state is MotionState.HELD or self._wanted is MotionState.HELD:
             self._drive(self._driven)
             self._command.auto(self._cnc.AUTO_RESUME)
 
     def abort(self, now_s: float) -> None:
-        """Stop and forget the path."""
+        """Stop and remove the path."""
         if self.state in UNABLE:
             return
         self.path = None
@@ -149,7 +149,7 @@ class LinuxCncController(Controller):
             self.state, self.hold_reason = MotionState.ABORTED, HoldReason.NONE
 
     def enable(self) -> None:
-        """Clear the emergency stop, switch the drives on; home what is not homed."""
+        """Clear the emergency stop, switch the drives on; home unhomed joints."""
         if self.state is MotionState.UNHOMED:
             self._command.mode(self._cnc.MODE_MANUAL)
             self._command.home(-1)
@@ -161,11 +161,11 @@ class LinuxCncController(Controller):
 
     @property
     def feed_override(self) -> float:
-        """The factor on the feed."""
+        """Factor on the feed."""
         return self._stat.feedrate
 
     def override(self, factor: float, now_s: float) -> None:
-        """Turn the feed override."""
+        """Set the feed override."""
         self._command.feedrate(factor)
 
     def _begin(self, program: nc.Program, mode: int) -> None:
@@ -184,7 +184,6 @@ class LinuxCncController(Controller):
         return self._stat.interp_state != self._cnc.INTERP_IDLE or not self._stat.inpos
 
     def _look_for_end(self) -> None:
-        """Leave RUNNING once the axes stand, for what was asked or was reached."""
         if self._stat.current_vel > 0.0:
             return
         if self._stat.paused:

@@ -1,8 +1,8 @@
-"""Runs beside LinuxCNC in its namespaces, by the system's Python: `inside.py ORDERS`.
+"""Runs next to LinuxCNC in its namespaces, by the system's Python: `inside.py ORDERS`.
 
-Starts LinuxCNC, says when it listens, hands connections on to its ports and its
-positions to a descriptor. As the first process of its namespace it takes everything
-along when it ends, which it does with its standard input.
+Starts LinuxCNC, reports when it listens, forwards connections to its ports and its
+positions to a descriptor. As the first process of its namespace it ends everything
+inside when it ends, which it does with its standard input.
 """
 
 import json
@@ -18,7 +18,7 @@ START_S = 20.0
 
 
 def main(orders):
-    """Start what was ordered; return when standard input ends."""
+    """Start what was ordered; ends with standard input."""
     log = open("run.log", "w")  # noqa: SIM115, it lives as long as LinuxCNC
     linuxcnc = subprocess.Popen(
         ["/usr/bin/linuxcnc", "-r", "machine.ini"],
@@ -43,7 +43,7 @@ def main(orders):
 
 
 def start_gateway(command):
-    """Start a program that serves LinuxCNC's other masters."""
+    """Start the program that serves LinuxCNC's other masters."""
     log = open("gateway.log", "w")  # noqa: SIM115, it lives as long as the gateway
     return subprocess.Popen(  # noqa: S603, our own module
         command, stdin=subprocess.DEVNULL, stderr=log
@@ -51,7 +51,7 @@ def start_gateway(command):
 
 
 def wait_for(port, process):
-    """Tell whether a port answers before the process ends."""
+    """Whether a port answers before the process ends."""
     deadline_s = time.monotonic() + START_S
     while time.monotonic() < deadline_s and process.poll() is None:
         try:
@@ -67,7 +67,7 @@ def wait_for(port, process):
 
 
 def serve(server, port):
-    """Join every connection to one to a port in here."""
+    """Connect every client to a port inside."""
     while True:
         outer, _ = server.accept()
         inner = socket.create_connection(("127.0.0.1", port))
@@ -75,7 +75,7 @@ def serve(server, port):
 
 
 def join(outer, inner):
-    """Hand bytes on, both ways, until one side ends."""
+    """Forward bytes both ways until one side ends."""
     other = {outer: inner, inner: outer}
     for side in other:
         side.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -1,8 +1,8 @@
-"""One LinuxCNC from start to end, in namespaces of its own.
+"""One LinuxCNC from start to end, in separate namespaces.
 
-It has a network, shared memory, processes and a /tmp of its own, so several may run at
-once and nothing is left behind. From outside it is reached through ports of this
-computer that are joined to its ports.
+It has its own network, shared memory, processes and /tmp, so several may run at once
+and nothing is left behind. From outside it is reached through ports of this computer
+that are connected to its ports.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _PROJECT = Path(__file__).resolve().parents[3]
 
 
 def explain_absence() -> str:
-    """Say why no LinuxCNC can be started here; empty if one can."""
+    """Reason why no LinuxCNC can be started here; empty if one can."""
     if shutil.which("linuxcnc") is None:
         return "Debian's linuxcnc-uspace is not installed"
     probe = [*_NAMESPACES.split(), "true"]
@@ -58,7 +58,7 @@ class LinuxCncRig:
 
     watchdog : whether the watchdog of Truepath's driver is loaded
     samples : whether `positions` gives sample number, motor and commanded positions of
-        all joints, a line a millisecond
+        all joints, a line per millisecond
     gateway : machine file whose travel the register map over Modbus TCP offers; it
         needs the watchdog
     """
@@ -81,7 +81,7 @@ class LinuxCncRig:
         self.folder = Path()
 
     def start(self) -> Self:
-        """Start it; returns when its ports answer. Raises SimulatorError if none do."""
+        """Start it; blocks until its ports answer. Raises SimulatorError if none do."""
         # Not below /tmp, which is empty for what runs inside.
         self.folder = Path(tempfile.mkdtemp(prefix="linuxcnc-", dir="/var/tmp"))
         try:
@@ -94,7 +94,7 @@ class LinuxCncRig:
         return self
 
     def address(self, port: int = RSH_PORT) -> tuple[str, int]:
-        """Return host and port that are joined to a port inside."""
+        """Host and port that are connected to a port inside."""
         return "127.0.0.1", self._addresses[port]
 
     @property
@@ -117,7 +117,7 @@ class LinuxCncRig:
 
     @property
     def log(self) -> str:
-        """What LinuxCNC has said."""
+        """Output of LinuxCNC; empty before the start."""
         file = self.folder / "run.log"
         return file.read_text(errors="replace") if file.exists() else ""
 

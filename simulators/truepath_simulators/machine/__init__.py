@@ -1,5 +1,5 @@
 """The truth machine: joints with error motions, composed exactly.
 
-Here also: random machines, and the tracker's head. Not here: effects that no rigid-body
-model knows (`hidden`).
+Here also: random machines, and the tracker's head. Not here: effects outside of a
+rigid-body model (`hidden`).
 """

@@ -1,4 +1,4 @@
-"""Random smooth error motions of a straight axis, in the gauge of reported tables."""
+"""Random smooth error motions of a linear axis, in the gauge of reported tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from truepath_simulators.machine_file import LinearAxis
 
 _HARMONICS = np.arange(1, 5)
-_GRID = 201  # places to normalise by
+_GRID = 201  # positions for normalising
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class ErrorMotion:
     slope: float = 0.0
 
     def at(self, position_mm: np.ndarray) -> np.ndarray:
-        """Return its values at positions of any shape."""
+        """Values at positions of any shape."""
         run_mm = position_mm - self.low_mm
         angle = np.pi / (self.high_mm - self.low_mm) * run_mm
         value = self.offset + self.slope * run_mm
@@ -39,7 +39,7 @@ class ErrorMotion:
         return value
 
     def scale(self, factor: float) -> ErrorMotion:
-        """Return `factor` times this motion."""
+        """`factor` times this motion."""
         return ErrorMotion(
             self.low_mm,
             self.high_mm,
@@ -50,7 +50,7 @@ class ErrorMotion:
         )
 
     def shift(self, offset: float, slope: float = 0.0) -> ErrorMotion:
-        """Return this motion plus a straight line, `offset` at the lowest position."""
+        """The motion plus a straight line, `offset` at the lowest position."""
         return ErrorMotion(
             self.low_mm,
             self.high_mm,
@@ -65,7 +65,7 @@ class ErrorMotion:
 class JointedMotion:
     """A smooth motion with steps where pieces of a rack or of a guide meet.
 
-    joint_mm : where they meet; step : height of each step, in mm or rad
+    joint_mm : positions of the joints; step : height of each step, in mm or rad
     width_mm : of a step, as the teeth or rollers in contact bridge it
     """
 
@@ -75,7 +75,7 @@ class JointedMotion:
     width_mm: float
 
     def at(self, position_mm: np.ndarray) -> np.ndarray:
-        """Return its values at positions of any shape."""
+        """Values at positions of any shape."""
         value = self.smooth.at(position_mm)
         for joint, step in zip(self.joint_mm, self.step, strict=True):
             share = 2.0 * (position_mm - joint) / self.width_mm
@@ -86,20 +86,20 @@ class JointedMotion:
 def positioning(
     rng: np.random.Generator, axis: LinearAxis, peak_mm: float
 ) -> ErrorMotion:
-    """Draw a positioning error: smooth, with a trend, zero at the axis zero."""
+    """Random positioning error: smooth, with a trend, zero at the axis zero."""
     trend = rng.uniform(-2.0, 2.0) / (axis.max_mm - axis.min_mm)
     return _zero_at_zero(_harmonics(rng, axis).shift(0.0, trend), axis, peak_mm)
 
 
 def angular(rng: np.random.Generator, axis: LinearAxis, peak_rad: float) -> ErrorMotion:
-    """Draw roll, pitch or yaw: smooth, zero at the axis zero."""
+    """Random roll, pitch or yaw: smooth, zero at the axis zero."""
     return _zero_at_zero(_harmonics(rng, axis), axis, peak_rad)
 
 
 def straightness(
     rng: np.random.Generator, axis: LinearAxis, peak_mm: float
 ) -> ErrorMotion:
-    """Draw a straightness error: smooth, its end-point line removed."""
+    """Random straightness error: smooth, its end-point line removed."""
     motion = _harmonics(rng, axis)
     first, last = motion.at(np.array([axis.min_mm, axis.max_mm]))
     slope = (last - first) / (axis.max_mm - axis.min_mm)
@@ -107,7 +107,7 @@ def straightness(
 
 
 def none(axis: LinearAxis) -> ErrorMotion:
-    """Return the motion of a perfect guide."""
+    """Motion of a perfect guide."""
     return ErrorMotion(axis.min_mm, axis.max_mm)
 
 

@@ -1,4 +1,4 @@
-"""What every joint of the truth machine answers, and rotations from three angles."""
+"""Interface of a joint of the truth machine, and rotations from three angles."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ class Joint(ABC):
 
     @abstractmethod
     def actual(self, position: np.ndarray) -> np.ndarray:
-        """Return its transforms as they are, (n, 4, 4), at positions (n,)."""
+        """Transforms with errors, (n, 4, 4), at positions (n,)."""
 
     @abstractmethod
     def nominal(self, position: np.ndarray) -> np.ndarray:
-        """Return its transforms as they should be, (n, 4, 4), at positions (n,)."""
+        """Transforms without errors, (n, 4, 4), at positions (n,)."""
 
     @abstractmethod
     def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        """Return transforms with further error motions (n, 6), in mm and rad."""
+        """Transforms with further error motions (n, 6), in mm and rad."""
 
 
 def rotation_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""
+    """Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""
     ca, sa, cb, sb, cc, sc = (f(x) for x in (a, b, c) for f in (np.cos, np.sin))
     rows = [
         [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],

@@ -1,4 +1,4 @@
-"""A straight axis of the truth machine: exact transforms."""
+"""A linear axis of the truth machine: exact transforms."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from truepath_simulators.machine.joint import Joint, rotation_matrices
 
 @dataclass(frozen=True, slots=True)
 class LinearJoint(Joint):
-    """A straight axis with six error motions.
+    """A linear axis with six error motions.
 
     axis : its letter
-    nominal_direction, direction : unit vectors of travel, as it should be and as it is
+    nominal_direction, direction : unit vectors of travel, without and with squareness
+        error
     translation : error motions along X, Y, Z, in mm
     rotation : error motions about X, Y, Z, in rad
     """
@@ -32,7 +33,7 @@ class LinearJoint(Joint):
         return self.axis
 
     def actual(self, position: np.ndarray) -> np.ndarray:
-        """Return Trans(s d) Trans(E) Rz(EC) Ry(EB) Rx(EA)."""
+        """Trans(s d) Trans(E) Rz(EC) Ry(EB) Rx(EA)."""
         transform = np.zeros((len(position), 4, 4))
         transform[:, :3, :3] = rotation_matrices(
             *(motion.at(position) for motion in self.rotation)
@@ -44,13 +45,13 @@ class LinearJoint(Joint):
         return transform
 
     def nominal(self, position: np.ndarray) -> np.ndarray:
-        """Return Trans(s e)."""
+        """Trans(s e)."""
         transform = np.broadcast_to(np.eye(4), (len(position), 4, 4)).copy()
         transform[:, :3, 3] = np.outer(position, self.nominal_direction)
         return transform
 
     def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        """Return transforms with further error motions: shifts before, turns after."""
+        """Transforms with further error motions: shifts before, turns after."""
         moved = transform.copy()
         moved[:, :3, :3] = moved[:, :3, :3] @ rotation_matrices(*motions[:, 3:].T)
         moved[:, :3, 3] += motions[:, :3]

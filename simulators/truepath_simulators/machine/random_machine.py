@@ -1,4 +1,4 @@
-"""Draw machines that err as machine tools do, and put one on a rack."""
+"""Random machines with typical errors of machine tools, and one on a rack."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def random_machine(
     seed: int,
     scale: float = 1.0,
 ) -> TruthMachine:
-    """Draw error motions and squareness; `scale` multiplies every one of them."""
+    """Random error motions and squareness; `scale` multiplies every one of them."""
     rng = generator(seed, "errors of the machine")
     squareness = {
         name: scale * 1e-6 * _peak(rng, _SQUARENESS_URAD) * rng.choice([-1, 1])
@@ -65,7 +65,7 @@ def join_rack(
     piece_mm: float = 1000.0,
     width_mm: float = 40.0,
 ) -> TruthMachine:
-    """Return the machine with a rack of pieces: its positioning steps at each joint."""
+    """The machine with a rack of pieces: its positioning steps at each joint."""
     joint = truth.joints[axis]
     if not isinstance(joint, LinearJoint):
         raise TypeError(f"{axis} does not run on a rack")

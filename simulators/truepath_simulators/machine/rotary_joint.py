@@ -1,15 +1,15 @@
 """A rotary axis of the truth machine: exact transforms.
 
 The axis sits on a frame that faces the base. With R the turn about the nominal axis, G
-the rigid motion that takes the nominal axis to where it is, and M(c) the error motions,
+the rigid motion from the nominal axis to the actual one, and M(c) the error motions,
 
     tool side:       T(c) = M(c) G R(c) G^-1,
     workpiece side:  T(c) = G R(-c) G^-1 M(c),
 
 so that T is the identity at the axis zero, and M is in either case in the directions of
 the frame facing the base, about the axis' origin, of the tool relative to the
-workpiece. Symbols name local directions: the machine's, turned the shortest way so
-that the letter of the axis is its direction.
+workpiece. Symbols name local directions: the machine's, turned the shortest way so that
+the letter of the axis is its direction.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class RotaryJoint(Joint):
         return self.axis.name
 
     def actual(self, position: np.ndarray) -> np.ndarray:
-        """Return T(c) as it is, (n, 4, 4), at positions in deg."""
+        """T(c) with errors, (n, 4, 4), at positions in deg."""
         place = self._express_about_origin(
             rotation_matrices(*(np.array([turn]) for turn in self.tilt_rad)),
             np.array([self.shift_mm]),
@@ -58,7 +58,7 @@ class RotaryJoint(Joint):
         return self._join(turn, motion)
 
     def nominal(self, position: np.ndarray) -> np.ndarray:
-        """Return R(c) on the tool side, R(-c) on the workpiece side."""
+        """R(c) on the tool side, R(-c) on the workpiece side."""
         angle = np.radians(position) * (-1.0 if self.on_workpiece else 1.0)
         d = np.array(self.axis.direction)
         across = np.cross(d, np.eye(3)).T  # across @ v = d x v
@@ -67,7 +67,7 @@ class RotaryJoint(Joint):
         return _about(np.array(self.axis.origin_mm), turn, np.zeros((1, 3)))
 
     def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        """Return transforms with further error motions, about the axis' origin."""
+        """Transforms with further error motions, about the axis' origin."""
         turns = rotation_matrices(*motions[:, 3:].T)
         return self._join(transform, self._express_about_origin(turns, motions[:, :3]))
 
@@ -81,7 +81,7 @@ class RotaryJoint(Joint):
 
 
 def local_frame(axis: RotaryAxis) -> np.ndarray:
-    """Return local X, Y, Z as columns: the shortest turn of the letter's direction."""
+    """Local X, Y, Z as columns: the shortest turn of the letter's direction."""
     letter = np.array(ROTARY_DIRECTIONS[axis.name])
     direction = np.array(axis.direction)
     normal, cosine = np.cross(letter, direction), float(letter @ direction)
@@ -93,7 +93,7 @@ def local_frame(axis: RotaryAxis) -> np.ndarray:
 
 
 def _about(origin: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Return p -> origin + turn (p - origin) + shift."""
+    """Transform p -> origin + turn (p - origin) + shift."""
     n = max(len(turn), len(shift))
     transform = np.zeros((n, 4, 4))
     transform[:, :3, :3] = turn

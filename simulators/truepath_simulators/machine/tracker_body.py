@@ -1,7 +1,7 @@
 """A tracker as bodies: axes that neither meet nor are square, circles, a beam, a lens.
 
-How far each is off is drawn from the tracker's specification. Where it looks is found
-by turning its axes until the beam meets the target, not by a formula for each error.
+The error of each is sampled from the tracker's specification. The aim is found by
+turning the axes until the beam meets the target, not by a formula for each error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.randomness import generator
 
 _FINE = np.arange(3, 17)  # cycles a turn
-_AIR_S = 1800.0  # a period of the air's slow change since the tracker read it
+_AIR_S = 1800.0  # a period of the air's slow change since the tracker measured it
 _TURNS = 4  # until the beam meets the target: each leaves a millionth
 
 
@@ -49,7 +49,7 @@ class TrackerBody:
         set_up_seed: int,
         locks: int = 1,
     ) -> TrackerBody:
-        """Draw a tracker, and what changes with its set-up and each lock."""
+        """Random tracker, and random errors of its set-up and each lock."""
         made = generator(tracker_seed, "tracker: body")
         placed = generator(set_up_seed, "tracker: set-up")
 
@@ -84,9 +84,9 @@ class TrackerBody:
         locks_s: Sequence[float] = (),
         face: int = 1,
     ) -> np.ndarray:
-        """Return what its software makes of targets (n, 3), in its own frame.
+        """Reading of targets (n, 3) by the tracker's software, in its own frame.
 
-        locks_s : when it has found its target again
+        locks_s : times at which it found its target again
         """
         seen = to_spherical(point_mm + self._move_centre(point_mm))
         turned, sense = seen.copy(), np.ones(3)
@@ -117,7 +117,6 @@ class TrackerBody:
         return to_cartesian(reading - self._lag(turned, time_s))
 
     def _aim(self, turned: np.ndarray) -> np.ndarray:
-        """Return where the beam ends for range and angles of the axes."""
         distance, azimuth, elevation = turned.T
         nothing = np.zeros_like(distance)
         tilt, skew = self.square
@@ -133,7 +132,7 @@ class TrackerBody:
         return np.einsum("nij,nj->ni", turn, end)
 
     def _move_centre(self, point_mm: np.ndarray) -> np.ndarray:
-        """Return how far its optical centre is off, which turns to the beam."""
+        """Displacement of the optical centre, which turns with the beam."""
         _, azimuth, elevation = to_spherical(point_mm).T
         nothing = np.zeros_like(azimuth)
         turn = rotation_matrices(nothing, -elevation, azimuth)

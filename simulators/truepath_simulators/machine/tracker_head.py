@@ -1,4 +1,4 @@
-"""What a tracker measures of a point: range and angles, with its noise and clock.
+"""Readings of a point by a tracker: range and angles, with its noise and clock.
 
 Angles: azimuth from x towards y, elevation from the xy plane towards z.
 """
@@ -16,18 +16,18 @@ from truepath_simulators.machine_file import MachineFile, TrackerFigures
 from truepath_simulators.randomness import generator
 
 _BLOCK = 256  # samples at once
-_PROBES = 500  # places that stand for the volume
+_PROBES = 500  # positions that represent the volume
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerPose:
-    """Where the tracker stands: p_table = position + rotation p_tracker."""
+    """Pose of the tracker: p_table = position + rotation p_tracker."""
 
     position_mm: np.ndarray
     rotation: np.ndarray
 
     def from_table(self, point_mm: np.ndarray) -> np.ndarray:
-        """Return points (n, 3) of the frame it stands on in its own frame."""
+        """Points (n, 3) of the frame on which it stands, in its own frame."""
         return (point_mm - self.position_mm) @ self.rotation
 
 
@@ -39,11 +39,11 @@ class TrackerClock:
     drift: float
 
     def true_s(self, device_s: np.ndarray) -> np.ndarray:
-        """Return true times of device times."""
+        """True times of device times."""
         return (device_s - self.epoch_s) / (1.0 + self.drift)
 
     def device_s(self, true_s: float) -> float:
-        """Return the device time of a true time."""
+        """Device time of a true time."""
         return self.epoch_s + (1.0 + self.drift) * true_s
 
 
@@ -61,7 +61,7 @@ class Air:
 class SampleNoise:
     """Three channels of unit variance, white plus air; the same however it is split.
 
-    stream : number of the stream since power-on; each has noise of its own
+    stream : number of the stream since power-on; each has separate noise
     """
 
     def __init__(self, seed: int, rate_hz: float, air: Air, stream: int = 0) -> None:
@@ -76,14 +76,14 @@ class SampleNoise:
         self._memory = np.tril(self._keep ** (age[:, None] - age).clip(0).astype(float))
 
     def draw(self, n: int) -> np.ndarray:
-        """Return the next (n, 3)."""
+        """Next (n, 3) values."""
         white = self._white.standard_normal((n, 3))
         drive = np.sqrt(1.0 - self._keep**2) * self._driver.standard_normal((n, 3))
         air = self._filter(drive)
         return np.sqrt(1.0 - self._share**2) * white + self._share * air
 
     def _filter(self, drive: np.ndarray) -> np.ndarray:
-        """Return a_k = keep a_(k-1) + drive_k, block by block as a matrix product."""
+        """a_k = keep a_(k-1) + drive_k, block by block as a matrix product."""
         air = np.empty_like(drive)
         for start in range(0, len(drive), _BLOCK):
             part = drive[start : start + _BLOCK]
@@ -95,7 +95,7 @@ class SampleNoise:
 
 
 def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
-    """Stand the tracker somewhere beside the travel, turned and slightly tilted."""
+    """Random pose next to the travel, turned and slightly tilted."""
     rng = generator(seed, "tracker: pose")
     middle, reach = _reach(machine)
     away = reach + rng.uniform(250.0, 450.0)
@@ -106,7 +106,7 @@ def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
 
 
 def place_anew(place_mm: Sequence[float], seed: int) -> TrackerPose:
-    """Stand the tracker at a place, turned and slightly tilted by a seed."""
+    """Pose at a position, turned and slightly tilted by a seed."""
     rotation = _draw_rotation(generator(seed, "tracker: pose"))
     return TrackerPose(np.array(place_mm, float), rotation)
 
@@ -120,7 +120,6 @@ def _draw_rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:
-    """Return the middle of what the tracker looks at, and how far it goes sideways."""
     if not machine.rotary_axes:
         middle = 0.5 * (machine.low_mm + machine.high_mm)
         half = 0.5 * (machine.high_mm - machine.low_mm)
@@ -137,7 +136,7 @@ def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:
 
 
 def random_clock(seed: int) -> TrackerClock:
-    """Start the device clock anywhere in two hours, up to 20 ppm fast or slow."""
+    """Random clock: starts anywhere in two hours, up to 20 ppm fast or slow."""
     rng = generator(seed, "tracker: clock")
     return TrackerClock(
         round(float(rng.uniform(0.0, 7200.0)), 6), float(rng.uniform(-2e-5, 2e-5))
@@ -147,7 +146,7 @@ def random_clock(seed: int) -> TrackerClock:
 def measure_polar(
     point_mm: np.ndarray, unit_noise: np.ndarray, figures: TrackerFigures
 ) -> np.ndarray:
-    """Return range (mm), azimuth, elevation (rad) of points in the tracker's frame.
+    """Range (mm), azimuth, elevation (rad) of points in the tracker's frame.
 
     Noise of one sample, 1 sigma: range_sigma_um + range_ppm r along the beam,
     hypot(angle_sigma_urad r, transverse_sigma_um) in each direction across it.
@@ -163,14 +162,14 @@ def measure_polar(
 
 
 def to_spherical(point_mm: np.ndarray) -> np.ndarray:
-    """Return range, azimuth, elevation of points (n, 3)."""
+    """Range, azimuth, elevation of points (n, 3)."""
     x, y, z = point_mm.T
     level = np.hypot(x, y)
     return np.stack([np.hypot(level, z), np.arctan2(y, x), np.arctan2(z, level)], 1)
 
 
 def to_cartesian(spherical: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) of range, azimuth, elevation."""
+    """Points (n, 3) from range, azimuth, elevation."""
     distance, azimuth, elevation = spherical.T
     level = distance * np.cos(elevation)
     return np.stack(

@@ -1,7 +1,7 @@
-"""Where the tool of an imperfect machine really is: exact homogeneous transforms.
+"""Actual tool position of an imperfect machine: exact homogeneous transforms.
 
-A joint answers with the transform from its tool-side carriage to its workpiece-side
-carriage, whichever of the two is the one that moves; the chain multiplies them.
+A joint gives the transform from its tool-side carriage to its workpiece-side carriage,
+whichever of the two moves; the chain multiplies them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TruthMachine:
     squareness_rad: Mapping[str, float] = field(default_factory=dict)
 
     def error_motions(self) -> dict[str, ErrorMotion | JointedMotion | TurningMotion]:
-        """Return every error motion by its symbol, `EXX` … `ECC`, in mm and rad."""
+        """Every error motion by its symbol, `EXX` … `ECC`, in mm and rad."""
         return {
             f"E{letter}{name}": motion
             for name, joint in self.joints.items()
@@ -52,7 +52,7 @@ class TruthMachine:
         }
 
     def locations(self) -> dict[str, float]:
-        """Return the location of every rotary axis, `XOC` … `BOC`, in mm and rad."""
+        """Location errors of every rotary axis, `XOC` … `BOC`, in mm and rad."""
         return {
             f"{letter}O{name}": value
             for name, joint in self.joints.items()
@@ -64,7 +64,7 @@ class TruthMachine:
         }
 
     def deviation_mm(self, q: np.ndarray, target: str = "") -> np.ndarray:
-        """Return actual minus nominal tool point in the workpiece frame, (n, 3).
+        """Actual minus nominal tool point in the workpiece frame, (n, 3).
 
         q : (n, axes) axis positions in column order
         """
@@ -74,7 +74,7 @@ class TruthMachine:
     def locate_target_mm(
         self, q: np.ndarray, target: str = "", carry: Carried | None = None
     ) -> np.ndarray:
-        """Return where a target is in the frame that the tracker stands on, (n, 3)."""
+        """Actual target in the frame on which the tracker stands, (n, 3)."""
         return self.point_mm(
             q, self.machine.reflector(target), self.machine.tracker.stands_on, carry
         )
@@ -86,9 +86,9 @@ class TruthMachine:
         frame: str = "workpiece",
         carry: Carried | None = None,
     ) -> np.ndarray:
-        """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3).
+        """Actual reflector in the frame `workpiece` or `base`, (n, 3).
 
-        carry : what joints do beyond their error motions at each of the positions
+        carry : further error motions of joints at each of the positions
         """
         point = np.empty((len(q), 3))
         for start in range(0, len(q), _CHUNK):
@@ -100,7 +100,7 @@ class TruthMachine:
     def nominal_point_mm(
         self, q: np.ndarray, reflector: Reflector, frame: str = "workpiece"
     ) -> np.ndarray:
-        """Return where it should be, in the frame `workpiece` or `base`, (n, 3)."""
+        """Nominal reflector in the frame `workpiece` or `base`, (n, 3)."""
         point = np.empty((len(q), 3))
         for start in range(0, len(q), _CHUNK):
             part = slice(start, start + _CHUNK)
@@ -110,7 +110,7 @@ class TruthMachine:
     def _place(
         self, q: np.ndarray, reflector: Reflector, frame: str, carry: Carried | None
     ) -> np.ndarray:
-        """Return p = T_wb T_bt t in the workpiece, T_bt t in the base.
+        """Point p = T_wb T_bt t in the workpiece, T_bt t in the base.
 
         A reflector on the workpiece is T_wb^-1 t in the base.
         """
@@ -134,7 +134,6 @@ class TruthMachine:
         last: np.ndarray,
         carry: Carried | None,
     ) -> np.ndarray:
-        """Multiply the joints as they are, or as they should be without `carry`."""
         product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
         for name in reversed(side):
             joint = self.joints[name]
@@ -150,7 +149,7 @@ class TruthMachine:
 
 
 def perfect(machine: MachineFile) -> TruthMachine:
-    """Return the machine without any error."""
+    """Machine without any error."""
     joints: dict[str, Joint] = {}
     for axis in machine.linear_axes:
         still = error_motions.none(axis)

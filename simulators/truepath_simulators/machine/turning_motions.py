@@ -1,7 +1,7 @@
 """Random smooth error motions of a rotary axis, in the gauge of reported tables.
 
 All six are zero at the axis zero. Across the axis (two displacements, two tilts) their
-mean over the travel is zero as well: what it was is the location of the axis.
+mean over the travel is zero as well: that mean is the location of the axis.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class TurningMotion:
     bend: float = 0.0
 
     def at(self, position_deg: np.ndarray) -> np.ndarray:
-        """Return its values at positions of any shape."""
+        """Values at positions of any shape."""
         run = np.radians(position_deg - self.axis.min_deg)
         travel = np.radians(self.axis.max_deg - self.axis.min_deg)
         rate = 1.0 if self.axis.turns_fully else np.pi / travel
@@ -46,7 +46,7 @@ class TurningMotion:
         return value
 
     def scale(self, factor: float) -> TurningMotion:
-        """Return `factor` times this motion."""
+        """`factor` times this motion."""
         return replace(
             self,
             amplitude=tuple(factor * a for a in self.amplitude),
@@ -55,7 +55,7 @@ class TurningMotion:
         )
 
     def mean(self) -> float:
-        """Return its mean over the travel."""
+        """Mean over the travel."""
         low, high = self.axis.min_deg, self.axis.max_deg
         return float(_WEIGHT @ self.at(low + (_NODE + 1.0) / 2.0 * (high - low)) / 2.0)
 
@@ -63,14 +63,14 @@ class TurningMotion:
 def along_the_axis(
     rng: np.random.Generator, axis: RotaryAxis, peak: float
 ) -> TurningMotion:
-    """Draw an axial motion or a positioning error: zero at the axis zero."""
+    """Random axial motion or positioning error: zero at the axis zero."""
     return _scale_to(_zero_at_zero(_harmonics(rng, axis)), peak)
 
 
 def across_the_axis(
     rng: np.random.Generator, axis: RotaryAxis, peak: float
 ) -> TurningMotion:
-    """Draw a radial motion or a tilt: zero at the axis zero and in the mean."""
+    """Random radial motion or tilt: zero at the axis zero and in the mean."""
     motion = _zero_at_zero(_harmonics(rng, axis))
     unit = TurningMotion(axis, bend=1.0).mean()
     return _scale_to(replace(motion, bend=-motion.mean() / unit), peak)

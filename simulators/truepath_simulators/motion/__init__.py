@@ -1,4 +1,4 @@
-"""How a controller moves: programs, profiles, driven and interrupted motion.
+"""Motion of a controller: programs, profiles, normal and interrupted motion.
 
 Here also: paths without a planner. Not here: registers and commands (`cnc`).
 """

@@ -1,4 +1,4 @@
-"""An arc of a program: about a centre in the plane of two straight axes."""
+"""An arc of a program: about a centre in the plane of two linear axes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LEAST_MM, _ROUNDED_MM = 0.1, 0.005  # radius; of ends in counts of 0.1 µm
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """How a row is driven to on a circle.
+    """Circular motion to a row.
 
     columns : of both axes; turn_rad : positive from the first towards the second
     centre_mm : in both axes
@@ -23,15 +23,15 @@ class Arc:
     turn_rad: float
 
     def radius_mm(self, place: np.ndarray) -> float:
-        """Return how far a position is from the centre."""
+        """Distance of a position from the centre."""
         return math.hypot(*self._out(place))
 
     def length_mm(self, place: np.ndarray) -> float:
-        """Return the length of the whole arc through a position."""
+        """Length of the whole arc through a position."""
         return self.radius_mm(place) * abs(self.turn_rad)
 
     def direction(self, place: np.ndarray) -> np.ndarray:
-        """Return the step per mm of way at a position."""
+        """Step per mm of path at a position."""
         x, y = self._out(place)
         sign = math.copysign(1.0 / math.hypot(x, y), self.turn_rad)
         direction = np.zeros(len(place))
@@ -39,7 +39,7 @@ class Arc:
         return direction
 
     def curvature(self, place: np.ndarray) -> np.ndarray:
-        """Return the change of the direction per mm of way at a position."""
+        """Change of the direction per mm of path at a position."""
         x, y = self._out(place)
         square = x * x + y * y
         curvature = np.zeros(len(place))
@@ -47,7 +47,7 @@ class Arc:
         return curvature
 
     def fits(self, begin: np.ndarray, end: np.ndarray) -> bool:
-        """Tell whether the arc leads from one position to the other."""
+        """Whether the arc leads from one position to the other."""
         x, y = self._out(begin)
         if math.hypot(x, y) < _LEAST_MM or not self.turn_rad:
             return False
@@ -60,7 +60,7 @@ class Arc:
         return bool(np.abs(led - end).max() < _ROUNDED_MM)
 
     def reach(self, begin: np.ndarray) -> np.ndarray:
-        """Return positions (n, axes) on the way, a degree apart or less."""
+        """Positions (n, axes) on the arc, a degree apart or less."""
         x, y = self._out(begin)
         count = 1 + int(np.ceil(abs(np.degrees(self.turn_rad))))
         angle = math.atan2(y, x) + np.linspace(0.0, self.turn_rad, count)

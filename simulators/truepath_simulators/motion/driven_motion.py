@@ -1,4 +1,4 @@
-"""The motion of a machine that is driven: along one line, or through a program.
+"""Commanded motion of a machine: along one line, or through a program.
 
 Each ride (`profile`) becomes pieces of a timeline, with standstill after the last.
 """
@@ -20,7 +20,7 @@ _ROUNDED_MM = 0.01  # of an arc: its ends are rounded, so that it never quite en
 def along(
     stretches: Sequence[Stretch], state: State, begin_s: float, end: np.ndarray | None
 ) -> Timeline:
-    """Return stretches on the line of a state, then standstill (at `end` if given)."""
+    """Stretches on the line of a state, then standstill (at `end` if given)."""
     pieces = [s for s in stretches if s.duration_s > 0.0]
     start, run, speed = [begin_s], [0.0], [state.speed]
     for t, a, j in pieces:
@@ -56,9 +56,9 @@ def follow(
     first_row: int = 0,
     gone: float = 0.0,
 ) -> Timeline:
-    """Return the motion from standstill at `origin` through rows from `first_row`.
+    """Motion from standstill at `origin` through rows from `first_row`.
 
-    gone : length of the arc to the first of these rows that is behind
+    gone : completed length of the arc to the first of these rows
     """
     rows = np.arange(first_row, len(program))
     target = program.position[first_row:]
@@ -86,7 +86,7 @@ def follow(
 
 @dataclass(frozen=True, slots=True)
 class _Lines:
-    """Ways to rows, each from its begin; done : length of each that is behind."""
+    """Lines and arcs to rows, each from its begin; done : completed length of each."""
 
     begin: np.ndarray
     direction: np.ndarray
@@ -99,7 +99,6 @@ class _Lines:
 def _laid_out(
     stretches: np.ndarray, lines: _Lines, begin_s: float, origin: np.ndarray
 ) -> Timeline:
-    """Join the eight stretches of each row, seven of motion and one of dwell."""
     t, a, j = np.moveaxis(stretches, 2, 0)
     change = t * (a + t * j / 2.0)
     speed = np.cumsum(change, axis=1) - change
@@ -135,7 +134,7 @@ _BISECTIONS = 50  # of a piece of some minutes: to a picosecond
 
 
 def split_at_reversals(timeline: Timeline) -> Timeline:
-    """Return the motion with its arcs divided where an axis turns back."""
+    """Arcs are divided where an axis reverses."""
     parts: list[Timeline] = []
     first = 0
     for piece in np.flatnonzero(timeline.curvature.any(axis=1)).tolist():
@@ -148,7 +147,6 @@ def split_at_reversals(timeline: Timeline) -> Timeline:
 
 
 def _split_piece(timeline: Timeline, piece: int) -> Timeline:
-    """Return one piece on an arc as pieces in which no axis turns back."""
     begin_s, end_s = timeline.start_s[piece : piece + 2].tolist()
     own = timeline.select(slice(piece, piece + 1))
     direction, curvature = own.direction[0], own.curvature[0]
@@ -180,7 +178,7 @@ def _split_piece(timeline: Timeline, piece: int) -> Timeline:
 
 
 def _find_times(own: Timeline, runs: Sequence[float], end_s: float) -> list[float]:
-    """Return when so much is gone, all at once: a controller answers in 0.2 s."""
+    """Times of completed lengths, all at once: a controller answers in 0.2 s."""
     low, high = np.full(len(runs), own.start_s[0]), np.full(len(runs), end_s)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

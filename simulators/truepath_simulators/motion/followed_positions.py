@@ -1,8 +1,8 @@
 """Axis positions from outside, as lines of `time position position …`.
 
-The tracker then sees a machine that something else drives: a real controller, another
-simulation, a recording. Time is that of the source, and the tracker's time with it:
-what has not come yet has not happened.
+The tracker then measures a machine that another program moves: a real controller,
+another simulation, a recording. Time is that of the source, also for the tracker: a
+position that has not arrived yet lies in the future.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LONGEST_LINE = 4096
 
 
 def open_source(source: str) -> int:
-    """Return a descriptor of `file` (or FIFO, or /dev/stdin) or `host:port`.
+    """Descriptor of `file` (or FIFO, or /dev/stdin) or `host:port`.
 
     The caller closes it. Raises SimulatorError if there is no such source.
     """
@@ -40,8 +40,8 @@ def open_source(source: str) -> int:
 class FollowedPositions:
     """The newest positions of a source.
 
-    unit_s : what a step of the first column is; the columns of `axes` come next, more
-        are left out, and so are lines that are no numbers
+    unit_s : a step of the first column; the columns of `axes` come next; further
+        columns and lines without numbers are ignored
     """
 
     def __init__(self, descriptor: int, axes: int, unit_s: float = 1.0) -> None:
@@ -54,11 +54,11 @@ class FollowedPositions:
         self._is_fifo = stat.S_ISFIFO(os.fstat(descriptor).st_mode)
 
     def now_s(self) -> float:
-        """Return the time of the newest positions, 0 before the first."""
+        """Time of the newest positions; 0 before the first."""
         return float(self._rows[-1, 0]) if len(self._rows) else 0.0
 
     def timeline(self) -> Timeline | None:
-        """Take what has come; return the motion so far, None before any."""
+        """Read new lines; gives the motion so far, None before any."""
         self._take()
         rows = self._rows
         if not len(rows):
@@ -67,7 +67,7 @@ class FollowedPositions:
         return last if len(rows) == 1 else _join(rows).then(last)
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Close the source."""
         os.close(self.descriptor)
 
     def _take(self) -> None:
@@ -75,7 +75,7 @@ class FollowedPositions:
         if not new:
             return
         rows = np.vstack([self._rows, new])
-        # Time that does not go on is that of a source that began anew, or a repeat.
+        # Time that does not increase is that of a restarted source, or a repeat.
         goes_on = np.append(True, np.diff(np.maximum.accumulate(rows[:, 0])) > 0.0)
         rows = rows[goes_on]
         first = np.searchsorted(rows[:, 0], rows[-1, 0] - _KEPT_S)
@@ -109,7 +109,6 @@ class FollowedPositions:
 
 
 def _join(rows: np.ndarray) -> Timeline:
-    """Return pieces of constant speed from each row to the next."""
     time_s, position = rows[:, 0], rows[:, 1:]
     step = np.diff(position, axis=0)
     length = path_length(step)

@@ -1,4 +1,4 @@
-"""What a controller does to a motion under way: hold, resume, change of feed, stop."""
+"""Changes to a motion in progress: hold, resume, change of feed, stop."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from truepath_simulators.timeline import State, Timeline
 
 
 def hold_motion(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:
-    """Return a motion that brakes along its line from `time_s` on, then stands."""
+    """A motion that brakes along its line from `time_s` on, then stands."""
     state = timeline.state(time_s)
     stretches = brake(state.speed, state.acceleration, limits)
     return timeline.cut(time_s).then(along(stretches, state, time_s, None))
 
 
 def find_rest(timeline: Timeline, program: Program, time_s: float) -> Program:
-    """Return the program with what is left of a dwell that `time_s` falls into.
+    """The program with the remaining dwell if `time_s` is within a dwell.
 
-    A hold in a dwell goes on with the rest of it; elsewhere the program is as it was.
+    After a hold in a dwell its rest follows; elsewhere the program is unchanged.
     """
     left = _dwell_left(timeline, time_s)
     if left is None:
@@ -35,7 +35,7 @@ def find_rest(timeline: Timeline, program: Program, time_s: float) -> Program:
 def resume_motion(
     stopped: Timeline, program: Program, time_s: float, limits: Limits
 ) -> Timeline:
-    """Return a held motion that goes on at `time_s` with the row it was held in."""
+    """A held motion that continues at `time_s` with the row in which it was held."""
     state = stopped.state(time_s)
     begin = state.position, time_s, limits, state.row, state.gone
     return stopped.cut(time_s).then(follow(program, *begin))
@@ -44,9 +44,9 @@ def resume_motion(
 def with_feed(
     timeline: Timeline, program: Program, time_s: float, limits: Limits
 ) -> Timeline:
-    """Return a running motion that takes the feeds of `program` from `time_s` on.
+    """A motion in progress with the feeds of `program` from `time_s` on.
 
-    A line on which the machine already brakes for its end keeps its way.
+    A line on which the machine already brakes for its end is unchanged.
     """
     state = timeline.state(time_s)
     if state.speed == 0.0 and state.acceleration == 0.0:

@@ -16,7 +16,7 @@ MARGIN_MM = 10.0
 def chord_path(
     machine: MachineFile, seed: int, rows: int, feed_mm_min: float, dwell_s: float = 0.4
 ) -> Program:
-    """Join random points on the faces of the travel: no line is corner to corner."""
+    """Lines between random points on faces of the travel, none between two corners."""
     rng = generator(seed, "path: chords")
     points = _unit_points_on_faces(rng, rows)
     return _program(machine, points, feed_mm_min, dwell_s)
@@ -25,7 +25,7 @@ def chord_path(
 def corner_path(
     machine: MachineFile, feed_mm_min: float, dwell_s: float = 0.4
 ) -> Program:
-    """Go through edges, face diagonals and space diagonals of the travel."""
+    """Edges, face diagonals and space diagonals of the travel."""
     return _program(machine, _corner_tour(), feed_mm_min, dwell_s)
 
 
@@ -36,7 +36,7 @@ def standstill_points(
     feed_mm_min: float = 20_000.0,
     dwell_s: float = 2.0,
 ) -> Program:
-    """Stand at the corners, then at random points inside."""
+    """Standstills at the corners, then at random points inside."""
     rng = generator(seed, "path: standstill points")
     corners = np.array(list(itertools.product([0.0, 1.0], repeat=3)))
     points = np.vstack([corners, rng.uniform(0.0, 1.0, (random, 3))])
@@ -61,9 +61,9 @@ def _unit_points_on_faces(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def _corner_tour() -> np.ndarray:
-    """Return corners such that consecutive ones cover all 28 lines between corners.
+    """Corners such that consecutive ones cover all 28 lines between corners.
 
-    Seven lines meet in each corner, an odd number, so some are driven twice.
+    Seven lines meet in each corner, an odd number, so some are travelled twice.
     """
     corners = list(itertools.product([0, 1], repeat=3))
     left = {frozenset(pair) for pair in itertools.combinations(corners, 2)}

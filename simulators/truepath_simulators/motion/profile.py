@@ -1,6 +1,6 @@
 """Feed along one line with limited acceleration and jerk, in closed form.
 
-A ride is a list of stretches of constant jerk. Between standstills it is the usual
+A ride is a list of stretches of constant jerk. Between standstills it has the standard
 seven: up to the feed, along, down to zero. Limits hold along the path.
 """
 
@@ -35,7 +35,7 @@ class Stretch(NamedTuple):
 def rest_to_rest(
     length_mm: np.ndarray, feed_mm_s: np.ndarray, limits: Limits
 ) -> np.ndarray:
-    """Return seven stretches for each line, (n, 7, 3), as duration, acceleration, jerk.
+    """Seven stretches for each line, (n, 7, 3), as duration, acceleration, jerk.
 
     length_mm, feed_mm_s : (n,), positive. A line too short for its feed peaks below it.
     """
@@ -56,7 +56,7 @@ def rest_to_rest(
 
 
 def brake(speed: float, acceleration: float, limits: Limits) -> list[Stretch]:
-    """Return the shortest way from a speed and acceleration to standstill."""
+    """Shortest stretches from a speed and acceleration to standstill."""
     A, J = limits.acceleration_mm_s2, limits.jerk_mm_s3
     if speed <= 0.0:
         return []
@@ -82,9 +82,9 @@ def ride(
     acceleration: float,
     limits: Limits,
 ) -> list[Stretch] | None:
-    """Return the way from a speed and acceleration to standstill after a length.
+    """Stretches from a speed and acceleration to standstill after a length.
 
-    None where the machine is already braking for the end and nothing else can be done.
+    None if the machine already brakes for the end and has no alternative.
     """
 
     def way(peak: float) -> list[Stretch]:
@@ -110,7 +110,6 @@ def ride(
 
 
 def _highest_peak(length_mm: np.ndarray, limits: Limits) -> np.ndarray:
-    """Return the speed that a line of a length can just reach and lose again."""
     A, J = limits.acceleration_mm_s2, limits.jerk_mm_s3
     if math.isinf(J):
         return np.sqrt(A * length_mm)
@@ -123,7 +122,6 @@ def _highest_peak(length_mm: np.ndarray, limits: Limits) -> np.ndarray:
 def _ramp_and_level(
     change_mm_s: np.ndarray, limits: Limits
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how long the acceleration ramps and stays level for a change of speed."""
     A, J = limits.acceleration_mm_s2, limits.jerk_mm_s3
     if math.isinf(J):
         return np.zeros_like(change_mm_s), change_mm_s / A
@@ -132,7 +130,6 @@ def _ramp_and_level(
 
 
 def _change(before: float, after: float, limits: Limits) -> list[Stretch]:
-    """Return the stretches from one steady speed to another."""
     sign = 1.0 if after >= before else -1.0
     ramp, level = (
         float(t) for t in _ramp_and_level(np.array(abs(after - before)), limits)
@@ -151,7 +148,6 @@ def _change(before: float, after: float, limits: Limits) -> list[Stretch]:
 def _settle(
     speed: float, acceleration: float, limits: Limits
 ) -> tuple[float, list[Stretch]]:
-    """Bring the acceleration to zero; return the speed after that and the stretch."""
     J = limits.jerk_mm_s3
     if acceleration == 0.0 or math.isinf(J):
         return speed, []
@@ -169,7 +165,7 @@ def _travel(stretches: list[Stretch], speed: float) -> float:
 
 
 def _bisect_speed(overrun: Callable[[float], float], high: float) -> float:
-    """Return the speed that just does not overrun; `high` does."""
+    """Highest speed that does not overrun; `high` does."""
     low = 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""What a CNC drives: waypoints, joined by straight lines and arcs."""
+"""Program of a CNC: waypoints, joined by straight lines and arcs."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Program:
     """Waypoints in order, joined by straight lines and arcs with a stop at each.
 
     position : (n, axes), mm or deg; dwell_s : (n,) at each row
-    feed_mm_s : (n,) towards each row; deg/s where no straight axis moves
-    target : measured on the way to and at each row; none for the machine's first
-    arc : on which each row is driven to, None for a straight line; none at all if empty
+    feed_mm_s : (n,) towards each row; deg/s where no linear axis moves
+    target : measured on the way to and at each row; empty for the machine's first
+    arc : to each row, None for a straight line; empty if there is none
     """
 
     position: np.ndarray
@@ -34,10 +34,10 @@ class Program:
 
 
 def path_length(step: np.ndarray) -> np.ndarray:
-    """Return the lengths that the feed counts of steps (n, axes) between waypoints.
+    """Lengths to which the feed refers, of steps (n, axes) between waypoints.
 
-    That of the straight axes in mm; where none of them moves, that of the rotary axes
-    in deg.
+    That of the linear axes in mm; where none of them moves, that of the rotary axes in
+    deg.
     """
     straight = np.linalg.norm(step[:, :_LINEAR], axis=1)
     turn = np.linalg.norm(step[:, _LINEAR:], axis=1)

@@ -27,7 +27,7 @@ def turning_path(
     feed_mm_min: float,
     dwell_s: float = 0.4,
 ) -> Program:
-    """Join random positions; each target is measured on a block of the rows."""
+    """Lines between random positions; each target is measured on a block of rows."""
     rng = generator(seed, "path: lines with rotary axes")
     names = _find_moving_targets(machine)
     share = max(2, rows // len(names))
@@ -56,7 +56,7 @@ def turning_points(
     feed_mm_min: float = 20_000.0,
     dwell_s: float = 1.0,
 ) -> Program:
-    """Stand at random positions, the targets one after another."""
+    """Standstills at random positions, the targets one after another."""
     rng = generator(seed, "path: points with rotary axes")
     names = _find_moving_targets(machine)
     target = [names[k * len(names) // points] for k in range(points)]
@@ -72,9 +72,9 @@ def turning_points(
 
 
 def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
-    """Return the orders that turn a simulated tracker to the target of each row.
+    """Orders that turn a simulated tracker to the target of each row.
 
-    In the words of `faults`; none where the first target is measured alone.
+    In the syntax of `faults`; empty where only the first target is measured.
     """
     known = [reflector.name for reflector in machine.reflectors]
     orders: list[str] = []
@@ -104,7 +104,7 @@ def _anywhere(rng: np.random.Generator, machine: MachineFile) -> np.ndarray:
 
 
 def _feed_s(position: np.ndarray, feed_mm_s: float) -> np.ndarray:
-    """Return a feed a row, mm/s or deg/s, at which no rotary axis turns too fast."""
+    """Feed per row, mm/s or deg/s, at which no rotary axis turns too fast."""
     step = np.abs(np.diff(position, axis=0, prepend=position[:1]))
     straight = np.linalg.norm(step[:, :3], axis=1)
     turn = step[:, 3:].max(axis=1)

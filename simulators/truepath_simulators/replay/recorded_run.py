@@ -1,7 +1,8 @@
 """A Run on disk, as a script for devices that repeat it.
 
-Read from the file alone: tables `manifest`, `batch` and `event` as docs/measurement.md
-states them. All times are seconds of the host that recorded, from the first byte on.
+Read from the file alone: tables `manifest`, `batch` and `event` as in
+docs/measurement.md. All times are seconds of the host that recorded, from the first
+byte on.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _REPLIES = {Type.ACK, Type.NAK}
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One motion of the recording: ordered, arrived, where it ended."""
+    """One motion of the recording: order, arrival, final position."""
 
     begin_s: float
     end_s: float
@@ -44,14 +45,14 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """What the devices did.
+    """Recorded behaviour of the devices.
 
-    pieces : what stood between the zero bytes of the link, without replies
-    piece_s : (n,) when each came, rising
+    pieces : content between the zero bytes of the link, without replies
+    piece_s : (n,) arrival of each, increasing
     opening : reply to the START of the stream
     samples, is_exact : number of samples, and whether the bytes decode to just these
-    axes_s, position : (m,), (m, axes) what the controller said; empty without a CNC
-    stands_at_points : it stood at points and had no path
+    axes_s, position : (m,), (m, axes) reported by the controller; empty without a CNC
+    stands_at_points : it measured at points, without a path
     """
 
     name: str
@@ -68,7 +69,7 @@ class RecordedRun:
 
 
 def read_recorded_run(file: Path) -> RecordedRun:
-    """Return a closed Run. Raises SimulatorError if it cannot be repeated."""
+    """A closed Run. Raises SimulatorError if it cannot be repeated."""
     manifest, batches, events = _read_tables(file)
     link = [row for row in batches if row[0] == "tracker.link"]
     if not link:
@@ -148,9 +149,9 @@ def _read_axes(
 def _cut_frames(
     link: list[tuple[Any, ...]], zero_s: float, samples: int, file: Path
 ) -> tuple[list[bytes], np.ndarray, np.ndarray, StreamInfo]:
-    """Return the link's pieces without replies, up to the last recorded sample.
+    """Pieces of the link without replies, up to the last recorded sample.
 
-    Returns as well when each came, which of them hold the samples, and the opening.
+    In addition: arrival of each, which of them hold the samples, and the opening.
     """
     pieces = b"".join(row[3] for row in link).split(b"\0")
     ends = np.cumsum([len(piece) + 1 for piece in pieces])
@@ -173,7 +174,7 @@ def _cut_frames(
             f"{file}: the bytes of its link are not GST/1, which is all that a "
             "simulated tracker speaks"
         )
-    # Bytes go to the disk a little before their samples: what came last may be cut.
+    # Bytes go to the disk a little before their samples: the last ones may be cut.
     last = measured[min(samples, len(measured)) - 1] if samples else -1
     kept = kept[: last + 1]
     whole = np.array(measured[:samples], np.int64)
@@ -183,7 +184,7 @@ def _cut_frames(
 def _date_bytes(
     link: list[tuple[Any, ...]], zero_s: float, ends: np.ndarray
 ) -> np.ndarray:
-    """Return when bytes came: evenly in the time before their batch."""
+    """Bytes arrive evenly in the time before their batch."""
     count = np.cumsum([row[1] for row in link])
     done_s = 1e-9 * np.array([row[2] for row in link]) - zero_s
     begin_s = np.maximum(done_s - _BATCH_S, np.append(0.0, done_s[:-1]))
@@ -197,9 +198,9 @@ def _let_orders_precede(
     measured: np.ndarray,
     samples: np.ndarray,
 ) -> None:
-    """Date what was still before an order, what moved after it, in place.
+    """Dates standstill before an order, motion after it, in place.
 
-    When bytes came is known to a tenth of a second, which may be much of a motion.
+    The arrival of bytes is known to 0.1 s, which may be a large part of a motion.
     """
     seen = samples["status"][: len(measured)] == 0
     measured, place_mm = measured[seen], samples["place_mm"][: len(seen)][seen]
@@ -225,7 +226,6 @@ def _find_moves(
     position: np.ndarray,
     zero_s: float,
 ) -> tuple[Move, ...]:
-    """Return the motions under the stream: paths, or the ways from point to point."""
     begins = [(kind, 1e-9 * ns - zero_s) for kind, ns in events]
     orders = [s for kind, s in begins if kind == "start"]
     # The last point is followed by no motion.

@@ -1,4 +1,4 @@
-"""Any recorded Run, as if its devices were there."""
+"""The devices of any recorded Run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Replay(DeviceProcesses):
     """The devices of a Run behind real links: the same bytes, the same motions.
 
     run : file of a closed Run that was recorded with bytes of the tracker's link
-    speed : seconds of the recording in a wall second
+    speed : seconds of the recording per wall second
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     """
 
@@ -69,7 +69,7 @@ class Replay(DeviceProcesses):
         return self
 
     def describe(self) -> dict[str, Any]:
-        """Return where the devices listen, and what is repeated."""
+        """Addresses of the devices, and properties of the replay."""
         return {**super().describe(), "replay": self._told}
 
     def close(self) -> None:

@@ -1,10 +1,10 @@
-"""The time of a replay: that of the recording, which waits for the host where need be.
+"""The time of a replay: that of the recording, which waits for the host if necessary.
 
-A host never works at just the same pace twice. So the recording stands still before
-each of its motions until the host orders it, and at its end until the host has been
-told: the host then sees no less of the stream at every standstill than it once did. It
-waits for some seconds at most; then the stream goes on, for the same samples come in
-any case.
+A host never works at exactly the same pace twice. So the recording stops before each of
+its motions until the host orders it, and at its end until the host has read it: the
+host then receives no less of the stream at every standstill than in the recording. It
+waits for some seconds at most; then the stream continues, since the same samples come
+in any case.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ _PATIENCE_S = 2.0  # of the wall clock, for a busy host to order or to look
 
 @dataclass(slots=True)
 class _Gate:
-    """A time at which the recording waits."""
-
     time_s: float
     patience_s: float = _PATIENCE_S
     is_open: bool = False
@@ -31,7 +29,7 @@ class _Gate:
 class ReplayClock:
     """Seconds of the recording.
 
-    speed : how many of them pass in a wall second
+    speed : seconds of the recording per wall second
     """
 
     def __init__(self, moves: tuple[Move, ...], speed: float) -> None:
@@ -46,16 +44,16 @@ class ReplayClock:
 
     @property
     def is_past_moves(self) -> bool:
-        """Whether the host knows that the last motion has ended."""
+        """Whether the host has read the end of the last motion."""
         return all(gate.is_open for gate in self._told)
 
     def begin(self, wall_s: float) -> None:
-        """Begin at the beginning."""
+        """Start at the begin of the recording."""
         self._rewind()
         self._wall_s = wall_s
 
     def advance(self, wall_s: float) -> None:
-        """Let time pass, up to the next thing that the host has still to do."""
+        """Advance the time, up to the next action that the host still has to do."""
         if self._wall_s is None:
             return
         self.now_s += self._speed * (wall_s - self._wall_s)
@@ -76,22 +74,22 @@ class ReplayClock:
         self._wall_s = None
 
     def has_arrived(self, move: int) -> bool:
-        """Tell whether a motion is over."""
+        """Whether a motion is over."""
         return self.now_s >= self._told[move].time_s
 
     def order(self, move: int) -> None:
-        """The host has ordered this motion: nothing before it is waited for."""
+        """Open all gates up to this motion, which the host has ordered."""
         for number in range(move + 1):
             self._ordered[number].is_open = True
             self._told[number].is_open |= number < move
 
     def pass_through(self, first: int, last: int) -> None:
-        """The host drives motions in one, and is told of the last alone."""
+        """Open the gates between motions that the host orders as one."""
         for number in range(first, last):
             self._ordered[number + 1].is_open = self._told[number].is_open = True
 
     def tell(self, move: int) -> None:
-        """The host has been told that this motion is over."""
+        """Open the gate after this motion, whose end the host has read."""
         self._told[move].is_open = True
 
     @property

@@ -1,4 +1,4 @@
-"""A controller that repeats what another did, as far as its host orders the same."""
+"""A controller that repeats a recorded one, if its host gives the same orders."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _AHEAD = 4  # rows that a machine passes between two looks, at most
 
 
 class ReplayController(Controller):
-    """Stands where the recording stood. All times are those of the replay.
+    """Positions of the recording. All times are those of the replay.
 
-    A motion after the last recorded one is refused; moves without a stream are at once.
+    A motion after the last recorded one is refused; moves without a stream are
+    immediate.
     """
 
     def __init__(
@@ -34,12 +35,12 @@ class ReplayController(Controller):
         self._rows = self._at[None]
 
     def update(self, now_s: float) -> None:
-        """End the motion when the recorded one has."""
+        """End the motion together with the recorded one."""
         if self.state is MotionState.RUNNING and self._clock.has_arrived(self._driven):
             self.state, self._at = self._end, self._run_of.moves[self._driven].goal
 
     def note_look(self) -> None:
-        """The host has read the status."""
+        """Record that the host has read the status."""
         if self.state is self._end and self._driven >= 0:
             self._clock.tell(self._driven)
 
@@ -49,7 +50,7 @@ class ReplayController(Controller):
         return self._driven >= 0
 
     def position(self, now_s: float) -> np.ndarray:
-        """Return where the axes were."""
+        """Recorded positions of the axes."""
         if self.state is not MotionState.RUNNING:
             return self._at
         columns = self._run_of.position.T
@@ -59,11 +60,11 @@ class ReplayController(Controller):
         return self._at
 
     def feed_mm_min(self, now_s: float) -> float:
-        """Return 0: a Run does not keep it."""
+        """Always 0: a Run does not store it."""
         return 0.0
 
     def line(self, now_s: float) -> int:
-        """Return the row whose line is nearest, never an earlier one."""
+        """Row of the nearest line, never an earlier one."""
         here = self.position(now_s)
         rows = range(self._line_now, min(self._line_now + _AHEAD, len(self._rows)))
         away = [_distance(here, self._rows[max(r - 1, 0)], self._rows[r]) for r in rows]
@@ -71,12 +72,12 @@ class ReplayController(Controller):
         return self._line_now
 
     def commit(self, program: Program) -> None:
-        """Take a path."""
+        """Store a path."""
         super().commit(program)
         self._line_now = 0
 
     def move_to(self, row: Program, now_s: float) -> None:
-        """Go to a position: with the recording while it runs, else at once."""
+        """With the recording while it runs, else immediate."""
         self._rows, self._line_now = row.position, 0
         if not self._clock.runs:
             self._driven = -1
@@ -92,22 +93,22 @@ class ReplayController(Controller):
         return self._drive()
 
     def hold(self, reason: HoldReason, now_s: float) -> None:
-        """Say that it is held; the recording goes on."""
+        """Report a hold; the recording continues."""
         if self.state is MotionState.RUNNING:
             self.state, self.hold_reason = MotionState.HELD, reason
 
     def resume(self, now_s: float) -> None:
-        """Go on with the recording where it is now."""
+        """Continue with the recording at its present time."""
         if self.state is MotionState.HELD:
             self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
 
     def abort(self, now_s: float) -> None:
-        """Forget the path."""
+        """Remove the path."""
         self.path = None
         self.state, self.hold_reason = MotionState.ABORTED, HoldReason.NONE
 
     def _drive(self) -> Result:
-        """Take the recorded motion that ends where this one is to end, else the last.
+        """The recorded motion with the same end, else the last one.
 
         A motion that was ended early ends early again.
         """

@@ -28,7 +28,7 @@ _LATE_S = 0.1
 
 
 class ReplayRegisters(CncRegisters):
-    """Registers that know when the status was read."""
+    """Registers that report each reading of the status."""
 
     def __init__(
         self, controller: ReplayController, clocks: Clocks, serial: str

@@ -1,4 +1,4 @@
-"""A tracker that sends the bytes of a Run again. No I/O, time is given."""
+"""A tracker that sends the bytes of a Run. No I/O, time is given."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _AFTER_S = 0.3  # wall seconds after the last byte, until the host is helped to 
 
 
 class ReplayTracker:
-    """Answers commands, and sends what came once when the recording is there again."""
+    """Answers commands, and sends the recorded bytes at their recorded times."""
 
     def __init__(self, run: RecordedRun, clock: ReplayClock) -> None:
         self._run, self._clock = run, clock
@@ -53,12 +53,12 @@ class ReplayTracker:
         self._last_number = run.opening.next_sequence + int(samples.sequence[-1])
 
     def receive(self, data: bytes, wall_s: float) -> bytes:
-        """Take bytes of the host; return the replies."""
+        """Replies to bytes of the host."""
         replies = [self._answer(body, wall_s) for body in self._frames.feed(data)]
         return b"".join(encode_message(reply) for reply in replies if reply)
 
     def due(self, wall_s: float) -> bytes:
-        """Return every byte due by now."""
+        """Every byte due by now."""
         self._clock.advance(wall_s)
         if not self._clock.runs:
             return b""
@@ -77,7 +77,7 @@ class ReplayTracker:
         self._clock.end()
 
     def read_state(self) -> dict[str, Any]:
-        """Return how far the replay is."""
+        """Progress of the replay."""
         return {
             "streaming": self._clock.runs,
             "recording_s": self._clock.now_s,

@@ -1,4 +1,4 @@
 """Laser trackers in each protocol that the drivers know.
 
-Not here: where the target truly is (`machine`), faults of the line (`links`).
+Not here: the true position of the target (`machine`), faults of the line (`links`).
 """

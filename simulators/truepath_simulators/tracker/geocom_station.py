@@ -1,6 +1,6 @@
 """A total station that speaks GeoCOM, as far as a point measurement needs it.
 
-Proven with geocompy 1.0.0 as its client. It knows no second face and no compensator.
+Tested with geocompy 1.0.0 as its client. It has no second face and no compensator.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class GeoComStation(LineInstrument):
         super().__init__(head)
         self._sight: tuple[float, float] | None = None  # azimuth, elevation
         self._is_following = self._is_locked = False
-        self._ready_s: float | None = None  # of the distance under way
+        self._ready_s: float | None = None  # of the distance in progress
         self._prism_mm = 0.0
         self._atmosphere = [658.0e-9, 1013.25, 20.0, 14.0]
         self._procedures: dict[int, Callable[[Values, Timeline, float], str]] = {
@@ -50,7 +50,7 @@ class GeoComStation(LineInstrument):
         }
 
     def answer(self, line: bytes, timeline: Timeline, true_s: float) -> None:
-        """Answer a request; what is none is passed over, as on a noisy line."""
+        """Answer a request; other lines are ignored, as on a noisy line."""
         head, colon, values = line.partition(b":")
         fields = head.split(b",")
         if (
@@ -86,7 +86,7 @@ class GeoComStation(LineInstrument):
         return f"{_OK},{_angles(seen[1], seen[2])},{distance_m:.9f}"
 
     def _see(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
-        """Return where the prism is, if it is in view; a lock keeps it there."""
+        """None if the prism is not in the field of view; a lock keeps it there."""
         shot = self.head.shoot(timeline, true_s)
         if shot is None:
             return None

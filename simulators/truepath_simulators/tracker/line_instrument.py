@@ -1,4 +1,4 @@
-"""An instrument that is asked in lines of text and answers in its own time. No I/O."""
+"""An instrument with requests in lines of text and replies after a delay. No I/O."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Say = Callable[[Timeline, float], bytes]
 
 
 class LineInstrument(ABC):
-    """Takes bytes, cuts them into lines, and says each reply when it is due."""
+    """Splits bytes into lines, and sends each reply when it is due."""
 
     def __init__(self, head: PolledHead) -> None:
         self.head = head
@@ -26,11 +26,11 @@ class LineInstrument(ABC):
 
     @property
     def streaming(self) -> bool:
-        """Whether there is anything to say or to read."""
+        """Whether a reply or a line is pending."""
         return bool(self._due or self._lines)
 
     def read_state(self) -> dict[str, Any]:
-        """Return what the device knows of itself."""
+        """Number of shots and of pending replies."""
         return {"streaming": False, "shots": self.head.shots, "replies": len(self._due)}
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
@@ -44,7 +44,7 @@ class LineInstrument(ABC):
     def due(
         self, timeline: Timeline, true_s: float, wall_s: float, waiting_bytes: int = 0
     ) -> bytes:
-        """Return every reply due by now."""
+        """Every reply due by now."""
         del wall_s, waiting_bytes
         for line in self._lines:
             self.answer(line, timeline, true_s)
@@ -55,25 +55,25 @@ class LineInstrument(ABC):
         return b"" if self.head.is_silent(true_s) else said
 
     def say(self, line: bytes, due_s: float = 0.0) -> None:
-        """Say a line, at once or when it is due."""
+        """Send a line, at once or when it is due."""
         self.say_later(lambda *_: line, due_s)
 
     def say_later(self, make: Say, due_s: float) -> None:
-        """Make a line when it is due, and say it."""
+        """Make a line when it is due, and send it."""
         self._due.append((due_s, lambda *at: make(*at) + b"\r\n"))
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Stand elsewhere from now on."""
+        """Move the tracker to another pose from now on."""
         self.head.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """See the machine driven by these tables from now on."""
+        """Apply these tables to the machine from now on."""
         self.head.correct(correction)
 
     def forget_host(self) -> None:
-        """The connection has gone."""
+        """Discard lines and replies: the connection has gone."""
         self._rest, self._lines, self._due = b"", [], []
 
     @abstractmethod
     def answer(self, line: bytes, timeline: Timeline, true_s: float) -> None:
-        """Take a line of the host; say what is to be said."""
+        """Process a line of the host; replies by `say`."""

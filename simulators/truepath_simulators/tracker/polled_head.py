@@ -1,4 +1,4 @@
-"""What polled instruments have in common: shots of the truth, one at a time."""
+"""Shared part of polled instruments: shots of the truth, one at a time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHOT_S = 0.4  # for a distance, by the machine's clock
 
 
 class PolledHead:
-    """Takes shots of the point that the streaming tracker would see."""
+    """Shots of the point that the streaming tracker would measure."""
 
     def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
         self._sight = TrackerSight(parts, faults)
@@ -25,32 +25,32 @@ class PolledHead:
 
     @property
     def serial_number(self) -> str:
-        """Number of the instrument."""
+        """Serial number, from the seed."""
         return f"{self._parts.seed:06d}"
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Stand elsewhere from now on."""
+        """Move the tracker to another pose from now on."""
         self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """See the machine driven by these tables from now on."""
+        """Apply these tables to the machine from now on."""
         self._sight.correct(correction)
 
     @property
     def shots(self) -> int:
-        """How many were taken."""
+        """Number of shots taken."""
         return self._count
 
     def begin(self, true_s: float) -> None:
-        """Count the times of faults from the first question on."""
+        """Start the times of faults with the first request."""
         self._faults.begin(true_s)
 
     def is_silent(self, true_s: float) -> bool:
-        """Whether it answers nothing now."""
+        """Whether it gives no answer now."""
         return bool(self._faults.strikes("silence", true_s))
 
     def shoot(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
-        """Return range (mm), azimuth and elevation (rad); None without a target."""
+        """Range (mm), azimuth and elevation (rad); None without a target."""
         self._count += 1
         number, moment_s = np.array([self._count]), np.array([true_s])
         polar, status = self._sight.read(

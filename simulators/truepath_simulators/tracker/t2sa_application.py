@@ -1,4 +1,4 @@
-"""T2SA as its public client knows it, with one tracker behind it."""
+"""T2SA as implied by its public client, with one tracker behind it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _TIME = "11/23/2026 02:00:00"
 
 
 class T2saApplication(LineInstrument):
-    """Measures a point of any name, or a plan whose only point it is."""
+    """Measures a point of any name, or a plan with that one point."""
 
     def __init__(self, head: PolledHead) -> None:
         super().__init__(head)

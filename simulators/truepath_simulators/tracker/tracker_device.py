@@ -1,7 +1,7 @@
 """The tracker behind its wire: commands in, frames out. No I/O, time is given.
 
-What the host hears of comes in wall seconds (keep-alive), what it measures in machine
-seconds: a sped-up simulation shortens the measurement, not the patience of a link.
+The link counts wall seconds (keep-alive), the measurement machine seconds: a sped-up
+simulation shortens the measurement, not the time limits of a link.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ _KINDS: dict[type[Message], Type] = {
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
-    """A running stream: sample i is due at begin + i / rate on the device clock."""
+    """Sample i is due at begin + i / rate on the device clock."""
 
     rate_hz: float
     format: Format
@@ -111,11 +111,11 @@ class TrackerDevice:
 
     @property
     def streaming(self) -> bool:
-        """Whether a stream runs."""
+        """Whether a stream is in progress."""
         return self._stream is not None
 
     def read_state(self) -> dict[str, Any]:
-        """Return what the device knows of itself."""
+        """Stream, counts of samples and frames, and lock of the beam."""
         rate_hz = 0.0 if self._stream is None else self._stream.rate_hz
         return {
             "streaming": self.streaming,
@@ -127,7 +127,7 @@ class TrackerDevice:
         }
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
-        """Take bytes of the host; return the replies."""
+        """Replies to bytes of the host."""
         replies = b""
         for body in self._frames.feed(data):
             self._last_heard_s = wall_s
@@ -139,10 +139,10 @@ class TrackerDevice:
     def due(
         self, timeline: Timeline, true_s: float, wall_s: float, waiting_bytes: int = 0
     ) -> bytes:
-        """Return every frame due by now.
+        """Every frame due by now.
 
-        waiting_bytes : what the link has not taken yet. Beyond the device's buffer
-        samples are lost, and the next one says so.
+        waiting_bytes : not accepted by the link yet. Beyond the device's buffer samples
+            are lost, and the next one reports it.
         """
         self._sight.follow(timeline)
         if self._stream is None:
@@ -157,11 +157,11 @@ class TrackerDevice:
         return frames + (b"" if full else self._status_due(true_s, wall_s))
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Stand elsewhere from now on."""
+        """Move the tracker to another pose from now on."""
         self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """See the machine driven by these tables from now on."""
+        """Apply these tables to the machine from now on."""
         self._sight.correct(correction)
 
     def forget_host(self) -> None:
@@ -191,7 +191,7 @@ class TrackerDevice:
             case Stop(transaction):
                 self._stream = None
                 if not self._sight.has_moved:
-                    self._faults.begin_anew()  # somebody has only listened
+                    self._faults.begin_anew()  # a host has only listened
                 return Ack(transaction, Type.STOP)
             case Ping(transaction):
                 return Ack(transaction, Type.PING)
@@ -258,7 +258,6 @@ class TrackerDevice:
         index: np.ndarray,
         number: np.ndarray,
     ) -> tuple[RawSamples, np.ndarray]:
-        """Return samples and the machine times at which they were taken."""
         clock_us = stream.clock_us(index)
         moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
@@ -312,7 +311,7 @@ def _explain(body: bytes) -> NakCode:
 
 
 class FrameDamage:
-    """Applies the faults of a line to blocks of frames, one frame a sample."""
+    """Applies the faults of a line to blocks of frames, one frame per sample."""
 
     def __init__(self, faults: Schedule, rng: np.random.Generator) -> None:
         self._faults = faults
@@ -320,7 +319,7 @@ class FrameDamage:
         self._kept_back = b""
 
     def damage(self, data: bytes, time_s: np.ndarray, number: np.ndarray) -> bytes:
-        """Return what comes out of the line for whole frames taken at `time_s` (n,)."""
+        """Bytes after the line, for whole frames taken at `time_s` (n,)."""
         frames = [b"\0" + piece + b"\0" for piece in data.split(b"\0") if piece]
         struck = False
         for kind in ("lost-bytes", "bit-flip", "duplicate", "noise", "drop", "silence"):
@@ -332,7 +331,6 @@ class FrameDamage:
         return self._delay(out, time_s, number)
 
     def _lot(self, fault: Fault, n: int) -> np.ndarray:
-        """Draw which frames are struck, where the amount of the fault is a share."""
         share = fault.amount if fault.kind in _SHARES else 1.0
         return self._rng.uniform(size=n) < share
 

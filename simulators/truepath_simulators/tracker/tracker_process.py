@@ -1,4 +1,4 @@
-"""The tracker as a process of its own.
+"""The tracker as a separate process.
 
 `python -m truepath_simulators.tracker.tracker_process`
 """
@@ -29,7 +29,7 @@ from truepath_simulators.tracker.t2sa_application import T2saApplication
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
-# Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
+# Ten samples at 500 Hz: few wake-ups, and well below the delay that a host notices.
 PERIOD_S = 0.02
 _IDLE_S = 0.1
 _POLLED = {"geocom": GeoComStation, "t2sa": T2saApplication}
@@ -73,7 +73,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
                 _obey(device, json.loads(line), orders)
             else:
                 faults.add(parse_fault(line), clock.now_s())
-        # Its clock first: see `board`. What is followed brings its own.
+        # Its clock first: see `board`. Followed positions have their own time.
         now_s, wall_s = clock.now_s(), time.monotonic()
         timeline = source.timeline()
         if faults.strikes("disconnect", now_s):
@@ -108,7 +108,7 @@ def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
 
 
 def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
-    """Keep to absolute deadlines; after a stall the next one is in the future again."""
+    """Keeps absolute deadlines; after a stall the next one is in the future again."""
     if not streaming:
         return now_s + _IDLE_S
     steps = max(int((now_s - last_s) / PERIOD_S) + 1, 1)
@@ -116,8 +116,8 @@ def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
 
 
 def _wait(descriptors: list[int], port: Port, until_s: float) -> None:
-    # Bytes that wait go on as soon as there is room, not at the next period: the reply
-    # to a new host stands behind what the last one has left unread.
+    # Waiting bytes are sent as soon as there is room, not at the next period: the reply
+    # to a new host is queued behind the bytes that the last one has not read.
     blocked = port.list_blocked_descriptors()
     select.select(descriptors, blocked, [], max(until_s - time.monotonic(), 0.0))
 
@@ -141,7 +141,7 @@ def _device(orders: dict[str, Any], faults: Schedule) -> Device:
     )
     if make := _POLLED.get(orders.get("protocol", "gst")):
         return make(PolledHead(parts, faults))
-    # Patience of a link stays in wall seconds: a faster clock fills a larger buffer.
+    # Time limits of a link stay in wall seconds: a faster clock fills a larger buffer.
     buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))
     return TrackerDevice(parts, faults, buffer_bytes)
 

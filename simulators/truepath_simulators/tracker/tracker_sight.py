@@ -1,4 +1,4 @@
-"""What a tracker reads of the truth: where its target is, and what goes wrong there."""
+"""Readings of the truth by a tracker: position of its target, and faults."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from truepath_simulators.machine.tracker_head import (
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.timeline import Timeline
 
-_PUSH = np.array([0.6, -0.64, 0.48])  # of a knock, where to
+_PUSH = np.array([0.6, -0.64, 0.48])  # direction of an unintended shift
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerParts:
-    """What a tracker is made of."""
+    """Configuration of a simulated tracker."""
 
     truth: TruthMachine
     pose: TrackerPose
@@ -57,9 +57,9 @@ class TrackerParts:
 
 
 class TrackerSight:
-    """Sees the target of the machine that the beam is on.
+    """Measures the target of the machine on which the beam is locked.
 
-    verbs : by which the beam goes from target to target
+    verbs : move the beam from target to target
     """
 
     def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
@@ -78,21 +78,21 @@ class TrackerSight:
 
     @property
     def has_moved(self) -> bool:
-        """Whether the machine has moved yet, by the newest that is known."""
+        """Whether the machine has moved yet, by the newest timeline."""
         return self._timeline is not None and self._timeline.end_s > 0.0
 
     def follow(self, timeline: Timeline) -> None:
-        """Know the motion so far."""
+        """Use the motion of this timeline."""
         self._timeline = timeline
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Stand elsewhere from now on."""
+        """Move the tracker to another pose from now on."""
         self._parts = replace(self._parts, pose=pose)
         self._set_ups += 1
         self._body = self._draw_body()
 
     def correct(self, correction: Correction | None) -> None:
-        """See the machine driven by these tables from now on."""
+        """Apply these tables to the machine from now on."""
         self._follower.correct(correction)
 
     def read(
@@ -102,7 +102,7 @@ class TrackerSight:
         number: np.ndarray,
         noise: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return range (mm), azimuth, elevation (rad) and status at machine times.
+        """Range (mm), azimuth, elevation (rad) and status at machine times.
 
         number : of the samples; noise : (n, 3) of unit variance
         """
@@ -171,13 +171,13 @@ _HIGHEST_RAD = math.radians(80.0)
 _NOTHING = NakCode.NO_TARGET, "no target near the beam"
 
 LocateTarget = Callable[[str, float], tuple[float, float]]
-"""Returns azimuth and elevation of a target at a machine time."""
+"""Azimuth and elevation of a target at a machine time."""
 
 
 class TrackerVerbs:
-    """Which target the beam is on, and since when; the first one at first.
+    """Target of the beam, and since when; the first target at the start.
 
-    is_known : the host has said HELLO in the version that has these verbs
+    is_known : the host has sent HELLO in a version with these verbs
     """
 
     def __init__(self, names: Sequence[str], locate: LocateTarget) -> None:
@@ -188,7 +188,7 @@ class TrackerVerbs:
         self.is_known = False
 
     def list_targets(self, moments_s: np.ndarray) -> np.ndarray:
-        """Return the names at these moments, None where the beam has no target."""
+        """Names at these moments, None where the beam has no target."""
         begins, names = zip(*self._since, strict=True)
         chosen = np.array(names, object)
         return chosen[np.searchsorted(begins, moments_s, "right") - 1]
@@ -199,7 +199,7 @@ class TrackerVerbs:
         self._since.append((true_s, None))
 
     def answer(self, verb: Verb, true_s: float, *, is_blocked: bool = False) -> Message:
-        """Do it and reply; a beam that is blocked finds nothing."""
+        """Execute a verb and reply; a blocked beam finds nothing."""
         kind = _TYPES[type(verb)]
         if not self.is_known:
             return Nak(

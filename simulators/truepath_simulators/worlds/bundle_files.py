@@ -1,4 +1,4 @@
-"""Writes a recording in the form of a measurement bundle, with its truth."""
+"""Files of a measurement bundle from a recording, with its truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _POINTS = 8  # of the grid, along each axis
 
 
 def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) -> None:
-    """Write the recording as a measurement bundle, with `truth.json` beside it."""
+    """The recording as a measurement bundle, with `truth.json` next to it."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "machine.json").write_text(json.dumps(dict(recording.content), indent=1))
     _write_program(folder, recording)
@@ -34,9 +34,9 @@ def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) ->
 def truth_of(
     truth: TruthMachine, hidden: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
-    """Return the volumetric error on a grid of the travel, as a case states it.
+    """Volumetric error on a grid of the travel, in the form of a test case.
 
-    hidden : effects beside the error motions, which the grid is without
+    hidden : effects in addition to the error motions; not included in the grid
     """
     grid = _grid(truth.machine).round(4)
     return {
@@ -48,7 +48,6 @@ def truth_of(
 
 
 def _grid(machine: MachineFile) -> np.ndarray:
-    """Return a grid of the travel; random points where there are rotary axes too."""
     low, high = machine.low_mm + _GRID_MARGIN_MM, machine.high_mm - _GRID_MARGIN_MM
     if machine.rotary_axes:
         rng = generator(0, "grid of the truth")

@@ -17,7 +17,7 @@ from truepath_simulators.timeline import Timeline
 
 @dataclass(frozen=True, slots=True)
 class Temperatures:
-    """What sensors show on the tracker's clock.
+    """Readings of sensors on the tracker's clock.
 
     names : of the axes whose scales have one; time_s (n,); celsius (n, sensors)
     """
@@ -33,9 +33,9 @@ class Recording:
 
     time_s (n,), position_mm (n, 3), status (n,) : in the tracker's frame and clock
     commanded_mm (n, 3) : nominal axis positions at each sample
-    row (n,) : row that the machine moved towards or dwelt at, at each sample
-    hidden : effects that no rigid-body model knows; clock : of the tracker
-    temperatures : none where the machine has no sensors
+    row (n,) : towards which the machine moved, or at which it dwelt, at each sample
+    hidden : effects outside of a rigid-body model; clock : of the tracker
+    temperatures : None where the machine has no sensors
     """
 
     content: Mapping[str, Any]
@@ -57,5 +57,5 @@ class Recording:
         return len(self.time_s)
 
     def hidden_truth(self) -> list[dict[str, Any]]:
-        """Return the hidden effects in the form of `discovery.json`."""
+        """Hidden effects in the form of `discovery.json`."""
         return [effect.truth(self.clock) for effect in self.hidden]

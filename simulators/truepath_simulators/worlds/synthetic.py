@@ -1,4 +1,4 @@
-"""Whole recordings without wire and without waiting: what a bench would have recorded.
+"""Whole recordings without wire and without waiting, as a bench would record them.
 
 Motion, truth, noise and clock are those of the simulators, evaluated at once.
 
@@ -44,15 +44,15 @@ BEAM_BROKEN = 1
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """What is wrong with a recording.
+    """Defects of a recording.
 
     dropped_share : share of the frames that are missing, one by one
     gaps : (begin_s, duration_s) of silence, since the begin of the stream
     beam_breaks : (begin_s, duration_s) in which samples are there but not valid; after
         each, a tracker with a specification has another range offset
-    spikes, spike_mm : number of valid samples that are off by so much
+    spikes, spike_mm : number of valid samples, and their error
     duplicated_share : share of the frames that come twice, as no good driver lets them
-    late_start_s : the stream begins so long after the motion
+    late_start_s : delay of the stream's begin after the motion
     holds : (begin_s, duration_s) of feed holds, wherever the machine is then
     """
 
@@ -77,14 +77,14 @@ ROUGH = Defects(
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a recording is made, besides machine, program and seed.
+    """Settings of a recording, in addition to machine, program and seed.
 
     machine_seed : which machine, where it is not that of the recording's seed: so that
         several recordings of one machine differ in noise, clock and tracker pose
-    truth : the machine, where it is not drawn
-    hidden : effects that no rigid-body model knows
+    truth : the machine, where it is not random
+    hidden : effects outside of a rigid-body model
     sensors : whether the scales have temperature sensors
-    compensation : tables that the controller has
+    compensation : tables of the controller
     """
 
     machine_seed: int | None = None
@@ -111,7 +111,7 @@ def record(
     mode: str = "otf",
     setting: Setting | None = None,
 ) -> Recording:
-    """Drive a program on a random machine and record it.
+    """Run a program on a random machine and record it.
 
     content : the content of machine.json; mode : `otf` or `standstill`, for the files
     """
@@ -167,7 +167,6 @@ def _clock(seed: int, setting: Setting) -> TrackerClock:
 
 
 def _motion(program: Program, setting: Setting) -> Timeline:
-    """Stand at the first row, drive the program, hold where it is held."""
     begin = setting.lead_in_s
     timeline = follow(program, program.position[0], begin, setting.limits)
     for time_s, duration_s in setting.defects.holds:
@@ -220,7 +219,6 @@ def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
 
 
 def _draw_arrivals(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
-    """Return the indices of the frames that arrive, in order, some of them twice."""
     rng = generator(seed, "defects: frames")
     arrives = rng.uniform(size=len(true_s)) >= defects.dropped_share
     for begin, duration in defects.gaps:
@@ -324,7 +322,7 @@ def read_sensors(
     seed: int,
     hidden: Sequence[HiddenEffect],
 ) -> Temperatures:
-    """Return what they show during a recording: constant but for noise and effects."""
+    """Readings of the sensors: constant apart from noise and effects."""
     rng = generator(seed, "environment")
     names = tuple(axis.name for axis in machine.linear_axes)
     time_s = np.arange(device_s[0], device_s[-1], _PERIOD_S)

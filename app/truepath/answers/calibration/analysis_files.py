@@ -21,7 +21,7 @@ RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What a result states, as the contents of its files.
+    """Contents of the files of an analysis.
 
     result : content of `result.json`; the others are texts of the files of that name
     """
@@ -33,7 +33,7 @@ class Analysis:
 
 
 def render_analysis(found: Findings) -> Analysis:
-    """Return the contents of the files of a result."""
+    """`result.json`, `error_tables.csv` and `report.html`, not yet written."""
     return Analysis(
         found,
         result_json(found),
@@ -45,7 +45,7 @@ def render_analysis(found: Findings) -> Analysis:
 def read_runs(
     places: Sequence[str | Path], read: Callable[[Path], Run]
 ) -> tuple[Run, ...]:
-    """Read Runs. Raises BundleError, of several with the place of the one meant."""
+    """Raises BundleError; of several Runs `file` begins with the name of that Run."""
     return tuple(_read(Path(place), read, len(places)) for place in places)
 
 
@@ -65,8 +65,8 @@ def _read(place: Path, read: Callable[[Path], Run], count: int) -> Run:
 
 
 def write_analysis(analysis: Analysis, folder: str | Path) -> None:
-    """Write `result.json`, `error_tables.csv` and `report.html` into a folder."""
-    # The result last: where it stands, the others stand as well.
+    """`result.json`, `error_tables.csv` and `report.html` in a folder, each whole."""
+    # The result last: where it exists, the others exist as well.
     files = {
         TABLES: analysis.tables_csv.encode(),
         REPORT: analysis.report_html.encode(),

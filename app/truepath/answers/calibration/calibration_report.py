@@ -47,7 +47,7 @@ _SECTIONS: dict[str, Callable[[Findings], View]] = {
 
 
 def render_calibration_report(findings: Findings) -> str:
-    """Return the report."""
+    """One HTML page with its style sheet and figures inside."""
     before, after = findings.volumetric.before, findings.volumetric.after
     both = findings.both_directions
     created = findings.provenance.created
@@ -77,7 +77,7 @@ def render_calibration_report(findings: Findings) -> str:
 
 
 def render_section(name: str, findings: Findings) -> Markup:
-    """Return one section of the report."""
+    """The same markup as in the report, with the section's number there."""
     numbers = _number_sections(findings)
     common = {"findings": findings, "number": numbers[name], "number_of": numbers}
     view = common | _SECTIONS[name](findings)
@@ -85,7 +85,6 @@ def render_section(name: str, findings: Findings) -> Markup:
 
 
 def _number_sections(findings: Findings) -> dict[str, int]:
-    """Return the number of each section; effects are those of a given model."""
     has_model = findings.provenance.model is not None
     names = [name for name in _SECTIONS if has_model or name != "effects"]
     return {name: number for number, name in enumerate(names, start=1)}

@@ -1,4 +1,4 @@
-"""What the report states of the errors: motions, squareness, direction, volume."""
+"""Sections on the errors: motions, squareness, direction, volume."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _K = 2.0
 
 
 def state_figure(figure: Figure) -> str:
-    """Return a figure in µm with its expanded uncertainty."""
+    """`value ± U` in µm, k = 2."""
     return format_expanded(figure.value_um, figure.uncertainty_um)
 
 
 def describe_error_motions(findings: Findings) -> View:
-    """Return each error motion: its size, its figure and its values."""
+    """Range, largest value, largest U and the values of each error motion."""
     axes = findings.estimate.model.machine.axes
     return {
         "sizes": [
@@ -53,7 +53,7 @@ def describe_error_motions(findings: Findings) -> View:
 
 
 def describe_squareness(findings: Findings) -> View:
-    """Return squareness between linear axes, and location errors of rotary axes."""
+    """Squareness between linear axes, and location errors of rotary axes; k = 2."""
     tables = findings.tables
     return {
         "rows": [
@@ -68,7 +68,7 @@ def describe_squareness(findings: Findings) -> View:
 
 
 def describe_direction(findings: Findings) -> View:
-    """Return half the difference between + and − direction where it is significant."""
+    """Half the difference between + and − direction, where any |value| > U."""
     halves = compute_half_differences(findings.estimate)
     rows: list[tuple[str, str, str]] = []
     for half in halves:
@@ -81,7 +81,7 @@ def describe_direction(findings: Findings) -> View:
 
 
 def describe_volume(findings: Findings) -> View:
-    """Return the volumetric error before and after compensation."""
+    """The volumetric error before and after compensation, and its worst position."""
     volume = findings.volumetric
     worst = int(np.argmax(np.linalg.norm(volume.error_um, axis=1)))
     axes = findings.estimate.model.machine.axes
@@ -107,7 +107,7 @@ def describe_volume(findings: Findings) -> View:
 
 
 def describe_effects(findings: Findings) -> View:
-    """Return the effects of a given model, before and with this measurement."""
+    """Effects of a given model, before and with this measurement."""
     estimate, model = findings.estimate, findings.provenance.model
     repeats_model = findings.provenance.repeats_model
     effects = list_updated_effects(estimate.known, estimate, estimate.chances)
@@ -126,7 +126,6 @@ def describe_effects(findings: Findings) -> View:
 
 
 def _state_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
-    """Return range, largest value and largest U; None for what is not observable."""
     if table is None:
         return "", "", None
     sizes = np.ptp(table.value), np.abs(table.value).max()

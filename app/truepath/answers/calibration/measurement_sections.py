@@ -1,4 +1,4 @@
-"""What the report states of the measurement: how, how well, its limits, its origin."""
+"""Sections on the measurement: how, how well, its limits, its origin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HOW = {"otf": "on the fly", "standstill": "at standstill"}
 
 
 def name_runs(findings: Findings) -> str:
-    """Return the Runs and their modes in a line; one that was split once."""
+    """The Runs and their modes in one line; a Run that was split is named once."""
     runs = findings.provenance.runs
     if len(runs) == 1:
         return f"Run {runs[0].name}, measured {_HOW[runs[0].mode]}"
@@ -39,12 +39,12 @@ def name_runs(findings: Findings) -> str:
 
 
 def residual_over_noise(findings: Findings) -> float:
-    """Return the residual over that of noise alone."""
+    """Ratio of the RMS residual to that of noise alone; see `GOOD_FIT`."""
     return findings.estimate.rms_mm / max(findings.estimate.floor_mm, 1e-12)
 
 
 def describe_machine(findings: Findings) -> View:
-    """Return machine, grade of the set-up, and how each Run was measured."""
+    """Machine, grade of the set-up, and how each Run was measured."""
     machine, grade = findings.estimate.model.machine, findings.grade
     return {
         "machine": machine,
@@ -62,7 +62,7 @@ def describe_machine(findings: Findings) -> View:
 
 
 def describe_residuals(findings: Findings) -> View:
-    """Return the residual of the model, and the noise of each Run."""
+    """RMS of the residual and of noise alone, µm, and the noise of each Run."""
     return {
         "rms_um": UM_PER_MM * findings.estimate.rms_mm,
         "floor_um": UM_PER_MM * findings.estimate.floor_mm,
@@ -73,7 +73,7 @@ def describe_residuals(findings: Findings) -> View:
 
 
 def describe_limits(findings: Findings) -> View:
-    """Return what this measurement does not observe, or observes poorly."""
+    """What this measurement does not observe, or observes poorly."""
     return {
         "found": findings.estimate.observability,
         "extrapolated": _list_extrapolated(findings),
@@ -81,7 +81,7 @@ def describe_limits(findings: Findings) -> View:
 
 
 def describe_validation(findings: Findings) -> View:
-    """Return what has been shown, and what has not."""
+    """Share of the error that is left after compensation, and the simulated trials."""
     before, after = findings.volumetric.before.mean, findings.volumetric.after.mean
     trials = findings.trials
     return {
@@ -91,7 +91,7 @@ def describe_validation(findings: Findings) -> View:
 
 
 def describe_trials(trials: TrialResults) -> View:
-    """Return the linear uncertainty against the trials, quantity by quantity."""
+    """Linear uncertainty compared with the trials, quantity by quantity."""
     return {
         "found": trials,
         "trials": f"{trials.trials:,}",
@@ -101,7 +101,7 @@ def describe_trials(trials: TrialResults) -> View:
 
 
 def describe_documentation(findings: Findings) -> View:
-    """Return the origin of the numbers."""
+    """Poses of the tracker, and where the numbers come from."""
     return {
         "timing": any(run.mode == "otf" for run in findings.provenance.runs),
         "runs": [_describe_pose(run) for run in findings.runs],
@@ -132,7 +132,6 @@ def _list_extrapolated(findings: Findings) -> list[str]:
 
 
 def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
-    """Return a quantity at the position of its largest linear uncertainty."""
     i = int(np.argmax(q.linear))
     is_map = q.name == MAP
     half = (q.high[i] - q.low[i]) / 2.0
@@ -174,7 +173,7 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
 
 
 def _state_quality(found: SampleQuality | None) -> str:
-    """Return what the tracker says of its samples; empty where it says nothing."""
+    """Empty where the tracker reports no quality."""
     if found is None:
         return ""
     share = "" if found.told == 1.0 else f", told of {100.0 * found.told:.0f} %"
@@ -199,7 +198,7 @@ def _state_sensor(one: ChannelFacts) -> tuple[str, ...]:
 
 
 def state_interruptions(summary: RunSummary) -> str:
-    """Return what the stream and the lines have suffered; empty for nothing."""
+    """Beam breaks, lost samples, searches, and repeated lines; empty for nothing."""
     found, said = summary.interruptions, list[str]()
     if found.breaks:
         times = "once" if found.breaks == 1 else f"{found.breaks} times"
@@ -217,7 +216,6 @@ def state_interruptions(summary: RunSummary) -> str:
 
 
 def _describe_seat(seat: SeatEstimate) -> View:
-    """Return how far a target sits off, on the tool against the first one there."""
     shift = (UM_PER_MM * seat.shift_mm).tolist()
     half = (_K * UM_PER_MM * seat.sigma_mm).tolist()
     return {

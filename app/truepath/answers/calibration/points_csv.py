@@ -1,4 +1,4 @@
-"""Points to predict at, and what is predicted there, as CSV.
+"""Points to predict at, and the predictions there, as CSV.
 
 In: a column for every axis (`x_mm,y_mm,z_mm`), and whatever else. A machine with named
 targets may name one a point in the column `target`. Out: the same columns as they came,
@@ -44,7 +44,7 @@ class Points:
 def predict_points(
     result: str | Path, points: str | Path, output: str | Path
 ) -> Prediction:
-    """Predict at the points of a CSV file from a result file, and write the answer.
+    """Predict at the points of a CSV file from a result file, and write them.
 
     Raises BundleError with the place; `Prediction.warnings` is for the user.
     """
@@ -57,7 +57,7 @@ def predict_points(
 
 
 def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> Points:
-    """Return the points of a CSV file. Raises BundleError with row and column."""
+    """Raises BundleError with row and column."""
     table = read_csv(data, file)
     columns = [_read_numbers(table, name) for name in name_columns(machine.axis_names)]
     table.require_rows("name at least one point")
@@ -65,7 +65,7 @@ def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> P
 
 
 def encode_predictions(points: Points, predicted: Prediction) -> str:
-    """Return the file of predictions at the points."""
+    """CSV: own columns of the points, µm with k = 1, and `verdict` if it objects."""
     sink = io.StringIO()
     writer = csv.writer(sink, lineterminator="\n")
     mark = [predicted.verdict.state] if predicted.verdict.objection else []

@@ -1,9 +1,8 @@
-"""The calibration certificate: a result for those who own the machine, on paper.
+"""The calibration certificate: a result for the owner of the machine, on paper.
 
-One template makes it in every language, as HTML; `pdf` prints the same HTML. What it
-states is in the files that it is made from: result, verification, account of
-compensation, and the identity that people state. What nobody has stated is shown as not
-stated.
+One template makes it in every language, as HTML; `pdf` prints the same HTML. Its
+content comes from the files that it is made from: result, verification, compensation
+record, and the identity that people state. What is unknown is shown as not stated.
 
 Not here: the report of a calibration (`answers.calibration`).
 

@@ -1,4 +1,4 @@
-"""Whether a result may stand for the machine as left, beside that as found."""
+"""Whether a result may describe the machine as left, next to the one as found."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LITTLE_GAINED = "little-gained"  # of a machine as left: there is little left t
 
 
 def judge_as_left(verdict: Verdict) -> Verdict:
-    """Return what a result says of itself where it states the machine as left."""
+    """Without `little-gained`, which is no objection to a machine as left."""
     return Verdict(tuple(one for one in verdict.reasons if one.kind != _LITTLE_GAINED))
 
 
@@ -26,6 +26,7 @@ def require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
     """Raise BundleError where a result as left is of another machine, travel or tool.
 
     With another tool, or over another travel, the same machine has another error.
+
     file : of the result as left
     """
     if (found.name, found.chain) != (left.name, left.chain):
@@ -49,7 +50,7 @@ def require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
 
 
 def refuse_as_left(found: Content, left: Content, *, file: str) -> None:
-    """Raise BundleError where a result cannot be of the machine as left.
+    """Raise BundleError for a shared Run, or where `left` began before `found`.
 
     found, left : contents of result files of one machine; file : that of `left`
     """
@@ -77,7 +78,7 @@ def refuse_as_left(found: Content, left: Content, *, file: str) -> None:
 
 
 def is_compensation_confirmed(left: Content) -> bool:
-    """Tell whether the control said of every Run that it compensated."""
+    """Whether the control reported for every Run that it compensated."""
     return set(_list_controls(left)) == {ON}
 
 
@@ -104,7 +105,7 @@ def _list_digests(content: Content) -> set[str]:
 
 
 def _list_starts(content: Content) -> list[datetime]:
-    """Return when the Runs began, in order, where they know it."""
+    """In order; only of Runs that know when they began."""
     return sorted(
         at
         for source in _list_sources(content)

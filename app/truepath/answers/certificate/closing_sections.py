@@ -1,4 +1,4 @@
-"""What stands beside the numbers: effects, verification, compensation, origin."""
+"""Sections next to the numbers: effects, verification, compensation, origin."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _K = 2.0
 
 
 def describe_effects(certificate: Certificate, language: Language) -> View:
-    """Return effects of the model beside the error motions, with their sizes."""
+    """Effects of the model in addition to the error motions, with their sizes."""
     effects: Sequence[Mapping[str, Any]] = certificate.found.content.get("effects", [])
     words = {True: "agrees_yes", False: "agrees_no", None: "agrees_unknown"}
     return {
@@ -51,7 +51,7 @@ def describe_effects(certificate: Certificate, language: Language) -> View:
 
 
 def describe_verification(certificate: Certificate, language: Language) -> View:
-    """Return what a verification states: its verdict, then its numbers as they are."""
+    """The decision of a verification, its sentences and its numbers."""
     source = certificate.verification
     if source is None:
         return {"source": None}
@@ -70,7 +70,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
 
 
 def describe_compensation(certificate: Certificate, language: Language) -> View:
-    """Return what compensation files leave, with its uncertainty."""
+    """Residual error of compensation files, with its uncertainty."""
     source = certificate.compensation
     if source is None:
         return {"source": None, "named": _say_named_files(certificate, language)}
@@ -106,7 +106,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
 
 
 def _say_lengths(account: Mapping[str, Any], language: Language) -> str:
-    """Return at which temperature the files hold, also of accounts without it."""
+    """Also of compensation records without the temperature."""
     stated = as_object(account.get("lengths")).get("measured_degC")
     if stated:
         return say_lengths((stated[0], stated[1]), language)
@@ -114,7 +114,6 @@ def _say_lengths(account: Mapping[str, Any], language: Language) -> str:
 
 
 def _say_named_files(certificate: Certificate, language: Language) -> str:
-    """Return which files a verification names that nobody gave the account of."""
     verification = certificate.verification
     content = as_object(verification.content if verification else None)
     if not content.get("compensated"):
@@ -128,7 +127,7 @@ def _say_named_files(certificate: Certificate, language: Language) -> str:
 
 
 def _say_other_files(certificate: Certificate, language: Language) -> str:
-    """Return a warning where a verification was made with other files than stated."""
+    """Empty where verification and compensation record name the same files."""
     if certificate.verification is None or certificate.compensation is None:
         return ""
     active = as_object(certificate.verification.content.get("compensation"))
@@ -140,12 +139,12 @@ def _say_other_files(certificate: Certificate, language: Language) -> str:
 
 
 def describe_provenance(certificate: Certificate, language: Language) -> View:
-    """Return digests of all that the numbers come from."""
+    """Digests of all files that the numbers come from."""
     return {"rows": list(_list_origins(certificate, language))}
 
 
 def describe_signatures(certificate: Certificate, language: Language) -> View:
-    """Return who signs."""
+    """Operator by name, and an empty line for the responsible person."""
     operator = certificate.identity.get("operator", "")
     return {
         "signatories": [
@@ -189,7 +188,7 @@ def _say_mismatch(
 
 
 def say_decision(content: Mapping[str, Any], language: Language) -> str:
-    """Return whether the machine keeps its tolerance, else whether both agree."""
+    """Conformity with the tolerance; without one, agreement with the map."""
     conformity = as_object(content.get("conformity"))
     decision = as_object(conformity.get("measured")).get("conformity")
     agrees = as_object(content.get("agreement")).get("consistent")
@@ -202,9 +201,9 @@ def say_decision(content: Mapping[str, Any], language: Language) -> str:
 
 
 def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
-    """Return the sentences of a verification in the language of the certificate.
+    """Sentences of a verification in the language of the certificate.
 
-    Those of its file are English; of a file that states less they are quoted.
+    Those of its file are English; a file with too few keys has them quoted.
     """
     own = [str(text) for text in content.get("statements", ())]
     if language.code == "en":
@@ -255,7 +254,7 @@ def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 def _say_agreement(
     agreement: Mapping[str, Any], cause: str | None, language: Language
 ) -> str:
-    """Return whether they agree; a `cause` in the control goes before the tracker."""
+    """A `cause` in the control is named before the tracker."""
     if agreement["consistent"]:
         key = "consistent"
     elif agreement["chance_of_any_machine"] >= DOUBTFUL:
@@ -288,7 +287,6 @@ def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Ro
 
 
 def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
-    """Yield the numbers that decide, as far as they are there."""
     conformity = as_object(content.get("conformity"))
     tolerance = as_object(conformity.get("measured")).get("tolerance_um")
     if tolerance is not None:
@@ -345,11 +343,6 @@ def _base_name(file: str) -> str:
 
 
 def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
-    """Return figure and table of the circles; empty where none were driven.
-
-    content : of a `verification/1`; one of an earlier version has no centre to draw
-        its circles about, and they are stated without a figure
-    """
     circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
     missing: Sequence[int] = content.get("circles_missing", ())
     words = _choose_words(language)
@@ -403,7 +396,7 @@ def _write_circle_figures(
 
 
 def describe_driven(content: Mapping[str, Any], language: Language) -> View:
-    """Return the figures of ISO 230-2, -6 and -4; empty where none were measured.
+    """Figures of ISO 230-2, -6 and -4; empty where none were measured.
 
     content : of a `verification/1`
     """

@@ -57,9 +57,9 @@ _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
 def render_certificate(
     certificate: Certificate, *, accept_verdict: bool = False
 ) -> str:
-    """Return the HTML.
+    """One file of HTML.
 
-    accept_verdict : of a result that is not to be used as well; it says so
+    accept_verdict : also of a result that is not to be used; the page says so
 
     Raises NotUsable.
     """

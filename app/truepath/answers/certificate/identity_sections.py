@@ -1,4 +1,4 @@
-"""What the first page states: who, what, when, and what the result says of itself."""
+"""The first page: who, what, when, and the verdict of the result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DEVICES = {"tracker": "tracker", "control": "motion"}
 
 
 def describe_heading(certificate: Certificate, language: Language) -> View:
-    """Return number and dates."""
+    """Number and dates; that of measurement as stated, else from the Runs."""
     provenance = certificate.found.content["provenance"]
     analysed = _read_day(provenance.get("created"), language)
     return {
@@ -34,7 +34,7 @@ def describe_heading(certificate: Certificate, language: Language) -> View:
 
 
 def describe_verdict(certificate: Certificate, language: Language) -> View:
-    """Return what the results say of themselves, loud where not simply usable."""
+    """Verdicts as found and as left, with reasons, the most severe first."""
     found = certificate.found.result.verdict
     said = [{"of": "", **_say_verdict(found, language)}]
     if (left := certificate.left_verdict) is not None:
@@ -59,7 +59,7 @@ def _say_verdict(verdict: Verdict, language: Language) -> View:
 
 
 def describe_identity(certificate: Certificate, language: Language) -> View:
-    """Return who and what; what nobody has stated is shown as not stated."""
+    """Who and what; unknown entries are shown as not stated."""
     machine = certificate.found.result.machine
     stated = {**_read_devices(certificate), **certificate.identity}
     missing = language.say("not_stated")
@@ -87,7 +87,6 @@ def describe_identity(certificate: Certificate, language: Language) -> View:
 
 
 def _read_devices(certificate: Certificate) -> dict[str, str]:
-    """Return what the Runs themselves have recorded of tracker and control."""
     runs: list[Mapping[str, Any]] = certificate.found.content.get("runs", [])
     known: dict[str, str] = {}
     for field, device in _DEVICES.items():
@@ -98,7 +97,6 @@ def _read_devices(certificate: Certificate) -> dict[str, str]:
 
 
 def _find_measured(certificate: Certificate, language: Language) -> str:
-    """Return when it was measured: as stated, or as the Run itself knows it."""
     if stated := certificate.identity.get("measured_on"):
         return stated
     return _list_days(certificate.found, language)
@@ -107,7 +105,6 @@ def _find_measured(certificate: Certificate, language: Language) -> str:
 def _date_as_left(
     certificate: Certificate, language: Language
 ) -> Iterator[tuple[str, str]]:
-    """Yield when the machine was measured as left, where it was."""
     if certificate.left is not None:
         days = _list_days(certificate.left, language)
         yield language.say("left_measured_on"), days
@@ -121,7 +118,7 @@ def _list_days(source: ResultSource, language: Language) -> str:
 
 
 def _read_day(text: object, language: Language) -> str:
-    """Return the date of a time stamp in ISO 8601; empty for what is none."""
+    """Empty for a text that is no time stamp of ISO 8601."""
     try:
         return language.day(datetime.fromisoformat(str(text)).date())
     except ValueError:

@@ -42,7 +42,7 @@ class Source:
 
     @property
     def input_sha256(self) -> str:
-        """The digest of the Runs that its result is from; empty where it says none."""
+        """Digest of the Runs that its result is from; empty where the file has none."""
         provenance = as_object(self.content.get("provenance"))
         origin = as_object(provenance.get("result")) or provenance
         found = origin.get("input_sha256")
@@ -58,7 +58,7 @@ class ResultSource(Source):
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """Everything that a certificate states, before it is said in a language.
+    """Content of a certificate, independent of language.
 
     found : the result as found; left : that of a measurement after compensation
     verification, compensation : contents of their files, where there are any
@@ -76,12 +76,12 @@ class Certificate:
 
     @property
     def left_verdict(self) -> Verdict | None:
-        """What the result as left says of itself; None where there is none."""
+        """None without a result as left; `little-gained` is no reason there."""
         return None if self.left is None else judge_as_left(self.left.result.verdict)
 
     @property
     def shown_number(self) -> str:
-        """The number, or one made of the dates and digest of the result."""
+        """The given number, or one made of the date and digest of the result."""
         if self.number:
             return self.number
         created = str(self.found.content["provenance"].get("created", ""))[:10]
@@ -99,7 +99,7 @@ def gather_certificate(
     language: LanguageCode = "en",
     number: str = "",
 ) -> Certificate:
-    """Read what stands beside a result. Raises BundleError for what does not fit."""
+    """Raises BundleError for a file that does not belong to the result."""
     as_left = None if left is None else read_result_source(left)
     if as_left is not None:
         require_same_machine(
@@ -119,7 +119,7 @@ def gather_certificate(
 
 
 def read_result_source(file: str | Path) -> ResultSource:
-    """Read a result file. Raises BundleError, for a model file as well."""
+    """Raises BundleError, for a model file as well."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     shown = Path(file).name
     parsed = parse_json(data, shown)
@@ -131,7 +131,7 @@ def read_result_source(file: str | Path) -> ResultSource:
 
 
 def read_source(file: str | Path, schema: str) -> Source:
-    """Read another file of a certificate. Raises BundleError for another schema."""
+    """Any other file of a certificate. Raises BundleError for another schema."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     shown = Path(file).name
     content = as_object(parse_json(data, shown))

@@ -1,8 +1,9 @@
-"""Certificates that were issued, kept with their result: numbered, and never changed.
+"""Issued certificates, stored with their result: numbered, and never changed.
 
 Each is a folder with its number for a name: `certificate.json`, the record;
 `certificate.html`; and `certificate.pdf`, where this installation can print. A folder
-is made aside and renamed when it is whole, so that a number has all or nothing.
+is made under a temporary name and renamed when it is complete, so that a number has all
+or nothing.
 """
 
 from __future__ import annotations
@@ -43,11 +44,11 @@ _FORMS = {"html": HTML, "pdf": PDF}
 
 @dataclass(frozen=True, slots=True)
 class CertificateOrder:
-    """What certificate is asked for.
+    """What a client requests of a certificate.
 
     stem : of its number; a count follows it
-    result, left, verification, compensation : files; the last three as far as they are
-    issued_at, issued_by : when and by whom; empty for nobody who is known
+    result, left, verification, compensation : files; the last three are optional
+    issued_by : empty where unknown
     """
 
     stem: str
@@ -63,7 +64,7 @@ class CertificateOrder:
 
 
 def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
-    """Make a certificate, keep it below `folder`, and return its record.
+    """Make a certificate, stored in a folder of its number; gives its record.
 
     Raises NotUsable where the result is not to be used and that was not accepted,
     BundleError for a file that does not fit.
@@ -88,7 +89,7 @@ def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
 
 
 def read_certificate(folder: Path, number: str) -> dict[str, Any]:
-    """Return the record of a certificate. Raises NotFound."""
+    """The content of `certificate.json`. Raises NotFound."""
     place = _find_kept(folder).get(number)
     if place is None:
         raise NotFound(f"no certificate {number!r} is kept here")
@@ -97,13 +98,13 @@ def read_certificate(folder: Path, number: str) -> dict[str, Any]:
 
 
 def list_certificates(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records of all certificates, in the order they were issued."""
+    """Records, in the order in which they were issued."""
     every = (read_certificate(folder, number) for number in _find_kept(folder))
     yield from sorted(every, key=lambda record: (record["issued_at"], record["number"]))
 
 
 def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) -> Path:
-    """Return the file of a certificate. Raises NotFound, PdfUnavailable."""
+    """Raises NotFound, and PdfUnavailable where none was made at issue."""
     record = read_certificate(folder, number)
     name = _FORMS[form]
     if name not in record["files"]:
@@ -124,7 +125,7 @@ def _make_files(
         require_printer()
         files[PDF] = print_pdf(html)
     except PdfUnavailable:
-        pass  # who asks for the PDF is told
+        pass  # reported on a request for the PDF
     record = {
         "schema": SCHEMA,
         "number": content.number,
@@ -138,7 +139,7 @@ def _make_files(
         "sources_sha256": _list_sources(content),
         "files": {name: _digest(data) for name, data in files.items()},
     }
-    # The record last: where it stands, the others stand as well.
+    # The record last: where it exists, the others exist as well.
     return {**files, RECORD: encode_json(record, indent=1)}, record
 
 
@@ -153,7 +154,7 @@ def _list_sources(content: Certificate) -> Mapping[str, str]:
 
 
 def _keep(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
-    """Write a certificate whole; tell whether the number was free."""
+    """False if the number is taken."""
     draft = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
         draft.chmod(0o755)

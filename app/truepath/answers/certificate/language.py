@@ -1,7 +1,7 @@
 """Texts, names and numbers in one language, from one table of all languages.
 
-The names of error motions and the sentences of verdicts are those of the operator page,
-those of effects the catalogue's: each is said in one place.
+Names of error motions and sentences of verdicts are those of the operator page, names
+of effects the catalogue's: each is defined once.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SQUARE = {"C0Y": ("Y", "X"), "B0Z": ("Z", "X"), "A0Z": ("Z", "Y")}
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """How a certificate says things.
+    """Texts and number format of one language.
 
     own : texts of the certificate; shared : those of the operator page
     """
@@ -49,40 +49,40 @@ class Language:
     shared: Mapping[str, str]
 
     def say(self, key: str, **values: object) -> str:
-        """Return a text, with values in place. Raises KeyError for an unknown key."""
+        """The text of a key of `own`, with values in place. Raises KeyError."""
         return self.own[key].format(**values)
 
     def number(self, value: float, decimals: int = 1) -> str:
-        """Return a number with the language's decimal mark and a true minus sign."""
+        """With the language's decimal mark and a true minus sign."""
         return self.mark(format_number(value, decimals))
 
     def write_expanded(self, value: float, standard: float) -> str:
-        """Return `value ± U`, k = 2; `standard` is the standard uncertainty."""
+        """`value ± U`, k = 2; `standard` is the standard uncertainty."""
         return self.mark(format_expanded(value, standard))
 
     def count(self, value: int) -> str:
-        """Return a whole number in groups of three digits."""
+        """In groups of three digits, with narrow spaces."""
         return f"{value:,}".replace(",", "\u202f")
 
     def mark(self, text: str) -> str:
-        """Return numbers with the language's decimal mark and a true minus sign."""
+        """With decimal mark and minus sign of the language in all numbers."""
         return _MINUS.sub("−", _POINT.sub(self.decimal_mark, text))
 
     @property
     def decimal_mark(self) -> str:
-        """What stands before the decimals of a number."""
+        """Comma or point."""
         return "," if self.code == "de" else "."
 
     def continue_with(self, name: str) -> str:
-        """Return a name as it stands within a sentence: German nouns are capital."""
+        """Within a sentence: first letter small, except in German."""
         return name if self.code == "de" else name[:1].lower() + name[1:]
 
     def day(self, value: date) -> str:
-        """Return a date as it is written."""
+        """`29.11.2026` in German, else ISO 8601."""
         return f"{value:%d.%m.%Y}" if self.code == "de" else value.isoformat()
 
     def name_symbol(self, symbol: str) -> str:
-        """Return what a symbol of ISO 230-1 is, in words."""
+        """Name of an error motion, squareness or location of ISO 230-1."""
         if symbol in SQUARENESS:
             axis, other = _SQUARE[symbol]
             return self._share("error.squareness", axis=axis, other=other)
@@ -100,7 +100,7 @@ class Language:
         return self._share(f"error.{kind}", axis=axis, about=about)
 
     def name_effect(self, name: str) -> str:
-        """Return an effect of the catalogue in words; its name if it is not known."""
+        """The catalogue's title of an effect; its key if it is unknown."""
         try:
             words = find_family(name).words
         except TruepathError:
@@ -108,7 +108,7 @@ class Language:
         return words[self.code if self.code in words else "en"].title
 
     def say_reason(self, reason: Reason) -> str:
-        """Return a reason of a verdict and its remedy."""
+        """A verdict's reason and remedy; English without a translation."""
         text = self.shared.get(f"verdict.{reason.kind}")
         if text is None:
             return f"{reason} {reason.remedy}".strip()
@@ -133,7 +133,7 @@ class Language:
 
 @cache
 def load_language(code: str) -> Language:
-    """Return a language. Raises BadInput for one that there is not."""
+    """Raises BadInput for an unknown language."""
     if code not in LANGUAGES:
         raise BadInput(f"language {code!r}: write one of {', '.join(LANGUAGES)}")
     table = tomllib.loads((Path(__file__).parent / "texts.toml").read_text("utf-8"))

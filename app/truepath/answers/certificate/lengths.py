@@ -1,4 +1,4 @@
-"""At which temperature lengths of a certificate hold, in its language."""
+"""The temperature at which lengths of a certificate hold, in its language."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truepath.compensation.tables.length_reference import (
 
 
 def say_lengths(measured_degc: tuple[float, float] | None, language: Language) -> str:
-    """Return the sentence that lengths are not normalised to 20 °C."""
+    """Sentence that lengths are not normalised to 20 °C; °C as (low, high)."""
     at = language.say("lengths_unknown")
     if measured_degc is not None:
         ends = dict.fromkeys(language.number(end, 1) for end in measured_degc)
@@ -28,5 +28,5 @@ def say_lengths(measured_degc: tuple[float, float] | None, language: Language) -
 
 
 def say_measured_lengths(provenance: Mapping[str, Any], language: Language) -> str:
-    """Return that sentence of a measurement."""
+    """The same, with the temperature from the provenance of a result."""
     return say_lengths(find_measured_degc(provenance), language)

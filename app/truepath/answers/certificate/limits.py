@@ -1,8 +1,8 @@
-"""What a measurement cannot tell, in the language of the certificate.
+"""Limits of a measurement in the language of the certificate.
 
-A result states it in English sentences of a few forms. Each form is taken apart and
-said again; in English, and where the form is unknown, the sentence stands as it is.
-What data do not determine is worded as on the operator page.
+A result holds English sentences of a few forms. Each form is parsed and written again;
+in English, and where the form is unknown, the sentence is quoted. Sentences on what
+data do not determine are those of the operator page.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _FORM = re.compile(
 
 
 def describe_limits(certificate: Certificate, language: Language) -> View:
-    """Return what the measurement cannot tell."""
+    """What the measurement cannot determine, or only poorly."""
     found = certificate.found.content["observability"]
     return {
         "unobservable": [say_unobservable(s, language) for s in found["unobservable"]],
@@ -62,7 +62,7 @@ def describe_limits(certificate: Certificate, language: Language) -> View:
 
 
 def say_unobservable(text: str, language: Language) -> str:
-    """Return what data do not determine, and what would."""
+    """What data do not determine, and what would; unknown forms are quoted."""
     key, found = _match(_UNOBSERVABLE, text)
     if language.code == "en" or found is None:
         return language.mark(text)
@@ -85,7 +85,7 @@ def say_unobservable(text: str, language: Language) -> str:
 
 
 def say_poorly_observable(text: str, language: Language) -> str:
-    """Return which shape rests more on what is usual than on the measurement."""
+    """Which shape rests mostly on the prior; unknown forms are quoted."""
     found = _POOR.match(text)
     form = _say_form(found["form"], language) if found else ""
     if language.code == "en" or found is None or not form:
@@ -101,7 +101,6 @@ def say_poorly_observable(text: str, language: Language) -> str:
 
 
 def _say_form(text: str, language: Language) -> str:
-    """Return what a shape looks like; empty where its form is unknown."""
     if text == "the angle":
         return language.say("limits_form_angle")
     found = _FORM.match(text)
@@ -113,7 +112,6 @@ def _say_form(text: str, language: Language) -> str:
 
 
 def _match(forms: Forms, text: str) -> tuple[str, re.Match[str] | None]:
-    """Return the first form that is in a text, by its key."""
     for key, form in forms.items():
         if found := form.search(text):
             return key, found

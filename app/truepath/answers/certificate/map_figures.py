@@ -53,9 +53,9 @@ class Slices:
 
 
 def compute_slices(estimated: EstimatedModel) -> tuple[Slices, Slices]:
-    """Return the error as found, and the root mean square of what stays unknown.
+    """The error as found, and the RMS of its uncertainty.
 
-    Of a machine with three linear axes; rotary axes rest.
+    Only for a machine with three linear axes; rotary axes rest.
     """
     machine = estimated.model.machine
     x, y, z = (
@@ -79,7 +79,7 @@ def compute_slices(estimated: EstimatedModel) -> tuple[Slices, Slices]:
 def draw_slices(
     slices: Slices, names: Sequence[str], title: str, language: Language
 ) -> Markup:
-    """Draw three slices side by side, on one scale."""
+    """Three slices side by side, on one scale."""
     largest = max(float(slices.length_um.max()), 1e-6)
     parts: list[Markup] = [write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK)]
     factor = _choose_factor(slices)
@@ -92,7 +92,7 @@ def draw_slices(
 def draw_histograms(
     lengths_um: Sequence[tuple[str, Float64[np.ndarray, " n"]]], language: Language
 ) -> Markup:
-    """Draw how the lengths of the volumetric error are spread, one panel each.
+    """Distributions of the length of the volumetric error, one panel each.
 
     lengths_um : name and lengths; both panels share the scale of shares
     """
@@ -108,7 +108,7 @@ def draw_histograms(
 
 
 def _choose_factor(slices: Slices) -> float:
-    """Return by how much arrows are exaggerated: a round number, the longest fits."""
+    """Exaggeration of arrows: a round number; 0 without vectors."""
     if slices.error_um is None:
         return 0.0
     place = slices.position_mm[0, :, :, :2]
@@ -155,7 +155,6 @@ def _draw_slice(
 def _draw_cells(
     length: Float64[np.ndarray, "r c"], x: Scale, y: Scale, largest: float
 ) -> list[Markup]:
-    """Return a field of colour a cell, each the mean of its four corners."""
     mean = 0.25 * (
         length[1:, 1:] + length[1:, :-1] + length[:-1, 1:] + length[:-1, :-1]
     )

@@ -1,4 +1,4 @@
-"""How it was measured: method, conditions, path and set-up."""
+"""Sections on the measurement: method, conditions, path and set-up."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TRACKER = 7.0  # size of the tracker's sign
 
 
 def describe_measurement(certificate: Certificate, language: Language) -> View:
-    """Return method and conditions of each Run."""
+    """Method and conditions of each Run, warm-up, and grade of the set-up."""
     runs: list[Run] = certificate.found.content.get("runs", [])
     warm_up = certificate.identity.get("warm_up", language.say("not_stated"))
     return {
@@ -48,7 +48,7 @@ def describe_measurement(certificate: Certificate, language: Language) -> View:
 
 
 def describe_setup(certificate: Certificate, language: Language) -> View:
-    """Return the picture of path, tracker and volume; None where nothing is known."""
+    """Picture of path, tracker and volume; None where nothing is known."""
     runs: list[Run] = certificate.found.content.get("runs", [])
     machine = certificate.found.result.machine
     axes, target = machine.linear_axes, machine.target()
@@ -176,11 +176,11 @@ def draw_setup(
     trackers_mm: Sequence[Float64[np.ndarray, "3"]],
     language: Language,
 ) -> Markup:
-    """Draw the set-up of all Runs.
+    """Picture of the set-up of all Runs.
 
-    offset_mm : of the target, with which the axes carry it
-    paths_mm : of each Run, places of the target in the order driven
-    trackers_mm : where the tracker stood, in the same coordinates
+    offset_mm : of the target from the point that the axes carry
+    paths_mm : of each Run, positions of the target in the order measured
+    trackers_mm : stations of the tracker, in the same coordinates
     """
     ends = product(*((axis.low, axis.high) for axis in axes))
     corners = offset_mm + np.array(list(ends))
@@ -207,8 +207,6 @@ def draw_setup(
 
 
 class _Fit:
-    """Places points of the room in the picture, as large as it holds."""
-
     def __init__(self, flat: Float64[np.ndarray, "n 2"]) -> None:
         low, high = flat.min(axis=0), flat.max(axis=0)
         begin = np.array([_EDGE + 20.0, _EDGE])
@@ -217,7 +215,6 @@ class _Fit:
         self._shift = 0.5 * (begin + end) - 0.5 * self._scale * (low + high)
 
     def place(self, room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-        """Return where points are drawn."""
         return self._scale * _flatten(room_mm) + self._shift
 
 

@@ -1,7 +1,6 @@
 """Colours and sizes of the certificate's pictures: the same on screen and on paper.
 
-A printer knows no variables of a style sheet: colours are written out, and so is the
-type.
+Printers do not resolve variables of a style sheet: colours and font are literal.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _VARIABLE = re.compile(r"var\(--([a-z]+)\)")
 
 
 def paint(figure: Markup) -> Markup:
-    """Return a figure with the colours and the type of the paper."""
+    """The figure with literal colours and font."""
     text = _VARIABLE.sub(lambda found: _PAPER[found.group(1)], figure)
     # Colours and a font of this module: nothing from outside is in them.
     return Markup(text.replace("<svg ", f'<svg font-family="{FONT}" ', 1))  # noqa: S704

@@ -26,15 +26,11 @@ FONT_REMEDY = (
 
 
 class _Page(Protocol):
-    """What is used of WeasyPrint, which has no types of its own."""
+    def __init__(
+        self, *, string: str, url_fetcher: Callable[..., NoReturn]
+    ) -> None: ...
 
-    def __init__(self, *, string: str, url_fetcher: Callable[..., NoReturn]) -> None:
-        """Lay out an HTML page."""
-        ...
-
-    def write_pdf(self, *, pdf_variant: str) -> bytes | None:
-        """Return the PDF."""
-        ...
+    def write_pdf(self, *, pdf_variant: str) -> bytes | None: ...
 
 
 class PdfUnavailable(BadInput):
@@ -47,10 +43,10 @@ def require_printer() -> None:
 
 
 def print_pdf(html: str) -> bytes:
-    """Return the PDF of an HTML page.
+    """PDF/UA-1 of an HTML page.
 
     Raises PdfUnavailable with the remedy, also where no font has a letter of it: a box
-    in its place would name nobody.
+    in its place would make a name unreadable.
     """
     page = _load_printer()(string=html, url_fetcher=_refuse)
     with _collect_missing_letters() as missing:
@@ -75,7 +71,7 @@ def _collect_missing_letters() -> Generator[dict[str, None]]:
         return found is None
 
     log = logging.getLogger("weasyprint")
-    log.setLevel(logging.WARNING)  # else a service that logs errors alone hears of none
+    log.setLevel(logging.WARNING)  # a service may log errors only
     log.addFilter(keep)
     try:
         yield missing
@@ -85,7 +81,7 @@ def _collect_missing_letters() -> Generator[dict[str, None]]:
 
 def _load_printer() -> type[_Page]:
     try:
-        # Imported where it prints: it is an extra, and takes half a second to come up.
+        # Imported on use: it is an extra, and takes half a second to load.
         from weasyprint import HTML  # pyright: ignore[reportMissingTypeStubs]
     except (ImportError, OSError) as error:
         text = f"no PDF can be made here ({_say(error)}): {REMEDY}"

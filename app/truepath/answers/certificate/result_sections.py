@@ -1,4 +1,4 @@
-"""The numbers: volumetric error, budget, tables, squareness, ISO 230-2."""
+"""Sections on the numbers: volumetric error, budget, tables, squareness, ISO 230-2."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _POSITION_SIGN = {"mm": "mm", "deg": "°"}
 
 
 def describe_brief(certificate: Certificate, language: Language) -> View:
-    """Return the volumetric error as found, expected, and as left."""
+    """The volumetric error as found, expected after compensation, and as left."""
     stated = certificate.found.content["volumetric_error"]
     states = [("before", stated["before"])]
     if both := stated.get("both_directions"):
@@ -63,7 +63,6 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
 
 
 def _say_scale(certificate: Certificate, language: Language) -> str:
-    """Return the scale that is in these uncertainties; nothing where none is."""
     sources = (certificate.found, certificate.left)
     ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
     if not ppm:
@@ -82,7 +81,6 @@ def _say_scale(certificate: Certificate, language: Language) -> str:
 
 
 def _say_compensated(certificate: Certificate, language: Language) -> str:
-    """Return who says that the compensation was active as the machine was left."""
     if certificate.left is None:
         return ""
     confirmed = is_compensation_confirmed(certificate.left.content)
@@ -90,7 +88,7 @@ def _say_compensated(certificate: Certificate, language: Language) -> str:
 
 
 def describe_volume(certificate: Certificate, language: Language) -> View:
-    """Return slices and histograms before and after."""
+    """Slices, of three linear axes, and histograms, before and after."""
     found, left = certificate.found, certificate.left
     before = compute_volumetric_error(found.result)
     after = _list_after(certificate, before, language)
@@ -111,7 +109,7 @@ def describe_volume(certificate: Certificate, language: Language) -> View:
 
 
 def describe_budget(certificate: Certificate, language: Language) -> View:
-    """Return each source's share of the uncertainty of the volumetric error."""
+    """Share of each source in the uncertainty of the volumetric error."""
     content = certificate.found.content
     budget = content.get("uncertainty_budget")
     if not budget:
@@ -138,7 +136,7 @@ def describe_budget(certificate: Certificate, language: Language) -> View:
 
 
 def describe_tables(certificate: Certificate, language: Language) -> View:
-    """Return every table, its extrapolated positions marked, and half differences."""
+    """Tables of error motions, extrapolated positions marked, and half differences."""
     content, machine = certificate.found.content, certificate.found.result.machine
     holds = content.get("holds_for", {})
     target = machine.target()
@@ -153,7 +151,7 @@ def describe_tables(certificate: Certificate, language: Language) -> View:
 
 
 def describe_single(certificate: Certificate, language: Language) -> View:
-    """Return squareness, and where rotary axes are."""
+    """Squareness of linear axes, and locations of rotary axes."""
     content = certificate.found.content
     square = {
         symbol: (entry["value"], entry["uncertainty"], "urad")
@@ -177,7 +175,7 @@ def describe_single(certificate: Certificate, language: Language) -> View:
 
 
 def describe_positioning(certificate: Certificate, language: Language) -> View:
-    """Return the figures of ISO 230-2 that an estimate can give."""
+    """Figures of ISO 230-2 that follow from an estimate; no repeatability."""
     halves = _read_halves(certificate.found.content)
     found = certificate.found.result
     every = compute_positioning_figures(found, halves, found.measured)

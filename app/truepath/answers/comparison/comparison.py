@@ -1,15 +1,16 @@
-"""A result against a direct measurement: single error motions, and the volume.
+"""A result compared with a direct measurement: single error motions, and the volume.
 
-sanders-2023, section 2.3. Both sides are put into one convention over the positions
+sanders-2023, section 2.3. Both sides are converted to one convention over the positions
 that both know: positioning and turns are 0 at the axis zero, else at the lowest
-position; straightness is 0 there and at the highest. What one target cannot tell from
-other motions (a turn of the last axis) is merged into the direct values in the same
-way, so that like is compared with like. The values of both directions are averaged: the
-map of a result is the mean of both.
+position; straightness is 0 there and at the highest. What one target cannot distinguish
+from other motions (a turn of the last axis) is merged into the direct values in the
+same way, so that like is compared with like. The values of both directions are
+averaged: the map of a result is the mean of both.
 
-The normalised error is E_n = d / (2 √(u² + u_ref²)) as in ISO/IEC 17043: |E_n| ≤ 1 says
-that both agree within their expanded uncertainties (k = 2). In u of positioning is the
-scale of air and tracker, which tables leave out: the reference has another one.
+The normalised error is E_n = d / (2 √(u² + u_ref²)) as in ISO/IEC 17043: |E_n| ≤ 1
+means that both agree within their expanded uncertainties (k = 2). u of positioning
+includes the scale of air and tracker, which tables leave out: the reference has another
+one.
 """
 
 from __future__ import annotations
@@ -101,26 +102,26 @@ class ComparedError(ComparedNumber):
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What both say; `not_compared` names a reason for each symbol that one lacks."""
+    """Both sides; `not_compared` has a reason for each symbol that one lacks."""
 
     errors: tuple[ComparedError, ...]
     numbers: tuple[ComparedNumber, ...]
     not_compared: dict[str, str]
 
     def error(self, symbol: str) -> ComparedError | None:
-        """Return an error motion, or None where it was not compared."""
+        """None where it was not compared."""
         return next((e for e in self.errors if e.symbol == symbol), None)
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceUncertainty:
-    """Standard uncertainty of the direct instrument beside what its runs show."""
+    """Standard uncertainty of the direct instrument, without spread of runs."""
 
     um: float = 0.0
     urad: float = 0.0
 
     def of(self, unit_name: str) -> float:
-        """Return it in a unit."""
+        """In "um" or "urad"."""
         return self.urad if unit_name == "urad" else self.um
 
 
@@ -129,7 +130,7 @@ def compare(
     reference: Sequence[DirectMeasurement],
     instrument: ReferenceUncertainty | None = None,
 ) -> Comparison:
-    """Compare a result with direct measurements.
+    """Differences in the convention of this module.
 
     instrument : uncertainty of the reference that its repeated runs do not show
 
@@ -175,7 +176,6 @@ def _refuse_units(reference: Sequence[DirectMeasurement]) -> None:
 def _compare_error(
     result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> ComparedError | str:
-    """Return both in one convention, or the reason why not."""
     motions = index_motions(result)
     if symbol not in motions:
         return "the result does not tell it with the measured targets"
@@ -231,7 +231,7 @@ def _compare_numbers(
 class ComparedVolume:
     """Volumetric errors on a grid, squareness left out (section 2.3.2, figure 9).
 
-    position : (n, axes); rotary axes stand at their zero
+    position : (n, axes); rotary axes are at their zero
     value_um, reference_um : (n, 3) of the errors that both know
     """
 
@@ -246,12 +246,12 @@ class ComparedVolume:
 
 
 def mean_length(error: Float64[np.ndarray, "n 3"]) -> float:
-    """Return the mean length of vectors: the paper's mean absolute error."""
+    """Mean length of vectors: the paper's mean absolute error."""
     return float(np.linalg.norm(error, axis=1).mean())
 
 
 def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume | None:
-    """Return both volumetric errors, or None if no straight axis was compared."""
+    """None if no error of a linear axis was compared."""
     straight = {axis.name for axis in machine.linear_axes}
     errors = [e for e in comparison.errors if e.symbol[2] in straight]
     if not errors:

@@ -28,7 +28,7 @@ KINDS = ("positioning", "straightness", "turns")
 
 
 def classify(symbol: str) -> str:
-    """Return the paper's kind of an error motion."""
+    """One of `KINDS`, the paper's kinds of error motions."""
     if is_turn(symbol):
         return "turns"
     return "straightness" if is_straightness(symbol) else "positioning"
@@ -40,7 +40,7 @@ def comparison_json(
     names: dict[str, str],
     verdict: Verdict,
 ) -> dict[str, Any]:
-    """Return the content of `comparison.json`; uncertainties are standard ones.
+    """Content of `comparison.json`; uncertainties are standard ones.
 
     names : of the machine, the result and the reference; verdict : of the result
     """
@@ -60,13 +60,13 @@ def comparison_json(
 
 
 def comparison_csv(comparison: Comparison) -> str:
-    """Return the text of `comparison.csv`: a row a position."""
+    """Text of `comparison.csv`: one row per position."""
     rows = [",".join(row) for row in _list_rows(comparison)]
     return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
 def compute_agreement(error: ComparedError) -> float:
-    """Return the share of positions at which both agree: |E_n| at most 1."""
+    """Share of positions with |E_n| ≤ 1, without those that are 0 by convention."""
     known = error.combined > 0
     if not known.any():
         return 1.0
@@ -113,7 +113,7 @@ def _columns_json(one: ComparedNumber) -> dict[str, Any]:
 
 
 def _kind_json(comparison: Comparison, kind: str) -> dict[str, Any] | None:
-    """Return the figures that the paper states for a kind of motions."""
+    """The figures that the paper states for a kind of motions."""
     errors = [e for e in comparison.errors if classify(e.symbol) == kind]
     if not errors:
         return None

@@ -62,7 +62,7 @@ def render_comparison_report(
     names: dict[str, str],
     verdict: Verdict,
 ) -> str:
-    """Return the page.
+    """One HTML page.
 
     names : of the result and the reference; verdict : of the result
     """
@@ -141,7 +141,7 @@ def compare_files(
     folder: str | Path,
     instrument: ReferenceUncertainty,
 ) -> dict[str, Any]:
-    """Compare and write the three files into a folder; return the content of the JSON.
+    """Compare and write the three files into a folder; gives the content of the JSON.
 
     Raises BundleError with the place, BadInput if nothing can be compared.
     """
@@ -167,7 +167,7 @@ def compare_files(
 
 
 def draw_error_motions(comparison: Comparison, axis: Axis) -> Markup:
-    """Draw the six error motions of an axis: result in its band, direct runs on it."""
+    """Six error motions of an axis: the result as a band, direct runs over it."""
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
         error = comparison.error(symbol)
@@ -179,7 +179,7 @@ def draw_error_motions(comparison: Comparison, axis: Axis) -> Markup:
 
 
 def draw_volume(volume: ComparedVolume) -> Markup:
-    """Draw the difference by component as histograms, and as arrows in the volume."""
+    """The difference by component as histograms, and as arrows in the volume."""
     parts: list[Markup] = []
     reach = max(float(np.abs(volume.difference_um).max()), 1e-6)
     edge = np.linspace(-reach, reach, _BINS + 1)

@@ -1,8 +1,8 @@
 """Errors as a direct instrument measured them, in the convention of a comparison.
 
-Runs and directions are put together. Positioning and turns are 0 at the axis zero, else
-at the lowest position; straightness is 0 there and at the highest (sanders-2023,
-section 2.3.1). A motion that the measured targets do not tell moves them like others of
+Runs and directions are combined. Positioning and turns are 0 at the axis zero, else at
+the lowest position; straightness is 0 there and at the highest (sanders-2023, section
+2.3.1). A motion that the measured targets do not determine moves them like others of
 its axis: the result has its share in those, so the direct values are given it as well.
 """
 
@@ -30,7 +30,7 @@ _DECIMALS = 4  # of a position, mm or deg: runs stop there again and again
 
 
 _SAME_MM = 1e-6
-_PROBE = 60  # configurations that tell how motions merge
+_PROBE = 60  # configurations that determine how motions merge
 _MERGES = 1e-6  # of a merged motion: left over by those it merges into
 
 
@@ -53,12 +53,12 @@ class DirectError:
     backward_spread: Float64[np.ndarray, " n"]
 
     def within(self, low: float, high: float) -> DirectError:
-        """Return the positions inside a travel."""
+        """Only the positions inside a travel."""
         inside = (self.position_mm >= low - 1e-6) & (self.position_mm <= high + 1e-6)
         return DirectError(*(getattr(self, f.name)[inside] for f in fields(self)))
 
     def plus(self, other: DirectError, share: float) -> DirectError:
-        """Return this one with a share of another, where both were measured."""
+        """Sum with a share of another, within the range of the other."""
         first, last = other.position_mm[[0, -1]]
         kept = self.within(float(first), float(last))
         at = kept.position_mm
@@ -77,8 +77,6 @@ class DirectError:
 
 @dataclass(frozen=True, slots=True)
 class _Direction:
-    """Runs of one direction at the positions where it stopped."""
-
     position_mm: Float64[np.ndarray, " m"]
     mean: Float64[np.ndarray, " m"]
     spread: Float64[np.ndarray, " m"]
@@ -88,12 +86,13 @@ class _Direction:
 def combine_direct_error(
     symbol: str, reference: Sequence[DirectMeasurement], instrument: float
 ) -> DirectError:
-    """Return what the measurements say about one error.
+    """One error from all its measurements, both directions.
 
-    instrument : standard uncertainty beside what the runs show, in the error's unit
+    instrument : standard uncertainty in addition to the spread of the runs, in the
+        error's unit
 
-    The spread of runs is pooled over all positions: five runs alone tell a standard
-    deviation no better than to a third.
+    The spread of runs is pooled over all positions: five runs alone determine a
+    standard deviation no better than to a third.
     """
     sides = {
         sign: _merge_direction(
@@ -140,7 +139,6 @@ def _merge_direction(parts: Sequence[DirectMeasurement]) -> _Direction:
 def _look_up(
     side: _Direction, position_mm: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, " n"], ...]:
-    """Return mean, spread and runs at positions; NaN, 0, 0 where it did not stop."""
     found = (np.full(len(position_mm), np.nan), *np.zeros((2, len(position_mm))))
     _, here, there = np.intersect1d(
         position_mm, side.position_mm, assume_unique=True, return_indices=True
@@ -157,14 +155,14 @@ def _pool_spread(sides: Sequence[_Direction]) -> float:
 
 
 def index_motions(result: CalibrationResult) -> dict[str, ErrorMotion]:
-    """Return the error motions that a result tells, by symbol."""
+    """Error motions that a result identifies, by symbol."""
     return {motion.symbol: motion for motion in result.model.identifiable_motions}
 
 
 def build_convention(
     symbol: str, axis: Axis, position_mm: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n n"]:
-    """Return the matrix that puts values at sorted positions into the convention."""
+    """Matrix that converts values at sorted positions to the convention."""
     n = len(position_mm)
     at_zero = np.flatnonzero(np.abs(position_mm) < _SAME_MM)
     first = int(at_zero[0]) if len(at_zero) and at_zero[0] < n - 1 else 0
@@ -181,7 +179,7 @@ def build_convention(
 def find_merged_shares(
     result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return what of other motions of the axis the result has in this one.
+    """Shares of other motions of the axis that the result has in this one.
 
     The shares are by motion, in the unit of this one per unit of that one; then come
     the motions that the reference does not know.
@@ -205,7 +203,7 @@ def find_merged_shares(
 def _express_motion(
     result: CalibrationResult, other: str, known: list[str]
 ) -> dict[str, float]:
-    """Return a unit of a motion as a sum of others of its axis, mm and rad."""
+    """A unit of a motion as a sum of others of its axis, mm and rad."""
     rng = np.random.default_rng(0)
     low = np.array([axis.low for axis in result.machine.axes])
     high = np.array([axis.high for axis in result.machine.axes])

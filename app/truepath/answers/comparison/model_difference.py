@@ -1,4 +1,4 @@
-"""What differs between two models of a machine, in words and numbers."""
+"""Differences between two models of a machine, in words and numbers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SUFFIXES = (
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One difference. kind : `added`, `removed` or `changed`; text : a sentence."""
+    """One difference. kind : `added`, `removed` or `changed`; text : a sentence"""
 
     kind: str
     what: str
@@ -40,7 +40,7 @@ class Change:
 def list_differences(
     before: EstimatedModel, after: EstimatedModel
 ) -> tuple[Change, ...]:
-    """Return what one model has that another has not, and which numbers changed.
+    """Effects added and removed, and changed numbers.
 
     A number has changed if it did so by more than its expanded uncertainty (k = 2).
     """
@@ -54,7 +54,7 @@ def list_differences(
 
 
 def in_words(name: str, value: float, uncertainty: float) -> str:
-    """Return `width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
+    """`width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
     suffix = next((s for s in _SUFFIXES if _cut_direction(name).endswith(f"_{s}")), "")
     stem = _cut_direction(name).removesuffix(f"_{suffix}").replace("_", " ")
     _, _, direction = name.partition("[")

@@ -1,4 +1,4 @@
-"""From Runs to what their model lacks, the model with it, and what to drive next."""
+"""From Runs to effects that their model lacks, the new model, and the next lines."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _FOUND = 0.95  # share of the work that is done with the search
 
 @dataclass(frozen=True, slots=True)
 class Discovered:
-    """What became of Runs; content : of `discovery.json`.
+    """Result of a discovery; content : of `discovery.json`.
 
-    asked : lines to drive next, to be written as `ASK`; None where nothing is open
+    asked : lines to measure next, to be written as `ASK`; None if no question is open
     """
 
     found: Discovery

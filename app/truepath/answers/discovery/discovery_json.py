@@ -1,4 +1,4 @@
-"""`discovery.json` (schema `discovery/1` of the file formats), and its words."""
+"""`discovery.json` (schema `discovery/1` of the file formats), and its sentences."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from truepath.kinematics.machine.symbols import is_turn
 from truepath.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"
-TRACKER = "tracker-errors"  # what names it where an effect cannot be told from it
+TRACKER = "tracker-errors"  # name of an alternative to an effect
 _NOISY = 1.5  # times what the tracker states: to be described
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
 
 def discovery_json(found: Discovery) -> dict[str, Any]:
-    """Return the content of the file."""
+    """The whole content of `discovery.json` but `model`, `verdict` and `ask`."""
     named = [f for f in found.findings if f.structure is None]
     return {
         "schema": SCHEMA,
@@ -82,7 +82,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
 
 
 def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
-    """Return what neither effects nor free forms explain, if anything is left.
+    """What neither effects nor free forms explain; empty if nothing remains.
 
     In the gap, or counted as noise beyond what the tracker is stated to have.
     """
@@ -109,7 +109,7 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
 
 
 def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
-    """Tell whether noise beyond what is stated is along the beam rather than across."""
+    """Along the beam rather than across it."""
     more = np.zeros(3)
     for run in runs:
         for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
@@ -119,7 +119,7 @@ def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
 
 
 def effect_json(finding: Finding) -> dict[str, Any]:
-    """Return one effect with its parameters and its evidence."""
+    """One effect with its parameters and its evidence."""
     words = finding.family.words["en"]
     return {
         **_key(finding.candidate),
@@ -176,7 +176,7 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
 
 
 def _worst(found: Discovery) -> list[dict[str, Any]]:
-    """Return the segments of all Runs that disagree most; `run` counts them from 0."""
+    """The `_SEGMENTS` with the largest RMS of all Runs; `run` counts Runs from 0."""
     every = [
         (s, k) for k, one in enumerate(found.residuals) for s in one.before.segments
     ]
@@ -185,7 +185,6 @@ def _worst(found: Discovery) -> list[dict[str, Any]]:
 
 
 def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
-    """Return how far every line or point of a Run is off, in the order of time."""
     seen = one.observations
     after = {(s.row, s.time_s): s.rms_um for s in one.after.segments}
     celsius = _average_temperatures(seen)
@@ -222,12 +221,12 @@ def _state_explanation(shown: RunResidual) -> dict[str, dict[str, float]]:
 
 
 def write_title(candidate: Candidate) -> str:
-    """Return an effect in words: `Backlash of Y`."""
+    """For example `Backlash of Y`."""
     return find_family(candidate.family).title(candidate.keys)
 
 
 def describe_alternatives(finding: Finding) -> str:
-    """Say what else a finding may be."""
+    """Sentence on what else a finding may be; also where there is no alternative."""
     names = [write_title(c) for c in finding.alternatives]
     if finding.is_imitated:
         names.append(
@@ -240,10 +239,10 @@ def describe_alternatives(finding: Finding) -> str:
 
 
 def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
-    """Return the questions, the lines that decide them, and the reason in words.
+    """The questions, the lines that decide them, and the reason in words.
 
-    file : the `path.csv` of the lines, beside `discovery.json`; `rows` are the same, as
-        a measuring job takes them for its path
+    file : the `path.csv` of the lines, next to `discovery.json`; `rows` are the same,
+        as a measuring job takes them for its path
     """
     columns = list_columns(asked.path)
     rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
@@ -262,7 +261,7 @@ def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
 
 
 def explain(asked: DiscriminationDesign) -> str:
-    """Return why the lines are to be driven, and what they are."""
+    """Why these lines, how long they take, and what they are expected to decide."""
     step = np.sign(np.diff(asked.path.position, axis=0))
     turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))
     feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})

@@ -75,9 +75,10 @@ def render_discovery_report(
     design: DiscriminationDesign | None,
     ask_file: str,
 ) -> str:
-    """Return the report.
+    """One HTML page.
 
-    design : lines to drive next, in `ask_file` beside it; None if no question is open
+    design : lines to measure next, in `ask_file` next to it; None if no question is
+        open
     """
     named = [f for f in discovery.findings if f.structure is None]
     provenance, parent = model.content["provenance"], model.content["parent"]
@@ -119,9 +120,9 @@ def render_discovery_report(
 
 
 def describe_ask(design: DiscriminationDesign, file: str) -> View:
-    """Return the open questions, and the lines that decide them.
+    """The open questions, and the lines that decide them.
 
-    file : the path of the lines, beside the report
+    file : the path of the lines, next to the report
     """
     questions = zip(design.questions, design.expected, strict=True)
     return {
@@ -216,7 +217,6 @@ def _word_question(question: Question) -> str:
 
 
 def _list_waypoints(design: DiscriminationDesign) -> list[tuple[str, ...]]:
-    """Return the waypoints; the lines begin at the first."""
     path = design.path
     return [
         (
@@ -233,26 +233,26 @@ DISCOVERY, MODEL = "discovery.json", "model.json"
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
-    """Write the files of a discovery into a folder, each whole or not at all."""
+    """Report, `ask/path.csv` with its programs, `model.json` and `discovery.json`."""
     found, asked = discovered.found, discovered.asked
     report = render_discovery_report(found, discovered.model, asked, ASK)
     files = {REPORT: report.encode()}
     place = Path(ASK).parent
-    # What an earlier discovery asked for; what was recorded beside it stays.
+    # Lines that an earlier discovery asked for; what was recorded there stays.
     (Path(folder) / ASK).unlink(missing_ok=True)
     for control in list_dialects():
         rmtree(Path(folder) / place / control, ignore_errors=True)
     if asked is not None:
         rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
         files |= {str(place / name): content for name, content in rows.items()}
-    # The discovery last: where it stands, the others stand as well.
+    # The discovery last: where it exists, the others exist as well.
     files[MODEL] = encode_json(discovered.model.content)
     files[DISCOVERY] = encode_json(discovered.content)
     write_files(Path(folder), files)
 
 
 def draw_gap(gap: Gap) -> Markup:
-    """Draw the gap before and after as bars against the noise floor."""
+    """The gap before and after as bars, with the noise floor."""
     frame = Frame(60.0, 20.0, WIDTH - 60.0, 68.0)
     high = 1.1 * max(gap.before_um, gap.after_um, gap.noise_floor_um)
     x = Scale(0.0, high, frame.left, frame.right)
@@ -281,7 +281,7 @@ def draw_gap(gap: Gap) -> Markup:
 
 
 def draw_along_run(residual: RunResidual) -> Markup:
-    """Draw the residual along the Run, before and after, on one scale."""
+    """The residual along the Run, before and after, on one scale."""
     observations = residual.observations
     time_s = observations.at.time_s - observations.at.time_s.min()
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
@@ -304,7 +304,7 @@ def draw_along_run(residual: RunResidual) -> Markup:
 
 
 def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
-    """Draw the root mean square on every line, before and after."""
+    """RMS on every line, before and after."""
     frame = Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     rows = np.array([s.row + 1 for s in before], float)
     high = 1.05 * max(s.rms_um for s in (*before, *after))
@@ -325,7 +325,7 @@ def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
 
 
 def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
-    """Draw the share of the disagreement that each grouping explains."""
+    """Share of the disagreement that each grouping explains."""
     frame = Frame(_NAMES, 8.0, WIDTH - 110.0, 8.0 + _BARS * len(before))
     x = Scale(0.0, max(max(before.values()), 0.05), frame.left, frame.right)
     parts: list[Markup] = []
@@ -351,7 +351,7 @@ def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
 
 
 def draw_profiles(residual: RunResidual) -> Markup:
-    """Draw the mean disagreement against what explains most of it, before."""
+    """Mean disagreement over the covariates that explain most of it, before."""
     by_name = {c.name: c for c in list_covariates(residual.observations)}
     chosen = [by_name[name] for name in residual.before.shares if name in by_name][
         :_PROFILES
@@ -433,7 +433,6 @@ def _bin_means(
     weight: Float64[np.ndarray, " n"],
     edges: Float64[np.ndarray, " e"],
 ) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, "b 3"]]:
-    """Return weighted means of place and values of the bins that hold anything."""
     index = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
     total = np.bincount(index, weight, len(edges) - 1)
     filled = total > 0.0

@@ -1,7 +1,7 @@
-"""`model.json`: the model with what was found, its version, and what became of it.
+"""`model.json`: the model with the effects found, its version, and its parent.
 
-It is read as a result is: what predicts, exports or compares from a result does so from
-a model, with the effects that were found in it.
+It is read as a result is: whatever predicts, exports or compares from a result does so
+from a model, with the effects that were found in it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from truepath.results.verdict import judge_discovery
 
 
 def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
-    """Return an earlier model as the base that explains a Run.
+    """An earlier model as the base that explains a Run.
 
     Raises BundleError if it is of another machine or of another target, NotUsable if it
     is not to be used.
@@ -64,7 +64,7 @@ def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
 
 @dataclass(frozen=True)
 class NextModel:
-    """A model with what was found in it, its verdict, and its content as a file."""
+    """A model with the effects found, its verdict, and its content as a file."""
 
     extended: ExtendedModel
     verdict: Verdict
@@ -72,9 +72,9 @@ class NextModel:
 
 
 def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
-    """Return the model with what was found in it.
+    """Version, parent, difference and content of the model with the effects found.
 
-    parent : what the Run was held against; None for the rigid-body model fitted to it
+    parent : what the Run was compared with; None for the rigid-body model fitted to it
     """
     grown, verdict = extend_model(found), judge_discovery(found, parent)
     machine = grown.model.machine

@@ -1,17 +1,17 @@
 """What has changed in a machine between two of its calibrations, and how surely.
 
 Each calibration states θ̂ with its covariance C. Table entries and the volumetric error
-are linear in θ, so their difference R₂θ̂₂ − R₁θ̂₁ has the covariance
-R₂C₂R₂ᵀ + R₁C₁R₁ᵀ. That is on the safe side: what both took from the same prior would
-cancel. Tables are compared in their own gauge, the volumetric error after its best-fit
-rigid motion is removed from each: where the tracker stood is no change of the machine.
+are linear in θ, so their difference R₂θ̂₂ − R₁θ̂₁ has the covariance R₂C₂R₂ᵀ + R₁C₁R₁ᵀ.
+That is on the safe side: what both took from the same prior would cancel. Tables are
+compared in their own gauge, the volumetric error after its best-fit rigid motion is
+removed from each: the station of the tracker is no change of the machine.
 
-Many entries are looked at, and some of them differ much by chance alone. An entry has
+Many entries are tested, and some of them differ much by chance alone. An entry has
 changed only if its |difference| / uncertainty is more than the largest over all entries
-is with a chance of 2.5 %; the root mean square of the volumetric difference is held
-against its own such limit, so that an unchanged machine is said to have changed with a
-chance of 5 % at most. Both limits come from 4000 draws of the joint covariance: entries
-that go together count less than those that do not (the single-step maximum test of
+is with a chance of 2.5 %; the root mean square of the volumetric difference is compared
+with its own such limit, so that an unchanged machine is reported as changed with a
+chance of 5 % at most. Both limits come from 4000 draws of the joint covariance:
+correlated entries count less than independent ones (the single-step maximum test of
 Westfall and Young, 1993).
 """
 
@@ -33,7 +33,7 @@ from truepath.kinematics.machine.symbols import find_unit
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
 
-CHANCE = 0.05  # that an unchanged machine is said to have changed
+CHANCE = 0.05  # that an unchanged machine is reported as changed
 _DRAWS = 4000
 _SMALLEST = 1e-9  # µm, µrad: rounding of what is 0 by convention of the table
 _FINE = 1e-9  # of the largest eigenvalue: shapes that no error over the travel shows
@@ -45,7 +45,7 @@ class ChangedEntry:
 
     position : of the axis in `position_unit`; None of a number that has none
     unit : "um" or "urad", of both values and of the uncertainty of their difference
-    chance : that so large a difference stands anywhere in the tables of a machine that
+    chance : that so large a difference occurs anywhere in the tables of a machine that
         has not changed; 1/4001 at least
     """
 
@@ -70,8 +70,8 @@ class ChangedVolume:
     """The volumetric error of both calibrations, one less the other.
 
     difference_um : root mean square of its length over the travel
-    by_chance_um : what that would be below with a chance of 97.5 % without a change
-    change_um : what is left of it when the part of chance is taken out; 0 if nothing is
+    by_chance_um : its limit of 97.5 % without a change
+    change_um : the difference less the part of chance, in squares; 0 if nothing remains
     """
 
     difference_um: float
@@ -81,13 +81,13 @@ class ChangedVolume:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the machine has changed in its volume."""
+        """At the limit of 97.5 %."""
         return self.difference_um > self.by_chance_um
 
 
 @dataclass(frozen=True, slots=True)
 class MachineChange:
-    """All that differs between two calibrations.
+    """All differences between two calibrations.
 
     factor : how many standard uncertainties an entry has to differ by to count
     not_compared : symbols that only one of both states
@@ -100,12 +100,12 @@ class MachineChange:
 
     @property
     def is_significant(self) -> bool:
-        """Whether anything has changed for sure."""
+        """Any entry, or the volumetric error."""
         return self.volume.is_significant or any(e.is_significant for e in self.entries)
 
 
 def find_changes(before: CalibrationResult, after: CalibrationResult) -> MachineChange:
-    """Return what differs between two results of one machine.
+    """Differences between two results of one machine.
 
     Raises BadInput if they share a Run, or hold for other targets; BundleError if they
     are of different machines.
@@ -162,7 +162,7 @@ Place = tuple[str, float | None, str, str]
 
 
 def _draw(estimated: EstimatedModel, seed: int) -> Float64[np.ndarray, "p d"]:
-    """Return departures of its parameters by their covariance, always the same."""
+    """Deviations of its parameters by their covariance, the same for the same seed."""
     value, vector = np.linalg.eigh(estimated.covariance)
     unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
     return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
@@ -170,21 +170,18 @@ def _draw(estimated: EstimatedModel, seed: int) -> Float64[np.ndarray, "p d"]:
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """What two calibrations of one machine both state."""
-
     before: EstimatedModel
     after: EstimatedModel
 
     @property
     def not_compared(self) -> tuple[str, ...]:
-        """Symbols that only one of both states."""
         before, after = _list_symbols(self.before), _list_symbols(self.after)
         return tuple(sorted(before ^ after))
 
     def evaluate_entries(
         self,
     ) -> tuple[list[Place], Float64[np.ndarray, "2 n"], Float64[np.ndarray, "n d"]]:
-        """Return the entries of both tables, and their difference drawn by chance."""
+        """Entries, their values before and after, draws of the difference."""
         sides = (self.before, self.after)
         known = [_list_symbols(one) for one in sides]
         symbols = known[0] & known[1]
@@ -205,7 +202,6 @@ def _list_symbols(estimated: EstimatedModel) -> set[str]:
 def _find_rows(
     estimated: EstimatedModel, symbols: set[str]
 ) -> tuple[list[Place], Float64[np.ndarray, "n p"]]:
-    """Return the entries of the tables, and how these follow from the parameters."""
     model = estimated.model
     places: list[Place] = []
     blocks: list[Float64[np.ndarray, "k p"]] = []
@@ -247,7 +243,7 @@ def _compare_volume(
 
 
 def _weigh(estimated: EstimatedModel) -> Float64[np.ndarray, "m p"]:
-    """Return columns whose length is the root mean square over the travel, µm."""
+    """Columns whose length is the root mean square over the travel, µm."""
     volumetric = build_volumetric_map(estimated.model)
     columns = volumetric.jacobian(volumetric.volume)
     columns *= UM_PER_MM * np.sqrt(volumetric.weight)[:, None, None]
@@ -255,12 +251,12 @@ def _weigh(estimated: EstimatedModel) -> Float64[np.ndarray, "m p"]:
 
 
 def _count_chance(drawn: Float64[np.ndarray, " d"], found: float) -> float:
-    """Return the share of draws that are as large; never none of them."""
+    """Share of draws that are as large; never 0."""
     return float((1 + np.count_nonzero(drawn >= found)) / (1 + len(drawn)))
 
 
 def list_significant(change: MachineChange) -> Iterator[ChangedEntry]:
-    """Yield of each symbol that has changed the entry that says so most surely."""
+    """The most significant entry of each symbol that has changed, surest first."""
     found: dict[str, ChangedEntry] = {}
     for entry in change.entries:
         known = found.get(entry.symbol)

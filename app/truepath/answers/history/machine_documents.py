@@ -1,4 +1,4 @@
-"""History, changes and comparison of machines as JSON documents, in plain words too."""
+"""History, changes and comparison of machines as JSON documents, with sentences."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _SIGN = {"um": "µm", "urad": "µrad"}
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """One result of a machine: whose, from which Runs, when it was measured.
+    """One result of a machine.
 
-    file : its `result.json`; verdict : what it says of itself
+    file : its `result.json`; verdict : the state of its verdict
     is_time_stated : by its Runs; else `measured` is when it was catalogued
     """
 
@@ -49,7 +49,7 @@ class Calibration:
     is_time_stated: bool = True
 
     def describe(self) -> dict[str, Any]:
-        """Return what a document states of it."""
+        """The keys of a document but its file and machine."""
         return {
             "job_id": self.job_id,
             "run_ids": list(self.run_ids),
@@ -65,7 +65,7 @@ def _read(file: Path, _written_ns: int) -> Mapping[str, Any]:
 
 
 def read_stated(one: Calibration) -> Mapping[str, Any]:
-    """Return the content of a result file, which never changes once it stands."""
+    """Content of a result file, cached: a file never changes once it exists."""
     return _read(one.file, one.file.stat().st_mtime_ns)
 
 
@@ -75,7 +75,7 @@ def history_json(
     quantity: str,
     position: float | None,
 ) -> dict[str, Any]:
-    """Return a quantity over all calibrations, the oldest first. Raises BadInput."""
+    """A quantity over all calibrations, the oldest first. Raises BadInput."""
     unit = find_quantity_unit(quantity)
     stated = [read_entries(read_stated(one), quantity) for one in calibrations]
     chosen = [choose_entries(entries, quantity, position) for entries in stated]
@@ -126,7 +126,7 @@ def _columns_after(
 
 
 def changes_json(since: Calibration, until: Calibration) -> dict[str, Any]:
-    """Return what has changed between two calibrations, and how surely.
+    """What has changed between two calibrations, and how surely.
 
     Raises BadInput, BundleError where they cannot be compared.
     """
@@ -135,7 +135,7 @@ def changes_json(since: Calibration, until: Calibration) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)
 def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
-    # Imported where it computes: the service itself carries no science.
+    # Imported on use: the service process does not load the numerical code.
     from truepath.answers.history.machine_change import (
         CHANCE,
         find_changes,
@@ -209,7 +209,7 @@ def _describe_change(
 
 @dataclass(frozen=True, slots=True)
 class ToleranceJudgement:
-    """What 95 % of the places err by at most, held against a tolerance.
+    """The 95th percentile of the volumetric error compared with a tolerance.
 
     state : `within`, `over`, or `not-sure` where the tolerance lies within the expanded
         uncertainty (k = 2)
@@ -222,7 +222,7 @@ class ToleranceJudgement:
 
     @property
     def text(self) -> str:
-        """The same in words."""
+        """English sentence with U (k = 2)."""
         said = f"{self.value_um:.1f} ± {K * self.uncertainty_um:.1f} µm (k = 2)"
         words = {"within": "within", "over": "over", "not-sure": "too close to tell:"}
         return (
@@ -232,7 +232,7 @@ class ToleranceJudgement:
 
 
 def judge_tolerance(one: Calibration, tolerance_um: float) -> ToleranceJudgement:
-    """Return whether a calibration shows the machine within its tolerance."""
+    """On the 95th percentile of the volumetric error of a calibration."""
     entries = read_entries(read_stated(one), VOLUMETRIC)
     p95 = next(e for e in entries if e.label == "p95")
     off = p95.value - tolerance_um
@@ -248,7 +248,7 @@ def comparison_json(
     position: float | None,
     tolerances_um: Mapping[str, float | None],
 ) -> dict[str, Any]:
-    """Return one quantity of several machines, the smallest first.
+    """One quantity of several machines, the smallest first.
 
     newest : the calibration of each machine
 

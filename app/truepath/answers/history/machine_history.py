@@ -2,7 +2,7 @@
 
 A quantity is the symbol of an error motion, at a position of its table or at all, of a
 squareness or of a location; or `volumetric`: the length of the volumetric error over
-the travel. It is taken from result files as they state it.
+the travel. Values are those in the result files.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from truepath.kinematics.machine.symbols import (
 VOLUMETRIC = "volumetric"
 FIGURES = ("mean", "p95", "largest")
 _SAME = 0.5  # mm or deg: a position as people write it
-CHANCE = 0.05  # that any two of several equal machines are said to differ
+CHANCE = 0.05  # that any two of several equal machines are reported to differ
 
 
 _SYMBOLS = frozenset(
@@ -56,12 +56,12 @@ class Entry:
 
     @property
     def key(self) -> tuple[str, float | None]:
-        """By which it is found in another result."""
+        """Equal for the same entry of another result."""
         return self.label, self.position
 
 
 def find_quantity_unit(quantity: str) -> str:
-    """Return `um` or `urad`. Raises BadInput for what is no quantity."""
+    """`um` or `urad`. Raises BadInput for an unknown quantity."""
     if quantity == VOLUMETRIC:
         return "um"
     if quantity not in _SYMBOLS:
@@ -73,7 +73,7 @@ def find_quantity_unit(quantity: str) -> str:
 
 
 def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
-    """Return what a result states of a quantity; nothing where it does not tell it."""
+    """Entries of a quantity; empty where the result does not have it."""
     if quantity == VOLUMETRIC:
         return _read_spread(result["volumetric_error"]["before"])
     if single := result["squareness_urad"].get(quantity):
@@ -92,9 +92,9 @@ def read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
 
 
 def read_expected_after(result: Mapping[str, Any], quantity: str) -> list[Entry]:
-    """Return what full compensation is expected to leave of a quantity.
+    """What is expected to remain of a quantity after full compensation.
 
-    A result tells it of `volumetric` only; nothing where it does not.
+    Only of `volumetric`; else empty, as where a result does not have it.
     """
     if quantity != VOLUMETRIC or "after_expected" not in result["volumetric_error"]:
         return []
@@ -112,7 +112,7 @@ def _read_spread(spread: Mapping[str, Any]) -> list[Entry]:
 def choose_entries(
     entries: Sequence[Entry], quantity: str, position: float | None
 ) -> list[Entry]:
-    """Return the entry at a position, or all without one. Raises BadInput."""
+    """The entry at a position (to 0.5 mm or deg), or all. Raises BadInput."""
     if position is None or not entries:
         return list(entries)
     placed = [e for e in entries if e.position is not None]
@@ -126,11 +126,11 @@ def choose_entries(
 
 
 def list_differing(entries: Sequence[Entry]) -> tuple[float, list[tuple[int, int]]]:
-    """Return pairs of machines whose numbers differ, the lower one first.
+    """Factor, and pairs of machines whose numbers differ, the lower one first.
 
-    Each pair is held against the same factor of its combined standard uncertainty,
-    which is returned as well: with it any of equal machines are said to differ with a
-    chance of 5 % at most (Bonferroni over the pairs).
+    Each pair is compared with the same factor of its combined standard uncertainty:
+    with it any of equal machines are said to differ with a chance of 5 % at most
+    (Bonferroni over the pairs).
     """
     pairs = list(combinations(range(len(entries)), 2))
     if not pairs:

@@ -1,4 +1,4 @@
-"""Models of the machine, one a job that has made one: where they are, how they grew."""
+"""Models of a machine, one per job that made one: their files and their versions."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MODEL, RESULT, DISCOVERY = "model.json", "result.json", "discovery.json"
 
 
 def find_model_file(results: Path, job_id: str) -> Path:
-    """Return the model of a discovery, or the result of an analysis.
+    """The model of a discovery, or the result of an analysis.
 
-    Raises NotFound if the job has left neither.
+    Raises NotFound if the job has neither.
     """
     for name in (MODEL, RESULT):
         file = results / job_id / name
@@ -26,9 +26,9 @@ def find_model_file(results: Path, job_id: str) -> Path:
 
 
 def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
-    """Return version, parent and difference of a model with the effects found.
+    """Version, parent, difference, effects and gap of a discovered model.
 
-    Raises NotFound if the job has found none.
+    Raises NotFound if the job discovered none.
     """
     file = results / job_id / DISCOVERY
     if not file.is_file():
@@ -38,7 +38,7 @@ def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
 
 
 def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
-    """Return a model and those it came from, the newest first, as far as they stand."""
+    """Job and content of a model and its ancestors, the newest first."""
     found = [(job_id, read_growth(results, job_id))]
     seen = {job_id}
     while True:
@@ -50,8 +50,8 @@ def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, An
 
 
 def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
-    """Return what differs between two model or result files. Raises BundleError."""
-    # Imported where it computes: the service itself carries no science.
+    """Two model or result files, compared. Raises BundleError."""
+    # Imported on use: the service process does not load the numerical code.
     from truepath.answers.comparison.model_difference import list_differences
     from truepath.files.earlier.result_file import read_result
 

@@ -35,7 +35,7 @@ _ORDINAL = {2: "second", 3: "third"}
 
 
 def plan_document(planned: Plan) -> dict[str, Any]:
-    """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
+    """Content of `plan.json`: µm, µrad and s, k = 1 unless the key says otherwise."""
     order, found = planned.order, planned.outcome
     target_um, model = order.target_um, order.model
     return {
@@ -77,7 +77,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
 
 
 def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
-    """Return what the tracker's errors leave, and what takes most of it away."""
+    """Share of the tracker's errors, and the changes of set-up that reduce it."""
     random_um = UM_PER_MM * planned.outcome.random_mm
     if not planned.remedies:
         return None
@@ -118,7 +118,6 @@ def _describe_remedy(one: SetUpRemedy) -> str:
 
 
 def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
-    """Yield what is left once rows are reached, its grade, and what is known least."""
     for first_row, begin_s, plan in _in_turn(planned):
         found = plan.forecast
         sample_mm = sample_sigma_mm([run.observations for run in found.stations])
@@ -156,7 +155,6 @@ def _list_stations(planned: Plan) -> list[dict[str, Any]]:
 
 
 def _list_feeds(planned: Plan) -> list[float]:
-    """Return the feeds: those that were given, else those that are driven."""
     if planned.order.feeds_mm_min:
         return list(planned.order.feeds_mm_min)
     if isinstance(planned.commanded, Path):
@@ -186,7 +184,6 @@ def _state_motion(machine: Machine) -> dict[str, Any]:
 
 
 def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
-    """Return which lines have which feed and why; None where feeds were given."""
     path = planned.commanded
     if not planned.feeds_worth or not isinstance(path, Path):
         return None
@@ -238,7 +235,6 @@ def _list_unobservable(planned: Plan) -> list[str]:
 
 
 def _state_both(standard_um: float) -> dict[str, float]:
-    """Return a volumetric uncertainty as files state it: k = 1, and k = 2."""
     return {
         "volumetric_uncertainty_um": standard_um,
         "expanded_volumetric_uncertainty_um": 2.0 * standard_um,
@@ -268,7 +264,7 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
 
 
 def in_words(advice: StationAdvice) -> list[str]:
-    """Return what a person needs to know before the tracker is set up."""
+    """Sentences for the operator who sets the tracker up."""
     first, *further = advice.options
     said = [
         f"from {_place(first.place_mm[0])} {_um(first.left)} stay, "

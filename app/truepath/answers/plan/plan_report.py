@@ -1,4 +1,4 @@
-"""A plan as a page and files: what it determines in what time, and what it cannot."""
+"""A plan as a page and files: uncertainty over time, and what is not determined."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ POINTS, PATH, PLAN = "points.csv", "path.csv", "plan.json"
 
 
 def render_plan_report(document: Mapping[str, Any]) -> str:
-    """Return the page of a plan's JSON."""
+    """One HTML page of a plan's JSON."""
     predicted, target = document["predicted"], document["target"]
     return render_page(
         "plan.html",
@@ -78,7 +78,7 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
 
 
 def explain_feeds(document: Mapping[str, Any]) -> list[str]:
-    """Return why the plan has its feeds, and what of the machine is assumed."""
+    """Reason for the feeds of a plan, and assumed properties of the machine."""
     choice, motion = document.get("feed_choice"), document.get("motion")
     why = [choice["reason"]] if choice else []
     return why + (motion["assumed"] if motion else [])
@@ -97,7 +97,6 @@ def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
-    """Draw the uncertainty over time, on a logarithmic scale."""
     time_s = np.array([p["time_s"] for p in points])
     expanded_um = np.array([p["expanded_volumetric_uncertainty_um"] for p in points])
     low = math.floor(math.log10(expanded_um.min()))
@@ -129,13 +128,13 @@ def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
 def write_plan(
     planned: Plan, folder: FilePath, controls: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Write the files of a plan and return the content of `plan.json`.
+    """Write the files of a plan; the result is the content of `plan.json`.
 
     Rows and programs of several stations are in a folder each.
 
     controls : whose NC programs are written; of all where left out
 
-    Raises BadInput, nothing written, if a control cannot drive the plan.
+    Raises BadInput, nothing written, if a control cannot execute the plan.
     """
     files: dict[str, bytes] = {}
     for number, plan in enumerate(planned.at_stations, start=1):
@@ -162,16 +161,16 @@ def encode_with_programs(
     controls: Sequence[str] = (),
     feed: float = DEFAULT_FEED_MM_MIN,
 ) -> dict[str, bytes]:
-    """Return the rows, and their program for each control, as files.
+    """The rows, and their program for each control, by file name.
 
-    No control drives arcs by a program: a path with some has none unless it is asked
-    for, and then it is refused.
+    No control executes arcs by a program: a path with some has none unless it is
+    requested, and then it is refused.
     """
     is_path = isinstance(commanded, Path)
     files = {PATH if is_path else POINTS: encode_commanded(commanded)}
     drives = () if is_path and any(commanded.arc) else list_dialects()
     for control in controls or drives:
-        # One that was not asked for is left out where it fails.
+        # One that was not requested is left out where it fails.
         with nullcontext() if controls else suppress(PluginFailed):
             text = write_program(commanded, machine, control, feed_mm_min=feed)
             files[f"{control}/{name_file(text, control)}"] = text.encode()
@@ -185,9 +184,10 @@ def write_verification_plan(
     folder: FilePath,
     controls: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Write rows, programs and `plan.json`; return the content of the last.
+    """Write rows, programs and `plan.json`; the result is the content of the last.
 
     The rows are `points.csv`, of circles in motion `path.csv`.
+
     controls : whose NC programs are written; of all where left out
     """
     points = make_verification_rows(machine, kinds, seed)

@@ -50,14 +50,14 @@ class Scale:
     decimal_mark: str = "."
 
     def place(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return the places of numbers."""
+        """Numbers to coordinates of the figure."""
         low, high = self.low, self.high
         if self.logarithmic:
             low, high, value = math.log10(low), math.log10(high), np.log10(value)
         return self.begin + (value - low) / (high - low) * (self.end - self.begin)
 
     def find_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
-        """Return round numbers that stand at least `spacing` apart, or the classes."""
+        """Round numbers, at least `spacing` apart in the figure, or the classes."""
         if self.names:
             return np.array(sorted(self.names))
         if self.logarithmic:
@@ -68,7 +68,7 @@ class Scale:
         return step * np.arange(first, math.floor(last) + 1)
 
     def name_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
-        """Return ticks as text with a true minus sign, in equal decimals if linear."""
+        """Texts with a true minus sign, with equal decimals if linear."""
         if self.names:
             return [self.names[tick] for tick in ticks.tolist()]
         digits = 0
@@ -89,7 +89,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The rectangle of a chart in its figure."""
+    """Rectangle of a chart in its figure."""
 
     left: float
     top: float
@@ -99,17 +99,17 @@ class Frame:
     def make_x(
         self, low: float, high: float, *, margin: float = 0.0, logarithmic: bool = False
     ) -> Scale:
-        """Return the scale of the horizontal axis."""
+        """Left to right; margin : of the span, beyond either end"""
         low, high = _widen(low, high, margin)
         return Scale(low, high, self.left, self.right, logarithmic)
 
     def make_y(self, low: float, high: float, *, margin: float = _MARGIN) -> Scale:
-        """Return the scale of the vertical axis."""
+        """Bottom to top; margin : of the span, beyond either end"""
         low, high = _widen(low, high, margin)
         return Scale(low, high, self.bottom, self.top)
 
     def write_title(self, text: str) -> Markup:
-        """Return the title above the frame."""
+        """Above the frame, at its left."""
         return write_label(
             self.left, self.top - 5.0, text, size=TITLE, colour=Colour.INK
         )
@@ -117,7 +117,7 @@ class Frame:
     def draw_axes(
         self, x: Scale, y: Scale, x_label: str, y_label: str, *, upright: bool = True
     ) -> Markup:
-        """Return grid, axes, numbers and labels.
+        """Grid, axes, numbers and labels.
 
         upright : draw the grid's vertical lines as well
         """
@@ -154,7 +154,7 @@ class Frame:
         )
 
     def draw_empty(self, text: str) -> Markup:
-        """Return a dashed frame that says why there is nothing in it."""
+        """A dashed frame with a text that says why it is empty."""
         edge = (
             f"M{self.left:g} {self.top:g}H{self.right:g}V{self.bottom:g}H{self.left:g}Z"
         )
@@ -179,13 +179,13 @@ class Frame:
 
 
 def round_up(number: float) -> float:
-    """Return the next number with a leading digit of 1, 2 or 5."""
+    """The next number with a leading digit of 1, 2 or 5."""
     power = 10.0 ** math.floor(math.log10(number))
     return power * next(d for d in (1, 2, 5, 10) if d * power >= number * 0.999)
 
 
 def round_down(number: float) -> float:
-    """Return the last number before it with a leading digit of 1, 2 or 5."""
+    """The last number not above it with a leading digit of 1, 2 or 5."""
     power = 10.0 ** math.floor(math.log10(number))
     return power * max(d for d in (1, 2, 5) if d * power <= number * 1.001)
 
@@ -210,7 +210,7 @@ def _draw_grid(
 def draw_panels(
     axis: Axis, title: str, draw_motion: Callable[[Frame, str, str], Markup]
 ) -> Markup:
-    """Return the figure; the name of the axis stands below the lower panels.
+    """Six panels, one per error motion; the name of the axis is below the lower ones.
 
     draw_motion : draws an error motion, by its symbol, into a frame; its last argument
         is the text below the frame
@@ -225,7 +225,7 @@ def draw_panels(
 
 
 def make_panel(row: int, column: int, height: float, row_height: float) -> Frame:
-    """Return the frame of a panel; three stand side by side."""
+    """One of three panels side by side."""
     width = (WIDTH - LEFT - 2 * _GAP - EDGE) / 3
     left, top = LEFT + column * (width + _GAP), TOP + row * row_height
     return Frame(left, top, left + width, top + height)

@@ -1,4 +1,4 @@
-"""Vectors at places as measured, and what their errors may be, drawn."""
+"""Measured vectors, and samples of their errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SEED = 3
 
 @dataclass(frozen=True, slots=True)
 class DrawnComponents:
-    """Components along given directions, µm; error_um : noise, and what is common."""
+    """Along given directions, µm; error_um : noise and common errors, sampled"""
 
     measured_um: Float64[np.ndarray, " k"]
     noise_um: Float64[np.ndarray, "k d"]
@@ -23,10 +23,10 @@ class DrawnComponents:
 
 @dataclass(frozen=True, slots=True)
 class DrawnVectors:
-    """Vectors at n places, mm.
+    """Vectors at n positions, mm.
 
-    noise_mm : drawn from the noise of measured_mm
-    common_mm : what one standard uncertainty of each error that all places share makes
+    noise_mm : sampled from the noise of measured_mm
+    common_mm : by one standard uncertainty of each error that all positions share
     """
 
     measured_mm: Float64[np.ndarray, "n 3"]
@@ -34,7 +34,7 @@ class DrawnVectors:
     common_mm: Float64[np.ndarray, "n 3 c"]
 
     def select(self, rows: Int64[np.ndarray, " r"]) -> DrawnVectors:
-        """Return some of the places."""
+        """By row number."""
         return DrawnVectors(
             self.measured_mm[rows], self.noise_mm[rows], self.common_mm[rows]
         )
@@ -42,11 +42,12 @@ class DrawnVectors:
     def project(
         self, rows: Int64[np.ndarray, " k"], direction: Float64[np.ndarray, "k 3"]
     ) -> DrawnComponents:
-        """Return the components of some places, each along its own direction."""
+        """Components of some vectors, each along its own direction."""
         own = self.select(rows)
         noise_um = UM_PER_MM * np.einsum("ni,nie->ne", direction, own.noise_mm)
         common_um = UM_PER_MM * np.einsum("ni,nic->nc", direction, own.common_mm)
-        # All places err together: the same numbers a draw wherever they are asked for.
+        # Common errors are the same at all positions: the same numbers per draw in
+        # every call.
         size = own.common_mm.shape[2], own.noise_mm.shape[2]
         common = np.random.default_rng(_SEED).standard_normal(size)
         return DrawnComponents(

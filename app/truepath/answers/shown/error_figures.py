@@ -29,7 +29,7 @@ _BINS = 41
 
 
 def draw_error_motions(findings: Findings, axis: Axis) -> Markup:
-    """Draw the six error motions of an axis, each with its band of ±2u."""
+    """The six error motions of an axis, each with its band of ±2u."""
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
         table = _make_fine_table(findings, symbol)
@@ -41,7 +41,7 @@ def draw_error_motions(findings: Findings, axis: Axis) -> Markup:
 
 
 def draw_residuals(run: RunFindings) -> Markup:
-    """Draw the residual of each line against the noise, and its distribution."""
+    """RMS of each line with the noise level, and the distribution of residuals."""
     left = Frame(LEFT, TOP, 436.0, 152.0)
     right = Frame(486.0, TOP, WIDTH - EDGE, 152.0)
     return draw_image(
@@ -54,7 +54,7 @@ def draw_residuals(run: RunFindings) -> Markup:
 def draw_legend(
     frame: Frame, entries: tuple[tuple[str, str], ...], *, from_right: float = 0.0
 ) -> Markup:
-    """Draw the names of curves, at the upper left or at a distance from the right."""
+    """Names of curves, at the upper left or at a distance from the right."""
     x = frame.right - from_right if from_right else frame.left + 6.0
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
     return join_shapes(

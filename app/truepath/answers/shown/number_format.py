@@ -16,7 +16,7 @@ SIGN = {
 
 
 def format_expanded(value: float, standard: float) -> str:
-    """Return `value ± U`, k = 2, with U at two significant digits."""
+    """`value ± U`, k = 2, with U at two significant digits, three decimals at most."""
     half = 2.0 * standard
     decimals = 1
     if half > 0.0:
@@ -25,5 +25,5 @@ def format_expanded(value: float, standard: float) -> str:
 
 
 def format_number(value: float, decimals: int = 1) -> str:
-    """Return a number with a true minus sign."""
+    """With a true minus sign, no negative zero."""
     return f"{value:z.{decimals}f}".replace("-", "−")

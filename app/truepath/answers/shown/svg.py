@@ -34,13 +34,13 @@ class Colour(StrEnum):
 
 
 def draw_image(height: float, description: str, parts: Iterable[Markup]) -> Markup:
-    """Return a figure as wide as the page, described for those who cannot see it."""
+    """As wide as the page; `description` is its accessible name."""
     size = {"width": f"{WIDTH:g}", "height": f"{height:g}"}
     return _shape("image", **size, label=description, shapes=join_shapes(parts))
 
 
 def join_shapes(parts: Iterable[Markup]) -> Markup:
-    """Return shapes as one."""
+    """Without separators."""
     return Markup("").join(parts)
 
 
@@ -52,7 +52,7 @@ def draw_curve(
     width: float = 1.4,
     opacity: float = 1.0,
 ) -> Markup:
-    """Return a line through points."""
+    """Open polyline, in units of the figure."""
     return draw_strokes([f"M{_through(x, y)}"], colour, width=width, opacity=opacity)
 
 
@@ -65,7 +65,7 @@ def draw_segments(
     opacity: float = 1.0,
     dash: str = "",
 ) -> Markup:
-    """Return straight lines of one colour as one shape.
+    """Straight lines of one colour as one path.
 
     begin, end : (n, 2), or (2,) of one line
     """
@@ -82,7 +82,7 @@ def draw_strokes(
     opacity: float = 1.0,
     dash: str = "",
 ) -> Markup:
-    """Return drawn lines; `moves` are path data."""
+    """Unfilled path; `moves` are path data."""
     style = f"fill:none;stroke:{colour};stroke-width:{width:g}"
     if opacity < 1.0:
         style += f";stroke-opacity:{opacity:g}"
@@ -99,14 +99,14 @@ def fill_band(
     *,
     opacity: float,
 ) -> Markup:
-    """Return the area between two curves."""
+    """Filled area between two curves over x."""
     around = _through(np.r_[x, x[::-1]], np.r_[low, high[::-1]])
     style = f"fill:{colour};fill-opacity:{opacity:g}"
     return _shape("path", data=f"M{around}Z", style=style)
 
 
 def fill_box(x: float, y: float, width: float, height: float, colour: str) -> Markup:
-    """Return a filled rectangle."""
+    """Without anti-aliased edges, so that adjacent boxes show no seam."""
     at = {"x": f"{x:.2f}", "y": f"{y:.2f}"}
     size = {"width": f"{width:.2f}", "height": f"{height:.2f}"}
     style = f"fill:{colour};shape-rendering:crispEdges"
@@ -123,7 +123,7 @@ def write_label(
     anchor: str = "start",
     upright: bool = True,
 ) -> Markup:
-    """Return a line of text whose base line begins, is centred or ends at a place."""
+    """One line of text; (x, y) is the start, middle or end of its base line."""
     at = {"x": f"{x:.2f}", "y": f"{y:.2f}"}
     style = f"font-size:{size:g}px;fill:{colour};text-anchor:{anchor}"
     return _shape("label", **at, text=text, style=style, upright=upright)

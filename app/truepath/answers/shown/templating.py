@@ -22,16 +22,16 @@ View = dict[str, Any]
 
 
 class CompiledTemplates(FileSystemBytecodeCache):
-    """Compiled templates, in a folder of the user's own: each is compiled once."""
+    """Cache in a folder of the user's own, so that each template is compiled once."""
 
     def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep a compiled template, if the folder can be written."""
+        """Store a compiled template, if the folder can be written."""
         with suppress(OSError):  # then the next process compiles again
             super().dump_bytecode(bucket)
 
 
 def find_compiled() -> CompiledTemplates | None:
-    """Return the compiled templates, or None where no folder is the user's own."""
+    """None where no folder is the user's own."""
     try:
         return CompiledTemplates()
     except (OSError, RuntimeError):
@@ -50,10 +50,10 @@ ENVIRONMENT.filters["plain"] = format_number  # pyright: ignore[reportUnknownMem
 
 
 def render_page(template: str, view: View) -> str:
-    """Return a whole page from a template of this room."""
+    """A whole page; `template` is a path below `templates`."""
     return ENVIRONMENT.get_template(template).render(view)
 
 
 def render_part(template: str, view: View) -> Markup:
-    """Return a part of a page, in which every text from outside is escaped."""
+    """Markup whose texts from outside are escaped."""
     return Markup(render_page(template, view))  # noqa: S704

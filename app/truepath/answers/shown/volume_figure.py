@@ -49,7 +49,7 @@ _CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
 def draw_volume(findings: Findings) -> Markup:
-    """Draw the deformed volume, and how the error is spread before and after."""
+    """The deformed volume, and the distribution of the error before and after."""
     return draw_image(
         _HEIGHT,
         "Left: the working volume with its errors exaggerated. Right: share of the "
@@ -59,13 +59,13 @@ def draw_volume(findings: Findings) -> Markup:
 
 
 def project(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
-    """Look at the volume from front, right and above; down is positive."""
+    """View from front, right and above; down is positive."""
     x, y, z = np.moveaxis(points_mm, -1, 0)
     return np.stack([0.88 * x + 0.47 * y, 0.22 * x - 0.34 * y - 0.93 * z], axis=-1)
 
 
 def mix_colour(shade: int, *, pale: bool = False) -> str:
-    """Return one of 32 shades, from small to large errors.
+    """One of 32 shades, from small to large errors, as `#rrggbb`.
 
     pale : mixed with white, for fields on which lines are drawn
     """
@@ -131,7 +131,6 @@ def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, 
 def _scale_to_scene(
     straight: Float64[np.ndarray, "l m 2"], bent: Float64[np.ndarray, "l m 2"]
 ) -> tuple[Float64[np.ndarray, "l m 2"], Float64[np.ndarray, "l m 2"]]:
-    """Return both as large as the scene holds, in its middle."""
     both = np.concatenate([straight, bent]).reshape(-1, 2)
     low, high = both.min(axis=0), both.max(axis=0)
     begin = np.array([_SCENE.left + 14.0, _SCENE.top])
@@ -144,7 +143,7 @@ def _scale_to_scene(
 def _draw_shaded(
     lines: Float64[np.ndarray, "l m 2"], shade: Int64[np.ndarray, "l k"]
 ) -> Iterator[Markup]:
-    """Yield the pieces of all lines, those of one shade as one shape."""
+    """The pieces of one shade are one shape."""
     begin, end = lines[:, :-1], lines[:, 1:]
     for number in np.unique(shade):
         mine = shade == number
@@ -154,7 +153,7 @@ def _draw_shaded(
 def _write_axis_names(
     straight: Float64[np.ndarray, "l m 2"], axes: tuple[LinearAxis, ...]
 ) -> Iterator[Markup]:
-    """Yield names beside edges in front; lines come an axis after the other."""
+    """Next to edges in front; `straight` has the lines of one axis after another."""
     per_axis = len(straight) // 3
     # X low and in front, Y low and on the right, Z in front and on the left.
     edges = (0, per_axis + per_axis - 4, 2 * per_axis)
@@ -209,6 +208,5 @@ def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
 def _start_at(
     lengths: Float64[np.ndarray, " n"], lowest: float
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Return lengths and their shares in % from the chart's left edge on."""
     share = np.linspace(0.0, 100.0, len(lengths))
     return np.maximum(lengths, lowest), share

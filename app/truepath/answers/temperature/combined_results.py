@@ -1,4 +1,4 @@
-"""Results of one machine in common terms: what all of them state."""
+"""Results of one machine in the parameters that all of them have."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class CombinedResults:
     """Parameters of each result, in the effects that all of them have.
 
     result : the mean of what is no parameter; its parameters are those of the first
-    left_out : what some results state and others do not, and the state that allows
+    left_out : sentences on what only some results have, with the state that allows
     """
 
     model: MachineModel
@@ -31,10 +31,10 @@ class CombinedResults:
 
 
 def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
-    """Put results of one machine side by side. Raises BadInput where nothing is common.
+    """Results restricted to common effects. Raises BadInput where none is.
 
     An effect is common where it has the same parameters in all. Lost motion is the mean
-    of those results that state it, where all do.
+    over the results, where all have it.
     """
     first = results[0].model
     common = [e for e in first.effects if all(_has(r.model, e) for r in results[1:])]
@@ -92,10 +92,6 @@ def _select(
 def _average_half_differences(
     results: Sequence[tuple[Tables, Sigmas]],
 ) -> tuple[Tables, Sigmas]:
-    """Return the mean of tables that all results state, and its uncertainty.
-
-    That is of what each states, and of what they scatter.
-    """
     mean: Tables = {}
     sigma: Sigmas = {}
     for name, (at, _) in results[0][0].items():
@@ -136,7 +132,6 @@ def _join_provenance(results: Sequence[CalibrationResult]) -> dict[str, object]:
 def _list_left_out(
     results: Sequence[CalibrationResult], names: set[str]
 ) -> tuple[tuple[State, str], ...]:
-    """Say which effects, and whose lost motion, only some results state."""
     every = {e.name: None for r in results for e in r.model.effects}
     told: list[tuple[State, str]] = []
     if missing := [name for name in every if name not in names]:

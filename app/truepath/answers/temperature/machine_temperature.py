@@ -1,4 +1,4 @@
-"""The temperature that a machine had when a result was measured, from its file."""
+"""Temperature of the machine when a result was measured, from its file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truepath.files.bundle.run import number_names
 from truepath.files.earlier.result_file import LARGEST_BYTES, result_from_json
 
 SCALES = ("X", "Y", "Z")
-THERMOMETER_K = 0.1  # of a usual thermometer, beside what all results share
+THERMOMETER_K = 0.1  # of a typical thermometer, without what all results share
 _EVEN = 12.0**0.5  # range of an even spread by its standard deviation
 
 
@@ -26,13 +26,14 @@ def read_machine_temperature(
     sensors: Sequence[str] = (),
     thermometer_k: float = THERMOMETER_K,
 ) -> tuple[float, float]:
-    """Return the temperature of a result and its standard uncertainty, °C and K.
+    """Temperature of a result and its standard uncertainty, °C and K.
 
     content : of a `result.json`; name : of the result, for errors
     sensors : whose mean is taken; those of the scales of its axes if none are given
 
-    Each Run counts by the time that it took. The uncertainty has that of the
-    thermometers and how far the machine warmed meanwhile: it was at no one temperature.
+    Runs are weighted by duration. The uncertainty combines that of the thermometers and
+    the change of temperature during the measurement.
+
     Raises BadInput where a sensor is missing.
     """
     wanted = sensors or [s for s in content["machine"]["axes"] if s in SCALES]
@@ -76,11 +77,11 @@ def read_results(
     sensors: Sequence[str] = (),
     thermometer_k: float = THERMOMETER_K,
 ) -> list[ResultAtTemperature]:
-    """Read results with the temperatures that they state.
+    """Read results with their temperatures.
 
-    names : of the results; their places where none are given
-    times_h : when each was measured, hours from any begin; None where nobody knows
-    degc : temperature of each, in place of what its file states
+    names : of the results; their paths where none are given
+    times_h : when each was measured, hours from any origin; None where unknown
+    degc : temperature of each, in place of that in its file
 
     Raises BundleError with the place in a file, BadInput where a temperature is
     missing, NotUsable where a result is not to be used.

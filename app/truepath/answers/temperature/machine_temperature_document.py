@@ -1,4 +1,4 @@
-"""How a machine of the catalogue depends on temperature, as JSON documents."""
+"""Dependence of a machine of the catalogue on temperature, as JSON documents."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def machine_temperature_json(
     sensors: Sequence[str],
     reference_degc: float,
 ) -> dict[str, Any]:
-    """Return what calibrations at several temperatures tell.
+    """Dependence on temperature from several calibrations.
 
     Raises BadInput, BundleError as `study_temperature` and `read_results`.
     """
@@ -45,7 +45,7 @@ def machine_temperature_json(
 def temperature_model_json(
     calibrations: Sequence[Calibration], sensors: Sequence[str], reference_degc: float
 ) -> Mapping[str, Any]:
-    """Return the content of `temperature.json`, as `truepath temperature` writes it.
+    """Content of `temperature.json`, as `truepath temperature` writes it.
 
     Raises BadInput, BundleError as `machine_temperature_json`.
     """
@@ -59,8 +59,7 @@ def _find_model(
     sensors: tuple[str, ...],
     reference_degc: float,
 ) -> tuple[Mapping[str, Any], Sequence[Mapping[str, Any]]]:
-    """Return the content of the model's file, and each calibration as it was taken."""
-    # Imported where it computes: the service itself carries no science.
+    # Imported on use: the service process does not load the numerical code.
     from truepath.answers.temperature.machine_temperature import read_results
     from truepath.answers.temperature.temperature_json import temperature_json
     from truepath.answers.temperature.temperature_model import study_temperature

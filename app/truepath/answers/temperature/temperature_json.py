@@ -1,6 +1,6 @@
-"""Errors over temperature as `temperature.json`, and in words.
+"""Errors over temperature as `temperature.json`, and in sentences.
 
-What of it makes the machine at a temperature is in `files.earlier.temperature_file`.
+The keys that give the machine at a temperature are in `files.earlier.temperature_file`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOT_TOLD = (
 
 
 def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
-    """Return the content of `temperature.json`."""
+    """The whole content of `temperature.json`."""
     model = study.model
     reference, machine = model.reference, model.machine
     G = build_number_rows(reference.model)
@@ -98,7 +98,7 @@ def _findings_json(study: TemperatureStudy) -> dict[str, Any]:
 
 
 def dependence_json(one: Dependence) -> dict[str, Any]:
-    """Return one error motion: whether it depends, and what scatters."""
+    """Significance and scatter of one error motion."""
     scatter = one.scatter
     freedom = scatter.freedom if np.isfinite(scatter.freedom) else None
     return {
@@ -116,7 +116,7 @@ def dependence_json(one: Dependence) -> dict[str, Any]:
 
 
 def coefficients_json(model: TemperatureModel) -> dict[str, Any]:
-    """Return the tables of the change per kelvin, units in their keys."""
+    """Tables of the change per kelvin, units in their keys."""
     tables = build_error_tables(model.coefficients, model.reference.measured)
     return {
         **{one.symbol: _columns_per_kelvin(one) for one in tables.tables},
@@ -156,7 +156,7 @@ def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
 
 
 def describe_study(study: TemperatureStudy) -> list[str]:
-    """Say what depends on temperature, and what may have made it besides."""
+    """Sentences on what depends on temperature, and on other possible causes."""
     low, high = study.model.measured_degc
     sure = [one for one in study.dependences if one.is_significant]
     told: list[str] = []

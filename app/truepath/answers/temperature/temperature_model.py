@@ -1,11 +1,11 @@
 """A machine's errors as they depend on its temperature, from several results.
 
-The line of each parameter is in `estimation.over_time.temperature_line`; here it is
-what a machine does: tables at any temperature and per kelvin, which error motions
-depend on temperature for sure, and by how much an axis grows. An error motion is said
-to depend only if the largest |coefficient| / uncertainty of its table is more than
-chance makes it, over the tables of all (Holm 1979): of a machine that does not depend,
-any at all is named with a chance of 5 % at most.
+The line of each parameter is in `estimation.over_time.temperature_line`; here it
+becomes properties of the machine: tables at any temperature and per kelvin, which error
+motions depend on temperature for sure, and by how much an axis grows. An error motion
+is said to depend only if the largest |coefficient| / uncertainty of its table is more
+than chance makes it, over the tables of all (Holm 1979): of a machine that does not
+depend, any at all is named with a chance of 5 % at most.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
 
 REFERENCE_DEGC = 20.0
-CHANCE = 0.05  # that any motion of a machine that does not depend is said to
+CHANCE = 0.05  # that any motion is named for a machine that does not depend
 FEWEST = 3
 POSITIONING = ("EXX", "EYY", "EZZ")
 _DRAWS = 4_000
 _DIFFERENT_K = 0.3  # temperatures that are less apart are one
 _MATTERS_UM_PER_M_K = 2.0  # of the longest travel: a sixth of what steel grows
-_ALIKE = 0.9  # correlation of time and temperature that cannot be told apart
+_ALIKE = 0.9  # correlation above which time and temperature are confounded
 
 
 @dataclass(frozen=True, slots=True)
 class ResultAtTemperature:
-    """A result, and the temperature that the machine had.
+    """A result, and the temperature of the machine.
 
-    sigma_k : standard uncertainty of it, beside what all results share
-    time_s : the middle of its measurement since any begin; None where nobody knows
+    sigma_k : its standard uncertainty, without what all results share
+    time_s : middle of its measurement from any origin; None where unknown
     """
 
     name: str
@@ -77,7 +77,7 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True)
 class Expansion:
-    """How much an axis grows, as its positioning shows it, µm/(m·K), k = 1."""
+    """Growth of an axis by its positioning, µm/(m·K), k = 1."""
 
     axis: str
     value_um_per_m_k: float
@@ -87,7 +87,7 @@ class Expansion:
 
 @dataclass(frozen=True)
 class TemperatureStudy:
-    """A temperature model with what speaks for it.
+    """A temperature model with its evidence.
 
     dependences : of each error motion, squareness and location
     volumetric_um_per_k : root mean square of the coefficient over the travel;
@@ -110,11 +110,11 @@ def study_temperature(
     range_degc: tuple[float, float] | None = None,
     matters_um_per_k: float | None = None,
 ) -> TemperatureStudy:
-    """Find how the errors of a machine depend on its temperature.
+    """Fit the dependence of a machine's errors on its temperature.
 
     range_degc : that the line is taken to hold for; the measured one if None
     matters_um_per_k : uncertainty (k = 2) of the coefficient, root mean square over the
-        travel, above which nothing is stated; if None 2 µm/(m·K) of the longest travel
+        travel, above which BadInput is raised; if None 2 µm/(m·K) of the longest travel
 
     Raises BadInput for fewer than three temperatures, temperatures too close together,
     results that share a Run or hold for other targets; BundleError for those of
@@ -241,7 +241,7 @@ def _list_tables(model: MachineModel) -> Iterator[TableRows]:
 def _test_dependences(
     line: TemperatureLine, tables: Sequence[TableRows]
 ) -> tuple[Dependence, ...]:
-    """Hold the largest coefficient of each table against what chance makes it."""
+    """Largest coefficient of each table, compared with samples without dependence."""
     count = len(line.value)
     rng = np.random.default_rng(1)
     found: list[tuple[str, float, float]] = []
@@ -269,7 +269,7 @@ def _test_dependences(
 
 
 def _select_significant(chances: Sequence[float]) -> list[int]:
-    """Return which chances are small among so many (Holm)."""
+    """Holm's step-down test."""
     chosen: list[int] = []
     for k in np.argsort(chances):
         if chances[k] * (len(chances) - len(chosen)) > CHANCE:
@@ -281,7 +281,7 @@ def _select_significant(chances: Sequence[float]) -> list[int]:
 def _widen_for_coverage(
     line: TemperatureLine, tables: Sequence[TableRows]
 ) -> Float64[np.ndarray, "q q"]:
-    """Return the covariance such that k = 2 covers 95 % of few results as well."""
+    """Covariance with which k = 2 covers 95 % of few results as well."""
     widening = np.ones(len(line.value))
     for one in tables:
         widening[one.part] = line.scatter[one.name].coverage
@@ -304,7 +304,7 @@ def _find_volumetric(
 
 
 def _list_expansions(model: TemperatureModel) -> Iterator[Expansion]:
-    """Yield the straight part of each axis' positioning, per kelvin."""
+    """The straight part of each axis' positioning, per kelvin."""
     result = model.coefficients.at_targets
     for motion in result.model.identifiable_motions:
         axis = motion.axis
@@ -326,7 +326,6 @@ def _list_expansions(model: TemperatureModel) -> Iterator[Expansion]:
 def _list_cautions(
     results: Sequence[ResultAtTemperature],
 ) -> Iterator[tuple[State, str]]:
-    """Yield what else may have made the differences, with the state it allows."""
     times = [one.time_s for one in results if one.time_s is not None]
     if len(times) < len(results):
         yield (

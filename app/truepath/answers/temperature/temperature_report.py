@@ -24,7 +24,7 @@ TEMPERATURE, REPORT = "temperature.json", "report.html"
 
 
 def write_temperature(study: TemperatureStudy, folder: str | Path) -> dict[str, Any]:
-    """Write `temperature.json` and `report.html`; return the content of the first."""
+    """The result is the content of `temperature.json`."""
     content = temperature_json(study)
     page = render_temperature_report(study).encode()
     write_files(Path(folder), {REPORT: page, TEMPERATURE: encode_json(content)})
@@ -32,7 +32,7 @@ def write_temperature(study: TemperatureStudy, folder: str | Path) -> dict[str, 
 
 
 def render_temperature_report(study: TemperatureStudy) -> str:
-    """Return the page."""
+    """One HTML page."""
     model = study.model
     return render_page(
         "temperature.html",
@@ -74,7 +74,6 @@ def render_temperature_report(study: TemperatureStudy) -> str:
 
 
 def _list_entries(model: TemperatureModel) -> Iterator[tuple[str, ...]]:
-    """Yield each entry at the reference and per kelvin, with U (k = 2)."""
     measured = model.reference.measured
     stated = build_error_tables(model.reference, measured)
     change = build_error_tables(model.coefficients, measured)

@@ -1,7 +1,7 @@
-"""How far a machine will be off the tables that its control has, and when too far.
+"""How far a machine will be off the tables in its control, and when that is too much.
 
-The control has the tables of the last Run, as one that was compensated then: what comes
-after is left in the work. It is time to calibrate again as soon as a limit has been
+The control has the tables of the last Run, as one that was compensated then: later
+changes remain in the work. It is time to calibrate again as soon as a limit has been
 exceeded with a chance of 5 %.
 """
 
@@ -22,7 +22,7 @@ from truepath.results.error_tables import ErrorTables, build_error_tables
 
 CHANCE = 0.05  # that the limit is exceeded, at which to calibrate again
 _GRADES = ("certain", 0.95), ("likely", 0.75), ("possible", 0.0)
-FEWEST_RUNS = 3  # two tell a difference, and nothing of its course
+FEWEST_RUNS = 3  # two give a difference, but not its course
 _STEPS = 64  # of the time that is looked ahead
 _DRAWS = 16  # of each share
 _FINE = 1e-7  # of the largest eigenvalue: shapes that no error over the travel shows
@@ -30,7 +30,7 @@ _FINE = 1e-7  # of the largest eigenvalue: shapes that no error over the travel 
 
 @dataclass(frozen=True, slots=True)
 class Quantiles:
-    """Median of a number with its 95 % interval."""
+    """Median with its 95 % interval."""
 
     median: float
     low: float
@@ -38,7 +38,7 @@ class Quantiles:
 
     @staticmethod
     def of(values: Float64[np.ndarray, " n"]) -> Quantiles:
-        """Return those of equal draws."""
+        """2.5 %, 50 % and 97.5 % of draws of equal weight."""
         low, median, high = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
         return Quantiles(median, low, high)
 
@@ -48,8 +48,8 @@ class TablesAt:
     """The machine at one time: from all Runs, with standard uncertainties.
 
     time_s : after the first Run; name : of the Run, empty for what is predicted
-    change_um : by how much it is off the tables of the last Run, root mean square over
-        the travel
+    change_um : difference from the tables of the last Run, root mean square over the
+        travel
     """
 
     time_s: float
@@ -60,14 +60,14 @@ class TablesAt:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """How far the machine will be off the tables of the last Run.
+    """Predicted difference of the machine from the tables of the last Run.
 
     time_s : (n,) after the first Run, from the last Run on
     median_um, high_um : (n,) root mean square over the travel, 50 and 95 % of courses
     state : `not-within-horizon` where the chance that the limit is exceeded stays below
         5 %; `due` where it reaches one half; `cannot-be-said` where it ends between;
-        `already` where what is not known at the last Run is too much by itself;
-        `not-known` where Runs are too few
+        `already` where the uncertainty at the last Run alone is too much; `not-known`
+        where Runs are too few
     due_s : when the chance that the limit has been exceeded reaches 5 %
     expected_s : when it reaches one half, if it does
     exceeded : the chance at the end, if a limit is stated and Runs are enough
@@ -84,7 +84,7 @@ class Outlook:
 
     @property
     def grade(self) -> str | None:
-        """How sure `due` or `not-within-horizon` is."""
+        """Certainty of `due` or `not-within-horizon`; None of other states."""
         if self.exceeded is None or self.state not in ("due", "not-within-horizon"):
             return None
         chance = max(self.exceeded, 1.0 - self.exceeded)
@@ -93,7 +93,7 @@ class Outlook:
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """Estimated courses, held against the tables of the last Run.
+    """Estimated courses, relative to the tables of the last Run.
 
     last : parameters that the control has; root : (p, r) whose product with parameters
         is a vector as long as the error's root mean square over the travel, mm
@@ -106,7 +106,7 @@ class LookAhead:
 
     @staticmethod
     def of(drift: Drift, runs: Course) -> LookAhead:
-        """Take the tables of the last Run as those that the control has."""
+        """With the tables of the last Run as those that the control has."""
         value, vector = np.linalg.eigh(compute_volumetric_gram(drift.data.basis.model))
         kept = value > _FINE * value[-1]
         root = vector[:, kept] * np.sqrt(value[kept])
@@ -114,16 +114,16 @@ class LookAhead:
         return LookAhead(drift, runs, last, root)
 
     def at_run(self, run: int) -> Course:
-        """Return the time of a Run."""
+        """Time and temperatures of a Run, counted from 0."""
         return Course(self.runs.time_s[run : run + 1], self.runs.celsius[run : run + 1])
 
     def at(self, *time_s: float) -> Course:
-        """Return later times, at the temperatures that stay."""
+        """After the last Run, at the constant temperatures."""
         celsius = np.zeros((len(time_s), self.runs.celsius.shape[1]))
         return Course(np.array(time_s), celsius)
 
     def state(self, at: Course, name: str, measured: Ranges) -> TablesAt:
-        """Return the machine at one time."""
+        """Tables and change at one time; name : empty of a prediction"""
         model = self.drift.data.basis.model
         estimated = EstimatedModel(model, *self.drift.predict(at))
         change = Quantiles.of(self._measure_change_um(at)[:, 0])
@@ -131,7 +131,7 @@ class LookAhead:
         return TablesAt(float(at.time_s[0]), name, tables, change)
 
     def look(self, limit: float | None, horizon_s: float) -> Outlook:
-        """Return when the machine is off by more than a limit, in µm."""
+        """Courses up to the horizon, and when the difference exceeds a limit in µm."""
         begin, runs = float(self.runs.time_s[-1]), len(self.runs.time_s)
         at = self.at(*(begin + np.linspace(0.0, horizon_s, _STEPS)).tolist())
         off_um = self._measure_change_um(at)
@@ -149,7 +149,6 @@ class LookAhead:
         return Outlook(at.time_s, median, high, limit, state, due, expected, end)
 
     def _measure_change_um(self, at: Course) -> Float64[np.ndarray, "c t"]:
-        """Return how far drawn courses are off the tables of the last Run."""
         drawn = self.drift.draw(at, self.root, _DRAWS)
         off = drawn - self.last @ self.root
         return UM_PER_MM * np.linalg.norm(off, axis=2)
@@ -158,7 +157,7 @@ class LookAhead:
 def _find_crossing(
     time_s: Float64[np.ndarray, " n"], share: Float64[np.ndarray, " n"], level: float
 ) -> float | None:
-    """Return when a share that never falls reaches a level, between steps by line."""
+    """Interpolated between steps; share : never falls"""
     k = int(np.searchsorted(share, level))
     if k == len(share):
         return None

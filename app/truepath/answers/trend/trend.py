@@ -1,6 +1,6 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
-Each Run is estimated alone; what all tell together of the course of each entry is in
+Each Run is estimated alone; the course of each entry over all is in
 `estimation.over_time.drift`, and when to calibrate again in `outlook`.
 """
 
@@ -41,7 +41,7 @@ from truepath_drivers.interfaces.records import TemperatureSamples
 
 HOUR_S = 3600.0
 HORIZON_S = 24.0 * HOUR_S
-# Usual size of a state: what it moves an error motion by over the travel.
+# Typical size of a state: what it moves an error motion by over the travel.
 USUAL_UM = 10.0
 SCHEMA = "trend/1"
 NOT_TOLD = (
@@ -66,12 +66,12 @@ _KEYS = {
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is asked of the time after the last Run; times are since that.
+    """Request for the time after the last Run; times are since that.
 
-    at_s : the middle of each Run since any begin; None to take it from the clocks
+    at_s : the middle of each Run from any origin; None to take it from the clocks
     limit_um : root mean square over the travel that the machine may be off
-    horizon_s : how far to look; later_s : when the tables are predicted
-    celsius : temperatures that stay from the last Run on, by sensor; where none are
+    horizon_s : length of the forecast; later_s : when the tables are predicted
+    celsius : constant temperatures from the last Run on, by sensor; where none are
         given, temperatures are not used
     """
 
@@ -83,7 +83,7 @@ class Question:
 
     @staticmethod
     def of(asked: Mapping[str, Any]) -> Question:
-        """Read it from JSON, times in hours; what is left out is as by default."""
+        """From JSON, times in hours; missing keys have the defaults."""
         at_h, horizon_h = asked.get("at_h"), asked.get("horizon_h")
         return Question(
             None if at_h is None else tuple(HOUR_S * hours for hours in at_h),
@@ -96,7 +96,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """What several Runs say of a machine over time.
+    """A machine over several Runs.
 
     sensors : temperatures that were used
     sizes : of the states, in µm for µm-entries, and time constants in s
@@ -118,7 +118,7 @@ def follow_machine(
     *,
     on_progress: Progress = ignore_progress,
 ) -> Trend:
-    """Follow a machine over Runs.
+    """Estimate each Run, then the course over all.
 
     Raises BadInput if a Run is given twice, if they are not of one machine with the
     same targets, or if their order of time is not known.
@@ -179,9 +179,9 @@ def _make_course(
     since_s: Float64[np.ndarray, " n"],
     question: Question,
 ) -> tuple[tuple[str, ...], Course]:
-    """Return the sensors used and the Runs' times with their mean temperatures.
+    """The sensors used and the Runs' times with their mean temperatures.
 
-    Temperatures are stated from those that stay after the last Run.
+    Temperatures are relative to the constant ones after the last Run.
     """
     if not question.celsius:
         return (), Course(since_s, np.zeros((len(runs), 0)))
@@ -228,7 +228,7 @@ def _state_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
 
 
 def trend_json(trend: Trend) -> dict[str, Any]:
-    """Return the content of `trend.json`."""
+    """The whole content of `trend.json`."""
     return {
         "schema": SCHEMA,
         "machine": machine_to_json(trend.machine),
@@ -251,7 +251,7 @@ def trend_json(trend: Trend) -> dict[str, Any]:
 
 
 def describe_outlook(outlook: Outlook) -> str:
-    """Say when to calibrate again."""
+    """One sentence on when to calibrate again."""
     if outlook.state == "not-known":
         return "When to calibrate again is not known: too few Runs, give three or more."
     if outlook.limit_um is None:

@@ -46,7 +46,7 @@ _STATES = {
 
 
 def write_trend(trend: Trend, folder: str | Path) -> dict[str, Any]:
-    """Write `trend.json` and `report.html`; return the content of the first."""
+    """The result is the content of `trend.json`."""
     content = trend_json(trend)
     page = render_trend_report(trend).encode()
     write_files(Path(folder), {REPORT: page, TREND: encode_json(content)})
@@ -54,7 +54,7 @@ def write_trend(trend: Trend, folder: str | Path) -> dict[str, Any]:
 
 
 def render_trend_report(trend: Trend) -> str:
-    """Return the page."""
+    """One HTML page."""
     times = (*trend.at_runs, *trend.later)
     return render_page(
         "trend.html",
@@ -79,7 +79,7 @@ def render_trend_report(trend: Trend) -> str:
 
 
 def draw_outlook(outlook: Outlook) -> Markup:
-    """Draw how far the machine is off with time, with the limit."""
+    """Difference from the tables over time, with the limit."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     hours = outlook.time_s / HOUR_S
     top = float(max(outlook.high_um.max(), outlook.limit_um or 0.0))
@@ -106,7 +106,6 @@ def draw_outlook(outlook: Outlook) -> Markup:
 
 
 def _list_entries(times: tuple[TablesAt, ...]) -> list[tuple[str, ...]]:
-    """Return each entry with what is stated of it at each time."""
     rows: list[tuple[str, ...]] = []
     for number, table in enumerate(times[0].tables.tables):
         each = [at.tables.tables[number] for at in times]

@@ -1,8 +1,8 @@
-"""What standards state of standstills on lines: ISO 230-2 and -6.
+"""Figures of standards for standstills on lines: ISO 230-2 and -6.
 
-Positions that follow one another on a straight line are a line: of one axis alone it is
-a test of ISO 230-2, of two or three in proportion a diagonal of ISO 230-6. The
-deviation is that along the line, target by target, by the side that it was come from:
+Consecutive positions on a straight line are a line: of one axis alone it is a test of
+ISO 230-2, of two or three in proportion a diagonal of ISO 230-6. The deviation is that
+along the line, target by target, by the side of approach:
 
     x̄↑, x̄↓ means and s↑, s↓ standard deviations over the runs, B = x̄↑ − x̄↓
     M  range of (x̄↑ + x̄↓)/2               mean bidirectional positioning deviation
@@ -12,7 +12,8 @@ deviation is that along the line, target by target, by the side that it was come
     B  largest |x̄↑ − x̄↓|                  reversal
 
 The tracker's noise is scatter as well, so A and R by the standard's formula are too
-large by an unknown part of it: the middle of what the noise leaves is stated.
+large by an unknown part of it: the middle of the interval that the noise allows is
+stated.
 """
 
 from __future__ import annotations
@@ -47,8 +48,7 @@ class LineFigures:
     begin_mm, end_mm : (a,) positions of its first and last target
     position_mm : (t,) of targets along it; runs : of each direction at the least
     forward_um, backward_um : (t,) means
-    figures, uncertainty_um : by name, k = 1; own_um : what noise alone would make of
-        each figure
+    figures, uncertainty_um : by name, k = 1; own_um : each figure of noise alone
     predicted_um : by name, from the result, without R and A
     """
 
@@ -79,7 +79,7 @@ def evaluate_driven(
     measured: DrawnVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
 ) -> DrivenFigures:
-    """Return the figures of the lines and circles that places lie on."""
+    """Figures of lines and circles of standstills; those on the fly are left out."""
     order = np.flatnonzero(places.at.line < 0)
     position = places.at.position_mm[order]
     values = measured.select(order)
@@ -98,12 +98,6 @@ def evaluate_driven(
 
 @dataclass(frozen=True, slots=True)
 class _Passes:
-    """All passes of one line.
-
-    direction : (a,) unit; origin_mm : (a,) a point of it
-    place, sign : (k,) places that were come to along it, and from which side
-    """
-
     direction: Float64[np.ndarray, " a"]
     origin_mm: Float64[np.ndarray, " a"]
     place: Int64[np.ndarray, " k"]
@@ -111,7 +105,7 @@ class _Passes:
 
 
 def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
-    """Return the lines that three places in a row lie on, with all their passes."""
+    """Lines with three consecutive positions on them, with all their passes."""
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
     unit = step / np.maximum(length, _SAME_MM)[:, None]
@@ -152,7 +146,7 @@ def _evaluate_line(
     predicted_mm: Float64[np.ndarray, "n 3"],
     places: MeasuredPlaces,
 ) -> LineFigures | None:
-    """Return the figures of a line; None if it has too few targets or runs."""
+    """None if it has too few targets or runs, or if a rotary axis turns."""
     machine = places.at.machine
     linear = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
     direction = passed.direction[linear]
@@ -207,7 +201,6 @@ def _evaluate_line(
 def _group_by_target(
     along_mm: Float64[np.ndarray, " k"], sign: Float64[np.ndarray, " k"]
 ) -> tuple[Float64[np.ndarray, " t"], tuple[Rows, Rows]] | None:
-    """Return targets that were come to from both sides, and the passes of each."""
     forward: Rows = []
     backward: Rows = []
     at_mm: list[float] = []
@@ -223,9 +216,9 @@ def _group_by_target(
 
 
 def _split_at_gaps(along_mm: Float64[np.ndarray, " k"]) -> Rows:
-    """Return the passes of each place, the lowest first.
+    """Passes of each target, the lowest first.
 
-    Passes of one place differ by rounding: a place must not depend on which side of a
+    Passes of one target differ by rounding: a target must not depend on which side of a
     rounded number it falls.
     """
     order = np.argsort(along_mm, kind="stable")

@@ -1,19 +1,20 @@
-"""A result held against a measurement that it was not made from.
+"""A result compared with a measurement that it was not made from.
 
-The tracker stands anywhere, so its pose is taken out of the measurement and of the
-prediction in the same way: both are stated less their best-fit rigid motion over the
-measured places, each component counting the same. Then, at each place,
+The station of the tracker is arbitrary, so its pose is removed from the measurement and
+from the prediction in the same way: both are stated less their best-fit rigid motion
+over the measured points, each component counting the same. Then, at each point,
 
-    measured   what the machine is off its nominal now
-    predicted  what the result says it is off, with what a controller adds if it does
+    measured   displacement of the machine from nominal now
+    predicted  that by the result, with what a controller adds if it does
     deviation  measured less predicted
 
-A tolerance is held against measured and against the deviation by ISO 14253-1, with the
+Measured and deviation are tested against a tolerance by ISO 14253-1, with the
 uncertainty of the measurement alone: the truth is compared with what was stated. It has
-the noise of each place, and what all places share: the scale of air and tracker, and
-what a tracker within its specification adds. That of the calibrating measurement is in
-the result's own uncertainty; of both nothing is taken to be the same, as if the tracker
-were another one.
+the noise of each point, and what all points share: the scale of air and tracker, and
+the errors of a tracker within its specification. That of the calibrating measurement is
+in the result's own uncertainty; nothing is taken to be common to both, as if the
+tracker were another one.
+
 Whether the result's own uncertainty is right is another question: deviations are
 consistent if χ² = dᵀ (V + J C Jᵀ)⁻¹ d, pose and seats fitted, is what V of the
 measurement and C of the result allow.
@@ -82,7 +83,7 @@ from truepath.results.verdict import judge_air, judge_sensors
 
 @dataclass(frozen=True, slots=True)
 class VerifiedRun:
-    """A Run, or a part of one that went on, that a result was held against.
+    """A Run, or a part of a continued one, that a result was compared with.
 
     samples : used and offered
     scale_ppm : standard uncertainty that all its lengths have in common
@@ -97,14 +98,14 @@ class VerifiedRun:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What a measurement says of a result.
+    """Comparison of a result with a measurement.
 
-    run_verdict : what is wrong with the measurement itself
+    run_verdict : on the measurement itself
     deviation : its covariance is that of the measurement; combined_mm2 with the result
     statistics : of lengths: `measured`, `predicted`, `deviation`
     conformity : of `measured` and `deviation` where there is a tolerance
     driven : figures of ISO 230-2, -4 and -6 where lines and circles were measured
-    circles : that were driven on the fly
+    circles : those executed on the fly
     """
 
     result: CalibrationResult
@@ -133,14 +134,14 @@ def verify(
     correction: Correction | None = None,
     on_progress: Progress = ignore_progress,
 ) -> Verification:
-    """Hold a result against a Run that it was not made from, or against its parts.
+    """Compare a result with a Run that it was not made from, or with its parts.
 
     first_row : of the plan, that each part of a Run begins with
     tolerance_um : largest length that a deviation may have
-    correction : what the controller added while it was measured, if it did
+    correction : what the controller added during the measurement, if it did
 
     Raises BadInput if the result was made from this Run, BundleError if it is of
-    another machine, EstimationError if the data do not carry the answer.
+    another machine, EstimationError if the data do not determine the answer.
     """
     on_progress(0.0, "aligning")
     summaries = [summarize_run(run) for run in runs]
@@ -191,7 +192,6 @@ def verify(
 
 
 def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
-    """Raise Unidentifiable where places do not tell where the tracker stands."""
     for places in parts:
         if len(places.owner) <= places.nuisance.shape[1]:
             raise Unidentifiable(
@@ -217,7 +217,6 @@ def _refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
 
 
 def _refuse_turning(machine: Machine) -> None:
-    """Raise BadInput where what a controller adds is not along the tracker's frame."""
     from_base = machine.tracker.stands_on == "base" and machine.workpiece_side
     if machine.rotary_axes or from_base:
         raise BadInput(
@@ -292,7 +291,6 @@ def _decide(
     known_by: float,
     tolerance_um: float | None,
 ) -> dict[str, PlaceConformity]:
-    """Return whether the machine and the prediction of it keep to a tolerance."""
     if tolerance_um is None:
         return {}
     return {
@@ -315,9 +313,9 @@ class _PartOfRun:
 
 def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfRun]:
     # The parts of an interrupted verification are aligned separately. Every standstill
-    # counts once, in the last part that begins before it: it is come to as planned only
-    # where the one before it was driven as well, so the first of a further part that an
-    # earlier part has measured only leads to the next.
+    # counts once, in the last part that begins before it: its approach is as planned
+    # only where the previous row was executed as well, so the first row of a further
+    # part that an earlier part has measured only leads to the next.
     seen = [align_all([run], [run.name])[0] for run in runs]
     begins: list[int] = []
     parts: list[_PartOfRun] = []

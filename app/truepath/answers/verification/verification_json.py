@@ -28,7 +28,7 @@ _DIRECTIONS = "XYZ"
 
 
 def verification_json(found: Verification) -> dict[str, Any]:
-    """Return the content of `verification.json`.
+    """Content of `verification.json`, except `compensation` and `asked`.
 
     Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
     """

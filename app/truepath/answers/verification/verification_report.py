@@ -60,9 +60,9 @@ def write_verification(
     *,
     compensation: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Write `verification.json` and `report.html`; return the content of the first.
+    """Write `verification.json` and `report.html`; gives the content of the first.
 
-    asked : what was asked for, to be repeated there
+    asked : the request, to be repeated there
     compensation : which files were active, `format` and `files_sha256` by name
     """
     content = {
@@ -76,7 +76,7 @@ def write_verification(
 
 
 def render_verification_report(found: Verification) -> str:
-    """Return the page."""
+    """One HTML page."""
     return render_page(
         "verification.html",
         {
@@ -135,7 +135,6 @@ def _list_directions(found: Verification) -> list[tuple[str, ...]]:
 
 
 def _state_line(one: LineFigures) -> list[tuple[str, ...]]:
-    """Return a row as measured, one of the noise alone, and one as predicted."""
     measured = (
         format_expanded(one.figures_um[name], one.uncertainty_um[name])
         for name in LINE_FIGURES
@@ -227,7 +226,6 @@ def _draw_line(one: LineFigures) -> View:
 
 
 def _state_moving_circle(one: CircleInMotion) -> list[tuple[str, ...]]:
-    """Return a row as measured, one of the noise alone, and one as predicted."""
     measured, commanded = one.measured, one.commanded
     own = [
         format_number(measured.own_um[name], 1) if name in measured.own_um else "—"

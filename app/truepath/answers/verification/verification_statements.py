@@ -1,4 +1,4 @@
-"""What a verification says, in sentences."""
+"""Findings of a verification, in sentences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DECISIONS = {
 
 
 def state_findings(found: Verification) -> Iterator[str]:
-    """Yield what the verification says, a sentence each, what matters most first."""
+    """One sentence per finding, the most important first."""
     state = "with its compensation active" if found.is_compensated else "as it is"
     for name, one in found.conformity.items():
         what = (
@@ -58,7 +58,7 @@ def state_findings(found: Verification) -> Iterator[str]:
 
 
 def _state_unseen(found: Verification) -> Iterator[str]:
-    """Yield what the lines leave unseen: an error along its line is in no figure."""
+    """An error along the line of travel is in no figure."""
     if found.places.is_whole:
         return
     yield (
@@ -74,7 +74,6 @@ def _state_unseen(found: Verification) -> Iterator[str]:
 
 
 def _state_resting(found: Verification) -> Iterator[str]:
-    """Yield which axes were not driven: what they do as they move was not measured."""
     if resting := found.places.resting_axes:
         yield (
             f"Not driven: {', '.join(resting)}. What the machine errs by as "
@@ -84,7 +83,6 @@ def _state_resting(found: Verification) -> Iterator[str]:
 
 
 def _state_air(run: VerifiedRun) -> str:
-    """Return who corrected the ranges for the air, and what is left of their scale."""
     return (
         "The ranges of the verifying measurement are "
         f"{describe_refraction(run.summary.refraction)}; "
@@ -119,7 +117,6 @@ def _state_agreement(found: Verification) -> str:
 
 
 def _state_scale(found: Verification) -> Iterator[str]:
-    """Yield what the scale of the map says, where it is not what is expected."""
     scale = found.scale
     if scale is None or scale.cause is None:
         return

@@ -42,7 +42,7 @@ log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
 _MIGRATIONS = Path(__file__).parents[1] / "migrations"
-_FULL = "disk is full", "No space left"  # as SQLite and PostgreSQL say it
+_FULL = "disk is full", "No space left"  # in messages of SQLite and PostgreSQL
 _DAMAGED = "malformed", "not a database"
 _PRAGMAS = (
     "journal_mode=WAL",
@@ -71,7 +71,7 @@ class Database:
 
     @contextmanager
     def read_snapshot(self) -> Iterator[Connection]:
-        """Open a view that stays the same over several queries, whoever writes."""
+        """Open a view that stays the same over several queries, despite writers."""
         with _as_storage_errors(), self.engine.connect() as raw:
             connection = raw
             if self.engine.dialect.name == "postgresql":
@@ -132,7 +132,7 @@ class Database:
         return Path(name) if is_file and name else None
 
     def check(self) -> str | None:
-        """Return the schema of the catalogue, None where there is none yet.
+        """Schema of the catalogue, None where there is none yet.
 
         Changes nothing. Raises SchemaTooNew, SchemaTooOld, CatalogueDamaged,
         CatalogueReadOnly.
@@ -149,7 +149,7 @@ class Database:
         return revision
 
     def ready(self) -> bool:
-        """Say whether the catalogue answers."""
+        """Whether the catalogue answers a query."""
         try:
             with self.read() as connection:
                 connection.execute(text("SELECT 1"))
@@ -279,7 +279,7 @@ def _fold_case(text: Any) -> Any:
 
 def _begin_sqlite(connection: Connection) -> None:
     # A transaction that will write takes the lock at once: upgrading a read to a write
-    # fails without waiting when somebody else wrote in between.
+    # fails without waiting when another connection wrote in between.
     options = connection.get_execution_options()
     if options.get("isolation_level") == "AUTOCOMMIT":
         return

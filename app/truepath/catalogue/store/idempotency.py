@@ -18,9 +18,9 @@ KEEP_KEYS_S = 24 * 3600
 
 @dataclass(frozen=True, slots=True)
 class IdempotencyKey:
-    """An Idempotency-Key, the body it came with, and whose it is.
+    """An Idempotency-Key, the body it came with, and its owner.
 
-    owner : name of the user; None where nobody logs in
+    owner : name of the user; None where there is no login
     """
 
     value: str
@@ -29,7 +29,7 @@ class IdempotencyKey:
 
     @property
     def kept(self) -> str:
-        """What it is kept as: two users may choose the same."""
+        """The stored form, separate by owner: two users may choose the same key."""
         if self.owner is None:
             return self.value
         return hashlib.sha256(f"{self.owner} {self.value}".encode()).hexdigest()
@@ -41,7 +41,7 @@ class IdempotencyKey:
 
 
 def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
-    """Return the job that a key has made, if any. Raises KeyReused."""
+    """None if the key has made no job in 24 h. Raises KeyReused."""
     is_own = idempotency_keys.c.key == key.kept
     is_young = idempotency_keys.c.created_s >= _find_oldest_s()
     query = select(idempotency_keys).where(is_own & is_young)
@@ -57,7 +57,7 @@ def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
 
 
 def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
-    """Keep which job a key has made."""
+    """Record which job a key has made."""
     of_before = idempotency_keys.c.key == key.kept
     connection.execute(delete(idempotency_keys).where(of_before))
     row = {"key": key.kept, "body_sha256": key.body_sha256, "job_id": job_id}
@@ -66,7 +66,7 @@ def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None
 
 
 def delete_old_keys(connection: Connection) -> None:
-    """Forget the keys that count no longer."""
+    """Delete the keys older than `KEEP_KEYS_S`."""
     old = idempotency_keys.c.created_s < _find_oldest_s()
     connection.execute(delete(idempotency_keys).where(old))
 

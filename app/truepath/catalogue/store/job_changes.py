@@ -1,4 +1,4 @@
-"""How a job may change: what each change makes of it, and what it is refused for.
+"""How a job may change: the effect of each change, and its errors.
 
 Each returns the same object where nothing changes.
 """
@@ -29,7 +29,7 @@ _ENDS_ASKED_FOR = {
 
 
 def ask_for(job: Job, verb: Verb) -> Job:
-    """Return the job with what a user asks for. Raises IllegalTransition."""
+    """The job after a user's request. Raises IllegalTransition."""
     state, desired = apply_verb(verb, job.state), _DESIRED_STATES[verb]
     if state is job.state and (job.is_final or job.desired_state == desired):
         return job
@@ -39,7 +39,7 @@ def ask_for(job: Job, verb: Verb) -> Job:
 def enter_state(
     job: Job, state: State, stage: Stage, progress: Progress, health: Health
 ) -> Job:
-    """Return the job in a state or a stage, as far as the table allows it."""
+    """The job in a state or a stage, if the table allows it; else unchanged."""
     allowed = job.state is state or may_follow(job.state, state)
     unchanged = (job.state, job.stage) == (state, stage)
     if not allowed or unchanged:
@@ -58,7 +58,7 @@ def enter_state(
 
 
 def set_failure(job: Job, failure: Failure | None) -> Job:
-    """Return the job with why the machine stands, held if it was resuming.
+    """The job with the reason why the machine stopped, paused if it was resuming.
 
     failure : None when the machine moves
     """
@@ -78,7 +78,7 @@ def end_job(
     progress: Progress,
     health: Health,
 ) -> Job:
-    """Return the job ended; an abort or cancelling under way wins over success."""
+    """The job ended; an abort or cancel in progress overrides success."""
     if job.is_final:
         return job
     asked = _ENDS_ASKED_FOR.get(job.state, state)
@@ -95,9 +95,9 @@ def end_job(
 
 
 def leave_end(job: Job, machine_version: int) -> Job:
-    """Return a measurement that was cut short, in preparation again.
+    """An interrupted measurement, in preparation again.
 
-    machine_version : of the configuration that it goes on with
+    machine_version : of the configuration that it continues with
     """
     return replace(
         job,
@@ -111,7 +111,7 @@ def leave_end(job: Job, machine_version: int) -> Job:
 
 
 def put_back(job: Job, *, in_order: bool = False) -> Job:
-    """Return the job queued again, or ended where it may not be begun once more.
+    """The job queued again, or ended where it may not be started once more.
 
     The same object where nothing changes. A job that measures is never passed here.
 
@@ -138,7 +138,7 @@ def put_back(job: Job, *, in_order: bool = False) -> Job:
 
 
 def require_version(job: Job, version: int) -> None:
-    """Raise StaleVersion if somebody has changed the job since that version."""
+    """Raise StaleVersion if the job has changed since that version."""
     if job.version != version:
         raise StaleVersion(version, job.version, job.state)
 
@@ -150,7 +150,7 @@ def refuse_to_measure_again(job: Job) -> None:
 
 
 def stamp_times(before: Job, after: Job) -> Job:
-    """Return the job after a change with when it started, or ended."""
+    """Set `started` or `ended` where the change is a start or an end."""
     if after.started is None and after.state is State.RUNNING:
         return replace(after, started=format_utc_now())
     is_end = after.is_final and not before.is_final

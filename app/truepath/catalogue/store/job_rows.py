@@ -33,19 +33,19 @@ MEASURED_WITHOUT_RUN = JOBS.where(
 
 
 def select_jobs(connection: Connection, query: Select[Any]) -> list[Job]:
-    """Return the jobs of a query on `JOBS`, in its order."""
+    """Jobs of a query on `JOBS`, in its order."""
     return [decode_job({**row}) for row in connection.execute(query).mappings()]
 
 
 def read_job(connection: Connection, job_id: str) -> Job:
-    """Return a job. Raises NotFound."""
+    """Raises NotFound."""
     for job in select_jobs(connection, JOBS.where(jobs.c.id == job_id)):
         return job
     raise NotFound(f"there is no job {job_id}")
 
 
 def find_analyses_of_one(connection: Connection) -> dict[str, str]:
-    """Return, by Run, the newest job with a result of that Run alone."""
+    """By Run, the newest job with a result of that Run alone."""
     query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
     query = query.where(jobs.c.state == str(State.SUCCEEDED))
     found: dict[str, str] = {}
@@ -57,7 +57,7 @@ def find_analyses_of_one(connection: Connection) -> dict[str, str]:
 
 
 def insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
-    """Add a job; return it with its goal, the time and its place among the jobs."""
+    """Add a job; the result has its goal, its time and its `seq`."""
     goal = State.READY if new.kind.measures else State.SUCCEEDED
     now = format_utc_now()
     job = replace(new, desired_state=str(goal), created=now)
@@ -80,7 +80,7 @@ def update_job(connection: Connection, before: Job, after: Job) -> None:
 
 
 def encode_columns(job: Job) -> dict[str, Any]:
-    """Return what the columns of a job hold, all but its place among the jobs."""
+    """Values of all columns of a job but `seq` and `plan`."""
     content = encode_job(job)
     del content["seq"]
     return content

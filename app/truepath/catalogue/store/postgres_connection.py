@@ -1,7 +1,7 @@
-"""Connections to PostgreSQL that do not wait for ever. The only place with psycopg.
+"""Connections to PostgreSQL with limited waits. The only place with psycopg.
 
-A server that is frozen, or a network that swallows, closes no connection: only a limit
-of our own ends the wait. Such a connection is closed, as nobody knows what it holds.
+A frozen server, or a network that drops packets, closes no connection: only a limit of
+our own ends the wait. Such a connection is closed, as its state is unknown.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Jobs, their events and their idempotency keys in the catalogue.
 
-Every change of state is compare-and-set on `version`, and its event stands in the same
+Every change of state is compare-and-set on `version`, and its event is in the same
 transaction. Progress is written without a new version: it must not make the version
-that an operator has read go stale.
+that an operator has read stale.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ Listener = Callable[[JobEvent], None]
 class Store:
     """The jobs; `listener` receives each event after its commit, in their order.
 
-    One that has ended counts as ended in every read, although the catalogue refuses to
-    store that and says that it runs.
+    A job that has ended counts as ended in every read, even while the catalogue cannot
+    store that and still has it as running.
     """
 
     def __init__(self, database: Database, listener: Listener) -> None:
@@ -109,7 +109,7 @@ class Store:
         return job, event is not None
 
     def add_recovered(self, job: Job, plan: Json | None) -> bool:
-        """Add a job that has ended as it is; False where there is one of its name."""
+        """Add a job that has ended, unchanged; False where its identifier exists."""
 
         def change(connection: Connection) -> bool:
             known = select(jobs.c.seq).where(jobs.c.id == job.id)
@@ -121,27 +121,27 @@ class Store:
         return self._database.write(change)
 
     def find_analyses_of_one(self) -> dict[str, str]:
-        """Return, by Run, the newest job with a result of that Run alone."""
+        """By Run, the newest job with a result of that Run alone."""
         with self._database.read() as connection:
             return find_analyses_of_one(connection)
 
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
-        """Return the job that a key has made, if any. Raises KeyReused."""
+        """None if the key has made no job in 24 h. Raises KeyReused."""
         with self._database.read() as connection:
             return find_job_by_key(connection, key)
 
     def get(self, job_id: str) -> Job:
-        """Return a job. Raises NotFound."""
+        """Raises NotFound."""
         ended = self._ended.copy()  # before reading: meanwhile it may be stored
         with self._database.read() as connection:
             return _see(read_job(connection, job_id), ended)
 
     def see(self, job: Job) -> Job:
-        """Return a job as the catalogue has it, but ended if it has."""
+        """A stored job, but ended if it has ended since."""
         return _see(job, self._ended)
 
     def keep_end(self, before: Job, ended: Job) -> Job:
-        """Let a job be seen as ended until `change` has stored it; the first counts."""
+        """Show a job as ended until `change` has stored it; the first call counts."""
         return self._ended.setdefault(before.id, stamp_times(before, ended))
 
     def forget_end(self, job_id: str) -> None:
@@ -149,16 +149,16 @@ class Store:
         self._ended.pop(job_id, None)
 
     def read_plan(self, job_id: str) -> Json | None:
-        """Return what a job commands or has planned, None if nothing or not yet."""
+        """Commanded rows of a job, or its finished plan; None if there are none yet."""
         content = self._read_plan_content(job_id)
         return content if "kind" in content else None
 
     def read_plan_request(self, job_id: str) -> Json:
-        """Return what is asked of the plan of a job, nothing if nothing is."""
+        """The request of a job that plans; empty for others."""
         return self._read_plan_content(job_id).get("request") or {}
 
     def keep_plan(self, job_id: str, plan: Json) -> None:
-        """Keep what has been planned beside what was asked."""
+        """Store a finished plan together with its request."""
         self._update(job_id, plan={"request": self.read_plan_request(job_id), **plan})
 
     def list_page(
@@ -173,7 +173,7 @@ class Store:
         since: datetime | None = None,
         until: datetime | None = None,
     ) -> list[Job]:
-        """Return jobs, the newest first, older than `before_seq`.
+        """Jobs, the newest first, older than `before_seq`.
 
         name : a part of it, in small letters or capitals
         since, until : created not before the one and before the other, with a zone
@@ -198,7 +198,7 @@ class Store:
         return [job for job in found if not states or job.state in states]
 
     def count_by_state(self) -> dict[tuple[JobKind, State], int]:
-        """Return how many jobs of each kind are in each state, of all times."""
+        """Number of jobs by kind and state, of all times."""
         query = select(jobs.c.kind, jobs.c.state, func.count())
         ended = self._ended.copy()
         with self._database.read() as connection:
@@ -212,29 +212,29 @@ class Store:
         return counts
 
     def list_unfinished(self) -> list[Job]:
-        """Return the jobs that have not ended, the oldest first."""
+        """Jobs that have not ended, the oldest first."""
         return [job for job in self._read(UNFINISHED) if not job.is_final]
 
     def list_with_result(self, machine: str) -> list[Job]:
-        """Return the jobs of a machine whose error tables stand, the oldest first."""
+        """Jobs of a machine with error tables, the oldest first."""
         own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
         found = self._read(JOBS.where(own).order_by(jobs.c.seq))
         return [job for job in found if job.has_result]
 
     def list_machines(self) -> list[str]:
-        """Return the machines that jobs are about."""
+        """Machines that jobs are about, sorted."""
         query = select(jobs.c.machine).where(jobs.c.machine.is_not(None)).distinct()
         with self._database.read() as connection:
             return sorted(str(one) for one in connection.execute(query).scalars())
 
     def find_newest_created(self) -> datetime | None:
-        """Return when the newest job was created, None without any."""
+        """None without any job."""
         with self._database.read() as connection:
             newest = connection.execute(select(func.max(jobs.c.created))).scalar()
         return None if newest is None else datetime.fromisoformat(newest)
 
     def list_without_run(self) -> list[Job]:
-        """Return the measurements that have ended and name no Run, but have one."""
+        """Ended measurements that name no Run, although there is one."""
         return self._read(MEASURED_WITHOUT_RUN)
 
     def change(
@@ -247,7 +247,7 @@ class Store:
     ) -> Job:
         """Replace a job by `change(job)`, stamped; the same object changes nothing.
 
-        ends : whether this stores the end that is seen already; nothing comes before
+        ends : whether this stores the end that is shown already; nothing comes before
 
         Raises StaleVersion if `version` is given and not the newest, IllegalTransition.
         """
@@ -308,16 +308,16 @@ class Store:
     def keep_progress(
         self, job_id: str, stage: Stage, progress: Progress, health: Health
     ) -> None:
-        """Keep how far a job is, without a new version."""
+        """Store the progress of a job, without a new version."""
         done = {"progress": asdict(progress), "health": asdict(health)}
         self._update(job_id, stage=str(stage), **done)
 
     def read_events_after(
         self, event_id: int, *, job_id: str | None = None
     ) -> list[JobEvent]:
-        """Return kept events in order, at most 500 after `event_id`.
+        """Stored events in order, at most 500 after `event_id`.
 
-        job_id : of the one job whose events are asked for; None for all
+        job_id : of the one job whose events are requested; None for all
         """
         query = select(events).where(events.c.id > event_id).order_by(events.c.id)
         if job_id is not None:
@@ -327,12 +327,12 @@ class Store:
             return [_decode_event(row) for row in kept]
 
     def read_last_event_id(self) -> int:
-        """Return the identifier of the newest event, 0 if there is none."""
+        """0 if there is no event."""
         with self._database.read() as connection:
             return connection.execute(select(func.max(events.c.id))).scalar() or 0
 
     def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
-        """Forget events and idempotency keys that nobody can still ask for."""
+        """Delete the oldest events, and expired idempotency keys."""
         last = self.read_last_event_id()
 
         def change(connection: Connection) -> None:

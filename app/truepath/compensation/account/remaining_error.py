@@ -1,4 +1,4 @@
-"""What the files of a format leave of the error, as their controller reads them.
+"""Error that remains with the files of a format, as their controller reads them.
 
 It is computed on a grid and between the rows of the tables.
 """
@@ -27,8 +27,8 @@ from truepath.results.volumetric_error import (
 
 GRID, EVEN = 5, 512  # positions an axis of the grid; those that fill the travel
 CLOSE = 4096  # that fill it for the mean of the map, whose own error is below its U
-_FEWEST = 12  # places that have a mean beside their rigid motion
-# Of a standard deviation that a file does not say how well it knows: 50 values.
+_FEWEST = 12  # positions for a mean in addition to their rigid motion
+# Of a standard deviation whose number of values a file does not state: 50 values.
 _UNSTATED_SCALE = 0.1
 SIDES = (1.0, -1.0)  # + and − direction
 COVERAGE = 2.0  # k of expanded uncertainties
@@ -37,10 +37,10 @@ COVERAGE = 2.0  # k of expanded uncertainties
 def sample_travel(
     errors: ErrorMap, count: int = EVEN
 ) -> tuple[Float64[np.ndarray, "n a"], Float64[np.ndarray, " n"]]:
-    """Return positions over the travel and what each counts in a mean, 1 in all.
+    """Positions over the travel and their weights in a mean; the weights sum to 1.
 
-    Those that count fill the travel evenly, between the rows of the tables; a grid with
-    the corners, where errors are largest, counts for the largest alone.
+    Positions with a weight fill the travel evenly, between the rows of the tables; a
+    grid with the corners, where errors are largest, counts for the largest alone.
     """
     grid = make_grid(errors.axes, GRID)
     position = np.tile(errors.middle_mm, (len(grid) + count, 1))
@@ -53,9 +53,9 @@ def remove_rigid_motion(
     error_mm: Float64[np.ndarray, "n 3 ..."],
     weight: Float64[np.ndarray, " n"] | None = None,
 ) -> Float64[np.ndarray, "n 3 ..."]:
-    """Remove the best-fit rigid motion, which is not an error of the machine.
+    """Subtract the best-fit rigid motion, which is not an error of the machine.
 
-    error_mm : of one map, or of many beside one another
+    error_mm : of one map, or of many along the last axes
     """
     root = np.sqrt(np.ones(len(position_mm)) if weight is None else weight)
     point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
@@ -68,14 +68,14 @@ def remove_rigid_motion(
 
 @dataclass(frozen=True, slots=True)
 class RemainingError:
-    """What the errors leave at positions over the travel, both directions, in mm.
+    """Remaining errors at positions over the travel, both directions, in mm.
 
-    position_mm : (n, 3 or more), of the straight axes or the tool, others after these
+    position_mm : (n, 3 or more), of the linear axes or the tool, others after these
     left_mm : (s, n, 3) of the map with the correction, without rigid motion
-    drawn_mm : (s, n, 3, d) what the map may be wrong by, drawn from its covariance
+    drawn_mm : (s, n, 3, d) errors of the map, sampled from its covariance
     is_measured : (n,) where every axis was measured
-    weight : (n,) what each position counts in a mean
-    scale : how well the size of what was drawn is known itself, k = 1, of 1
+    weight : (n,) of each position in a mean
+    scale : relative standard uncertainty of the size of the samples
     close : the map alone at positions so close that its mean is that of the travel;
         None where these are
     """
@@ -89,10 +89,10 @@ class RemainingError:
     close: RemainingError | None = None
 
     def state_map(self, *, measured: bool = False) -> dict[str, float]:
-        """Return mean and largest length of the map itself, µm.
+        """Mean and largest length of the map itself, µm.
 
-        measured : at the places alone where every axis was measured, if there are
-            enough; what is left has no rigid motion of these
+        measured : only at positions where every axis was measured, if there are enough;
+            their own rigid motion is removed
         """
         if measured and (part := self.keep_measured()) is not None:
             return part.state_map()
@@ -101,9 +101,10 @@ class RemainingError:
         return {"mean": mean, "largest": float(every.max())}
 
     def state(self, *, measured: bool = False) -> dict[str, float] | None:
-        """Return mean length, largest and standard uncertainty of the mean, µm.
+        """Mean length, largest length and standard uncertainty of the mean, µm.
 
-        As `state_map`, of errors that the measurement allows; None without such places.
+        As `state_map`, of errors that the measurement allows; None if there are too few
+        measured positions.
         """
         if measured:
             part = self.keep_measured()
@@ -121,10 +122,10 @@ class RemainingError:
         }
 
     def find_map_uncertainty_um(self) -> float:
-        """Return the standard uncertainty of the mean length of the map, µm.
+        """Standard uncertainty of the mean length of the map, µm.
 
-        What the measurement does not know makes the map longer than the error is: not
-        taken off, it counts as an uncertainty.
+        Unknown errors make the map longer than the error is. The excess is not
+        subtracted but counts as an uncertainty.
         """
         total = self.left_mm[..., None] + self.drawn_mm
         lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
@@ -132,28 +133,28 @@ class RemainingError:
         return float(np.hypot(mean.std(), mean.mean() - self.average_map_um()))
 
     def find_difference_um(self, other: RemainingError) -> float:
-        """Return the root mean square length of what two corrections differ by."""
+        """Root mean square length of the difference of two corrections, µm."""
         return self._average_um((self.left_mm - other.left_mm) ** 2)
 
     @property
     def rms_um(self) -> float:
-        """Root mean square of the length that the map leaves."""
+        """Root mean square length of the remaining map, µm."""
         return self._average_um(self.left_mm**2)
 
     @property
     def unknown_um(self) -> float:
-        """Root mean square of the length that the measurement does not know."""
+        """Root mean square length of the sampled errors, µm."""
         return self._average_um(np.mean(self.drawn_mm**2, axis=3))
 
     def average_map_um(self) -> float:
-        """Return the mean length of the map at these positions."""
+        """Mean length of the map at these positions, µm."""
         every = UM_PER_MM * np.linalg.norm(self.left_mm, axis=2)
         return float(np.average(every.mean(axis=0), weights=self.weight))
 
     def keep_measured(self) -> RemainingError | None:
-        """Return what is left where every axis was measured; None at too few places.
+        """Part at positions where every axis was measured; None if they are too few.
 
-        The rigid motion of errors that nobody measured is no part of it.
+        The rigid motion of unmeasured errors is no part of it.
         """
         kept = self.is_measured
         weight = self.weight[kept]
@@ -175,7 +176,6 @@ class RemainingError:
         )
 
     def _average_um(self, squares_mm2: Float64[np.ndarray, "k n 3"]) -> float:
-        """Return the root mean square length of squares over k sets of positions."""
         each = squares_mm2.sum(axis=2).mean(axis=0)
         return UM_PER_MM * float(np.sqrt(self.weight @ each))
 
@@ -183,12 +183,14 @@ class RemainingError:
 def expect_length(
     drawn: Float64[np.ndarray, " d"], of_map: float, scale: float
 ) -> tuple[float, float]:
-    """Return the expected length that is left, and its standard uncertainty.
+    """Expected remaining length, and its standard uncertainty.
 
-    drawn : lengths of errors that the measurement allows; of_map : that of the map
-    scale : how well the size of what was drawn is known itself, k = 1, of 1
+    drawn : sampled lengths of errors that the measurement allows; of_map : that of the
+        map
+    scale : relative standard uncertainty of the size of the samples
 
-    The uncertainty is the spread over what was drawn, and how well its size is known.
+    The uncertainty combines the spread of the samples and the uncertainty of their
+    size.
     """
     mean = float(drawn.mean())
     return mean, float(np.hypot(drawn.std(), scale * (mean - of_map)))
@@ -199,7 +201,7 @@ def find_remaining(
     measured: Mapping[str, MeasuredRange],
     correction: Correction | None = None,
 ) -> RemainingError:
-    """Return what is left of the errors with a correction, or without any."""
+    """Remaining error with a correction, or without any."""
     position, weight = sample_travel(errors)
     close, even = sample_travel(errors, CLOSE)
     scale = find_scale(errors.result)
@@ -227,10 +229,7 @@ def _find_left_mm(
     position: Float64[np.ndarray, "n a"],
     weight: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "s n 3"]:
-    """Return what the map leaves, without one rigid motion of both directions.
-
-    What lost motion is between them stays.
-    """
+    """Without one rigid motion of both directions: lost motion between them stays."""
     left: list[Float64[np.ndarray, "n 3"]] = []
     for side in SIDES:
         error = errors.error_mm(position, side)
@@ -253,10 +252,10 @@ def _find_measured(
 
 
 def find_scale(result: CalibrationResult) -> float:
-    """Return the relative uncertainty of a standard deviation of ν values, 1/√(2ν).
+    """Relative uncertainty of a standard deviation of ν values, 1/√(2ν).
 
-    ν are the independent values that the measurement has of its slow noise, which
-    decides how well errors are known (JCGM 100, E.4.3).
+    ν is the number of independent values of the slow noise in the measurement, which
+    dominates the uncertainty of the errors (JCGM 100, E.4.3).
     """
     if result.noise_freedom is None:
         return _UNSTATED_SCALE
@@ -266,7 +265,7 @@ def find_scale(result: CalibrationResult) -> float:
 def draw_errors_mm(
     errors: ErrorMap, position: Float64[np.ndarray, "n a"]
 ) -> Float64[np.ndarray, "s n 3 d"]:
-    """Return what the map may be wrong by in both directions, lost motion with it."""
+    """Sampled errors of the map in both directions, lost motion included."""
     at = make_standstill(errors.machine, position)
     J = errors.volumetric_map.jacobian(at).reshape(3 * len(position), -1)
     drawn = (J @ draw_parameters(errors.result.covariance)).reshape(
@@ -289,7 +288,7 @@ def remove_from_both(
     error_mm: Sequence[Float64[np.ndarray, "n 3 ..."]],
     weight: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "s n 3 ..."]:
-    """Return errors of each direction without their common rigid motion."""
+    """Errors of each direction without their common rigid motion."""
     every = remove_rigid_motion(
         np.concatenate([position] * len(error_mm)),
         np.concatenate(error_mm),

@@ -1,8 +1,8 @@
-"""What files leave of each rotary axis and of the error where all axes move.
+"""Remaining errors of each rotary axis, and of all axes together, with the files.
 
-Root mean squares over the travel. Before is the map of the result, after what the files
-leave of it; expected after is what they leave of errors that the measurement allows,
-drawn from its covariance, as in the account of straight axes.
+Root mean squares over the travel. Before is the map of the result, after what remains
+of it with the files; expected after is what remains of errors that the measurement
+allows, sampled from its covariance, as in the account of linear axes.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ NOT_STATED = "not in the result"
 _IN_FILES = "in the files: both directions of the table"
 _LEFT = "left by the files: they have no directions of this axis"
 _PLACES = 512  # all over the travel of all axes
-_SEED = 2  # of lost motion, which is drawn by itself
+_SEED = 2  # of lost motion, which is sampled separately
 
 
 @dataclass(frozen=True)
 class RotaryFiles:
-    """What files have of rotary axes, read back as the control has it.
+    """Rotary axes in files, read back as the control does.
 
     tables : as they were written; added : to rotary axes, by axis
-    located : location by symbol that the control knows, mm and rad
-    is_composed : it takes what the tables say away by its straight axes: the angle
-        stays, the tool is right
+    located : location by symbol in the control, mm and rad
+    is_composed : the control corrects the tool by its linear axes alone: the angle
+        stays
     """
 
     tables: tuple[RotaryTable, ...] = ()
@@ -75,7 +75,7 @@ class RotaryFiles:
 def read_rotary_files(
     kind: CompensationFormat, content: CompensationTables, files: Mapping[str, str]
 ) -> RotaryFiles:
-    """Return what the control of a format takes from its files. Raises BadInput."""
+    """The control's reading of its files. Raises BadInput."""
     return RotaryFiles(
         content.rotary,
         kind.read_rotary(files, content.machine),
@@ -85,10 +85,9 @@ def read_rotary_files(
 
 
 def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
-    """Return by axis what files leave of it, and what no file has.
+    """Remaining errors by axis, and symbols that no file contains.
 
-    Where nothing is known of a positioning or a location, it is left out; of lost
-    motion that is said.
+    An unknown positioning or location is left out; unknown lost motion is reported.
     """
     sample = _Sample(errors)
     rows = {table.axis.name: table for table in files.tables}
@@ -112,7 +111,7 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
 def _draw_half_turns_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"], draws: int
 ) -> Float64[np.ndarray, "n d"]:
-    # What half the lost motion of an axis may be wrong by
+    # Sampled errors of half the lost motion of an axis
     sigma = errors.half_turn_sigma_rad(axis.name, at_deg)
     rng = np.random.default_rng([_SEED, TURNS.index(axis.name)])
     return np.outer(sigma, rng.standard_normal(draws))
@@ -120,8 +119,6 @@ def _draw_half_turns_rad(
 
 @dataclass(frozen=True)
 class _Sample:
-    """Positions over the travel of all axes, and what the result may be wrong by."""
-
     errors: ErrorMap
 
     @cached_property
@@ -137,11 +134,9 @@ class _Sample:
         return draw_parameters(self.errors.result.covariance)
 
     def read(self, axis: RotaryAxis) -> Float64[np.ndarray, " n"]:
-        """Return the positions of an axis."""
         return self.position[:, self.errors.machine.axis_names.index(axis.name)]
 
     def draw_positioning(self, axis: RotaryAxis) -> Float64[np.ndarray, "n d"]:
-        """Return what its positioning may be wrong by, rad."""
         model, own = self.errors.result.model, f"E{axis.name}{axis.name}"
         (motion,) = (one for one in model.identifiable_motions if one.symbol == own)
         at_deg = keep_to_measured(self.errors, axis, self.read(axis))
@@ -154,7 +149,7 @@ class _Sample:
         drawn: Float64[np.ndarray, "n k d"],
         scale: float,
     ) -> dict[str, float]:
-        """Return root mean squares of lengths over n places, in a unit of `scale`."""
+        """Root mean squares of lengths over n positions, in a unit of `scale`."""
         of_map = scale * float(_rms(after[:, :, None])[0])
         each = scale * _rms(after[:, :, None] + drawn)
         expected, sigma = expect_length(each, of_map, find_scale(self.errors.result))
@@ -238,9 +233,9 @@ def _measure_lost_motion(
 def _measure_location(
     sample: _Sample, axis: RotaryAxis, read: Mapping[str, float]
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Yield what the location of an axis does at the tool.
+    """Effect of an axis' location at the tool.
 
-    read : location by symbol (mm, rad), as the control has it from the files
+    read : location by symbol (mm, rad) in the control, from the files
     """
     slices = sample.errors.result.model.slices
     (place,) = (p for p in find_places(sample.errors) if p.axis.name == axis.name)
@@ -270,12 +265,12 @@ def _list_unwritten(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
 def measure_over_axes(
     errors: ErrorMap, correction: Correction, files: RotaryFiles
 ) -> dict[str, Any] | None:
-    """Return the mean length of the error, µm; None for a machine of straight axes.
+    """Mean length of the error over all axes, µm; None for a machine of linear axes.
 
-    correction : what the control adds to straight axes; files : what else it does
+    correction : added by the control to linear axes; files : of rotary axes
 
     Before and after are of the map; expected after is of errors that the measurement
-    allows, as in the account of straight axes.
+    allows, as in the account of linear axes.
     """
     if not errors.machine.rotary_axes:
         return None
@@ -304,7 +299,6 @@ def measure_over_axes(
 def _find_error_mm(
     errors: ErrorMap, at: Conditions, side: float
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return the error in a direction of all axes, lost motion of rotary ones too."""
     error = errors.error_mm(at.position_mm, side)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
@@ -337,7 +331,6 @@ def _move(
 
 
 def _draw_errors_mm(errors: ErrorMap, at: Conditions) -> Float64[np.ndarray, "s n 3 d"]:
-    """Return what the map may be wrong by, lost motion of rotary axes with it."""
     drawn = draw_errors_mm(errors, at.position_mm)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]

@@ -38,7 +38,7 @@ _BLOCK = re.compile(
 
 
 class EtalonExchange(CompensationFormat):
-    """All error motions of all straight axes, one file."""
+    """All error motions of all linear axes, one file."""
 
     control = "Etalon Exchange, for the ISG kernel and Beckhoff TF5280"
     suffix = ".txt"
@@ -66,7 +66,7 @@ class EtalonExchange(CompensationFormat):
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file with a block a parameter."""
+        """One file with a block per parameter."""
         lines = [f"// {line}" for line in content.stamp]
         if direction := self._tool.find_direction(content.machine):
             for symbol, number in zip(TOOL_SYMBOLS, direction, strict=True):
@@ -76,7 +76,7 @@ class EtalonExchange(CompensationFormat):
         return {f"{content.stem}{self.suffix}": "\n".join([*lines, ""])}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return minus the error that the chain makes of the motions."""
+        """Minus the error of the chain from the motions."""
         ((name, text),) = files.items()
         blocks = dict(_read_blocks(name, text))
         known = {
@@ -115,7 +115,7 @@ def _write_axis(table: AxisTable) -> Iterator[str]:
 def _read_blocks(
     name: str, text: str
 ) -> Iterator[tuple[str, Float64[np.ndarray, "r 2"]]]:
-    """Yield (parameter, rows of position and value), a constant at position 0."""
+    """(parameter, rows of position and value); a constant is at position 0."""
     bare = "\n".join(line.partition("//")[0] for line in text.splitlines()).strip()
     end = 0
     while end < len(bare):

@@ -2,18 +2,18 @@
 
 Values are increments from one point to the next in small integers, so the running sum
 is rounded, not each increment. Point number `3620` is the reference point, at machine
-position 0 as parameter 1240 has it where nobody changed it; where that is out of the
-travel, increments of 0 lead to it. Number k is that of the section that ends k − 3620
-intervals above it, and comes out as a step in its middle; with interpolation, an
-option, it is spread over the section. A magnification keeps increments at 7 or below,
-which every control of this make takes.
+position 0 by the default of parameter 1240; where that is out of the travel, increments
+of 0 lead to it. Number k is that of the section that ends k − 3620 intervals above it,
+and comes out as a step in its middle; with interpolation, an option, it is spread over
+the section. A magnification keeps increments at 7 or below, which every control of this
+make accepts.
 
-With `3605`#0 negative travel has increments of its own, from number `3626` on, and
+With `3605`#0 negative travel has separate increments, from number `3626` on, and
 `3627` is their amount at the reference point; they count from the negative end as well.
 Their magnification is 1: no text at hand says whether it holds for 3627.
 
 Points have the numbers 0 to 1023 for all axes together, those of negative travel among
-them: where they do not suffice, the sections of all axes are longer.
+them: if they do not suffice, the sections of all axes are longer.
 
 The sign is assumed to be that of what is added to the command, and has to be tried at
 the machine. Source: FANUC B-63980EN, page 100; A-77810E, parameters 3605 to 3627.
@@ -90,7 +90,7 @@ class Fanuc(TableFormat):
     def limit_rows(
         self, axes: Sequence[LinearAxis], spacing_mm: float
     ) -> Mapping[str, int]:
-        """Return rows as far apart for all axes as the numbers of points make them."""
+        """The same spacing for all axes, given by the number of points."""
         sets, spacing = 2 if self._directions == "both" else 1, spacing_mm
         while True:
             rows = {
@@ -107,7 +107,7 @@ class Fanuc(TableFormat):
             spacing *= _WIDER
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return data and parameters of all axes. Raises BadInput."""
+        """Data and parameters of all axes. Raises BadInput."""
         tapes = self._make_tapes(content.tables)
         data = [f"N{_FIRST_DATA + k}P{step}" for tape in tapes for k, step in tape.data]
         parameters = [
@@ -130,7 +130,7 @@ class Fanuc(TableFormat):
         }
 
     def _make_tapes(self, tables: Sequence[AxisTable]) -> list[_Tape]:
-        """Return the tapes, each numbered on from the one before. Raises BadInput."""
+        """Each tape continues the numbers of the one before. Raises BadInput."""
         tapes: list[_Tape] = []
         for choose in (_choose_interval_mm, _round_spacing_mm):
             tapes = []
@@ -152,7 +152,7 @@ class Fanuc(TableFormat):
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
-        """Yield the summed increments of each axis, in mm."""
+        """Summed increments of each axis, mm."""
         return _read_pitch_tables(files, machine)
 
 
@@ -160,7 +160,7 @@ class Fanuc(TableFormat):
 class _Tape:
     """One axis: point numbers, interval, magnification, increments in order.
 
-    backward : of negative travel, none where the others hold for it
+    backward : of negative travel, empty where the others hold for it
     amount : of negative travel at the reference point, detection units
     """
 
@@ -178,7 +178,6 @@ class _Tape:
 
     @property
     def last(self) -> int:
-        """Last point of positive travel; those of negative travel begin beyond it."""
         return self.first + len(self.forward) - 1
 
     @property
@@ -186,13 +185,11 @@ class _Tape:
         return self.last + len(self.backward)
 
     def describe(self) -> str:
-        """Return how many sections there are, and how long."""
         twice = ", twice" if self.is_bidirectional else ""
         return f"{len(self.forward)} sections of {self.interval_mm:g} mm{twice}"
 
     @property
     def data(self) -> list[tuple[int, int]]:
-        """Increments by number of their point."""
         return list(enumerate((*self.forward, *self.backward), self.first))
 
 
@@ -222,7 +219,7 @@ def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> 
 def _round(
     table: AxisTable, wanted_mm: Float64[np.ndarray, " n"], magnification: int
 ) -> np.ndarray:
-    """Return sums in whole units. Raises BadInput where one step is too large."""
+    """Sums in whole units. Raises BadInput where one step is too large."""
     sums = np.rint(wanted_mm / (_UNIT_MM * magnification)).astype(int)
     if np.abs(np.diff(sums)).max() > _LARGEST:
         mean = ", or directions mean, which has one" if magnification == 1 else ""
@@ -239,9 +236,9 @@ def _steps(sums: np.ndarray) -> tuple[int, ...]:
 
 
 def _choose_interval_mm(table: AxisTable) -> float:
-    """Return an interval of whole micrometres, both ends of the travel on points.
+    """Interval of whole micrometres, with both ends of the travel on points.
 
-    Where none down to half the spacing does that, the last points are beyond the ends.
+    If none down to half the spacing does that, the last points are beyond the ends.
     """
     low, high = _find_span_mm(table.axis)
     below, above = round(-low / _UNIT_MM), round(high / _UNIT_MM)
@@ -256,31 +253,26 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
 
 def _round_spacing_mm(table: AxisTable) -> float:
-    """Return the spacing of the rows in whole micrometres, not below it."""
     low, high = _find_span_mm(table.axis)
     spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
     return math.ceil(spacing_mm / _UNIT_MM - 1e-6) * _UNIT_MM
 
 
 def _count_sections(axis: LinearAxis, rows: int) -> int:
-    """Return the sections of a tape whose table has so many rows over the travel."""
     low, high = _find_span_mm(axis)
     share = (high - low) / (axis.high - axis.low)
     return min(math.ceil((rows - 1) * share - 1e-9), Fanuc.most_points - 1)
 
 
 def _find_span_mm(axis: LinearAxis) -> tuple[float, float]:
-    """Return the ends of the sections: those of the travel, and the reference point."""
+    """Ends of the travel, extended to the reference point."""
     return min(axis.low, 0.0), max(axis.high, 0.0)
 
 
 def _read_pitch_tables(
     files: Mapping[str, str], machine: Machine
 ) -> Iterator[InterpolatedTable]:
-    """Yield the summed increments of each axis, in mm. Raises BadInput.
-
-    The reference point is at machine position 0.
-    """
+    """Raises BadInput. The reference point is at machine position 0."""
     data, parameters = (_find_tape(files, part) for part in ("-pitch", "-parameters"))
     increments, words = _read_data(data), _read_parameters(parameters)
     for index, axis in enumerate(machine.linear_axes):

@@ -1,4 +1,4 @@
-"""Plain tables of all error motions for software of one's own: CSV and JSON.
+"""Plain tables of all error motions for user software: CSV and JSON.
 
 A row is an axis, the direction it moves in, its position, and its six error motions
 there. Squareness is in the straightness and the target's offset in the displacements,
@@ -7,7 +7,7 @@ so that the error at positions p of the axes is, over the axes of the chain,
     δ = Σ E(p) + ω(p) × R,
 
 R the positions of the axes nearer to the tool; the correction is −δ. Tables are
-interpolated straight and hold their end values.
+interpolated linearly and hold their end values.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ where the tables are of a temperature model."""
 
 
 class GenericTables(CompensationFormat):
-    """All error motions of each straight axis, in both directions."""
+    """All error motions of each linear axis, in both directions."""
 
     most_points = 10_000
     carries = (
@@ -79,19 +79,19 @@ class GenericTables(CompensationFormat):
 
     @abstractmethod
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
-        """Return the text of the file."""
+        """Text of the file."""
 
     @abstractmethod
     def read_rows(self, name: str, text: str) -> Iterator[Row]:
-        """Yield the rows of the file. Raises BadInput."""
+        """Raises BadInput."""
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file for all axes."""
+        """One file for all axes."""
         rows = list(_list_all_rows(content))
         return {f"{content.stem}{self.suffix}": self.write_rows(content, rows)}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return minus the error that the chain makes of the motions."""
+        """Minus the error of the chain from the motions."""
         ((name, text),) = files.items()
         found: dict[tuple[str, float], list[list[float]]] = {}
         for axis, side, at_mm, motions in self.read_rows(name, text):
@@ -116,7 +116,7 @@ class GenericCsv(GenericTables):
     suffix = ".csv"
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
-        """Return comments, names of columns, rows."""
+        """Comments, column names, rows."""
         text = io.StringIO()
         text.writelines(f"# {line}\n" for line in content.stamp)
         writer = csv.writer(text, lineterminator="\n")
@@ -127,7 +127,7 @@ class GenericCsv(GenericTables):
         return text.getvalue()
 
     def read_rows(self, name: str, text: str) -> Iterator[Row]:
-        """Yield the rows below the names of the columns."""
+        """Rows below the column names."""
         lines = [line for line in text.splitlines() if not line.startswith("#")]
         header, *rows = csv.reader(lines)
         _require_columns(name, header)
@@ -136,13 +136,13 @@ class GenericCsv(GenericTables):
 
 
 class GenericJson(GenericTables):
-    """One document: what the tables are of, and rows by axis and direction."""
+    """One document: origin of the tables, and rows by axis and direction."""
 
     control = "Plain table, JSON"
     suffix = ".tables.json"  # STEM.json is the account
 
     def write_rows(self, content: CompensationTables, rows: Sequence[Row]) -> str:
-        """Return the document, a row of motions a line."""
+        """A document with one line per row of motions."""
         document: dict[str, Any] = {
             "schema": "compensation-tables/1",
             "stamp": list(content.stamp),
@@ -154,7 +154,7 @@ class GenericJson(GenericTables):
         return json.dumps(document, indent=1) + "\n"
 
     def read_rows(self, name: str, text: str) -> Iterator[Row]:
-        """Yield the rows of the document."""
+        """Rows of the document."""
         document = json.loads(text)
         _require_columns(name, document.get("columns") or [])
         for axis, side, at_mm, *motions in document["rows"]:
@@ -163,14 +163,14 @@ class GenericJson(GenericTables):
     def list_places(
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
-        """Return all that the result has."""
+        """All locations that the result has."""
         del machine
         return list_stated_locations(places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
-        """Return the locations that the document states."""
+        """Locations of rotary axes in the document, mm and rad."""
         (text,) = files.values()
         stated = json.loads(text).get("rotary_axes", {}).values()
         units = {"um": 1e-3, "urad": 1e-6}
@@ -182,7 +182,7 @@ class GenericJson(GenericTables):
 
 
 def _describe_places(places: Sequence[AxisPlace]) -> dict[str, Any]:
-    """Return where rotary axes are, at the zero of all axes; nothing without any."""
+    """At the zero of all axes; empty without rotary axes."""
     scale = {"um": 1e3, "urad": 1e6}
     found = {
         place.axis.name: {
@@ -222,7 +222,7 @@ def _list_all_rows(content: CompensationTables) -> Iterator[Row]:
 
 
 def _list_rows(table: AxisTable) -> Iterator[Row]:
-    """Yield both directions; 0 where the reference is come to in + direction."""
+    """0 where the reference is reached in + direction."""
     half, own = np.zeros_like(table.forward_mm), table.own
     half[:, own] = 0.5 * (table.forward_mm - table.backward_mm)[:, own]
     for side, sign in _SIDES.items():

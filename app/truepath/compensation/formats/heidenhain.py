@@ -1,11 +1,11 @@
-"""Heidenhain TNC: a `.COM` table an axis and the `config.cma` that activates them.
+"""Heidenhain TNC: a `.COM` table per axis and the `config.cma` that activates them.
 
 Columns `AXISPOS`, `BACKLASH` and one for each axis that is corrected: [axis of the
 column] = F(axis of the file). The manual has "the compensation values measured in the
 negative direction of traverse" in BACKLASH: whether that is the value in negative
 travel or what is added to the other there is a choice, and the column is left out where
-direction plays no part. The values are those of the error curve, which the control
-takes away. That has to be tried at the machine all the same; so have the bytes of the
+direction has no effect. The values are those of the error curve, which the control
+subtracts. That has to be tried at the machine all the same; so do the bytes of the
 header, for which a file of that machine is the model. Sources: MANUALplus 620 Technical
 Manual, pages 716 to 718; of the sign TNC 407 Technical Manual, pages 152 and 153, TNC
 306, page 121, iTNC 530 HSCI, pages 680 and 684.
@@ -43,7 +43,7 @@ _WORDS = {
 
 
 class Heidenhain(TableFormat):
-    """A table an axis: positioning with backlash, straightness, squareness."""
+    """A table per axis: positioning with backlash, straightness, squareness."""
 
     control = "Heidenhain TNC"
     suffix = ".com"
@@ -81,7 +81,7 @@ class Heidenhain(TableFormat):
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return `STEM-X.com` for each axis, and `config.cma`."""
+        """`STEM-X.com` for each axis, and `config.cma`."""
         names = {t.axis.name: f"{content.stem}-{t.axis.name}" for t in content.tables}
         files = {
             f"{names[t.axis.name]}{self.suffix}": _write_table(
@@ -94,7 +94,7 @@ class Heidenhain(TableFormat):
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
-        """Yield the tables named by `config.cma`."""
+        """Tables named in `config.cma`. Raises BadInput."""
         known = {name.lower(): text for name, text in files.items()}
         if _CONFIG not in known:
             raise BadInput(f"{_CONFIG} is missing: it names the table of each axis")
@@ -151,7 +151,6 @@ def _read_rows(text: str) -> list[dict[str, str]]:
 def _read_columns(
     axis: str, rows: list[dict[str, str]], reading: str
 ) -> Iterator[InterpolatedTable]:
-    """Yield the columns of an axis, its own by direction where BACKLASH stands."""
     columns = {
         n: np.array([float(row[n]) for row in rows])
         for n in rows[0]

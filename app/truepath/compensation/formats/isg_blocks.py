@@ -27,7 +27,7 @@ Block = tuple[str, Float64[np.ndarray, "r c"]]
 
 
 def write_block(table: AxisTable) -> Iterator[str]:
-    """Yield the lines of an axis, of two arguments where it has a table of a pair."""
+    """Lines of an axis; two arguments where it has a table of a pair."""
     symbols, pair = list_error_motions(table.axis.name), table.pair
     motions = np.hstack([table.translation_mm, table.rotation_rad])
     if pair is None:
@@ -49,7 +49,7 @@ def _write_rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterat
 
 
 def format_motion(symbol: str, value: float) -> str:
-    """Return mm or rad as the control reads them, to a nanometre and a nanoradian."""
+    """In mm or rad as the control reads them, to a nanometre and a nanoradian."""
     return f"{value:z.9f}" if is_turn(symbol) else f"{value:z.6f}"
 
 
@@ -59,7 +59,7 @@ def interpolate_block(
     position_mm: Float64[np.ndarray, "n a"],
     machine: Machine,
 ) -> Float64[np.ndarray, "n 6"]:
-    """Return the motions of an axis at positions of all; 0 of one without a block."""
+    """Motions of an axis at positions of all; 0 for an axis without a block."""
     if axis not in blocks:
         return np.zeros((len(position_mm), 6))
     at = position_mm[:, machine.axis_names.index(axis)]
@@ -86,9 +86,9 @@ def _interpolate_grid(
 
 
 def read_blocks(text: str) -> Iterator[tuple[str, Block]]:
-    """Yield axis and block; of constants their names, a blank between, and one row.
+    """Axis and block; for constants their names, joined by blanks, and one row.
 
-    Raises BadInput for a block that is neither.
+    Raises BadInput for any other block.
     """
     lines = [line for line in text.splitlines() if not line.startswith("//")]
     for block in "\n".join(lines).split("#"):

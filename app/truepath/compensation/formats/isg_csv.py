@@ -3,11 +3,10 @@
 Blocks of an argument and the motions of an axis, mm and rad, split by `#`. Squareness
 is in the straightness, the target's offset in the displacements, so that lever arms
 count from the zero of the axes and the tool length is 0; or that of the tool in use
-(`tool_length`). The controller computes the
-tool point of the chain and takes the error away; the sign at the machine has to be
-tried (it has a switch `negate`). A guide that bends under another axis has a block of
-two arguments, the other axis first, on a grid. Source: ISG kernel manual, volumetric
-compensation.
+(`tool_length`). The controller computes the tool point of the chain and subtracts the
+error; the sign at the machine has to be tried (it has a switch `negate`). A guide that
+bends under another axis has a block of two arguments, the other axis first, on a grid.
+Source: ISG kernel manual, volumetric compensation.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from truepath.kinematics.machine.machine import Machine
 
 
 class IsgCsv(CompensationFormat):
-    """All error motions of all straight axes, one file."""
+    """All error motions of all linear axes, one file."""
 
     control = "ISG kernel, Beckhoff TF5280"
     suffix = ".csv"
@@ -68,7 +67,7 @@ class IsgCsv(CompensationFormat):
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file with a block an axis."""
+        """One file with a block per axis."""
         lines = [f"// {line}" for line in content.stamp]
         if content.machine.rotary_axes:
             blocks = list(write_rotary_blocks(content, self._tool))
@@ -84,7 +83,7 @@ class IsgCsv(CompensationFormat):
         return {f"{content.stem}{self.suffix}": text}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return minus the error that the chain makes of the motions."""
+        """Minus the error of the chain from the motions."""
         (text,) = files.values()
         if machine.rotary_axes:
             return read_rotary_blocks(text, machine)
@@ -104,13 +103,13 @@ class IsgCsv(CompensationFormat):
     def list_places(
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
-        """Return all that the result has."""
+        """All locations that the result has."""
         del machine
         return list_stated_locations(places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
-        """Return the locations of rotary axes among the constants."""
+        """Locations of rotary axes among the constants, mm and rad."""
         (text,) = files.values()
         return read_places(text) if machine.rotary_axes else {}

@@ -2,7 +2,7 @@
 
 P0X, P0Y, P0Z are the tip at the zero of all axes, PXC, PYC, PZC the centre of the C
 axis, X0C … B0C its location (with the digit where we write the letter O), EXC … ECC
-tables over degrees. Taken as with straight axes: errors are of the tool relative to the
+tables over degrees. As with linear axes: errors are of the tool relative to the
 workpiece, in the directions of the axis, about its centre. No public text says so: to
 be tried like the sign. Source: ISG kernel manual, "List of parameters supported",
 "Units of measure".
@@ -52,7 +52,7 @@ _MOST_ROWS = 1000
 
 
 def write_rotary_blocks(content: CompensationTables, tool: ToolLength) -> Iterator[str]:
-    """Yield constants of tool and rotary axes, then a block an axis."""
+    """Constants of tool and rotary axes, then a block per axis."""
     machine = content.machine
     if direction := tool.find_direction(machine):
         along = map(float, direction)
@@ -74,7 +74,7 @@ def write_rotary_blocks(content: CompensationTables, tool: ToolLength) -> Iterat
 
 
 def read_rotary_blocks(text: str, machine: Machine) -> Correction:
-    """Return minus the error that the chain makes of all that the blocks state."""
+    """Minus the error of the chain from all that the blocks contain."""
     blocks = dict(read_blocks(text))
     constants = _take_constants(blocks)
     tip, direction = (
@@ -93,7 +93,7 @@ def read_rotary_blocks(text: str, machine: Machine) -> Correction:
 
 
 def read_places(text: str) -> dict[str, float]:
-    """Return the locations of rotary axes among the constants, mm and rad."""
+    """Locations of rotary axes among the constants, mm and rad."""
     return _find_locations(_take_constants(dict(read_blocks(text))))
 
 
@@ -122,13 +122,13 @@ def _write_constants(values: dict[str, float]) -> str:
 
 
 def _take_tool_out(table: AxisTable, offset_mm: Float64[np.ndarray, "3"]) -> AxisTable:
-    """Return the table with the target's offset in its arm instead of in E."""
+    """With the target's offset in its arm instead of in E."""
     lever = np.cross(table.rotation_rad, offset_mm)
     return replace(table, translation_mm=table.translation_mm - lever)
 
 
 def _write_turns(table: RotaryTable) -> Iterator[str]:
-    """Yield rows over the whole travel, as no public text says what repeats."""
+    """Rows over the whole travel, since no public text says what repeats."""
     axis, symbols = table.axis, list_error_motions(table.axis.name)
     count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
     at = np.linspace(axis.low, axis.high, min(count, _MOST_ROWS))
@@ -150,9 +150,9 @@ def _correct_by_chain(
     find_motion: FindMotion,
     location: Mapping[str, float],
 ) -> Correction:
-    # Minus the error that the chain makes of all motions and locations. Errors are of
-    # the tool relative to the workpiece, those of a rotary axis in its own directions
-    # about its origin; the straight axes take away what they do at the tool.
+    # Minus the error of the chain from all motions and locations. Errors are of the
+    # tool relative to the workpiece, those of a rotary axis in its own directions about
+    # its origin; the linear axes correct their effect at the tool.
     # `tool_mm` : the tip where all axes are at zero; `location` : by symbol, mm and rad
     def correction(
         position_mm: Float64[np.ndarray, "n a"], direction: float
@@ -177,7 +177,7 @@ def _correct_by_chain(
 
 
 def _find_tool_steps(at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-    # What a millimetre of each straight axis moves the tool by, as columns
+    # Motion of the tool per mm of each linear axis, as columns
     columns: list[Float64[np.ndarray, "n 3"]] = []
     for name in "XYZ":
         moved = at.position_mm.copy()

@@ -1,14 +1,15 @@
-"""LinuxCNC: a `COMP_FILE` a joint, type 0.
+"""LinuxCNC: a `COMP_FILE` per joint, type 0.
 
 Rows `nominal forward reverse`, ascending, joint units, at most 256; columns 2 and 3 are
 the positions reached, and the controller sends the motor to command + nominal − column.
-No header and no comment: the loader stops silently at the first line that is not
-three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
+No header and no comment: the loader stops silently at the first line that is not three
+numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 
-Of a trunnion, `xyzac-trt-kins` or `xyzbc-trt-kins`, pins say where the axes are: the C
-axis at (x, y)-rot-point; the tilting axis off it by y-offset (A) or x-offset (B), and
-z-offset above z-rot-point. The table turns right-handed where `conventional-directions`
-is off, as by default. Source: LinuxCNC `src/emc/kinematics/trtfuncs.c`.
+Of a trunnion, `xyzac-trt-kins` or `xyzbc-trt-kins`, pins give the locations of the
+axes: the C axis at (x, y)-rot-point; the tilting axis off it by y-offset (A) or
+x-offset (B), and z-offset above z-rot-point. The table turns right-handed where
+`conventional-directions` is off, as by default. Source: LinuxCNC
+`src/emc/kinematics/trtfuncs.c`.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ _ABOUT_PINS = (
     "with these pins its four centres differ less than with those of the drawing",
 )
 _PIN = re.compile(r"setp (xyz[ab]c-trt-kins)\.([xyz]-(?:rot-point|offset)) (\S+)")
-# The direction across both axes, in which they are off each other.
+# The direction across both axes, in which they are offset from each other.
 _ACROSS = {"A": 1, "B": 0}
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 
 
 class LinuxCnc(TableFormat):
-    """One table a straight axis, both directions, and one a rotary axis."""
+    """One table per linear axis, both directions, and one per rotary axis."""
 
     control = "LinuxCNC"
     suffix = ".tbl"
@@ -76,7 +77,7 @@ class LinuxCnc(TableFormat):
     )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return a table an axis, `STEM-X.tbl`; of a rotary axis in deg."""
+        """A table per axis, `STEM-X.tbl`; deg for a rotary axis."""
         tables = {one.axis.name: _write_rows(one) for one in content.tables}
         tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
         files = {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
@@ -89,7 +90,7 @@ class LinuxCnc(TableFormat):
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
-        """Yield the trims that the controller adds."""
+        """Trims that the controller adds."""
         for name, text in files.items():
             axis = _find_axis(name, self.suffix)
             if not axis and not name.endswith(_KINEMATICS):
@@ -104,7 +105,7 @@ class LinuxCnc(TableFormat):
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
-        """Return the trims of rotary joints; end values hold beyond."""
+        """Trims of rotary joints; end values hold beyond."""
         added: dict[str, RotaryAddition] = {}
         for name, text in files.items():
             axis = _find_axis(name, self.suffix)
@@ -118,13 +119,13 @@ class LinuxCnc(TableFormat):
     def list_places(
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
-        """Return what the pins have."""
+        """Locations that the pins contain."""
         return _list_pin_places(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
-        """Return where the pins of the kinematics say that the axes are."""
+        """Locations from the pins of the kinematics, mm and rad."""
         for name, text in files.items():
             if name.endswith(_KINEMATICS):
                 return _read_kinematics(name, text, machine)
@@ -141,13 +142,13 @@ def _write_rows(table: AxisTable) -> str:
 
 
 def _write_turns(table: RotaryTable) -> str:
-    """Return rows over the whole travel, as joints know no period: they count turns.
+    """Rows over the whole travel, since joints count turns and have no period.
 
-    A wrapped axis goes on into the next turn; where there is room, its neighbours of
-    those of the travel have rows too.
+    A wrapped axis continues into the next turn; where there is room, the turns next to
+    the travel have rows too.
 
     The mean of both directions is 0 at the axis zero, for which the locations of the
-    axes are stated.
+    axes are given.
     """
     axis, most = table.axis, LinuxCnc.most_points
     low, high, period = axis.low, axis.high, None
@@ -166,7 +167,7 @@ def _write_turns(table: RotaryTable) -> str:
 
 
 def _find_axis(name: str, suffix: str) -> str:
-    """Return the axis of a table, whose name ends that of the file; else nothing."""
+    """The axis' letter ends the name of the file; else empty."""
     return name.removesuffix(suffix)[-1] if name.endswith(suffix) else ""
 
 
@@ -195,7 +196,7 @@ def _find_tilting_axis(machine: Machine) -> str | None:
 
 
 def _list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
-    # None where nothing is known of one of its axes: they would be those of the drawing
+    # None where one of its axes is unknown: its pins would be those of the drawing
     tilting = _find_tilting_axis(machine)
     if tilting is None or not all(place.known for place in places):
         return frozenset()

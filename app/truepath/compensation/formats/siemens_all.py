@@ -1,14 +1,14 @@
-"""Siemens SINUMERIK: leadscrew and cross tables as one order, and what goes with them.
+"""Siemens SINUMERIK: leadscrew and cross tables together, with their additions.
 
-What each kind of table lacks the other has. In addition there are the growth by
-temperature, and where rotary axes are.
+Each kind of table contains what the other does not. In addition there are the growth
+with temperature, and the locations of rotary axes.
 
-Linear temperature compensation: of an axis at position P the control takes
+Linear temperature compensation: for an axis at position P the control uses
 
     ΔK = K0(T) + tanβ(T) (P − P0)
 
-with K0 = SD43900, tanβ = SD43910 (the gradient of the line that the error is taken
-for) and P0 = SD43920; MD32750 bit 0 switches K0 on, bit 1 tanβ. The control knows no
+with K0 = SD43900, tanβ = SD43910 (the gradient of the line that the error is taken for)
+and P0 = SD43920; MD32750 bit 0 switches K0 on, bit 1 tanβ. The control knows no
 temperature: its PLC writes SD43900 and SD43910 as the machine warms. Source: SINUMERIK
 Function Manual Extended Functions 03/2013, K3, pages 225 to 228. That a positive ΔK
 moves the axis in the negative direction, as in leadscrew tables, is assumed. Tables are
@@ -56,7 +56,7 @@ _STEP_K = 1.0
 
 
 class SiemensOrder(CompensationFormat):
-    """Both kinds of tables, as one order: what each lacks the other has."""
+    """Leadscrew and cross tables, thermal growth, and locations of rotary axes."""
 
     suffix = ".ini"
     choices = SiemensLec.choices
@@ -99,7 +99,7 @@ class SiemensOrder(CompensationFormat):
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return `STEM-lec.ini` and `STEM-cec.ini`.
+        """`STEM-lec.ini` and `STEM-cec.ini`.
 
         Of a temperature model `STEM-temperature.ini` as well, of rotary axes
         `STEM-swivel.mpf`.
@@ -119,7 +119,7 @@ class SiemensOrder(CompensationFormat):
         return files
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the sum of both."""
+        """Sum of both kinds of tables. Raises BadInput."""
         parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
         chosen = [_select(files, part) for part in parts]
         for part, own in zip(parts, chosen, strict=True):
@@ -145,19 +145,19 @@ class SiemensOrder(CompensationFormat):
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
-        """Return what the leadscrew tables add to rotary axes."""
+        """Additions of the leadscrew tables to rotary axes."""
         return read_rotary_tables(_select(files, SiemensLec()))
 
     def list_places(
         self, machine: Machine, places: Sequence[AxisPlace]
     ) -> frozenset[str]:
-        """Return what the swivel data set has."""
+        """Locations that the swivel data set contains."""
         return list_swivel_places(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, float]:
-        """Return where the swivel data set says that the axes are."""
+        """Locations from the one swivel data set, mm and rad. Raises BadInput."""
         sets = _select_swivel(files)
         if len(sets) > 1:
             raise BadInput(f"one swivel data set is read, not {', '.join(sets)}")
@@ -171,7 +171,7 @@ def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
 
 
 def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
-    """Return the files that hold tables of a kind, whatever they are called."""
+    """Files are recognised by their content, not their name."""
     marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
     return {
         name: text

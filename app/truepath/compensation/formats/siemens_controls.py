@@ -1,4 +1,4 @@
-"""What the controls of the SINUMERIK family have room for."""
+"""Limits of the controls of the SINUMERIK family."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from truepath.compensation.formats.siemens_leadscrew import MEASURING_SYSTEMS
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """What a control has room for.
+    """Numbers of points and tables of a control.
 
-    note : where the numbers are from
+    note : source of the numbers
     measuring_systems : that an axis may have
     """
 

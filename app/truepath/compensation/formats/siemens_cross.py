@@ -1,10 +1,10 @@
-"""Cross tables of a SINUMERIK: what each axis does to each, alone and as a product.
+"""Cross tables of a SINUMERIK: errors of one axis by another, alone and as a product.
 
-Along the middle of the travel the error of output o is a table of each axis. What an
-axis' turning does away from the middle is a product: its angle less that at the middle,
-times how far a later axis stands from its own middle; an effect of two axes, as sag, is
-one too, as far as it is a product at all. `$AN_CEC_MULT_BY_TABLE` names the second
-table by its number, index + 1. Lost motion is a table of negative travel alone.
+Along the middle of the travel the error of output o is a table of each axis. The effect
+of an axis' rotation away from the middle is a product: its angle less that at the
+middle, times the distance of a later axis from its own middle; an effect of two axes,
+as sag, is one too, as far as it is a product at all. `$AN_CEC_MULT_BY_TABLE` names the
+second table by its number, index + 1. Lost motion is a table of negative travel alone.
 
 Source: SINUMERIK Function Manual Extended Functions 03/2013, K3, pages 245 to 252.
 """
@@ -20,8 +20,8 @@ from jaxtyping import Float64
 from truepath.compensation.format import AxisTable
 from truepath.kinematics.machine.machine import Machine
 
-FACTOR_MM = 0.1  # largest value of a second table: harmless if it were added by itself
-_LEAST_MM = 1e-5  # root mean square of what a table corrects: less is not worth one
+FACTOR_MM = 0.1  # largest value of a second table: harmless if it were added alone
+_LEAST_MM = 1e-5  # root mean square of a correction: less is not worth a table
 _TURNS = np.zeros((3, 3, 3))  # displacement o by the turn k at the lever l
 for _o, _k, _l in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _TURNS[_o, _k, _l], _TURNS[_l, _k, _o] = 1.0, -1.0
@@ -44,8 +44,8 @@ class CrossTable:
     """One table: input axis, output axis, values; all hold the error.
 
     direction : 0 for both, −1 for negative travel alone
-    factor : what it is multiplied by, none for a table by itself
-    gain_mm : root mean square of what it corrects
+    factor : the table by which it is multiplied; None for a single table
+    gain_mm : root mean square of its correction
     """
 
     axis: str
@@ -60,10 +60,10 @@ class CrossTable:
 def choose_cross_tables(
     machine: Machine, tables: Sequence[AxisTable], most_tables: int, *, backlash: bool
 ) -> list[CrossTable]:
-    """Return the tables that correct most, as many as the control has.
+    """The tables with the largest corrections, as many as the control has.
 
     most_tables : second tables of products count as well
-    backlash : whether lost motion is among them
+    backlash : whether lost motion is included
     """
     wanted = [c for t in tables for c in _list_straight(t)]
     wanted += [c for t in tables for c in _list_products(machine, t, tables)]
@@ -79,7 +79,7 @@ def choose_cross_tables(
 
 
 def list_factors(chosen: Sequence[CrossTable]) -> list[tuple[int, Factor]]:
-    """Return the second tables with their output axes, each of them once."""
+    """Second tables with their output axes, each once."""
     found: list[tuple[int, Factor]] = []
     for one in chosen:
         if one.factor and not any(_is_same(each, one) for each in found):
@@ -88,12 +88,12 @@ def list_factors(chosen: Sequence[CrossTable]) -> list[tuple[int, Factor]]:
 
 
 def find_factor(one: CrossTable, factors: Sequence[tuple[int, Factor]]) -> int:
-    """Return which of the second tables is that of a product."""
+    """Index of a product's second table."""
     return next(k for k, each in enumerate(factors) if _is_same(each, one))
 
 
 def count_tables(chosen: Sequence[CrossTable]) -> int:
-    """Return how many tables of the control they take."""
+    """Number of tables of the control that they use."""
     return len(chosen) + len(list_factors(chosen))
 
 
@@ -109,7 +109,6 @@ def _is_same(each: tuple[int, Factor], one: CrossTable) -> bool:
 
 
 def _list_straight(table: AxisTable) -> Iterator[CrossTable]:
-    """Yield straightness and squareness along the middle."""
     for out in range(3):
         value = table.mean_mm[:, out]
         if out != table.own:
@@ -119,7 +118,6 @@ def _list_straight(table: AxisTable) -> Iterator[CrossTable]:
 
 
 def _list_backlash(table: AxisTable) -> Iterator[CrossTable]:
-    """Yield what the table of positive travel lacks in negative travel."""
     lost = (table.backward_mm - table.forward_mm)[:, table.own]
     gain = 0.5 * float(np.sqrt(np.mean(lost**2)))
     name, at = table.axis.name, table.position_mm
@@ -129,7 +127,6 @@ def _list_backlash(table: AxisTable) -> Iterator[CrossTable]:
 def _list_products(
     machine: Machine, table: AxisTable, tables: Sequence[AxisTable]
 ) -> Iterator[CrossTable]:
-    """Yield what the turning of an axis does at the levers of the later axes."""
     order = machine.order
     middle = [
         np.interp(_middle(table), table.position_mm, table.rotation_rad[:, k])
@@ -147,7 +144,6 @@ def _list_products(
 
 
 def _list_pairs(table: AxisTable, tables: Sequence[AxisTable]) -> Iterator[CrossTable]:
-    """Yield what an axis does with another beyond both tables: its largest product."""
     pair = table.pair
     if pair is None:
         return

@@ -1,4 +1,4 @@
-"""Which of the two measuring systems of an axis a SINUMERIK leadscrew table is of.
+"""The measuring system of an axis to which a SINUMERIK leadscrew table applies.
 
 `$AA_ENC_COMP[e, N, axis]`, as MD32700 and MD38000 of it, has e = 0 for measuring system
 1 and e = 1 for measuring system 2; a table acts while its system is the active one of
@@ -20,7 +20,7 @@ MEASURING_SYSTEMS = ("1", "2")
 
 
 class MeasuringSystem:
-    """The measuring system that the table of each axis is of.
+    """The measuring system to which the table of each axis applies.
 
     word : of `MEASURING_SYSTEMS` for all axes, or by axis as `X=1,Y=2`; system 1 for
         those that it does not name
@@ -50,7 +50,7 @@ class MeasuringSystem:
         )
 
     def require_axes(self, names: Collection[str]) -> None:
-        """Raise BadInput where a measuring system is stated of no axis of a machine."""
+        """Raises BadInput if a measuring system is given for an unknown axis."""
         for axis in self._by_axis:
             if axis not in names:
                 raise BadInput(
@@ -59,7 +59,7 @@ class MeasuringSystem:
                 )
 
     def require_known(self, known: Collection[str], control: str) -> None:
-        """Raise BadInput where a control has no such measuring system."""
+        """Raises BadInput if a control has no such measuring system."""
         for number in (self._usual, *self._by_axis.values()):
             if number not in known:
                 raise BadInput(
@@ -71,7 +71,7 @@ class MeasuringSystem:
         return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._usual))
 
     def write_straight(self, table: AxisTable, *, forward: bool) -> list[str]:
-        """Return the lines of a straight axis.
+        """Lines of a linear axis.
 
         forward : the values of positive travel in place of the mean
         """
@@ -85,7 +85,7 @@ class MeasuringSystem:
         )
 
     def write_rotary(self, table: RotaryTable) -> list[str]:
-        """Return the lines of a rotary axis, in deg; turned fully they repeat.
+        """Lines of a rotary axis, in deg; of a full turn they repeat.
 
         With IS_MODULO the value at MAX is followed by that at MIN, so both are the
         same. Source: K3, pages 238 to 242.

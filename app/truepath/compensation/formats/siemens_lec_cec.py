@@ -1,9 +1,9 @@
 """Siemens SINUMERIK: leadscrew tables (LEC) and cross tables (CEC).
 
-`$AA_ENC_COMP` holds a table an axis; a positive value moves the axis in the negative
+`$AA_ENC_COMP` holds a table per axis; a positive value moves the axis in the negative
 direction, so that the file has the error itself. `$AN_CEC` corrects one axis by the
 position of another, or by a product of two tables; its sign is assumed to be the same
-and has to be tried at the machine. Both interpolate straight, hold their end values
+and has to be tried at the machine. Both interpolate linearly, hold their end values
 beyond the table, and are equidistant. Source: SINUMERIK Function Manual Extended
 Functions 03/2013, K3, pages 238 to 264.
 """
@@ -49,8 +49,8 @@ class Siemens(TableFormat):
     """One INI file of tables that hold the error.
 
     area : that the file loads; variable : of the control, a table or a setting of it
-    control : which has room for how much
-    remarks : comments of the file beside its stamp
+    control : key of its limits
+    remarks : comments of the file in addition to its stamp
     """
 
     suffix = ".ini"
@@ -64,10 +64,10 @@ class Siemens(TableFormat):
 
     @abstractmethod
     def write_tables(self, content: CompensationTables) -> Iterable[str]:
-        """Return the lines of all tables."""
+        """Lines of all tables."""
 
     def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file for all axes."""
+        """One file for all axes."""
         comments = (*content.stamp, *self.remarks)
         lines = [f"%_N_{self.area}_INI", *(f"; {s}" for s in comments)]
         lines += ["CHANDATA(1)", *self.write_tables(content), "M17", ""]
@@ -76,7 +76,7 @@ class Siemens(TableFormat):
     def read_tables(
         self, files: Mapping[str, str], machine: Machine
     ) -> Iterator[InterpolatedTable]:
-        """Yield the negative of the tables."""
+        """Negative of the tables."""
         return read_tables(files, self.variable)
 
 
@@ -128,7 +128,7 @@ class SiemensLec(Siemens):
         )
 
     def write_tables(self, content: CompensationTables) -> Iterator[str]:
-        """Yield a table an axis. Raises BadInput for a system of no axis."""
+        """A table per axis. Raises BadInput for a measuring system of no axis."""
         self._system.require_axes(content.machine.axis_names)
         for table in content.tables:
             forward = table.axis.name in self._forward
@@ -139,14 +139,14 @@ class SiemensLec(Siemens):
     def read_rotary(
         self, files: Mapping[str, str], machine: Machine
     ) -> dict[str, RotaryAddition]:
-        """Return the negative of the tables of rotary axes."""
+        """Negative of the tables of rotary axes."""
         return read_rotary_tables(files)
 
 
 class SiemensCec(Siemens):
-    """What each axis does across itself, and with another one: cross tables.
+    """Cross tables: errors of an axis across itself, and together with another one.
 
-    backlash : whether lost motion is among them, the leadscrew tables being those of
+    backlash : whether lost motion is included; the leadscrew tables are then those of
         positive travel
     """
 
@@ -180,7 +180,7 @@ class SiemensCec(Siemens):
         )
 
     def choose(self, content: CompensationTables) -> list[CrossTable]:
-        """Return the tables that correct most, as many as the control has."""
+        """The tables with the largest corrections, as many as the control has."""
         return choose_cross_tables(
             content.machine,
             content.tables,
@@ -189,7 +189,7 @@ class SiemensCec(Siemens):
         )
 
     def write_tables(self, content: CompensationTables) -> Iterator[str]:
-        """Yield the chosen tables, then the second ones of their products."""
+        """The chosen tables, then the second ones of their products."""
         chosen = self.choose(content)
         factors = list_factors(chosen)
         for number, one in enumerate(chosen):

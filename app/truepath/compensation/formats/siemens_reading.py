@@ -1,4 +1,4 @@
-"""What a SINUMERIK makes of leadscrew and cross tables: an account of its own."""
+"""A SINUMERIK's reading of leadscrew and cross tables, independent of the writer."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _SETTING = re.compile(
 
 
 def read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTable]:
-    """Yield what the tables of a kind add: minus their values.
+    """Corrections by the tables of a kind: minus their values.
 
-    kind : `ENC_COMP` or `CEC`. A table that multiplies another adds nothing by itself.
+    kind : `ENC_COMP` or `CEC`. A table that multiplies another adds nothing alone.
 
     Raises BadInput naming file and row, or the table that lacks something.
     """
@@ -45,7 +45,7 @@ def read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTab
 
 
 def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
-    """Return what leadscrew tables add to rotary axes: minus their values, deg.
+    """Corrections of rotary axes by leadscrew tables: minus their values, deg.
 
     Raises BadInput as `read_tables`.
     """
@@ -62,7 +62,6 @@ def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
 def _read_settings(
     files: Mapping[str, str], kind: str
 ) -> list[tuple[str, dict[str, str], dict[int, float]]]:
-    """Return (table, settings, values by index) of every table of the files."""
     names: dict[str, dict[str, str]] = {}
     systems: dict[str, str] = {}
     values: dict[str, dict[int, float]] = {}
@@ -93,7 +92,7 @@ def _read_settings(
 def _make_table(
     name: str, settings: dict[str, str], values: dict[int, float]
 ) -> InterpolatedTable:
-    """Return a table with the sign of what is added: minus the error.
+    """With the sign of the correction: minus the error.
 
     name : a leadscrew table has that of its axis, a cross table a number
     """

@@ -1,4 +1,4 @@
-"""SINUMERIK `$TC_CARR`: where the rotary axes are, as a swivel data set.
+"""SINUMERIK `$TC_CARR`: locations of the rotary axes, as a swivel data set.
 
 A table (type P) moves a point w of the workpiece by what l2 + R1 (l3 + R2 (l4 + w)) is
 more than at zero, a head (T) its tool t by l1 + R1 (l2 + R2 (l3 + t)); of one of each
@@ -62,14 +62,14 @@ _SETTING = re.compile(
 )
 _ENDS = ("M30", "M17", "M2", "M02")
 _CLOSED_MM = 5e-6  # rounding of three values
-_SAME = 0.9  # cosine: an axis that leans more is another one
+_SAME = 0.9  # cosine: an axis that is tilted more is another one
 
 Vectors = Mapping[str, Float64[np.ndarray, "3"]]
 
 
 @dataclass(frozen=True, slots=True)
 class SwivelKind:
-    """What turns: `P` the workpiece, `T` the tool, `M` both.
+    """Sides that turn: `P` the workpiece, `T` the tool, `M` both.
 
     axes : one or two; the second stands on the first, of both kinds the head is first
     """
@@ -84,9 +84,9 @@ class SwivelKind:
 
 
 def find_swivel_kind(machine: Machine) -> SwivelKind | None:
-    """Return what turns; None of a machine that no swivel data set describes.
+    """None for a machine that no swivel data set describes.
 
-    One or two rotary axes, no straight axis between them and workpiece or tool.
+    One or two rotary axes, no linear axis between them and workpiece or tool.
     """
     table = _list_rotary(machine, machine.workpiece_side)[::-1]
     head = _list_rotary(machine, machine.tool_side)
@@ -100,10 +100,10 @@ def find_swivel_kind(machine: Machine) -> SwivelKind | None:
 
 
 def list_swivel_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
-    """Return the locations that the data set has, of those that the result has.
+    """Locations that the data set contains, of those in the result.
 
-    None where no data set describes the machine, or where nothing is known of one of
-    its axes: vectors of the drawing are to replace nobody's.
+    None where no data set describes the machine, or where one of its axes is unknown:
+    vectors of the drawing must not replace any in the control.
     """
     if find_swivel_kind(machine) is None or not all(one.known for one in places):
         return frozenset()
@@ -111,7 +111,7 @@ def list_swivel_places(machine: Machine, places: Sequence[AxisPlace]) -> frozens
 
 
 def write_swivel(machine: Machine, places: Sequence[AxisPlace]) -> Iterator[str]:
-    """Yield the lines that set the vectors; nothing where they would state nothing."""
+    """Lines that set the vectors; none where nothing of them was measured."""
     kind = find_swivel_kind(machine)
     if kind is None or not list_swivel_places(machine, places):
         return
@@ -132,9 +132,9 @@ def write_swivel(machine: Machine, places: Sequence[AxisPlace]) -> Iterator[str]
 
 
 def read_swivel(name: str, text: str, machine: Machine) -> dict[str, float]:
-    """Return the location errors that the vectors stand for, mm and rad.
+    """Location errors given by the vectors, mm and rad.
 
-    Raises BadInput naming file and row, or what does not belong to the machine.
+    Raises BadInput naming file and row, or the part that does not fit the machine.
     """
     kind = find_swivel_kind(machine)
     if kind is None:
@@ -169,7 +169,7 @@ def _find_vectors(
 
 
 def _find_origins(letter: str, vectors: Vectors) -> list[Float64[np.ndarray, "3"]]:
-    """Return a point of each axis; of one axis alone the second is of none."""
+    """A point of each axis; with one axis alone the second is meaningless."""
     if letter == "P":
         return [vectors["l2"], vectors["l2"] + vectors["l3"]]
     if letter == "T":
@@ -213,7 +213,6 @@ def _read_values(name: str, text: str) -> dict[int, float]:
 def _read_direction(
     name: str, axis: RotaryAxis, vectors: Vectors, number: int
 ) -> Float64[np.ndarray, "3"]:
-    """Return the unit vector of an axis, whatever length it has in the file."""
     vector = vectors[f"v{number}"]
     length = float(np.linalg.norm(vector))
     if length == 0.0 or vector @ np.array(axis.direction) < _SAME * length:

@@ -1,7 +1,7 @@
-"""Where rotary axes really are: their nominal place and their location errors.
+"""Actual locations of rotary axes: nominal location and location errors.
 
-XOC, YOC shift the C axis in its local directions, AOC, BOC tilt it about its origin;
-in the frame that faces the base, at the zero of the axes between it and the base.
+XOC, YOC shift the C axis in its local directions, AOC, BOC tilt it about its origin; in
+the frame that faces the base, at the zero of the axes between it and the base.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from truepath.kinematics.effects.location_error import list_axis_locations
 
 
 def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
-    """Return the place of each rotary axis, as far as the result has it."""
+    """Location of each rotary axis, as far as the result has it."""
     theta, slices = errors.result.theta, errors.result.model.slices
     untold = errors.result.model.confounded
     return tuple(
@@ -35,10 +35,10 @@ def find_places(errors: ErrorMap) -> tuple[AxisPlace, ...]:
 
 
 def leave_out_places(errors: ErrorMap, symbols: Collection[str]) -> ErrorMap:
-    """Return the errors of a machine whose rotary axes are at these of their places.
+    """Errors of a machine without these locations of rotary axes.
 
-    Where the zero of a rotary axis is outside its travel, tables of straight axes are
-    made at another angle, at which a wrong place moves the tool as well.
+    Where the zero of a rotary axis is outside its travel, tables of linear axes are
+    made at another angle, at which a wrong location moves the tool as well.
     """
     theta, slices = errors.result.theta.copy(), errors.result.model.slices
     for symbol in symbols:

@@ -1,8 +1,8 @@
-"""Tables in place of those that a control had while it was measured.
+"""Tables that replace those active during the measurement.
 
-Where the control adds c, a measurement finds d, what these active tables leave. Tables
-hold the error, which is minus what is added: what replaces the active ones is d − c.
-Of what they add E and ω of each axis are found by moving it alone, and one other axis.
+If the control adds c, a measurement finds the remaining error d. Tables hold the error,
+which is minus what is added: the replacement of the active ones is d − c. E and ω of
+each axis in c are found by moving it alone, and one other axis.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TURNS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 def combine_tables(
     content: CompensationTables, errors: ErrorMap, active: ActiveFiles
 ) -> CompensationTables:
-    """Return the tables with what the active ones have, at the same positions."""
+    """The tables plus the active ones, at the same positions."""
     located = active.kind.read_locations(active.texts, errors.machine)
     added = active.kind.read_rotary(active.texts, errors.machine)
     return replace(
@@ -81,7 +81,7 @@ def _combine_axis(table: AxisTable, errors: ErrorMap, active: ActiveFiles) -> Ax
 def _take_larger(
     omega: Float64[np.ndarray, "n 3"], slope: Float64[np.ndarray, "n 3"], lever: int
 ) -> None:
-    """Take the angles that a slope along a lever shows.
+    """Angles from the slope along a lever.
 
     A control that lacks a table does half of what an angle would: the larger half.
     """

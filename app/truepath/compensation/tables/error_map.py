@@ -27,7 +27,7 @@ _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
 @dataclass(frozen=True, slots=True)
 class ErrorMap:
-    """A result, and its map without rigid motion."""
+    """A result, and its volumetric map without rigid motion."""
 
     result: CalibrationResult
     volumetric_map: VolumetricMap
@@ -39,7 +39,7 @@ class ErrorMap:
 
     @property
     def axes(self) -> tuple[LinearAxis, ...]:
-        """The axes that tables are written for."""
+        """The linear axes, for which tables are written."""
         return self.machine.linear_axes
 
     def error_mm(
@@ -47,10 +47,10 @@ class ErrorMap:
         position_mm: Float64[np.ndarray, "n a"],
         direction: float = 0.0,
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return δ = actual − nominal, of a machine of straight axes less rigid motion.
+        """δ = actual − nominal; of a machine of linear axes without its rigid motion.
 
-        With rotary axes it is in the gauge of the error motions, in which the places of
-        these are stated: a turn of all straight axes would misplace them.
+        With rotary axes it is in the gauge of the error motions, in which their
+        locations are given: a turn of all linear axes would change these.
 
         direction : 1 or −1 of all axes, 0 for the mean
         """
@@ -68,7 +68,7 @@ class ErrorMap:
     def half_difference_mm(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return half the difference of both directions in an axis' positioning."""
+        """Half the difference of both directions in positioning; 0 where unknown."""
         if axis not in self.result.half_difference_um:
             return np.zeros(len(at_mm))
         position_mm, value_um = self.result.half_difference_um[axis]
@@ -77,7 +77,7 @@ class ErrorMap:
     def half_difference_sigma_mm(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the standard uncertainty of that half, 0 where none is stated."""
+        """Standard uncertainty of that half; 0 where none is stated."""
         if axis not in self.result.half_difference_u_um:
             return np.zeros(len(at_mm))
         position_mm, _ = self.result.half_difference_um[axis]
@@ -87,7 +87,7 @@ class ErrorMap:
     def half_turn_rad(
         self, axis: str, at_deg: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return half the difference of both directions in a rotary positioning."""
+        """Half the difference of both directions in positioning; 0 where unknown."""
         if axis not in self.result.half_turn_urad:
             return np.zeros(len(at_deg))
         position_deg, value_urad = self.result.half_turn_urad[axis]
@@ -96,7 +96,7 @@ class ErrorMap:
     def half_turn_sigma_rad(
         self, axis: str, at_deg: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the standard uncertainty of that half, 0 where none is stated."""
+        """Standard uncertainty of that half; 0 where none is stated."""
         if axis not in self.result.half_turn_u_urad:
             return np.zeros(len(at_deg))
         position_deg, _ = self.result.half_turn_urad[axis]
@@ -106,7 +106,7 @@ class ErrorMap:
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return ω of an axis, 0 where the result has no angular error motion."""
+        """Components of ω; 0 where the result has no angular error motion."""
         omega = np.zeros((len(at_mm), 3))
         model = self.result.model
         for motion in model.identifiable_motions:
@@ -117,14 +117,14 @@ class ErrorMap:
         return omega
 
     def list_pairs(self) -> list[tuple[str, str]]:
-        """Return the axis pairs of the model's effects, the guide first."""
+        """Axis pairs of the model's effects, the guide first."""
         effects = self.result.model.effects
         return [effect.axis_pair for effect in effects if effect.axis_pair]
 
     def pair_error_mm(
         self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the error at the tool point by the effects of a pair of axes."""
+        """Error at the tool point by the effects of a pair of axes."""
         at = make_standstill(self.machine, position_mm)
         model, theta = self.result.model, self.result.theta
         total = np.zeros((len(position_mm), 3))
@@ -139,7 +139,7 @@ class ErrorMap:
         at_mm: Float64[np.ndarray, " n"],
         others_mm: Float64[np.ndarray, " a"],
     ) -> Float64[np.ndarray, "n a"]:
-        """Return positions of all axes where one axis moves alone."""
+        """Positions of all axes where one axis moves alone."""
         place = np.tile(others_mm, (len(at_mm), 1))
         place[:, self.machine.axis_names.index(axis.name)] = at_mm
         return place
@@ -160,22 +160,21 @@ class ErrorMap:
 
 
 def find_own_arm(axis: Axis, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-    """Return what a mm or rad of an axis' positioning moves the tool by."""
+    """Motion of the tool per mm or rad of an axis' positioning."""
     return find_arm(f"E{axis.name}{axis.name}", at)
 
 
 def map_errors(result: CalibrationResult) -> ErrorMap:
-    """Return the error map of a result."""
+    """Map of a result, its lost motion across the axes completed."""
     return ErrorMap(complete_across(result), build_volumetric_map(result.model))
 
 
 def tabulate_axis(
     errors: ErrorMap, measured: MeasuredRange, spacing_mm: float, most_points: int
 ) -> AxisTable:
-    """Return the table of an axis, rows at most `spacing_mm` apart where they fit.
+    """Table of an axis, rows at most `spacing_mm` apart where they fit.
 
-    It is 0 where the axis comes to its reference in + direction, as one that is
-    referenced does.
+    It is 0 where the axis reaches its reference in + direction, as when it is homed.
     """
     axis = measured.axis
     travel = axis.high - axis.low
@@ -185,7 +184,7 @@ def tabulate_axis(
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
     seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
-    # Of both directions a table has what the axis itself loses, along itself.
+    # By direction a table has only the lost motion of the axis along itself.
     mean, half = errors.error_mm(place), np.zeros((count, 3))
     half[:, DIRECTION[axis.name]] = errors.half_difference_mm(axis.name, seen_mm)
     forward, backward = mean + half, mean - half
@@ -207,9 +206,9 @@ def tabulate_axis(
 def _tabulate_pair(
     errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
 ) -> PairTable | None:
-    """Return the error by effects of two axes; None without any.
+    """None without effects of two axes.
 
-    most : positions of the other axis that the controller has room for
+    most : positions of the other axis that the controller accepts
     """
     machine = errors.machine
     by = next((b for a, b in errors.list_pairs() if a == axis.name), "")
@@ -231,10 +230,10 @@ def _tabulate_pair(
 def _tabulate_motions(
     errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Return E and ω of an axis, squareness and the target's offset in E.
+    """E and ω of an axis, squareness and the target's offset in E.
 
-    With the others at their reference, where their ω are 0, δ changes along the
-    axis by E + ω × R, R the positions of the later axes there.
+    With the others at their reference, where their ω are 0, δ changes along the axis by
+    E + ω × R, R the positions of the later axes there.
     """
     machine = errors.machine
     rest = errors.reference_mm

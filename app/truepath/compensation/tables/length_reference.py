@@ -1,7 +1,7 @@
-"""At which temperature lengths in files hold: that of the machine, not 20 °C.
+"""Temperature at which lengths in files hold: that of the machine, not 20 °C.
 
-Lengths are stated at 20 °C (ISO 1). A calibration measures the machine as warm as it
-is, in lengths of the tracker, and nothing is taken off for how its scales grow.
+Lengths are stated at 20 °C (ISO 1). A calibration measures the machine at its own
+temperature, in lengths of the tracker, without correction for the growth of its scales.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _SCALES = ("X", "Y", "Z")  # sensors of the scales, where there are any
 
 
 def find_measured_degc(provenance: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the lowest and highest temperature of a measurement, if it is known.
+    """Lowest and highest temperature of a measurement; None if unknown.
 
     Of the axis scales where they have sensors, else of all sensors.
     """
@@ -29,7 +29,7 @@ def find_measured_degc(provenance: Mapping[str, Any]) -> tuple[float, float] | N
 
 
 def describe_lengths(measured_degc: tuple[float, float] | None) -> str:
-    """Return at which temperature lengths hold, in plain ASCII."""
+    """Text in plain ASCII."""
     at = "an unknown temperature"
     if measured_degc is not None:
         at = " to ".join(dict.fromkeys(f"{end:.1f}" for end in measured_degc)) + " degC"
@@ -40,7 +40,7 @@ def describe_lengths(measured_degc: tuple[float, float] | None) -> str:
 
 
 def warn_of_lengths(measured_degc: tuple[float, float] | None) -> str | None:
-    """Return why lengths may be off at 20 °C; None within 1 K of it."""
+    """Why lengths may be off at 20 °C; None within 1 K of it."""
     if measured_degc is None:
         return (
             "the temperature of the measurement is not known: lengths hold at it, and "
@@ -59,7 +59,7 @@ def warn_of_lengths(measured_degc: tuple[float, float] | None) -> str | None:
 
 
 def state_lengths(measured_degc: tuple[float, float] | None) -> dict[str, Any]:
-    """Return what the account says of lengths."""
+    """The account's part about lengths."""
     return {
         "measured_degC": measured_degc and list(measured_degc),
         "reference_degC": REFERENCE_DEGC,

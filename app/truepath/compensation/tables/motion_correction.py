@@ -1,4 +1,4 @@
-"""What a controller adds that knows the error motions of each axis and their chain."""
+"""Correction by a controller that knows the chain and its error motions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FindMotion = Callable[
 def correct_by_motions(
     machine: Machine, axes: Collection[str], find_motion: FindMotion
 ) -> Correction:
-    """Return minus the error that the chain makes of the motions of some axes.
+    """Minus the error of the chain from the motions of some axes.
 
     Squareness is in E, the target's offset too, so that the lever arms of ω are the
     positions of the axes nearer to the tool.
@@ -47,6 +47,6 @@ def correct_by_motions(
 def interpolate_rows(
     table: Float64[np.ndarray, "m 7"], at_mm: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
-    """Return motions straight between rows (position, E, ω); end values hold."""
+    """Motions linear between rows (position, E, ω); end values hold."""
     columns = [np.interp(at_mm, table[:, 0], table[:, k]) for k in range(1, 7)]
     return np.stack(columns, axis=1)

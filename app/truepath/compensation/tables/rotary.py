@@ -1,8 +1,8 @@
-"""The positioning of rotary axes as tables.
+"""Positioning of rotary axes as tables.
 
-ECC is a turn of the tool relative to the workpiece. A head so turns too far by it; a
-table, which turns the workpiece, too little. The tables hold how far the axis itself
-turns beyond its command.
+ECC is a turn of the tool relative to the workpiece. So a head turns too far by it; a
+table, which turns the workpiece, too little. The tables hold the rotation of the axis
+itself beyond its command.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ SPACING_DEG = 2.5
 def tabulate_rotary(
     errors: ErrorMap, most_points: int, others: Collection[str] = ()
 ) -> tuple[RotaryTable, ...]:
-    """Return a table for each rotary axis whose positioning the result has.
+    """A table for each rotary axis whose positioning the result has.
 
-    others : axes with a table all the same, of what the result has of them
+    others : axes that get a table in any case, of what the result has of them
     """
     return tuple(
         _tabulate(errors, axis, most_points)
@@ -37,12 +37,12 @@ def tabulate_rotary(
 
 
 def find_sense(errors: ErrorMap, axis: RotaryAxis) -> float:
-    """Return 1 where the axis turns the tool, −1 where it turns the workpiece."""
+    """1 where the axis turns the tool, −1 where it turns the workpiece."""
     return -1.0 if axis.name in errors.machine.workpiece_side else 1.0
 
 
 def has_positioning(errors: ErrorMap, axis: RotaryAxis) -> bool:
-    """Tell whether the result has the positioning of the axis."""
+    """Whether the result has the positioning of the axis."""
     own = f"E{axis.name}{axis.name}"
     motions = errors.result.model.identifiable_motions
     return any(one.symbol == own for one in motions)
@@ -51,7 +51,7 @@ def has_positioning(errors: ErrorMap, axis: RotaryAxis) -> bool:
 def find_positioning_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return ECC of a C axis at positions; the nearest measured ones beyond these."""
+    """ECC of a C axis at positions; beyond the measured range that at its ends."""
     at_deg = keep_to_measured(errors, axis, at_deg)
     return errors.rotation_rad(axis.name, at_deg)[:, TURNS.index(axis.name)]
 
@@ -59,7 +59,7 @@ def find_positioning_rad(
 def keep_to_measured(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return positions, the nearest measured ones beyond what was measured."""
+    """Positions, clipped to the measured range."""
     measured = errors.result.measured.get(axis.name)
     if measured is None or axis.turns_fully:
         return at_deg
@@ -85,7 +85,6 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
 def _find_motions(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
-    """Return E and ω as the result has them; 0 where it does not know one."""
     at_deg = keep_to_measured(errors, axis, at_deg)
     symbols, model = list_error_motions(axis.name), errors.result.model
     motions = np.zeros((len(at_deg), len(symbols)))

@@ -1,4 +1,4 @@
-"""The tables of a result as a format wants them, and what it makes of them."""
+"""Tables of a result for a format, and the format's use of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from truepath.files.earlier.temperature_file import TemperatureModel
 
 @dataclass(frozen=True, slots=True)
 class StatedTemperature:
-    """A temperature model, and the temperature that files are asked for."""
+    """A temperature model, and the temperature for which files are requested."""
 
     model: TemperatureModel
     at_degc: float
@@ -34,13 +34,13 @@ class StatedTemperature:
 
 @dataclass(frozen=True, slots=True)
 class Tabulation:
-    """How errors become the tables of a format.
+    """Settings that turn errors into the tables of a format.
 
     stem : of the files' names; stamp : lines for their comments
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
-    measured : range of each axis, and what its table has beyond
+    measured : range of each axis, and the content of its table beyond
     temperature : where the errors are of a temperature model
-    active : files that the control had as they were measured, and that these replace
+    active : files of the control during the measurement, which these replace
     """
 
     kind: CompensationFormat
@@ -52,17 +52,17 @@ class Tabulation:
     active: ActiveFiles | None = None
 
     def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
-        """Return the errors less what the files state as places of rotary axes."""
+        """Errors without the locations of rotary axes that the files contain."""
         stated = self.kind.list_places(errors.machine, find_places(errors))
         return leave_out_places(errors, stated)
 
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
-        """Return the content of the files."""
+        """Content of the files, combined with the active ones."""
         found = self.tabulate_found(errors)
         return combine_tables(found, errors, self.active) if self.active else found
 
     def tabulate_found(self, errors: ErrorMap) -> CompensationTables:
-        """Return the errors alone, without what active files have."""
+        """Content of the files from the errors alone, without the active ones."""
         active = self.active and self.kind.read_rotary(
             self.active.texts, errors.machine
         )
@@ -97,24 +97,24 @@ class Tabulation:
         )
 
     def write(self, errors: ErrorMap) -> dict[str, str]:
-        """Return the files by name."""
+        """Files by name."""
         return self.kind.write(self.tabulate(errors))
 
     def read_back(self, errors: ErrorMap) -> Correction:
-        """Return what the controller adds once it has read the files.
+        """Addition by the controller once it has read the files.
 
-        Less what it added by active files as the errors were measured.
+        Less its addition by active files while the errors were measured.
         """
         return self.subtract(self.kind.read(self.write(errors), errors.machine))
 
     def subtract(self, correction: Correction) -> Correction:
-        """Return what is added beside what active files add."""
+        """Addition beyond that of the active files."""
         if (active := self.active) is None:
             return correction
         return lambda at, side: correction(at, side) - active.correction(at, side)
 
     def extrapolate(self, errors: ErrorMap) -> Tabulation:
-        """Return the same with what the model says where nothing was measured."""
+        """The same, extrapolated by the model where nothing was measured."""
         measured = errors.result.measured
         every = find_measured_ranges(errors.machine, measured, None)
         return replace(self, measured=every)
@@ -123,7 +123,7 @@ class Tabulation:
 def find_interpolation_losses_mm(
     errors: ErrorMap, tables: tuple[AxisTable, ...]
 ) -> list[Float64[np.ndarray, "n 3"]]:
-    """Return the error of straight lines between rows, along the middle, by axis."""
+    """Error of linear interpolation between rows, along the middle, by axis."""
     lost: list[Float64[np.ndarray, "n 3"]] = []
     for table in tables:
         at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])

@@ -1,9 +1,9 @@
 """Tables of a tool without length, for a control that adds that of the tool in use.
 
 The ISG kernel computes with tool length 0 unless N0X, N0Y, N0Z give the unit vector
-from the flange to the tip; then it adds what the angles do at the end of the tool in
-use, and displacements are those of a tool without length: only what is across that
-vector stays in them. Source: ISG kernel manual, volumetric compensation, tool length.
+from the flange to the tip; then it adds the effect of the angles at the end of the tool
+in use, and displacements are those of a tool without length: they keep only the part
+across that vector. Source: ISG kernel manual, volumetric compensation, tool length.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ class ToolLength:
         self.note = _NOTES[word]
 
     def find_direction(self, machine: Machine) -> tuple[int, int, int] | None:
-        """Return N0X, N0Y, N0Z; None where the file has none."""
+        """N0X, N0Y, N0Z; None where the file has none."""
         if not self._follows:
             return None
         return (0, 0, -1 if find_tool_mm(machine)[2] < 0.0 else 1)
 
     def find_tip(self, machine: Machine) -> Float64[np.ndarray, "3"]:
-        """Return P0X, P0Y, P0Z: the tip less the length that the control adds."""
+        """P0X, P0Y, P0Z: the tip without the length that the control adds."""
         offset = np.array(machine.target().offset_mm, float)
         return offset - find_tool_mm(machine) if self._follows else offset
 
     def shorten(
         self, tables: tuple[AxisTable, ...], machine: Machine
     ) -> tuple[AxisTable, ...]:
-        """Return the tables of a tool without length where the control follows it."""
+        """Tables of a tool without length, if the control adds the length."""
         if not self._follows:
             return tables
         tool_mm = find_tool_mm(machine)
@@ -68,7 +68,7 @@ class ToolLength:
 
 
 def find_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
-    """Return the part of the target's offset along Z, where a tool's length counts."""
+    """Part of the target's offset along Z, where a tool's length counts."""
     return np.array([0.0, 0.0, machine.target().offset_mm[2]])
 
 
@@ -77,7 +77,7 @@ def add_tool(
     direction: Float64[np.ndarray, "3"],
     machine: Machine,
 ) -> Float64[np.ndarray, "n 6"]:
-    """Return motions at the end of the measured tool, as the control adds its length.
+    """Motions at the end of the measured tool, with the length added by the control.
 
     direction : N0X, N0Y, N0Z, 0 where the file has none
     """

@@ -1,7 +1,7 @@
-"""What tables hold where an axis was not measured.
+"""Content of tables where an axis was not measured.
 
-Splines go on beyond the last measured position, with an uncertainty that grows fast:
-what they say there is no measurement. A table holds the value of the last measured
+Splines continue beyond the last measured position, with an uncertainty that grows fast:
+their value there is no measurement. A table holds the value of the last measured
 position, or fades from there to 0 at the end of the travel.
 """
 
@@ -17,11 +17,11 @@ from jaxtyping import Float64
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 
-_LEAST_MM = 1e-3  # a shorter range is a matter of rounding
+_LEAST_MM = 1e-3  # a shorter range is due to rounding
 
 
 class Unmeasured(StrEnum):
-    """What to do with the part of a travel that was not measured."""
+    """Treatment of the part of a travel that was not measured."""
 
     HOLD = "hold"
     FADE = "fade"
@@ -29,7 +29,7 @@ class Unmeasured(StrEnum):
 
     @property
     def words(self) -> str:
-        """What tables have there, for people."""
+        """Text for people."""
         if self is Unmeasured.FADE:
             return "fades to 0 at the end of the travel"
         return "holds the value of the last measured position"
@@ -37,11 +37,11 @@ class Unmeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MeasuredRange:
-    """The measured range of an axis, and what its table has beyond.
+    """The measured range of an axis, and the content of its table beyond.
 
-    choice : None for what the model says there, which nothing has measured
-    is_stated : whether the result says where it was measured; the range is the travel
-        where it does not
+    choice : None for the model's extrapolation
+    is_stated : whether the result says where it was measured; if not, the range is the
+        travel
     """
 
     axis: LinearAxis
@@ -52,16 +52,16 @@ class MeasuredRange:
 
     @property
     def missing(self) -> tuple[tuple[float, float], ...]:
-        """The parts of the travel that were not measured."""
+        """Parts of the travel that were not measured."""
         ends = (self.axis.low, self.low), (self.high, self.axis.high)
         return tuple((a, b) for a, b in ends if b - a > _LEAST_MM)
 
     def place(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return the positions whose errors a table has at its own."""
+        """Positions whose errors a table holds at its own positions."""
         return at_mm if self.choice is None else np.clip(at_mm, self.low, self.high)
 
     def weigh(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return what the error there counts: 1, or less where it fades."""
+        """Weight of the error there: 1, or less where it fades."""
         weight = np.ones(len(at_mm))
         if self.choice is not Unmeasured.FADE:
             return weight
@@ -73,11 +73,11 @@ class MeasuredRange:
 
     @property
     def is_known_whole(self) -> bool:
-        """Whether the whole travel was measured, as the result says."""
+        """Whether the whole travel was measured according to the result."""
         return self.is_stated and not self.missing
 
     def describe(self) -> str:
-        """Return what was not measured, in plain ASCII."""
+        """Text about the unmeasured range, in plain ASCII."""
         if not self.is_stated:
             return (
                 f"{self.axis.name}: the result does not state where it was measured: "
@@ -93,7 +93,7 @@ def find_measured_ranges(
     measured: Mapping[str, tuple[float, float]],
     choice: Unmeasured | None,
 ) -> dict[str, MeasuredRange]:
-    """Return the measured range of each straight axis; all where none is stated.
+    """Measured range of each linear axis; the whole travel where none is stated.
 
     Raises BadInput if a part was not measured, or may not have been, and the choice is
     to refuse.

@@ -1,8 +1,8 @@
 """The measurement bundle of the file formats, a folder or a .zip, to and from a Run.
 
 A bundle that cannot be used is one BundleError naming file, row and column; rows are
-counted as `tables` says. What a bundle does not carry is left behind on export: axis
-samples, events, the tracker's counter.
+counted as in `tables`. Axis samples, events and the tracker's counter have no place in
+a bundle and are lost on export.
 
 Nothing is ever extracted: members are read into memory, by name, up to a limit each, so
 an archive can neither leave its folder nor fill the disk.
@@ -92,7 +92,7 @@ damaged."""
 _ENVIRONMENT, _SILENT = (
     "environment",
     "sensor-silent",
-)  # what environment.csv cannot say
+)  # what environment.csv cannot hold
 _TOLD, _LEFT_OUT = "told", "left_out"
 
 
@@ -156,7 +156,7 @@ def read_bundle(
 
 
 def write_bundle(run: Run, folder: str | FilePath) -> None:
-    """Write a Run as a bundle, each file whole or not at all.
+    """Write a Run as a bundle, each file completely or not at all.
 
     Raises BundleError if the folder holds a file of another bundle that this one would
     not replace: the two together would contradict each other.
@@ -174,7 +174,7 @@ def write_bundle(run: Run, folder: str | FilePath) -> None:
 
 
 def zip_bundle(run: Run) -> bytes:
-    """Return a Run as a zipped bundle, its files in a folder of the Run's name."""
+    """The files are in a folder of the Run's name."""
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in _encode_files(run).items():
@@ -185,7 +185,7 @@ def zip_bundle(run: Run) -> bytes:
 
 
 def check_archive(file: FilePath, limit_bytes: int) -> None:
-    """Refuse an archive that would unpack to more than a limit. Raises BundleError."""
+    """Raise BundleError for an archive that would unpack to more than a limit."""
     remedy = "send the .zip of a measurement bundle"
     with _open_archive(file, "bundle", remedy) as archive:
         total = sum(info.file_size for info in archive.infolist())
@@ -221,7 +221,6 @@ def _make_folder_name(name: str) -> str:
 
 
 def _require_rows(points: PointRows | None, commanded: Commanded, file: str) -> None:
-    """Refuse points of a path, and points beyond the last row of `points.csv`."""
     if points is None:
         return
     if isinstance(commanded, Path):
@@ -260,7 +259,6 @@ def _choose_file(files: BundleFiles, first: str, second: str) -> str:
 def _open_bundle(
     path: str | FilePath, on_file: Callable[[str], None]
 ) -> Iterator[BundleFiles]:
-    """Open a folder, or an archive with the files at its top or all in one folder."""
     place = FilePath(path)
     if place.is_dir():
         files = [place / name for name in FILES]
@@ -362,7 +360,6 @@ def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.Zip
 
 
 def _describe_environment(run: Run) -> dict[str, Any]:
-    """Return the key with its content; nothing where there is nothing to say."""
     time_s = run.tracker.device_time_s
     content: dict[str, Any] = {}
     if len(time_s):
@@ -379,7 +376,7 @@ def _describe_environment(run: Run) -> dict[str, Any]:
 
 
 def _read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:
-    """Return who has corrected the ranges, and what sensors were missing.
+    """Refraction, and events of missing or implausible sensors.
 
     content : of machine.json. Raises BundleError.
     """

@@ -1,4 +1,4 @@
-"""`path.csv` and `points.csv` of a bundle: what was commanded, row by row."""
+"""`path.csv` and `points.csv` of a bundle: the commanded rows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 def read_set_up(
     machine_file: FilePath, commanded_file: FilePath
 ) -> tuple[Machine, Commanded]:
-    """Return the machine and its path, or points where the file has no feed.
+    """Read machine, and path, or points where the file has no feed.
 
     Raises BundleError with file, row and column.
     """
@@ -44,7 +44,7 @@ def read_set_up(
 
 
 def read_point_names(file: FilePath) -> tuple[str, ...]:
-    """Return the column `name` of a path or of points; nothing without it."""
+    """The column `name` of a path or of points; empty without it."""
     table = read_csv(read_whole(file), str(file))
     return tuple(table.texts("name")) if "name" in table.names else ()
 
@@ -52,7 +52,7 @@ def read_point_names(file: FilePath) -> tuple[str, ...]:
 def decode_commanded(
     data: bytes, machine: Machine, file: str, *, is_path: bool
 ) -> Commanded:
-    """Return the path of a `path.csv`, or the standstill points of a `points.csv`."""
+    """Path of a `path.csv`, or points of a `points.csv`. Raises BundleError."""
     table = read_csv(data, file)
     if len(table) > MAX_ROWS:
         problem = f"has {len(table)} rows, more than {MAX_ROWS}"
@@ -73,12 +73,12 @@ def decode_commanded(
 
 
 def encode_commanded(commanded: Commanded) -> bytes:
-    """Return the `path.csv` of a path or the `points.csv` of points."""
+    """Bytes of `path.csv` for a path, of `points.csv` for points."""
     return encode_csv(list_columns(commanded))
 
 
 def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
-    """Return the columns of the file of a path or of points."""
+    """Columns of `path.csv` or `points.csv`, in mm, deg, mm/min and s."""
     columns: dict[str, Iterable[object]] = dict(
         zip(name_columns(commanded.axes), commanded.position.T, strict=True)
     )
@@ -93,7 +93,6 @@ def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
 
 
 def _list_arcs(arcs: Iterable[Arc | None]) -> Iterable[tuple[object, ...]]:
-    """Return the columns of arcs, empty cells on straight lines."""
     rows = [
         ("", "", "", "") if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
         for arc in arcs
@@ -102,7 +101,7 @@ def _list_arcs(arcs: Iterable[Arc | None]) -> Iterable[tuple[object, ...]]:
 
 
 def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
-    """Return the plan as JSON: mm and deg, one list a row in the order of `axes`."""
+    """The plan as JSON: mm and deg, one list per row in the order of `axes`."""
     is_path = isinstance(commanded, Path)
     return {
         "kind": "path" if is_path else "points",
@@ -116,7 +115,6 @@ def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
 
 
 def _encode_arcs(arcs: tuple[Arc | None, ...]) -> dict[str, Any]:
-    """Return `arc`, a list a row, null on a straight line; nothing without arcs."""
     if not any(arcs):
         return {}
     return {
@@ -128,7 +126,7 @@ def _encode_arcs(arcs: tuple[Arc | None, ...]) -> dict[str, Any]:
 
 
 def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
-    """Return what the content made by `encode_commanded_json` commands."""
+    """Inverse of `encode_commanded_json`."""
     axes, target = tuple(content["axes"]), tuple(content["target"])
     position = np.array(content["position"], float).reshape(-1, len(axes))
     dwell_s = np.array(content["dwell_s"], float)
@@ -204,7 +202,6 @@ def _refuse_bad_arcs(table: Table, path: Path) -> None:
 
 
 def _refuse_standing_lines(table: Table, path: Path) -> None:
-    """Refuse a row that repeats the one before, unless it changes the target."""
     if len(path) < 2:
         raise BundleError(
             "has one row, and no line", file=table.file, remedy="a path needs two rows"
@@ -223,10 +220,6 @@ def _refuse_standing_lines(table: Table, path: Path) -> None:
 
 
 def _refuse_metres(table: Table, machine: Machine, commanded: Commanded) -> None:
-    """Refuse positions of which a thousand times as much fits the travel.
-
-    A path that goes so short a way tells nothing of a machine of that travel.
-    """
     columns = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
     if not columns:
         return

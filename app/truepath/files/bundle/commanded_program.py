@@ -1,4 +1,4 @@
-"""The NC program that a machine ran, as the path of a bundle."""
+"""The NC program that a machine executed, as the path of a bundle."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from truepath_drivers.interfaces.records import Path
 def read_commanded_program(
     file: FilePath, machine: Machine, dialect: str = ""
 ) -> tuple[Path, str]:
-    """Return the path of a measuring program, and the dialect that read it.
+    """The path of a measuring program, and the dialect that parsed it.
 
-    dialect : of the control; if empty, the one that reads the whole program
-    Raises BundleError naming the line, or the dialects that read it differently.
+    dialect : of the control; if empty, the one that parses the whole program
+
+    Raises BundleError naming the line, or the dialects that parse it differently.
     """
     text = read_whole(file).decode("utf-8", "replace")
     motions, refusals = _read_by(text, [dialect] if dialect else list_dialects())

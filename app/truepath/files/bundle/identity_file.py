@@ -1,4 +1,4 @@
-"""What people state of a machine and its calibration.
+"""Statements of people on a machine and its calibration.
 
 `identity.json` (schema `identity/1`) is one flat object of texts; every key may be
 missing. Earlier versions kept one such object by the name of each machine in
@@ -50,13 +50,13 @@ Identity = Mapping[str, str]
 
 
 def read_identity(file: str | Path) -> Identity:
-    """Read an identity file. Raises BundleError naming the key."""
+    """Raises BundleError naming the key."""
     content = parse_json(read_whole(file, largest_bytes=_LARGEST_BYTES), str(file))
     return identity_from_json(content, file=str(file))
 
 
 def identity_from_json(content: object, *, file: str) -> Identity:
-    """Return what an object states. Raises BundleError naming the key."""
+    """Non-empty texts of an object. Raises BundleError naming the key."""
     if not isinstance(content, Mapping):
         raise BundleError("is no object, {…}", file=file, remedy="write an object")
     stated = dict(content)
@@ -70,7 +70,7 @@ def identity_from_json(content: object, *, file: str) -> Identity:
 
 
 def read_assignments(assignments: list[str]) -> Identity:
-    """Return what `FIELD=TEXT` state. Raises BadInput naming the field."""
+    """From `FIELD=TEXT`. Raises BadInput or BundleError naming the field."""
     content: dict[str, str] = {}
     for each in assignments:
         name, equals, text = each.partition("=")
@@ -81,9 +81,9 @@ def read_assignments(assignments: list[str]) -> Identity:
 
 
 def read_kept_identities(file: Path) -> Mapping[str, Identity]:
-    """Return the identities by machine name that earlier versions kept in a file.
+    """Identities by machine name that earlier versions stored in a file.
 
-    Nothing where there is no file. Raises BundleError on a damaged one.
+    Empty where there is no file. Raises BundleError on a damaged one.
     """
     if not file.exists():
         return {}
@@ -97,7 +97,7 @@ def read_kept_identities(file: Path) -> Mapping[str, Identity]:
 
 
 def write_kept_identities(file: Path, machines: Mapping[str, Identity]) -> None:
-    """Write the identities that are left; without any the file goes."""
+    """Write the remaining identities; without any the file is removed."""
     if not machines:
         file.unlink(missing_ok=True)
         return

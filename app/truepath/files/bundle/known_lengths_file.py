@@ -1,10 +1,10 @@
 """`known_lengths.csv`: lengths known otherwise, as the tracker has measured them.
 
-A scale bar, the way of an interferometer, the distance that a second tracker states:
-x1_mm to z2_mm are its ends in the tracker's frame, length_mm and u_mm what it is known
-to be, with its standard uncertainty. measured_mm is the tracker's own where it is not
-the distance of the ends. With temperature_degC and expansion_um_per_m_K length_mm is
-that at 20 °C, else that as it was measured.
+A scale bar, the travel of an interferometer, the distance by a second tracker: x1_mm to
+z2_mm are its ends in the tracker's frame, length_mm and u_mm its known value, with its
+standard uncertainty. measured_mm is the tracker's own where it is not the distance of
+the ends. With temperature_degC and expansion_um_per_m_K length_mm is that at 20 °C,
+else that as it was measured.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WRONG = 1e-3  # of the length: a slip of unit, point or row, no scale
 def decode_known_lengths(
     data: bytes, *, file: str = KNOWN_LENGTHS
 ) -> tuple[KnownLength, ...]:
-    """Return the known lengths of a file. Raises BundleError."""
+    """Lengths at the temperature of measurement. Raises BundleError."""
     table = read_csv(data, file)
     table.require_rows("leave out the file")
     if len(table) > _MOST:
@@ -90,7 +90,7 @@ def decode_known_lengths(
 
 
 def encode_known_lengths(lengths: tuple[KnownLength, ...]) -> bytes:
-    """Return the `known_lengths.csv` of lengths as they were measured."""
+    """Bytes of `known_lengths.csv`, at the temperature of measurement."""
     rows = [
         (*np.ravel(one.ends_mm), one.length_mm, one.sigma_mm, one.measured_mm)
         for one in lengths
@@ -99,7 +99,7 @@ def encode_known_lengths(lengths: tuple[KnownLength, ...]) -> bytes:
 
 
 def add_known_lengths(run: Run, lengths: tuple[KnownLength, ...]) -> Run:
-    """Return a Run with lengths as its tracker has shown them, in place of others."""
+    """Replace the known lengths of a Run; given as the tracker showed them."""
     factor = find_factor(run.refraction)
     return replace(run, known_lengths=tuple(one.scale(factor) for one in lengths))
 
@@ -107,7 +107,7 @@ def add_known_lengths(run: Run, lengths: tuple[KnownLength, ...]) -> Run:
 def _warm(
     table: Table, length_mm: np.ndarray, sigma_mm: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lengths at their temperatures, known as well as those of the air are."""
+    """Lengths at their temperatures, whose uncertainty is that of the air's."""
     if not set(_THERMAL) & set(table.names):
         return length_mm, sigma_mm
     degc, per_k = table.numbers(_THERMAL[0]), 1e-6 * table.numbers(_THERMAL[1])

@@ -74,7 +74,7 @@ class LinearAxisFile(FileModel):
         return self
 
     def axis(self, name: str) -> LinearAxis:
-        """Return the axis."""
+        """With limits in mm."""
         return LinearAxis(name, self.min_mm, self.max_mm)
 
 
@@ -96,7 +96,7 @@ class RotaryAxisFile(FileModel):
         return self
 
     def axis(self, name: str) -> RotaryAxis:
-        """Return the axis, its direction of length 1."""
+        """Its direction has length 1."""
         direction = self.direction or _DIRECTIONS[name]
         length = math.hypot(*direction)
         x, y, z = (component / length for component in direction)
@@ -123,7 +123,7 @@ class AxesFile(FileModel):
         return content
 
     def axes(self) -> tuple[Axis, ...]:
-        """Return the axes."""
+        """In the order of the class."""
         stated = {name: getattr(self, name) for name in type(self).model_fields}
         return tuple(file.axis(name) for name, file in stated.items() if file)
 
@@ -155,7 +155,7 @@ class SpecificationFile(_Keys):
         return content
 
     def specification(self) -> TrackerSpecification:
-        """Return the specification."""
+        """All in standard uncertainties."""
         return TrackerSpecification(**self.model_dump())
 
 
@@ -180,7 +180,7 @@ class TrackerFile(FileModel):
         return self
 
     def tracker(self) -> TrackerNoise:
-        """Return the tracker."""
+        """Noise and station of the tracker."""
         stated = self.model_dump(exclude={"specification"})
         found = self.specification
         return TrackerNoise(
@@ -196,7 +196,7 @@ class MotionFile(FileModel):
     jerk_mm_s3: Annotated[float, Field(ge=10.0, le=1e9)] | None = None
 
     def limits(self) -> MotionLimits:
-        """Return the limits, which name what is assumed."""
+        """Limits of motion, with the names of those assumed."""
         stated = {k: v for k, v in self.model_dump().items() if v is not None}
         assumed = tuple(name for name in type(self).model_fields if name not in stated)
         return MotionLimits(**stated, assumed=assumed)
@@ -210,7 +210,7 @@ class ApproachFile(FileModel):
     feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Approach().feed_mm_min
 
     def require_axes(self, axes: tuple[Axis, ...]) -> None:
-        """Refuse what the axes cannot do."""
+        """Raise a refusal of what the axes cannot do."""
         linear = {axis.name: axis for axis in axes if isinstance(axis, LinearAxis)}
         for name, value in (self.clearance_mm or {}).items():
             place = "approach", "clearance_mm", name
@@ -226,7 +226,7 @@ class ApproachFile(FileModel):
             raise refuse(f"is {quote(self.order)}", remedy, "approach", "order")
 
     def approach(self) -> Approach:
-        """Return the approach."""
+        """Clearance in mm, as pairs of axis and position."""
         stated = self.clearance_mm
         clearance_mm = None if stated is None else tuple(stated.items())
         return Approach(clearance_mm, tuple(self.order), self.feed_mm_min)
@@ -293,7 +293,7 @@ class MachineFile(FileModel):
         return self
 
     def sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Split `w-…-b-…-t` at the base."""
+        """Axes of `w-…-b-…-t` on the side of the workpiece, and of the tool."""
         parts = self.kinematic_chain.split("-")
         if parts[0] != "w" or parts[-1] != "t" or parts.count("b") != 1:
             raise refuse(
@@ -305,7 +305,7 @@ class MachineFile(FileModel):
         return tuple(parts[1:base]), tuple(parts[base + 1 : -1])
 
     def machine(self) -> Machine:
-        """Return the machine; the target of `tool_offset_mm` has no name."""
+        """The target of `tool_offset_mm` has no name."""
         stated = (self.targets or {}).items()
         targets = tuple(
             Target(name, t.on, t.offset_mm, t.seat_sigma_mm) for name, t in stated
@@ -328,22 +328,22 @@ class MachineFile(FileModel):
 
 
 def read_machine(path: str | Path) -> Machine:
-    """Read a machine file from disk."""
+    """Raises BundleError."""
     return decode_machine(read_whole(path), file=Path(path).name)
 
 
 def decode_machine(data: bytes, *, file: str = "machine.json") -> Machine:
-    """Return the machine that the bytes of a machine file state."""
+    """Raises BundleError."""
     return machine_from_json(parse_json(data, file), file=file)
 
 
 def machine_from_json(content: object, *, file: str = "machine.json") -> Machine:
-    """Return the machine that parsed JSON states. Raises BundleError."""
+    """From parsed JSON. Raises BundleError."""
     return validate(MachineFile, content, file).machine()
 
 
 def machine_to_json(machine: Machine) -> dict[str, Any]:
-    """Return the content of the machine file of a machine."""
+    """Content of `machine.json`; assumed limits of motion are left out."""
     noise, site = machine.tracker, machine.altitude_m
     return {
         "schema": SCHEMA,
@@ -363,7 +363,7 @@ def _tracker_json(tracker: TrackerNoise) -> dict[str, Any]:
 
 
 def encode_machine(machine: Machine) -> bytes:
-    """Return the bytes of the machine file of a machine."""
+    """Bytes of `machine.json`."""
     return encode_json(machine_to_json(machine), indent=1)
 
 

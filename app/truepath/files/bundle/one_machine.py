@@ -1,4 +1,4 @@
-"""Several Runs of one machine: that it is one, and which targets it has in all."""
+"""Several Runs of one machine: their common machine, and all its targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SAME_TARGET_MM = 1e-6
 
 
 def one_machine(machines: Sequence[Machine], names: Sequence[str]) -> Machine:
-    """Return the machine of all Runs, with the targets of all.
+    """The machine of all Runs, with the targets of all.
 
     names : of the Runs, in the same order
 
@@ -36,7 +36,7 @@ def one_machine(machines: Sequence[Machine], names: Sequence[str]) -> Machine:
 
 
 def have_same_targets(one: Machine, other: Machine) -> bool:
-    """Say whether two machines have the same targets, whatever they are called."""
+    """Same sides and offsets, to 1 nm; names do not matter."""
     return len(one.targets) == len(other.targets) and all(
         any(_is_same(target, known) for known in other.targets)
         for target in one.targets
@@ -44,7 +44,7 @@ def have_same_targets(one: Machine, other: Machine) -> bool:
 
 
 def list_differences(before: Machine, now: Machine) -> list[str]:
-    """Return each field of the machine file that has changed, in words."""
+    """Each changed field of the machine file, as a sentence."""
     was, found = (dict(_flatten(machine_to_json(one))) for one in (before, now))
     return [
         f"{field} is {_show(found.get(field))} and was {_show(was.get(field))}"
@@ -66,7 +66,6 @@ def _require_same(first: Machine, other: Machine, first_run: str, run: str) -> N
 
 
 def _state_identity(machine: Machine) -> dict[str, Any]:
-    """Return what has to be the same; targets and noise may differ."""
     content = machine_to_json(machine)
     return {
         "name": content["name"],

@@ -1,4 +1,4 @@
-"""What was recorded, in a bundle: tracker stream, temperatures, direct measurements.
+"""Recorded data in a bundle: tracker stream, temperatures, direct measurements.
 
 A stream has no counter in a bundle. It is rebuilt from the clock: a pause of k sample
 intervals counts as k - 1 lost samples.
@@ -64,7 +64,7 @@ _COLUMNS = ("error", "position_mm", "direction", "value", "unit")
 def decode_tracker(
     data: bytes, *, file: str = "tracker.parquet"
 ) -> tuple[TrackerSamples, PointRows | None]:
-    """Return the samples, and what a column `point` says of them; None without it.
+    """The samples, and the columns with `point`; None without it.
 
     A name that ends in `.csv` is read as CSV.
     """
@@ -98,7 +98,7 @@ def decode_tracker(
 
 
 def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> bytes:
-    """Return the `tracker.parquet` of samples."""
+    """Bytes of `tracker.parquet`, with checksums."""
     columns = dict(zip(_POSITION, samples.position_mm.T, strict=True))
     table = pa.table(
         {
@@ -117,10 +117,10 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
 def decode_environment(
     data: bytes, altitude_m: float | None = None, *, file: str = "environment.csv"
 ) -> tuple[TemperatureSamples | None, AirSamples | None, tuple[RunEvent, ...]]:
-    """Return temperatures and air, and what of them is not believed.
+    """Temperatures and air, and events for rejected readings.
 
-    Units are taken by the names of columns; other columns are left out. A pressure that
-    is never that of the site is refused.
+    Units are taken from the names of columns; other columns are left out. Raises
+    BundleError for a pressure that is impossible at the site.
     """
     table = read_csv(data, file)
     table.require("t_s")
@@ -156,10 +156,10 @@ def decode_environment(
 def encode_environment(
     temperature: TemperatureSamples | None, air: AirSamples | None
 ) -> bytes:
-    """Return the `environment.csv` of sensors, every cell a number.
+    """Bytes of `environment.csv`, every cell a number.
 
-    Between its readings a sensor is joined by straight lines; who has a hole that is
-    too long for this is left out, by `find_missing`.
+    Between its readings a sensor is interpolated linearly; one with a hole that is too
+    long for this is left out, by `find_missing`.
     """
     columns = name_columns(temperature, air)
     if not columns:
@@ -172,7 +172,7 @@ def encode_environment(
 def decode_reference(
     data: bytes, *, file: str = "reference.csv"
 ) -> tuple[DirectMeasurement, ...]:
-    """Return one measurement for each error, direction and unit, in order of rows."""
+    """One measurement per error, direction and unit, in order of rows."""
     table = read_csv(data, file)
     table.require(*_COLUMNS)
     table.require_rows("leave out the file")
@@ -188,7 +188,7 @@ def decode_reference(
 
 
 def encode_reference(reference: tuple[DirectMeasurement, ...]) -> bytes:
-    """Return the `reference.csv` of direct measurements."""
+    """Bytes of `reference.csv`."""
     rows = [
         (one.error, repr(float(position)), one.direction, repr(float(value)), one.unit)
         for one in reference
@@ -206,7 +206,6 @@ def _name_point_columns(points: PointRows) -> dict[str, NDArray[np.generic]]:
 
 
 def _read_points(table: Table, kept: NDArray[np.bool_]) -> PointRows:
-    """Return the columns that a polled tracker adds; without more, single shots."""
     point = table.numbers("point")
     odd = (point != np.rint(point)) | (point < 1)
     table.refuse(
@@ -234,7 +233,6 @@ def _read_points(table: Table, kept: NDArray[np.bool_]) -> PointRows:
 def _read_clock(
     table: Table, repeats: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return the column `t_s`, which must increase from row to row but at repeats."""
     time_s = table.numbers("t_s")
     back = np.diff(time_s) <= 0
     if repeats is not None:
@@ -259,7 +257,6 @@ def _rebuild_counter(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
 def _find_repeats(
     time_s: NDArray[np.float64], position_mm: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Tell which rows are the row before once more: a frame that came twice."""
     repeats = np.zeros(len(time_s), bool)
     same = np.diff(time_s) == 0
     repeats[1:] = same & (np.diff(position_mm, axis=0) == 0).all(axis=1)

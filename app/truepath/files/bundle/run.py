@@ -1,4 +1,4 @@
-"""A Run: what was commanded, what was recorded; its facts, the digest of its data."""
+"""A Run: commanded rows, recorded data; its summary, the digest of its data."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ _TOLD = frozenset(map(str, TrackerEventKind))
 class Interruptions:
     """How often a stream was not usable, and for how long altogether.
 
-    breaks, broken_s : stretches of samples that the tracker calls invalid
+    breaks, broken_s : stretches of samples that the tracker marks invalid
     gaps, lost_samples : places where the counter steps by more than one
-    searches, found : tries of the tracker to find a lost target by itself that failed,
-        and that have found it
+    searches, found : automatic searches of the tracker for a lost target, failed and
+        successful
     """
 
     breaks: int = 0
@@ -77,10 +77,10 @@ class DirectMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class KnownLength:
-    """A length known otherwise, and what the tracker made of it.
+    """A length known otherwise, and its measurement by the tracker.
 
     ends_mm : both ends in the tracker's frame
-    length_mm, sigma_mm : as it is known to be, with its standard uncertainty
+    length_mm, sigma_mm : known value, with its standard uncertainty
     """
 
     ends_mm: tuple[tuple[float, ...], tuple[float, ...]]
@@ -89,7 +89,7 @@ class KnownLength:
     sigma_mm: float
 
     def scale(self, factor: float) -> KnownLength:
-        """Return it with what the tracker measured multiplied."""
+        """Multiply what the tracker measured; the known length stays."""
         first, second = (tuple(factor * x for x in end) for end in self.ends_mm)
         measured_mm = factor * self.measured_mm
         return replace(self, ends_mm=(first, second), measured_mm=measured_mm)
@@ -97,7 +97,7 @@ class KnownLength:
 
 @dataclass(frozen=True, slots=True)
 class PointRows:
-    """What is known of each sample where each is the mean of a standstill point.
+    """Details of samples that are means of standstill points.
 
     row : (n,) int64, of the commanded points, from 0
     count : (n,) int64, shots in the mean
@@ -110,7 +110,7 @@ class PointRows:
 
     @classmethod
     def join(cls, parts: Sequence[PointRows]) -> PointRows:
-        """Return all of them, in order; one part at least."""
+        """In order; one part at least."""
         return cls(
             np.concatenate([part.row for part in parts]),
             np.concatenate([part.count for part in parts]),
@@ -120,7 +120,7 @@ class PointRows:
 
 @dataclass(frozen=True, slots=True)
 class PointBlock:
-    """Some measured points of a Run under way, one sample each."""
+    """Some measured points of a Run in progress, one sample each."""
 
     samples: TrackerSamples
     points: PointRows
@@ -128,7 +128,7 @@ class PointBlock:
 
 @dataclass(frozen=True, slots=True)
 class RunEvent:
-    """Something that happened during a Run, by the host's monotonic clock."""
+    """An event during a Run, by the host's monotonic clock."""
 
     mono_ns: int
     kind: str
@@ -137,12 +137,12 @@ class RunEvent:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One measurement, whole or as far as it got.
+    """One measurement, complete or interrupted.
 
     temperature, air : as sensors showed them; None where there were none
-    refraction : who has corrected the ranges of the tracker for the air
+    refraction : which party has corrected the ranges of the tracker for the air
     points : of a tracker that measures point by point; None where it streams
-    known_lengths : measured by this tracker from the same place, in the same air
+    known_lengths : measured by this tracker from the same station, in the same air
     stream_file : the one that the user sent
     """
 
@@ -169,10 +169,10 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class CommandedFacts:
-    """What was commanded: enough to know it again, and to draw it.
+    """Commanded rows: enough to recognise them, and to draw them.
 
     digest : SHA-256 of the commanded rows; rows : how many there are
-    shown_mm : linear axes at every row, or at every so many of a long path
+    shown_mm : linear axes at every row, or at every nth of a long path
     """
 
     digest: str = ""
@@ -186,19 +186,18 @@ class RunSummary:
 
     mode : `otf` or `standstill`
     digest : SHA-256 of machine, commanded rows and stream, whatever file they came from
-    sketch : by which a part of its stream is known
+    sketch : to recognise a part of its stream (`sample_sketch`)
     lines : lines of the path, or standstill points
     feed_mm_min : lowest and highest feed, None for standstill points
     measured_s : from the first to the last sample; samples : in the stream
     temperature_degc : lowest and highest of each sensor
-    sensors : every sensor, those that showed nothing as well
-    sensors_told : what went wrong with them, each once
-    sensors_left_out : readings that were shown and are not believed, likewise
-    source : what the Run itself knows about where it comes from
-    told : what the tracker itself has said meanwhile, each once
-    interruptions : of the stream; driven_again : which lines were, each time
-    quality : of the samples, if the tracker tells it
-    commanded : what was commanded
+    sensors : every sensor, those without readings as well
+    sensors_told : their faults, each once
+    sensors_left_out : rejected readings, likewise
+    source : provenance of the Run
+    told : messages of the tracker meanwhile, each once
+    interruptions : of the stream; driven_again : repeated lines, each time
+    quality : of the samples, if the tracker reports it
     known_lengths : that its tracker has measured
     """
 
@@ -225,7 +224,7 @@ class RunSummary:
 
 
 def summarize_run(run: Run) -> RunSummary:
-    """Return the facts of a Run."""
+    """Summary of a Run; computes digest and sketch from all samples."""
     time_s = run.tracker.device_time_s
     feed = None
     if isinstance(run.commanded, Path):
@@ -268,14 +267,14 @@ def _find_span_s(time_s: np.ndarray) -> tuple[float, float]:
 
 
 def number_names(names: Sequence[str]) -> list[str]:
-    """Return the names of Runs, numbered where some have the same."""
+    """Names of Runs, all numbered where some are the same."""
     if len(set(names)) == len(names):
         return list(names)
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
 
 
 def digest_run(run: Run) -> str:
-    """Return the SHA-256 of what an analysis reads of a Run."""
+    """SHA-256 of all that an analysis reads of a Run."""
     machine = json.dumps(machine_to_json(run.machine), sort_keys=True)
     stream = run.tracker
     blocks = [stream.device_time_s, stream.position_mm, stream.status]
@@ -319,7 +318,7 @@ def _state_commanded(run: Run) -> CommandedFacts:
 
 
 def combine_digests(summaries: Sequence[RunSummary]) -> str:
-    """Return the digest of a Run, or the SHA-256 of the digests of several."""
+    """The digest of a Run, or the SHA-256 of the digests of several."""
     if len(summaries) == 1:
         return summaries[0].digest
     every = "\n".join(summary.digest for summary in summaries)
@@ -344,7 +343,7 @@ def _span(values: np.ndarray) -> tuple[float, float]:
 def find_interruptions(
     tracker: TrackerSamples, searches: int = 0, found: int = 0
 ) -> Interruptions:
-    """Return the interruptions of a stream, with the searches that were recorded."""
+    """Interruptions of a stream, with the searches that were recorded."""
     if len(tracker) < 2:
         return Interruptions(searches=searches, found=found)
     begin, end = _find_broken(tracker)
@@ -361,7 +360,7 @@ def find_interruptions(
 
 
 def list_locks_s(tracker: TrackerSamples) -> list[float]:
-    """Return when the tracker saw its target again after it had lost it."""
+    """Times when the tracker saw its target again after it had lost it."""
     if len(tracker) < 2:
         return []
     time_s = tracker.device_time_s
@@ -373,6 +372,5 @@ def list_locks_s(tracker: TrackerSamples) -> list[float]:
 
 
 def _find_broken(tracker: TrackerSamples) -> Int64[np.ndarray, "2 m"]:
-    """Return first and one past the last of samples that the tracker calls invalid."""
     is_bad = np.concatenate([[False], tracker.status != 0, [False]])
     return np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T

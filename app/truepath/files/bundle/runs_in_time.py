@@ -1,4 +1,4 @@
-"""Runs of one machine, one after the other: that they are, and when each was."""
+"""Runs of one machine, one after the other: their order and their times."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truepath.kinematics.machine.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class TimedRun:
-    """What is known of the time of a Run, and of what it measured.
+    """Time of a Run, and its identity.
 
     digest : SHA-256 of machine, commanded rows and stream
     started_s : by the clock of the computer that recorded it, if that is known
@@ -31,7 +31,7 @@ class TimedRun:
 
     @staticmethod
     def of(run: Run, name: str) -> TimedRun:
-        """Return that of a Run. Raises BadInput if it has no samples."""
+        """Raises BadInput if the Run has no samples."""
         time_s = run.tracker.device_time_s
         if not len(time_s):
             raise BadInput(f"{name} has no samples")
@@ -47,7 +47,7 @@ class TimedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunsInTime:
-    """One machine and the middle of each of its Runs, s from any begin."""
+    """One machine and the middle of each of its Runs, s from any origin."""
 
     machine: Machine
     time_s: tuple[float, ...]
@@ -56,9 +56,9 @@ class RunsInTime:
 def order_in_time(
     runs: Sequence[TimedRun], stated_s: Sequence[float] | None
 ) -> RunsInTime:
-    """Return the machine of several Runs and when each was.
+    """The machine of several Runs and when each was.
 
-    stated_s : the middle of each as somebody knows it; else by the clocks
+    stated_s : the middle of each as known to the user; else by the clocks
 
     Raises BadInput if a Run is given twice, if they are of different machines or
     targets, or if their order of time is not known or not kept.
@@ -99,7 +99,6 @@ def _refuse_twice(runs: Sequence[TimedRun]) -> None:
 
 
 def _find_times(runs: Sequence[TimedRun]) -> list[float]:
-    """Return the middle of each by the computer's clock, else by the tracker's."""
     halves = [0.5 * (run.span_s[1] - run.span_s[0]) for run in runs]
     started = [run.started_s for run in runs if run.started_s is not None]
     if len(started) == len(runs):

@@ -1,4 +1,4 @@
-"""What the instrument says of the quality of its samples, over a whole Run."""
+"""Quality of samples as reported by the instrument, over a whole Run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class SampleQuality:
     """Quality of the valid samples, 1 is best.
 
     low : one of twenty samples is worse
-    told : share of the samples that it is told of
+    told : share of the samples with a reported quality
     """
 
     mean: float
@@ -25,7 +25,7 @@ class SampleQuality:
 
 
 def state_quality(samples: TrackerSamples) -> SampleQuality | None:
-    """Return it; None where the instrument tells none of a valid sample."""
+    """None where the instrument reports none for any valid sample."""
     if samples.quality is None:
         return None
     valid = samples.quality[samples.status == 0].astype(np.float64)

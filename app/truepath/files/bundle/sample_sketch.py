@@ -1,6 +1,6 @@
-"""By what a recording is known again, cut or split: a sketch of its samples.
+"""A sketch of samples, to recognise a recording, cut or split.
 
-A digest tells two recordings apart by a single sample. A sketch holds the smallest
+A digest distinguishes two recordings by a single sample. A sketch holds the smallest
 hashes of a few samples in succession (min-hash: Broder, On the resemblance and
 containment of documents, 1997), so that any part of a recording has its share of them.
 The noise of a tracker does not give the same samples twice.
@@ -24,14 +24,14 @@ _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 def sketch_samples(samples: TrackerSamples) -> str:
-    """Return the smallest hashes of the usable samples, in one text."""
+    """The smallest hashes of the usable samples, in one text."""
     return "".join(
         f"{value:0{_DIGITS}x}" for value in np.unique(_hash(samples))[:_KEPT]
     )
 
 
 def share_samples(one: str, other: str) -> bool:
-    """Tell from sketches whether half of a recording, or more, is in another as well.
+    """Whether half of a recording, or more, is in another as well, by sketches.
 
     Less is no sign: a simulated tracker may begin each time with the same noise, before
     the machine moves.
@@ -39,7 +39,7 @@ def share_samples(one: str, other: str) -> bool:
     mine, theirs = _split(one), _split(other)
     if not mine or not theirs:
         return False
-    last = min(max(mine), max(theirs))  # beyond it one of them does not tell
+    last = min(max(mine), max(theirs))  # beyond it one of them is incomplete
     fewest = min(sum(value <= last for value in each) for each in (mine, theirs))
     return len(mine & theirs) >= max(_SHARED, _SHARE * fewest)
 
@@ -49,7 +49,7 @@ def _split(sketch: str) -> set[str]:
 
 
 def _hash(samples: TrackerSamples) -> UInt64[np.ndarray, " n"]:
-    """Return a hash of every few usable samples in succession that are not all one."""
+    """A hash of every few usable samples in succession, constant ones left out."""
     usable = samples.position_mm[samples.status == 0] + 0.0  # no negative zero
     if len(usable) < _WINDOW:
         return np.empty(0, np.uint64)
@@ -67,7 +67,7 @@ def _hash(samples: TrackerSamples) -> UInt64[np.ndarray, " n"]:
 
 
 def _mix(value: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
-    """Return each number scattered over all 64 bits: the generator splitmix64."""
+    """Generator splitmix64."""
     value = value + _STEP
     value = (value ^ (value >> np.uint64(30))) * _MIX[0]
     value = (value ^ (value >> np.uint64(27))) * _MIX[1]

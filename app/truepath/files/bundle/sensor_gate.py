@@ -1,7 +1,7 @@
-"""One gate for what sensors show: of drivers, bundles and imports alike.
+"""One plausibility check for sensors: of drivers, bundles and imports alike.
 
-A reading is believed if it may be one by itself, and follows from the one before. A
-channel that has failed stays out until it has been steady for a while.
+A reading is accepted if it is plausible by itself, and follows from the one before. A
+channel that has failed stays rejected until it has been steady for a while.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from truepath_drivers.interfaces.thermometers import Channel
 STEADY_S = 10.0
 # The most between two readings: so much at once, so much a second.
 _STEP = {"degC": (2.0, 0.5), "hPa": (3.0, 0.5), "percent": (15.0, 3.0)}
-_DRIFT = 0.04  # of it may go on for long
+_DRIFT = 0.04  # of it may continue for long
 _LONGEST_S = 30.0  # that a change may have gone on for, from one reading to the next
 _JUMP = 1e3  # of magnitude, as of random bits in the place of an exponent
 _APART_K, _ALIKE_K = 20.0, 5.0  # of a scale from all others, which agree
@@ -34,11 +34,11 @@ _SCALE, _NEAR = re.compile("[A-Z]_degC"), re.compile("([A-Z]|air)_degC")
 
 @dataclass(slots=True)
 class ChannelGate:
-    """Judges the readings of one channel in the order of time.
+    """Checks the readings of one channel in the order of time.
 
     altitude_m : of the site; None where it is not stated
     group : gates by name, to which this one is added; a scale agrees with others
-    why : the first cause of all that was left out
+    why : the first cause of all that was rejected
     """
 
     name: str
@@ -65,7 +65,7 @@ class ChannelGate:
             self.channel = replace(self.channel, low=low, high=high)
 
     def judge(self, at_s: float, value: float) -> str:
-        """Return why a number is not believed, empty where it is."""
+        """Why a number is rejected, empty where it is accepted."""
         self.seen += 1
         fault = self._find_fault(at_s, value)
         if fault:
@@ -86,7 +86,7 @@ class ChannelGate:
         return fault
 
     def describe(self) -> str:
-        """Return how much was left out, and why."""
+        """Number of rejected readings, and why."""
         count = f"{self.left_out} of {self.seen} readings"
         return f"{self.name}: {count} not used: {self.why}"
 
@@ -118,9 +118,9 @@ class ChannelGate:
 
 
 def find_pressures(altitude_m: float | None) -> tuple[float, float]:
-    """Return the lowest and highest pressure of a site, hPa; NaN: as anywhere.
+    """Lowest and highest pressure of a site, hPa; NaN: no limit.
 
-    Where nobody states its altitude it is no high one: its pressure could be in mmHg.
+    A site without a stated altitude is assumed low: its pressure could be in mmHg.
     """
     if altitude_m is None:
         return _LOW_SITE_HPA, math.nan
@@ -133,9 +133,9 @@ def gate_columns(
     columns: Mapping[str, NDArray[np.float64]],
     altitude_m: float | None,
 ) -> tuple[dict[str, NDArray[np.float64]], tuple[RunEvent, ...]]:
-    """Return columns with NaN for what is not believed, and an event for each such.
+    """Columns with NaN for rejected readings, and an event for each channel with some.
 
-    What a channel showed just before its first failure goes as well.
+    Readings just before the first failure of a channel are rejected as well.
     """
     kinds = ("air" + DEGC, PRESSURE, HUMIDITY)
     kept = {name: values.copy() for name, values in columns.items()}
@@ -158,7 +158,6 @@ def gate_columns(
 
 
 def _is_plain(gate: ChannelGate, values: NDArray[np.float64]) -> bool:
-    """Tell at a glance that a channel is believed, as nearly always: of long tables."""
     low, high = gate.channel.plausible
     at_once, _ = _STEP[gate.channel.unit]
     if gate.is_near:  # so that none can be far from the others

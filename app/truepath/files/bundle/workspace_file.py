@@ -1,4 +1,4 @@
-"""`workspace.json` (schema `workspace/1`): what limits a plan beside the travel.
+"""`workspace.json` (schema `workspace/1`): limits of a plan in addition to the travel.
 
     {"schema": "workspace/1",
      "keep_out": [{"name": "probe", "min_mm": [x, y, z], "max_mm": [x, y, z]}],
@@ -12,7 +12,7 @@
 All keys but the schema may be left out. Boxes of `keep_out` are axis positions; the
 tracker with its areas and `blocks_sight` are in the frame that the tracker stands on. A
 box with `carried_by` moves with that axis' carriage, or with the base; it is stated at
-the axis zeros. The reflector looks in a direction of the tool. A tracker that has areas
+the axis zeros. The reflector faces a direction of the tool. A tracker that has areas
 needs no position: the plan chooses one.
 """
 
@@ -55,12 +55,12 @@ class AreaFile(FileModel):
         return self
 
     def box(self) -> Box:
-        """Return the box."""
+        """In mm."""
         return Box(self.min_mm, self.max_mm, self.name or "")
 
 
 class BoxFile(FileModel):
-    """A box."""
+    """A box of positive size; `carried_by` : the axis that moves it, or the base"""
 
     min_mm: Vector
     max_mm: Vector
@@ -78,12 +78,12 @@ class BoxFile(FileModel):
         return self
 
     def box(self) -> Box:
-        """Return the box."""
+        """In mm, at the axis zeros."""
         return Box(self.min_mm, self.max_mm, self.name or "", self.carried_by or "")
 
 
 class ReflectorFile(FileModel):
-    """Where the reflector looks."""
+    """Direction of the reflector, and its acceptance angle."""
 
     direction: Vector
     half_angle_deg: Annotated[float, Field(gt=0.0, le=90.0)]
@@ -96,7 +96,7 @@ class ReflectorFile(FileModel):
 
 
 class TrackerPlaceFile(FileModel):
-    """Where the tracker stands or may stand, its range and its specification."""
+    """Station of the tracker or areas for it, its range and its specification."""
 
     position_mm: Vector | None = None
     nearest_mm: Size | None = None
@@ -108,12 +108,12 @@ class TrackerPlaceFile(FileModel):
 
     @property
     def nearest(self) -> float:
-        """The least distance, mm."""
+        """Least distance, mm; 200 by default for a station that is chosen."""
         usual_mm = 0.0 if self.position_mm else _NEAREST_MM
         return usual_mm if self.nearest_mm is None else self.nearest_mm
 
     def stations(self) -> StationAreas | None:
-        """Return where it may stand."""
+        """None where the position of the tracker is stated."""
         if not self.areas:
             return None
         return StationAreas(
@@ -157,7 +157,7 @@ class WorkspaceFile(FileModel):
         return self
 
     def workspace(self) -> Workspace:
-        """Return the workspace."""
+        """Without a tracker only `keep_out` counts."""
         keep_out = tuple(file.box() for file in self.keep_out)
         tracker = self.tracker
         if tracker is None:
@@ -175,11 +175,11 @@ class WorkspaceFile(FileModel):
 
 
 def read_workspace(path: str | Path) -> Workspace:
-    """Read a workspace file from disk."""
+    """Raises BundleError."""
     name = Path(path).name
     return workspace_from_json(parse_json(read_whole(path), name), file=name)
 
 
 def workspace_from_json(content: object, *, file: str = "workspace.json") -> Workspace:
-    """Return the workspace that parsed JSON states. Raises BundleError."""
+    """From parsed JSON. Raises BundleError."""
     return validate(WorkspaceFile, content, file).workspace()

@@ -1,5 +1,5 @@
-"""What an earlier analysis found and a later one reads: results, models, verdicts.
+"""Results of an earlier analysis for a later one: results, models, verdicts.
 
-Here: readers of our own files. Not here: their writers, which are with what they state
+Here: readers of our own files. Not here: their writers, which are with the content
 (`results`, `answers`).
 """

@@ -1,7 +1,7 @@
-"""What a certificate is made from beside results: whether its numbers can be stated.
+"""Files of a certificate other than results: whether their numbers can be stated.
 
-Read are files that this project writes, `verification/1` and `compensation/1`; a number
-that is none in them, or a key that is missing, would stand on a certificate.
+These are files that this project writes, `verification/1` and `compensation/1`; a text
+in place of a number in them, or a missing key, would appear on a certificate.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from truepath.documents.file_model import FileModel, require_finite, validate
 
 
 class _Finite(FileModel):
-    """A file whose numbers are all finite."""
-
     @model_validator(mode="before")
     @classmethod
     def _require_finite(cls, content: object) -> object:
@@ -48,7 +46,7 @@ class _Account(_Finite):
 
 
 def require_account(content: object, file: str) -> None:
-    """Raise BundleError where the account of compensation files cannot be stated."""
+    """Raise BundleError where the record of compensation files is incomplete."""
     validate(_Account, content, file)
 
 

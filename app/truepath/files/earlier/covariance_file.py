@@ -24,7 +24,7 @@ class CovarianceFile(FileModel):
     data: Text
 
     def matrix(self, size: int) -> Float64[np.ndarray, "s s"]:
-        """Return the matrix, which must be of the size of what the effects state."""
+        """Raises a refusal unless it is of the size of all numbers of the effects."""
         if self.size != size or size > _MOST:
             problem = f"is {self.size}, the effects state {size} numbers"
             raise refuse(problem, "", "covariance", "size")
@@ -43,7 +43,7 @@ class CovarianceFile(FileModel):
 
 
 def covariance_json(covariance: Float64[np.ndarray, "s s"]) -> dict[str, Any]:
-    """Return the key `covariance` of a model."""
+    """Content of the key `covariance` of a model."""
     return {
         "of": "the numbers of the effects, one effect after another",
         "size": len(covariance),
@@ -53,13 +53,13 @@ def covariance_json(covariance: Float64[np.ndarray, "s s"]) -> dict[str, Any]:
 
 
 def pack_symmetric(matrix: Float64[np.ndarray, "p p"]) -> str:
-    """Return the lower triangle of a symmetric matrix in `ENCODING`."""
+    """Lower triangle of a symmetric matrix in `ENCODING`."""
     triangle = matrix[np.tril_indices(len(matrix))].astype("<f8")
     return base64.b64encode(zlib.compress(triangle.tobytes(), 6)).decode("ascii")
 
 
 def unpack_symmetric(text: str, size: int) -> Float64[np.ndarray, "p p"]:
-    """Return the matrix of `pack_symmetric`. Raises ValueError if it is not one."""
+    """Inverse of `pack_symmetric`. Raises ValueError."""
     wanted = 8 * (size * (size + 1) // 2)
     unpacker = zlib.decompressobj()
     try:

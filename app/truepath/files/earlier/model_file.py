@@ -1,10 +1,9 @@
 """The estimated model in files (schema `model/1`), to and from a `MachineModel`.
 
-Each effect states numbers that mean something without this program: the values of a
-spline at its knots, an angle. They are linear in the parameters, s = G θ, so their
-covariance is G C Gᵀ; G's columns are orthogonal, and reading takes θ = G⁺ s back to
-rounding. The basis of a gauge is a matter of the linear algebra at hand and stays out
-of the file.
+Each effect has numbers that mean something without this program: the values of a spline
+at its knots, an angle. They are linear in the parameters, s = G θ, so their covariance
+is G C Gᵀ; G's columns are orthogonal, and reading computes θ = G⁺ s up to rounding. The
+basis of a gauge depends on the linear algebra library and stays out of the file.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class ErrorMotionFile(FileModel):
     values_urad: list[_Error] | None = None
 
     def restore(self, machine: Machine) -> Stated:
-        """Return the effect and its stated values."""
+        """The effect and its stated values, µm or µrad."""
         axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
         _require_symbol(self.symbol, axes)
         axis = axes[self.symbol]
@@ -85,7 +84,7 @@ class NumberFile(FileModel):
     value_urad: _Error | None = None
 
     def restore(self, machine: Machine) -> Stated:
-        """Return the effect and its stated value."""
+        """The effect and its stated value, µm or µrad."""
         effects = list_squarenesses(machine.axis_names)
         if self.effect == "axis-location":
             effects = [e for a in machine.rotary_axes for e in list_axis_locations(a)]
@@ -98,8 +97,8 @@ class NumberFile(FileModel):
 class CataloguedFile(FileModel):
     """An effect of the catalogue, with the keys of its family.
 
-    numbers : make the effect (a lead, a decay)
-    values : its linear parameters, in the units that the file states beside them
+    numbers : that define the effect (a lead, a decay)
+    values : its linear parameters, in the units that the file states with them
     """
 
     model_config = ConfigDict(extra="allow")
@@ -110,7 +109,7 @@ class CataloguedFile(FileModel):
     values: list[float]
 
     def restore(self, machine: Machine) -> Stated:
-        """Return the effect and its stated values."""
+        """The effect and its stated values, in units of the file."""
         try:
             family = find_family(self.name)
         except BadInput as error:
@@ -123,7 +122,7 @@ class CataloguedFile(FileModel):
         return effect, np.array(self.values, np.float64)
 
     def _restore_effect(self, family: Family, machine: Machine) -> Effect:
-        """Make the effect, and ask it once: numbers that cannot be show themselves."""
+        """Make the effect, and evaluate it once, which reveals impossible numbers."""
         stated = self.model_extra or {}
         keys = {key: stated[key] for key in family.keys if key in stated}
         for key, text in keys.items():
@@ -151,7 +150,6 @@ class CataloguedFile(FileModel):
 def _restore(
     file: ErrorMotionFile | NumberFile | CataloguedFile, info: ValidationInfo
 ) -> Stated:
-    """Return an effect of the machine that the context is."""
     machine: Any = info.context
     return file.restore(machine)
 
@@ -188,7 +186,7 @@ class ModelFile(FileModel):
         return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
 
     def restore_estimated_model(self, machine: Machine) -> EstimatedModel:
-        """Return the model with its parameters."""
+        """θ = G⁺ s with its covariance."""
         effects = tuple(effect for effect, _ in self.stated)
         model = MachineModel(machine, effects, frozenset(self.confounded))
         G = build_number_rows(model)
@@ -199,16 +197,16 @@ class ModelFile(FileModel):
 
 
 def model_from_json(content: object, machine: Machine, *, file: str) -> EstimatedModel:
-    """Return the model that the key `model` of a file states. Raises BundleError."""
+    """From the key `model` of a file. Raises BundleError."""
     stated = validate(ModelFile, content, file, key="model", context=machine)
     return stated.restore_estimated_model(machine)
 
 
 def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
-    """Return the model as JSON, lengths in mm, errors in µm and µrad.
+    """The model as JSON, lengths in mm, errors in µm and µrad.
 
-    What belongs to the measurement (how the targets sit in the spindle) is integrated
-    out: to the map of one target it adds a shift, which is no machine error.
+    Parameters of the measurement (how the targets sit in the spindle) are integrated
+    out: to the map of one target they add a shift, which is no machine error.
     """
     model = estimated.model
     own = tuple(e for e in model.effects if e.role is Role.MACHINE)
@@ -229,7 +227,7 @@ def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
 
 
 def build_number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
-    """Return G of all effects: their stated numbers per parameter."""
+    """G of all effects: their stated numbers per parameter."""
     blocks = [np.empty((0, model.size))]
     for effect in model.effects:
         rows = _build_rows(effect)
@@ -259,7 +257,7 @@ def _build_rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
 def _effect_json(
     effect: Effect, known: CatalogueEffect | None, values: Float64[np.ndarray, " s"]
 ) -> dict[str, Any]:
-    """Return one effect with its stated values. known : it, if it has a family."""
+    """`known` is the same effect where it has a family."""
     symbol = effect.iso_symbol
     if motion := effect.motion:
         return {

@@ -1,4 +1,4 @@
-"""What is reckoned with of the provenance of a result."""
+"""Keys of a result's provenance that enter calculations."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ CONTROL, ON, OFF, MIXED = "control_compensation", "on", "off", "mixed"
 
 
 class _RunBehind(FileModel):
-    """A Run that a result was made from."""
-
     sketch: str = Field(default="", pattern=f"^{SKETCH}$")
 
 
@@ -28,8 +26,6 @@ class KnownLengthsFile(FileModel):
 
 
 class _Reckoned(FileModel):
-    """What is reckoned with of the provenance, where it is stated."""
-
     measured_s: float | None = Field(default=None, ge=0.0)
     length_scale_ppm: float | None = Field(default=None, ge=0.0)
     length_scale_in_tables: bool = False
@@ -41,13 +37,13 @@ class _Reckoned(FileModel):
 
 
 def require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
-    """Raise BundleError for what is no number where the provenance is reckoned with."""
+    """Raise BundleError for wrong values of the keys that enter calculations."""
     stated = {key: value for key, value in provenance.items() if value is not None}
     validate(_Reckoned, stated, file, key="provenance")
 
 
 def read_control_state(provenance: Mapping[str, Any]) -> str | None:
-    """Return `on`, `off` or `mixed`: whether the control compensated; None if unknown.
+    """`on`, `off` or `mixed`: whether the control compensated; None if unknown.
 
     provenance : of a result
     """

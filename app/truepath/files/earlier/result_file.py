@@ -1,7 +1,7 @@
 """Result files (schema `result/1`) and model files (`extended-model/1`), read.
 
-Both carry a model of the machine, so that whatever predicts, exports or compares from a
-result does so from a model as well.
+Both contain a model of the machine, so that whatever predicts, exports or compares from
+a result does so from a model as well.
 """
 
 from __future__ import annotations
@@ -55,24 +55,24 @@ Sigmas = dict[str, Float64[np.ndarray, " m"]]
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult(EstimatedModel):
-    """What a result or model file says about a machine.
+    """Content of a result or model file.
 
-    unobservable : statements in words; provenance : as the file states it
+    unobservable : sentences; provenance : as in the file
     measured : by axis, the range beyond which tables are extrapolated, if it is known
     half_difference_um : half the difference of both directions of an axis' own
-        positioning, as (position mm, value µm), by axis; none where direction plays no
-        part
+        positioning, as (position mm, value µm), by axis; none where direction has no
+        effect
     half_difference_u_um : standard uncertainty of its values, where the file states it
     half_turn_urad, half_turn_u_urad : the same of rotary axes, over deg, in µrad
-    noise_freedom : independent values by which the measurement knows the size of its
-        slow noise; None where the file does not state it
+    noise_freedom : independent values in the measurement's estimate of its slow noise;
+        None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
-    verdict : what the result says of itself; of a file that says nothing, usable
+    verdict : usable where the file has none
     half_across, half_across_u : half the difference of both directions of error motions
         across or about an axis, and its standard uncertainty where it is stated: by
         symbol, over mm or deg, in µm or µrad
-    states_direction : whether the file says what the direction of travel does, be it
-        nothing
+    states_direction : whether the file states the effect of the direction of travel, be
+        it none
     ended : names of effects that a model's Runs showed and that ended with them
     """
 
@@ -102,7 +102,7 @@ class CalibrationResult(EstimatedModel):
 
     @property
     def machine(self) -> Machine:
-        """The machine."""
+        """With the measured targets."""
         return self.model.machine
 
     @property
@@ -113,7 +113,7 @@ class CalibrationResult(EstimatedModel):
 
     @property
     def known_lengths(self) -> KnownLengthsFile | None:
-        """What known lengths say of that scale; None where there were none."""
+        """That scale by known lengths; None where there were none."""
         stated = self.provenance.get("known_lengths")
         return None if stated is None else KnownLengthsFile.model_validate(stated)
 
@@ -149,8 +149,6 @@ class _Ranges(FileModel):
 
 
 class _HalfDifference(FileModel):
-    """Of one error motion; which columns it has its symbol says."""
-
     position_mm: list[float] = Field(default_factory=list[float])
     position_deg: list[float] = Field(default_factory=list[float])
     value_um: list[float] = Field(default_factory=list[float])
@@ -159,7 +157,6 @@ class _HalfDifference(FileModel):
     uncertainty_urad: list[float] = Field(default_factory=list[float])
 
     def read(self, symbol: str) -> tuple[Table, Float64[np.ndarray, " m"]]:
-        """Return positions with values, and uncertainties; empty without any."""
         unit, along = find_unit(symbol), "deg" if symbol[2] in TURNS else "mm"
         columns = self.model_dump()
         at, value, sigma = (
@@ -199,18 +196,12 @@ class _Direction(FileModel):
         return self
 
     def read_own(self, axes: Sequence[str]) -> tuple[Tables, Sigmas]:
-        """Return those of the positioning of the axes, by axis."""
         return self._read({f"E{axis}{axis}": axis for axis in axes})
 
     def read_across(self) -> tuple[Tables, Sigmas]:
-        """Return those across or about an axis, by symbol."""
         return self._read({s: s for s in self.half_difference if not is_positioning(s)})
 
     def _read(self, names: Mapping[str, str]) -> tuple[Tables, Sigmas]:
-        """Return tables, and the uncertainties of those that state one a value.
-
-        names : what to call each, by symbol
-        """
         read = {
             names[symbol]: half.read(symbol)
             for symbol, half in self.half_difference.items()
@@ -228,7 +219,7 @@ class _Noise(FileModel):
 
 
 class _Verdict(FileModel):
-    """What has to be right; details that are another's are left to its sentences."""
+    """Details of another version are replaced by its sentences."""
 
     state: State
     reasons: list[Text]
@@ -240,8 +231,6 @@ class _MachineOfResult(FileModel):
 
 
 class _Document(_MachineOfResult):
-    """What is read of both; the key `model` is validated when the machine is known."""
-
     mode: Literal["otf", "standstill"]
     direction: _Direction | None = None
     measured_range: _Ranges = _Ranges()
@@ -268,18 +257,16 @@ class _Document(_MachineOfResult):
         return content
 
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the measured range of each axis that the file states one for."""
         stated = self.measured_range.model_dump(exclude_none=True)
         return {name: tuple(ends.values()) for name, ends in stated.items()}
 
     def read_verdict(self) -> Verdict:
-        """Return the verdict; a file without one is of a result that is usable."""
         if self.verdict is None:
             return Verdict()
         return verdict_from_json(self.verdict.model_dump())
 
     def count_noise_freedom(self) -> float | None:
-        """Return three components once in two correlation times of the slow noise."""
+        """Three components once per two correlation times of the slow noise."""
         measured_s = self.provenance.get("measured_s")
         if self.noise is None or not isinstance(measured_s, int | float):
             return None
@@ -287,7 +274,7 @@ class _Document(_MachineOfResult):
 
 
 class ResultDocument(_Document):
-    """A result file, with the keys that the contract asks for."""
+    """A result file, with the keys that its schema requires."""
 
     error_tables: Any
     squareness_urad: Any
@@ -307,7 +294,7 @@ class ModelDocument(_Document):
     effects: list[_FoundEffect] = Field(default_factory=list[_FoundEffect])
 
     def list_ended(self) -> tuple[str, ...]:
-        """Return the names of what was part of the measurement alone."""
+        """Names of effects that belong to the measurement alone."""
         ended = [each.name for each in self.effects if each.part_of == "measurement"]
         return tuple(dict.fromkeys(ended))
 
@@ -319,26 +306,26 @@ class ModelDocument(_Document):
 
 
 def read_result(file: str | Path) -> CalibrationResult:
-    """Read a result or model file. Raises BundleError."""
+    """Raises BundleError."""
     return decode_result(read_whole(file, largest_bytes=LARGEST_BYTES), file=str(file))
 
 
 def read_result_machine(file: str | Path) -> Machine:
-    """Return the machine of a result or model file alone. Raises BundleError."""
+    """Only the machine of a result or model file. Raises BundleError."""
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     content = parse_json(data, str(file))
     return validate(_MachineOfResult, content, str(file)).machine.machine()
 
 
 def decode_result(data: bytes, *, file: str) -> CalibrationResult:
-    """Return what the bytes of a result or model file say. Raises BundleError."""
+    """From bytes of a result or model file. Raises BundleError."""
     return result_from_json(parse_json(data, file), file=file)
 
 
 def result_from_json(
     content: object, *, file: str = "result.json"
 ) -> CalibrationResult:
-    """Return what the parsed JSON of a result file, or of a model file, says.
+    """From the parsed JSON of a result file, or of a model file.
 
     Raises BundleError naming file and key if it is of another schema or incomplete.
     """

@@ -1,7 +1,7 @@
 """Temperature models (schema `temperature-model/1`), read.
 
-A file has the keys of a model file, which state the machine at the reference
-temperature, and beside them the change per kelvin in the same form.
+A file has the keys of a model file, for the machine at the reference temperature, and
+in addition the change per kelvin in the same form.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TemperatureModel:
     per_kelvin, coefficient_covariance : change of its parameters
     between : covariance of both, plus its transpose
     measured_degc : lowest and highest temperature of the results
-    valid_degc : range that it may be asked for
+    valid_degc : range of validity
     grows : axes whose positioning depends on temperature for sure
     """
 
@@ -55,11 +55,11 @@ class TemperatureModel:
 
     @property
     def machine(self) -> Machine:
-        """The machine."""
+        """With the measured targets."""
         return self.reference.machine
 
     def at(self, temperature_degc: float) -> CalibrationResult:
-        """Return the result at a temperature. Raises BadInput beyond the range."""
+        """The result at a temperature. Raises BadInput beyond the range."""
         low, high = self.valid_degc
         if not low - 1e-9 <= temperature_degc <= high + 1e-9:
             raise BadInput(
@@ -114,7 +114,7 @@ class _TemperatureFile(FileModel):
 
 
 def read_temperature_model(file: str | Path) -> TemperatureModel | None:
-    """Read a temperature model; None of a file that is another. Raises BundleError."""
+    """None for a file of another schema. Raises BundleError."""
     content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
     if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
         return None
@@ -124,7 +124,7 @@ def read_temperature_model(file: str | Path) -> TemperatureModel | None:
 def temperature_model_from_json(
     content: Mapping[str, Any], *, file: str
 ) -> TemperatureModel:
-    """Return the model that the content of a file states. Raises BundleError."""
+    """From the content of a file. Raises BundleError."""
     stated = validate(_TemperatureFile, content, file)
     as_model = {**content, "schema": MODEL_SCHEMA, "version": 1.0}
     reference = result_from_json(as_model, file=file)

@@ -1,7 +1,7 @@
-"""What a result says of itself: whether it may be used, and for which reasons.
+"""Whether a result may be used, and for which reasons.
 
-A reason is a kind and the values that its sentence names, so that it can be said in any
-language. The unit of a value stands in its name, as everywhere in files.
+A reason is a kind and the values in its sentence, so that it can be written in any
+language. The unit of a value is in its name, as everywhere in files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Value = int | float | str
 
 
 class Sentence(NamedTuple):
-    """How a kind of reason is said, `{name}` for a value, and what to do about it."""
+    """Sentence of a kind of reason, `{name}` for a value, and its remedy."""
 
     text: str
     remedy: str
@@ -261,11 +261,11 @@ _SHOWN = {
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """One thing to know before a result is used.
+    """One objection or notice on a result.
 
     kind : one of `SENTENCES`
-    state : the best that a result with this reason may be
-    values : what the sentence names
+    state : the best that a result with this reason may have
+    values : of the sentence
     run : name of the Run that it is about, where there are several
     """
 
@@ -280,17 +280,17 @@ class Reason:
 
     @property
     def shown(self) -> dict[str, str]:
-        """What the sentence names, with units."""
+        """Values of the sentence, with units; rows from 1."""
         return {name: _show(name, value) for name, value in self.values.items()}
 
     @property
     def severity(self) -> int:
-        """How bad it is: 0 where a result with this reason may be used."""
+        """0 where a result with this reason may be used, 2 where it may not."""
         return STATES.index(self.state)
 
     @property
     def remedy(self) -> str:
-        """What to do about it; may be empty."""
+        """What the operator can do; may be empty."""
         return SENTENCES[self.kind].remedy
 
 
@@ -305,17 +305,17 @@ class Verdict:
 
     @property
     def state(self) -> State:
-        """The worst that any reason asks for."""
+        """The worst state of any reason."""
         return STATES[max((reason.severity for reason in self.reasons), default=0)]
 
     @property
     def title(self) -> str:
-        """The state in words."""
+        """English title of the state."""
         return TITLES[self.state]
 
     @property
     def objection(self) -> str:
-        """Why it is not simply usable, in a line; empty where it is."""
+        """Why it is not simply usable, in one line; empty where it is."""
         if self.state == "usable":
             return ""
         grave = [str(reason) for reason in self.reasons if reason.severity]
@@ -323,7 +323,7 @@ class Verdict:
         return f"{self.title.lower()}: {' '.join(grave[:_NAMED] + more)}"
 
     def rank(self) -> Iterator[tuple[Reason, str]]:
-        """Yield the reasons, the worst first, each kind's remedy with its first."""
+        """Reasons, the worst first, each kind's remedy with its first."""
         told: set[str] = set()
         for reason in sorted(self.reasons, key=lambda reason: -reason.severity):
             yield reason, "" if reason.kind in told else reason.remedy
@@ -336,15 +336,15 @@ class Verdict:
 
     @staticmethod
     def merge(verdicts: Iterable[Verdict]) -> Verdict:
-        """Return the verdict for the reasons of all."""
+        """With the reasons of all."""
         return Verdict(tuple(reason for v in verdicts for reason in v.reasons))
 
 
 def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
-    """Return the verdict that a file states.
+    """From the key `verdict` of a file.
 
     A file may be of another version, or written by hand: where its reasons cannot be
-    said, or do not carry its state, its sentences are kept as they are.
+    written again, or do not imply its state, its sentences are kept as they are.
     """
     state, texts = content["state"], list(content["reasons"])
     restored = _restore(content.get("details"))
@@ -356,7 +356,7 @@ def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
-    """Return the key `verdict` of a result: state, sentences, and what they are of."""
+    """Content of the key `verdict`: state, sentences, and their values."""
     return {
         "state": verdict.state,
         "reasons": [str(reason) for reason in verdict.reasons],

@@ -1,4 +1,4 @@
-"""What sensors showed during a Run: one table of them, its facts, what may be used."""
+"""Readings of sensors during a Run: one table of them, its facts, what may be used."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SHORT_S, _LONG_S, _HOLE_SHARE, _HOLE_STEPS = 15.0, 120.0, 0.2, 3.0
 
 @dataclass(frozen=True, slots=True)
 class ChannelFacts:
-    """One sensor over a Run; numbers are NaN where it showed nothing.
+    """One sensor over a Run; numbers are NaN where it has no reading.
 
     name : column of `environment.csv`
     change : last reading minus first
-    readings : that were believed, in a table of so many rows
+    readings : accepted ones, in a table of so many rows
     hole_s : longest time without one
-    is_used : it may serve an analysis: no hole is too long to be bridged
+    is_used : no hole is too long for interpolation
     """
 
     name: str
@@ -43,7 +43,7 @@ class ChannelFacts:
 def tabulate_channels(
     series: Mapping[str, Series],
 ) -> tuple[TemperatureSamples | None, AirSamples | None]:
-    """Return channels in one table of all their times, NaN between."""
+    """Channels in one table of all their times, NaN between."""
     series = {name: one for name, one in series.items() if len(one[0])}
     if not series:
         return None, None
@@ -57,7 +57,7 @@ def tabulate_channels(
 def split_columns(
     time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
 ) -> tuple[TemperatureSamples | None, AirSamples | None]:
-    """Return temperatures and air of the columns of `environment.csv`."""
+    """Temperatures and air from the columns of `environment.csv`."""
     warm = {name.removesuffix(DEGC): v for name, v in columns.items() if DEGC in name}
     temperature = air = None
     if warm:
@@ -74,7 +74,7 @@ def split_columns(
 def name_columns(
     temperature: TemperatureSamples | None, air: AirSamples | None
 ) -> dict[str, Series]:
-    """Return every column of `environment.csv` with its times."""
+    """Every column of `environment.csv` with its times."""
     columns: dict[str, Series] = {}
     if temperature is not None:
         for name, values in zip(temperature.names, temperature.celsius.T, strict=True):
@@ -92,7 +92,7 @@ def name_columns(
 def fill_columns(
     columns: Mapping[str, Series], at_s: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the readings of the sensors at times, those with a long hole left out."""
+    """Readings of the sensors at times, those with a long hole left out."""
     span = float(at_s.min()), float(at_s.max())
     return {
         name: interpolate(times, values, at_s)
@@ -102,7 +102,7 @@ def fill_columns(
 
 
 def find_missing(facts: Sequence[ChannelFacts]) -> dict[str, str]:
-    """Return the sensors that no analysis may use, and why not."""
+    """Sensors that no analysis may use, and why."""
     return {
         one.name: f"no reading to be believed for {one.hole_s:.0f} s"
         for one in facts
@@ -116,7 +116,7 @@ def state_facts(
     begin_s: float,
     end_s: float,
 ) -> tuple[ChannelFacts, ...]:
-    """Return the facts of every sensor over a Run from `begin_s` to `end_s`."""
+    """Facts of every sensor over a Run from `begin_s` to `end_s`."""
     columns = name_columns(temperature, air)
     return tuple(_state(n, *one, begin_s, end_s) for n, one in columns.items())
 
@@ -127,10 +127,10 @@ def is_usable(
     begin_s: float,
     end_s: float,
 ) -> bool:
-    """Tell whether readings may be joined by straight lines over a time.
+    """Whether readings may be interpolated linearly over a time.
 
-    They may not over a hole in which nobody knows what the sensor would have shown. A
-    table of one row was written by hand, and holds all the time.
+    They may not over a long hole, in which the reading is unknown. A table of one row
+    was written by hand, and is valid all the time.
     """
     good = np.isfinite(values)
     if len(values) == 1 or not good.any():
@@ -147,7 +147,7 @@ def interpolate(
     values: NDArray[np.float64],
     at_s: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return readings at other times, what was not believed left out."""
+    """Readings at other times, linear between accepted ones."""
     good = np.isfinite(values)
     return np.interp(at_s, time_s[good], values[good])
 

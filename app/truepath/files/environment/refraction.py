@@ -1,9 +1,11 @@
 """Corrects the ranges of a Run for the air, once: as it is read.
 
-A tracker divides by an index of refraction. Where it takes that of the air, nothing is
-left to do. Where it takes a fixed one, r = r_shown · assumed index / index of the air.
-What of the air was not measured is taken as usual, and is as uncertain as that.
-A Run says who has done it; what is exported is never corrected again.
+A tracker divides by an index of refraction. Where that is the index of the air, nothing
+remains to be done. Where it is a fixed one, r = r_shown · assumed index / index of the
+air. Quantities of the air that were not measured have typical values, with their
+uncertainty.
+
+A Run states which party has corrected it; what is exported is never corrected again.
 """
 
 from __future__ import annotations
@@ -52,15 +54,15 @@ ASSUMED = {_DEGC: 5.0, _HPA: 10.0, _PERCENT: 25.0, _ALTITUDE: 1000.0 / 12.0**0.5
 altitude anywhere from 0 to 1000 m."""
 _USUAL_DEGC, _USUAL_PERCENT, _USUAL_ALTITUDE_M = 20.0, 50.0, 500.0
 _USUAL_AIR = (_USUAL_DEGC, 1013.25, _USUAL_PERCENT)
-UNCORRECTED_PPM = 270.0  # a hall from vacuum: nobody knows what was assumed
+UNCORRECTED_PPM = 270.0  # a hall from vacuum: the assumed index is unknown
 _NM = 633.0
 
 
 @dataclass(frozen=True, slots=True)
 class Refraction:
-    """Who has corrected the ranges for the air.
+    """Which party has corrected the ranges for the air.
 
-    by : `instrument`; `truepath`, here; `nobody`; `unknown` where nobody says
+    by : `instrument`; `truepath`, here; `nobody`; `unknown`
     light : of an instrument that does not correct
     index : mean that was applied, and before that mean air in °C, hPa, %; only of ours
     why : nothing could be done, or not with measured air
@@ -78,7 +80,7 @@ class Refraction:
 def choose_refraction(
     capabilities: TrackerCapabilities, stated: Light | None
 ) -> Refraction:
-    """Return what a measurement begins with; `stated` is of the settings.
+    """Refraction at the start of a measurement; `stated` is of the settings.
 
     Raises BadInput where the settings would correct what the instrument corrects.
     """
@@ -98,16 +100,16 @@ def choose_refraction(
 
 
 def find_cause(refraction: Refraction) -> tuple[str, str]:
-    """Return why ranges are not corrected, as one of `CAUSES` and in words.
+    """Why ranges are not corrected, as one of `CAUSES` and as a sentence.
 
-    The kind is empty where a file states other words.
+    The kind is empty where a file has other words.
     """
     why = refraction.why or CAUSES["nothing-known"]
     return next((kind for kind, text in CAUSES.items() if text == why), ""), why
 
 
 def lacks_air(refraction: Refraction, channels: Collection[str]) -> bool:
-    """Tell whether ranges have to be corrected, and the air is not measured."""
+    """Whether ranges have to be corrected, and the air is not measured."""
     return refraction.by == NOBODY and not {_DEGC, _HPA} <= set(channels)
 
 
@@ -118,9 +120,9 @@ def correct_refraction(
     air: AirSamples | None,
     altitude_m: float | None = None,
 ) -> tuple[Refraction, TrackerSamples]:
-    """Return the samples corrected for the air, and who has done it.
+    """Correct the samples for the air.
 
-    Does nothing unless nobody has yet and the light is known.
+    Does nothing unless they are uncorrected and the light is known.
 
     altitude_m : of the site; None where it is not stated
     """
@@ -148,7 +150,7 @@ def correct_refraction(
 def guess_scale(
     refraction: Refraction, channels: Collection[str], altitude_m: float | None = None
 ) -> float:
-    """Return the factor on ranges in usual air, for what cannot wait for its sensors.
+    """Factor on ranges in typical air, where sensor readings come too late.
 
     1 where nothing will be corrected: a Run and its live estimate are alike.
     """
@@ -164,14 +166,14 @@ def guess_scale(
 
 
 def find_factor(refraction: Refraction) -> float:
-    """Return the mean factor that ranges as shown were multiplied by here."""
+    """Mean factor applied here to the ranges of the tracker; 1 for none."""
     if refraction.light is None or refraction.index is None:
         return 1.0
     return refraction.light.assumed_index / refraction.index
 
 
 def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
-    """Return the standard uncertainty of all ranges in ppm, and that of a K and a hPa.
+    """Standard uncertainty of all ranges, ppm, and ppm per K and per hPa.
 
     It is common to the whole Run, and to the positioning errors of all axes.
     """
@@ -192,11 +194,13 @@ def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
 
 
 def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
-    """Return the standard uncertainty of all lengths by air and tracker, ppm.
+    """Standard uncertainty of all lengths by air and tracker, ppm.
 
-    Where nobody says who corrects for the air, an instrument that does is assumed.
+    Where it is unknown which party corrects for the air, an instrument that does is
+    assumed.
 
-    tracker_ppm : what the tracker's ranges are uncertain by in proportion to themselves
+    tracker_ppm : standard uncertainty of the tracker's ranges in proportion to
+        themselves
     """
     air_ppm = UNCORRECTED_PPM
     if refraction.by != NOBODY:
@@ -205,12 +209,12 @@ def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
 
 
 def refraction_to_json(refraction: Refraction) -> dict[str, Any]:
-    """Return what a Run file and a bundle keep of it."""
+    """Content of the key `refraction` of a Run file and a bundle."""
     return asdict(refraction) | {"assumed": list(refraction.assumed)}
 
 
 def refraction_from_json(content: Any) -> Refraction:
-    """Return what was kept; what nobody has said is unknown. Raises ValueError."""
+    """Unknown refraction for None. Raises ValueError, KeyError, TypeError."""
     if content is None:
         return Refraction()
     by, light = content["by"], content.get("light")
@@ -240,10 +244,6 @@ def _find_air(
     air: AirSamples | None,
     time_s: NDArray[np.float64],
 ) -> tuple[dict[str, NDArray[np.float64]], str]:
-    """Return what was measured of it at times, and why temperature or pressure was not.
-
-    Nobody has to say why there is no humidity: 25 % are 0.2 ppm.
-    """
     span = float(time_s.min()), float(time_s.max())
     found: dict[str, NDArray[np.float64]] = {}
     why = CAUSES["no-temperature"]

@@ -66,7 +66,7 @@ class Cells:
         return len(self.row_of)
 
     def error(self, problem: str, index: int, column: int, remedy: str) -> BundleError:
-        """Return the error at a data row of a column."""
+        """Counts the data row from 0; the error names the line of the file."""
         name = self.names[column] if self.names else f"{column + 1}"
         row = self.row_of[index]
         return BundleError(problem, file=self.file, row=row, column=name, remedy=remedy)
@@ -130,12 +130,11 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
 
 
 def is_none(cell: str) -> bool:
-    """Tell whether a cell says that there is no value."""
+    """Whether a cell marks a missing value."""
     return _NONE.match(cell.lower()) is not None
 
 
 def _decode(data: bytes, file: str) -> str:
-    """Return the text; marks that look like an apostrophe, minus or blank are such."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         text = data.decode("utf-16", "replace")
     else:
@@ -149,7 +148,7 @@ def _decode(data: bytes, file: str) -> str:
 
 
 def _find_delimiter(sample: Sequence[str], file: str) -> str:
-    """Return the first separator, from the rarest in text, that makes rows of lines."""
+    """First separator, from the rarest in text, that splits most lines into rows."""
     filled = [line for line in sample if not _is_comment(line)]
     for name in DELIMITERS:
         if name != "blank" and not any(DELIMITERS[name] in line for line in filled):
@@ -169,7 +168,6 @@ def _find_delimiter(sample: Sequence[str], file: str) -> str:
 
 
 def _split_lines(lines: Sequence[str], name: str) -> list[list[str]]:
-    """Return the cells of each line, stripped, groups of thousands closed up."""
     mark, text = DELIMITERS[name], "\n".join(lines)
     if name in ("tab", "semicolon"):
         text = _BLANK_GROUPS.sub(_close_up, text)
@@ -207,7 +205,7 @@ def _pad(row: list[str], width: int) -> list[str]:
 def _refuse_decimal_comma(
     lines: Sequence[str], split: Sequence[list[str]], file: str
 ) -> None:
-    """Refuse commas that could be both: rows of whole numbers, or of many widths."""
+    """Refuse ambiguous commas: rows of whole numbers, or of many widths."""
     data_lines = [n for n in range(min(len(split), _SAMPLE)) if _is_data(split[n])]
     plain = re.compile(r'"|\d\.\d|\d[eE][+-]?\d')
     if not data_lines or any(plain.search(lines[n]) for n in data_lines):
@@ -239,7 +237,6 @@ def _find_header(
 
 
 def _read_names(comment: list[str], width: int) -> list[str]:
-    """Return names of columns that stand in a comment, if they do."""
     first = comment[0].lstrip("".join(_COMMENT)).strip()
     names = [first, *comment[1:]] if first else comment[1:]
     begins = {name[:1].lower() for name in names}
@@ -255,7 +252,6 @@ def _is_units(cells: Sequence[str]) -> bool:
 def _gather(
     split: list[list[str]], first: int, shape: _Shape, head: list[str], file: str
 ) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
-    """Return rows, their lines from 1, notes on what was left out, and problems."""
     body = split[first:]
     plain = _find_plain(body, shape[1])
     if all(plain):
@@ -295,9 +291,9 @@ def _gather(
 
 
 def _find_plain(body: Sequence[list[str]], width: int) -> list[bool]:
-    """Tell which lines are rows for certain; looking at each cell of all is slow.
+    """Which lines are rows for certain; checking every cell of all is slow.
 
-    They have all cells, and what may be numbers where the first row has the first ones.
+    They have all cells, and possible numbers where the first row has the first ones.
     """
     numbers = [k for k, cell in enumerate(body[0]) if NUMBER.match(cell)]
     if len(body[0]) != width or len(numbers) < _LEAST_NUMBERS:
@@ -325,7 +321,7 @@ def _fits(cells: list[str], shape: _Shape) -> bool:
 def _take_labels(
     columns: list[tuple[str, ...]], head: list[str], below: list[str]
 ) -> tuple[list[tuple[str, ...]], list[str], list[str]]:
-    """Name columns by a word that stands before the number in every row: X,12.5,Y,…"""
+    """Name columns by a word before the number in every row: X,12.5,Y,…"""
     is_number = [NUMBER.match(column[0]) is not None for column in columns]
     label = [
         is_number[k : k + 2] == [False, True] and column.count(column[0]) == len(column)

@@ -1,6 +1,6 @@
 """Cells to seconds: numbers in a unit, a time of day, or a date with a time.
 
-Stamps that were rounded, or set in bursts, become the times of rows that come evenly.
+Stamps that were rounded, or set in bursts, become the times of equidistant rows.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _OF_DAY = re.compile(
     re.IGNORECASE,
 )
 _RATES_HZ = (0.9, 20_000.0)  # of a stream
-_LONGEST = 400.0  # times what the motion takes: so long a recording may go on
+_LONGEST = 400.0  # times the duration of the motion: longest recording
 _COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
 _COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
-_WRAP_STEPS = 50.0  # usual steps that a counter may be from its end
+_WRAP_STEPS = 50.0  # median steps that a counter may be from its end
 _SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
 _AT_ONCE = 0.2  # of the mean step
 _FEW_ROWS, _SCATTER = 3.0, 9.0  # rows; times their scatter beyond rounding, one row
@@ -50,10 +50,10 @@ def read_clock(
     decimal: str,
     least_s: float,
 ) -> tuple[NDArray[np.float64], str]:
-    """Return seconds since the first row, and how they were read.
+    """Seconds since the first row, and how they were read. Raises BundleError.
 
     decimal : of the positions
-    least_s : what the commanded motion takes
+    least_s : duration of the commanded motion
     """
     texts = cells.columns[time.index]
     if not any(":" in text for text in texts[:: len(texts) // 100 + 1]):
@@ -70,9 +70,9 @@ def read_clock(
 
 @dataclass(frozen=True, slots=True)
 class EvenTimes:
-    """Times of rows that come evenly between the places where rows are missing.
+    """Equidistant times of rows between the places where rows are missing.
 
-    unknown : rows whose place beside missing ones nothing tells
+    unknown : rows that may be before or after missing ones
     missing : first row after each place, and how many are missing there
     """
 
@@ -85,7 +85,7 @@ class EvenTimes:
 def even_out(
     time_s: NDArray[np.float64], number: NDArray[np.float64]
 ) -> EvenTimes | None:
-    """Return even times for stamps that are rounded or come in bursts, else nothing.
+    """Even times for stamps that are rounded or come in bursts, else None.
 
     number : of the rows, as their software counted them
     """
@@ -139,7 +139,7 @@ def even_out(
 def _find_holes(
     late_s: NDArray[np.float64], lacks: NDArray[np.float64], usual_s: float
 ) -> NDArray[np.int64]:
-    """Return between which heads rows are missing: from there on all are later."""
+    """Between which heads rows are missing: from there on all are later."""
     scatter = float(np.median(np.abs(lacks - np.median(lacks))))
     least = max(_FEW_ROWS, _SCATTER * (scatter - 1.0))
     found: list[int] = []
@@ -183,7 +183,6 @@ def _read_counted(
 
 
 def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Return times that go on where their counter begins anew, and words on it."""
     step = np.diff(values)
     back = np.flatnonzero(step < 0)
     if not len(back) or not (step > 0).any():
@@ -203,7 +202,7 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
 
 
 def _read_of_day(cells: Cells, time: Column) -> NDArray[np.float64]:
-    """Return seconds since midnight; what many rows share is read once."""
+    """Seconds since midnight; texts shared by many rows are parsed once."""
     texts = cells.columns[time.index]
     if 2 * len({*texts}) < len(texts):
         return _read_words(cells, time, texts)
@@ -270,7 +269,6 @@ def _unwrap_midnight(
 def _read_days(
     cells: Cells, texts: Sequence[str], options: TextOptions
 ) -> NDArray[np.float64]:
-    """Return the day of each row; the order of day and month must not matter."""
     first = [text.partition("T")[0].partition(" ")[0] for text in texts]
     short_of = {
         text: found[0] if (found := DATE.search(text)) else text for text in {*first}

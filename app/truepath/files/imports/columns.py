@@ -1,4 +1,4 @@
-"""Names of columns, as several makers and languages write them, to what they hold."""
+"""Names of columns, in the words of several makers and languages, to roles."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ _POLAR = _list_words(
 )
 DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
-_RISING = 0.995  # of its steps: so a time goes on, maybe with a wrap
+_RISING = 0.995  # of its steps: so a time rises, maybe with a wrap
 _KINDS = 200  # rows that show what a column without a name holds
 _STRETCHES = 50  # of so many rows
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What a column holds: a role, `NAME_degC`, or nothing that is used."""
+    """A column and its role, of `ROLES` or `NAME_degC`; empty if it is not used."""
 
     index: int
     name: str
@@ -83,9 +83,10 @@ class Column:
 def recognise_columns(
     cells: Cells, given: Mapping[str, str]
 ) -> tuple[list[Column], list[BundleError]]:
-    """Return all columns of a file, and which roles several claim: the first has it.
+    """All columns of a file, and which roles several claim: the first has it.
 
-    given : what the user says, role to name or number
+    given : by the user, role to name or number
+
     Raises BundleError where nothing can be read, or `given` names no column.
     """
     fixed = {_find(cells, role, word): role for role, word in given.items()}
@@ -102,7 +103,7 @@ def recognise_columns(
 
 
 def describe_columns(cells: Cells, columns: list[Column]) -> str:
-    """Return what a file has in place of positions, in words."""
+    """Sentence on the columns of a file without positions."""
     polar = [c.name for c in columns if c.unit in ANGLES or _is_polar(c.name)]
     if len(polar) >= _AXES:
         return f"polar coordinates ({', '.join(polar)}): export x, y and z"
@@ -113,12 +114,12 @@ def describe_columns(cells: Cells, columns: list[Column]) -> str:
 
 
 def find_column(columns: list[Column], role: str) -> Column | None:
-    """Return the column of a role."""
+    """None where no column has the role."""
     return next((column for column in columns if column.role == role), None)
 
 
 def state_unit(cells: Cells) -> str:
-    """Return the length unit that lines above the header state, empty if none does."""
+    """Stated above the header; empty if none. Raises BundleError for several."""
     found = {
         unit
         for line in cells.preamble
@@ -135,7 +136,7 @@ def state_unit(cells: Cells) -> str:
 
 
 def state_rate(cells: Cells) -> float | None:
-    """Return the rows a second that lines above the header state, if one does."""
+    """Rows per second stated above the header, None without."""
     for line in cells.preamble:
         if found := _STATED_RATE.search(line):
             times = 1e3 if found[2].lower() == "khz" else 1.0
@@ -164,7 +165,7 @@ def _find(cells: Cells, role: str, word: str) -> int:
 
 
 def _split_unit(name: str, below: str) -> tuple[str, str]:
-    """Return a name without its unit, and the unit; `below` is of a line of units."""
+    """A name without its unit, and the unit; `below` is of a line of units."""
     bracket = _BRACKET.search(name)
     if bracket and (unit := find_unit(bracket.group(1))):
         return name[: bracket.start()], unit
@@ -201,11 +202,11 @@ def _is_polar(name: str) -> bool:
 
 
 def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
-    """Return the columns, those without names by what they hold and by their order.
+    """Give columns without names roles by their content and their order.
 
-    A time alone goes on; x, y and z are the three decimals beside one another; a word
-    or whole number before them names the point. A comment may state the axes. That it
-    fits what was commanded is for the alignment to find.
+    Only a time rises; x, y and z are three adjacent decimals; a word or whole number
+    before them names the point. A comment may state the axes. Whether it fits the
+    commanded rows is checked by the alignment.
     """
     stated = next(filter(None, map(_AXES_COMMENT.search, cells.preamble)), None)
     if stated and stated[1].upper() != "CARTESIAN":
@@ -253,7 +254,6 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
 
 
 def _take_some(cells: Cells) -> Cells:
-    """Return some stretches of rows, which show what goes on from row to row."""
     stride = max(len(cells) // _STRETCHES, _KINDS)
     begins = range(0, len(cells), stride)
     columns = tuple(

@@ -1,4 +1,4 @@
-"""Cells to numbers: decimal point or comma, groups of thousands, no value as NaN."""
+"""Cells to numbers: decimal point or comma, groups of thousands, missing as NaN."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _THREES = re.compile(r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
 
 
 def find_decimal(cells: Cells, columns: Iterable[int], usual: str = "") -> str:
-    """Return `point` or `comma`. Raises BundleError where it could be either.
+    """`point` or `comma`. Raises BundleError where it could be either.
 
     usual : that of other columns of the file, for where it could be either
     """
@@ -59,7 +59,7 @@ def find_decimal(cells: Cells, columns: Iterable[int], usual: str = "") -> str:
 
 
 def read_numbers(cells: Cells, index: int, decimal: str) -> NDArray[np.float64]:
-    """Return a column; cells without a value are NaN."""
+    """NaN for cells without a value. Raises BundleError for other texts."""
     group, mark = (".", ",") if decimal == "comma" else (",", ".")
     joined = "\n".join(cells.columns[index])
     texts = joined.replace(group, "").replace("'", "").replace(mark, ".").split("\n")

@@ -1,4 +1,4 @@
-"""What a user says of an exported file, where it does not say so itself."""
+"""Options of the user for an exported file, where it is ambiguous."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class TextOptions:
     """Empty values are recognised from the file.
 
     columns : role, or `NAME_degC`, to a column's name or its number from 1
-    rate_hz : rows come at this rate; the time column, if any, is left out
-    valid : what the status column says of samples that may be used
+    rate_hz : of the rows; the time column, if any, is left out
+    valid : values in the status column of samples that may be used
     axes : signs and names of the file's axes that become x, y, z: `x,-y,z`
     """
 
@@ -34,7 +34,7 @@ class TextOptions:
 
 
 def parse_columns(words: list[str]) -> dict[str, str]:
-    """Return `role=column` words as a mapping. Raises BadInput."""
+    """From `role=column` words. Raises BadInput."""
     columns: dict[str, str] = {}
     for word in words:
         role, equals, column = word.partition("=")

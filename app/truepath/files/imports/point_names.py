@@ -1,4 +1,4 @@
-"""Names of points in a file to the rows of `points.csv`: whole, one to one."""
+"""Names of points in a file to the rows of `points.csv`: complete, one to one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _REMEDY = (
 
 @dataclass(frozen=True, slots=True)
 class Shots:
-    """Rows of a file as they were seen: positions, which of them count, and times."""
+    """Rows of a file as measured: positions, validity, and times."""
 
     position_mm: NDArray[np.float64]
     is_valid: NDArray[np.bool_]
@@ -34,8 +34,8 @@ class Shots:
 
 
 FindPlaces = Callable[[Configurations, NDArray[np.float64]], NDArray[np.int64] | None]
-"""Returns the point of each position, by order and place: −1 at none of them, nothing
-where they do not follow the points."""
+"""Point of each position, by order and distance: −1 at none of them; None where the
+positions do not follow the points."""
 
 
 def find_points(
@@ -46,7 +46,7 @@ def find_points(
     names: Sequence[str],
     find_places: FindPlaces | None,
 ) -> tuple[NDArray[np.int64] | None, dict[str, int], tuple[str, ...]]:
-    """Return the commanded point of each row, of each name its row from 1, and notes.
+    """The commanded point of each row, of each name its row from 1, and notes.
 
     The point is −1 where a row is at none. No point and no name: the file is a stream.
     """
@@ -122,7 +122,6 @@ def _find_by_place(
 def _tell_shifts(
     cells: Cells, by_name: NDArray[np.int64], by_place: NDArray[np.int64] | None
 ) -> tuple[str, ...]:
-    """Return from where on names are those of other points in order; nothing if not."""
     if by_place is None:
         return ()
     at = np.flatnonzero(by_place >= 0)
@@ -144,7 +143,6 @@ def _tell_shifts(
 def _describe_places(
     cells: Cells, by_place: NDArray[np.int64], shots: Shots, points: int
 ) -> tuple[str, ...]:
-    """Return notes on points without a shot, with several, and on shots at none."""
     told: list[str] = []
     times = np.bincount(by_place[by_place >= 0], minlength=points)
     stray = np.asarray(cells.row_of)[shots.is_valid & (by_place < 0)]
@@ -174,10 +172,6 @@ def _counts_rows(cells: Cells, column: Column, points: int) -> bool:
 def _match_names(
     cells: Cells, column: Column, points: int, known: dict[str, int]
 ) -> dict[str, int]:
-    """Return the row of each name; nothing where names hold no number.
-
-    What stands before the last `::` is collection and group.
-    """
     row_of: dict[str, int] = {}
     name_of: dict[int, str] = {}
     for index, text in enumerate(cells.columns[column.index]):

@@ -42,7 +42,7 @@ NOT_VALID, NO_POSITION = 1, 2  # status of samples that are not to be used
 _GOOD = frozenset(("ok", "good", "valid", "true", "yes", "locked", "gut", "gültig"))
 _BAD = frozenset(("invalid", "false", "no", "lost", "broken", "error", "ungültig"))
 _MOST_RATIO = 5.0  # of extents; an inch is 25.4 mm
-_NEAR = 2.0  # of extents: so near only one of the usual units comes
+_NEAR = 2.0  # of extents: only one of the usual units comes so near
 _USUAL_UNITS = ("mm", "m", "inch", "um")
 _AWAY = 1e-3  # of the positions: rows that lie there are no place next to the origin
 _FEW = 0.01  # of the rows: so many may have come twice
@@ -57,12 +57,12 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a file holds, and each decision of its reader in words.
+    """Content of a file, and each decision of its reader as a sentence.
 
-    commanded : what the samples are of: the stops of a path where they are shots
+    commanded : of the samples: the stops of a path where they are shots
     columns : all of the file, those without a role are left out
     row_of : name of a point in the file to its row, from 1
-    problems : what cannot be told; where there are some, the rest rests on guesses
+    problems : ambiguities; where there are some, the rest is based on guesses
     """
 
     commanded: Commanded
@@ -79,7 +79,7 @@ class Recording:
 
 
 class _Problems:
-    """Keeps what cannot be told, so that all of it is said at once."""
+    """Collects ambiguities, so that all are reported at once."""
 
     def __init__(self, known: Sequence[BundleError]) -> None:
         self.known = list(known)
@@ -100,10 +100,11 @@ def read_recording(
     names: Sequence[str] = (),
     find_places: FindPlaces | None = None,
 ) -> Recording:
-    """Read an exported recording of what was commanded, with all that is wrong in it.
+    """Read an exported recording of commanded rows, with all its problems.
 
     names : of the commanded points, if they have any
-    find_places : tells at which points shots were taken
+    find_places : finds the point of each shot
+
     Raises BundleError where there are no columns of numbers.
     """
     cells = read_cells(data, file, options.delimiter)
@@ -193,7 +194,6 @@ def _are_shots(cells: Cells, path: Path) -> bool:
 
 
 def _list_stops(path: Path) -> Configurations:
-    """Return the rows at which a program stands still; all where it states no dwell."""
     stands = path.dwell_s > 0.0
     stands = stands if stands.any() else ~stands
     kept = np.flatnonzero(stands).tolist()
@@ -202,7 +202,6 @@ def _list_stops(path: Path) -> Configurations:
 
 
 def _guess_unit(position: NDArray[np.float64], commanded: Commanded) -> str:
-    """Return the usual unit by which positions extend most nearly as commanded."""
     aim, extent = _measure_aim(commanded), _measure_extent(position)
     if not (aim and extent):
         return "mm"
@@ -220,7 +219,6 @@ def _drive_s(commanded: Commanded) -> float:
 
 
 def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which rows are 0, 0, 0 while the last ones before them are elsewhere."""
     origin = (position == 0.0).all(axis=1)
     known = np.flatnonzero(~origin & np.isfinite(position).all(axis=1))
     if origin.any() and len(known):
@@ -251,10 +249,10 @@ def _order_times(
     time_s: NDArray[np.float64],
     rows: NDArray[np.int64] | None,
 ) -> _Ordered:
-    """Return times that increase.
+    """Times that increase.
 
-    A row of a stream that is the one before once more came twice and is left out; not
-    where many share a stamp: there they differ in nothing else at a standstill.
+    A row of a stream that repeats the one before is left out; not where many share a
+    stamp: there rows at a standstill differ in nothing else.
     """
     if rows is not None:  # shots within one second
         return _Ordered.plain(time_s + _SHOT_S * np.arange(len(time_s)))
@@ -292,7 +290,6 @@ def _order_times(
 def _describe_missing(
     cells: Cells, inside: NDArray[np.int64], even: EvenTimes
 ) -> list[str]:
-    """Return notes on rows that the stamps miss."""
     if not even.missing:
         return []
     told = [f"{n} before row {cells.row_of[inside[k]]}" for k, n in even.missing]
@@ -308,7 +305,7 @@ def _describe_missing(
 
 
 def _read_numbering(cells: Cells, columns: list[Column]) -> NDArray[np.float64]:
-    """Return how the software counted the rows, from 0, where it did."""
+    """Row numbers of the software, from 0; else the rows counted."""
     rows = np.arange(len(cells), dtype=float)
     for column in columns:
         texts = cells.columns[column.index]
@@ -379,7 +376,6 @@ def _choose_unit(
     commanded: Commanded,
     options: TextOptions,
 ) -> tuple[str, str]:
-    """Return the unit of positions, and why, if the file does not state it."""
     if not len(position):
         raise BundleError("holds no position", file=cells.file, remedy="record again")
     aim, extent = _measure_aim(commanded), _measure_extent(position)
@@ -426,7 +422,7 @@ def _measure_aim(commanded: Commanded) -> float:
 
 
 def _measure_extent(position: NDArray[np.float64]) -> float:
-    """Return twice the distance from the mean that few positions exceed."""
+    """Twice the distance from the median that 5 % of the positions exceed."""
     away = np.linalg.norm(position - np.median(position, axis=0), axis=1)
     return float(2.0 * np.percentile(away, 95)) if len(away) else 0.0
 
@@ -438,7 +434,6 @@ def _read_times(
     options: TextOptions,
     decimal: str,
 ) -> tuple[NDArray[np.float64], str, tuple[str, ...]]:
-    """Return seconds since the first row, how they were read, and notes."""
     time, date = find_column(columns, "time"), find_column(columns, "date")
     rate_hz = options.rate_hz or (state_rate(cells) if time is None else None)
     least_s = _drive_s(commanded)
@@ -460,7 +455,6 @@ def _read_times(
 def _compare_rate(
     stamp_s: NDArray[np.float64], time_s: NDArray[np.float64], rate_hz: float
 ) -> list[str]:
-    """Return a note where the file's own times contradict a rate."""
     took_s, by_rate_s = float(stamp_s[-1]), float(time_s[-1])
     if took_s <= 0.0 or abs(by_rate_s / took_s - 1.0) < _OTHER_RATE:
         return []
@@ -492,9 +486,9 @@ def _read_temperatures(
     kept: NDArray[np.bool_],
     usual: str,
 ) -> tuple[TemperatureSamples | None, tuple[RunEvent, ...]]:
-    """Return the rows at which a temperature changes, the first and the last.
+    """Rows at which a temperature changes, the first and the last.
 
-    What is not believed is NaN, and reported.
+    Rejected readings are NaN, and reported.
     """
     sensors = [column for column in columns if column.role.endswith("_degC")]
     if not sensors:

@@ -1,4 +1,4 @@
-"""Units as makers' software writes them."""
+"""Units in the words of makers' software."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ ANGLES = frozenset(("deg", "gon", "rad"))
 
 
 def find_unit(word: str) -> str:
-    """Return the unit that a word names, empty for another word."""
+    """Empty for another word."""
     return _UNIT.get(word.strip().lower(), "")

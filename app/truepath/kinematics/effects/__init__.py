@@ -1,7 +1,7 @@
-"""What moves the measured point off its nominal, causes of one kind in a file.
+"""Effects that move the measured point off its nominal, causes of one kind per file.
 
-`base` holds what an effect answers, `catalogue` what a family of effects states so that
-discovery can look for it, `keys` what tells effects of a family apart, `conformance`
-what every effect keeps. To write one, see docs/write-an-effect.md.
-Not here: which effects a machine has (`discovery`), their values (`estimation`).
+`base` holds the interface of an effect, `family` that of a family of effects for
+discovery, `keys` what distinguishes effects of a family, `conformance` the checks for
+every effect. To write one, see docs/write-an-effect.md. Not here: which effects a
+machine has (`discovery`), their values (`estimation`).
 """

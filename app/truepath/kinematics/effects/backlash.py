@@ -1,8 +1,8 @@
 """Error motions that depend on the direction of approach: backlash and its kin.
 
-Going up an axis errs by E + h, coming down by E − h. The 2023 paper leaves both ways of
-modelling h to the future: one number an error motion (14 of them with one target), or
-tables of both directions. Here h is a constant, and for tables a spline besides. As
+The error is E + h on the way up, E − h on the way down. The 2023 paper leaves both ways
+of modelling h to the future: one number an error motion (14 of them with one target),
+or tables of both directions. Here h is a constant, and for tables a spline besides. As
 families, it is the lost motion of an axis in its own direction, and across it.
 """
 
@@ -45,7 +45,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.splines import CubicSpline, natural_spline
 
-_SHARE = 0.3  # usual size of h, in usual errors
+_SHARE = 0.3  # typical size of h, in typical errors
 _INTERVALS = 5  # h changes slowly along an axis
 _USUAL_RAD = 1e-5
 
@@ -61,7 +61,7 @@ class Backlash(ErrorCurve):
     varies: bool
 
     def compose_name(self, digits: str) -> str:
-        """Return `backlash` with the symbol."""
+        """`backlash-` or `backlash-shape-` with the symbol."""
         del digits
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
 
@@ -71,25 +71,25 @@ class Backlash(ErrorCurve):
         return self
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the error's arm times h, with the sign of its axis' last motion."""
+        """Arm of the error times h, with the sign of its axis' last motion."""
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
         arm = find_arm(self.symbol, at) * sign[:, None]
         return columns_along(arm, rows)
 
     def prior(self) -> QuadraticPrior:
-        """Return the mean square of h over the travel."""
+        """Mean square of h over the travel."""
         return self.charge_square(_SHARE * find_usual_size(self.symbol))
 
 
 def make_half_width(symbol: str, axis: Axis) -> Backlash:
-    """Return the half difference that is the same everywhere."""
+    """The same half difference over the whole travel."""
     spline = _few_knots(axis)
     return Backlash(symbol, axis, spline, np.ones((spline.size, 1)), False)
 
 
 def make_half_shape(symbol: str, axis: Axis) -> Backlash:
-    """Return what the half difference does beyond its mean over the travel."""
+    """Variation of the half difference about its mean over the travel."""
     spline = _few_knots(axis)
     mean = spline.gram() @ np.ones(spline.size)
     return Backlash(symbol, axis, spline, null_space(mean[None, :]), True)
@@ -104,7 +104,7 @@ def _lost_positioning(axis: Axis) -> Backlash:
 
 
 class BacklashFamily(Family):
-    """One candidate an axis, straight or rotary."""
+    """One candidate per axis, linear or rotary."""
 
     name = "backlash"
     varies_with = "way"
@@ -130,13 +130,13 @@ class BacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one an axis."""
+        """One per axis."""
         effects = [_lost_positioning(axis) for axis in at.machine.axes]
         usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
         return [self.offer(e, [usual[is_turn(e.symbol)]]) for e in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the width; of a rotary axis without a sign.
+        """Width, µm; of a rotary axis without a sign, µrad.
 
         There it depends on the side that carries the axis.
         """
@@ -148,19 +148,19 @@ class BacklashFamily(Family):
 
 @dataclass(frozen=True)
 class TurningOver(Backlash):
-    """An error motion that goes from one side to the other within some travel.
+    """An error motion that changes sides gradually within some travel.
 
-    turnover_mm : travel after a reversal in which it turns over
+    turnover_mm : travel after a reversal in which it changes sides
     """
 
     turnover_mm: float = 0.0
 
     def compose_name(self, digits: str) -> str:
-        """Return that of the half difference, and the travel."""
+        """Name of the half difference, and the travel."""
         return f"{super().compose_name(digits)}-{self.turnover_mm:{digits}}"
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the error's arm times the side that each cell is on, on average."""
+        """Arm of the error times the side of each cell, on average over the cell."""
         whole = super().jacobian(at)
         if at.recorded is None:
             return whole
@@ -175,7 +175,7 @@ def _side(
     width_mm: Float64[np.ndarray, " n"],
     turnover_mm: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Return the mean of min(2 s / turnover − 1, 1) for s within width about gone."""
+    """Mean of min(2 s / turnover − 1, 1) for s within width about gone."""
     half = 0.5 * np.maximum(width_mm, 1e-6)
     low, high = np.maximum(gone_mm - half, 0.0), gone_mm + half
     early = low < turnover_mm
@@ -191,7 +191,7 @@ _TURNOVERS_MM = np.array([0.02, 0.25, 0.5, 1.0, 2.0])
 
 
 class LateralBacklashFamily(Family):
-    """One candidate an error motion across or about an axis, its turnover scanned."""
+    """One candidate per error motion across or about an axis, its turnover scanned."""
 
     name = "lateral-backlash"
     varies_with = "way"
@@ -221,7 +221,7 @@ class LateralBacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each error motion but positioning."""
+        """One for each error motion but positioning."""
         first = float(_TURNOVERS_MM[0])
         return [
             Candidate(
@@ -239,21 +239,18 @@ class LateralBacklashFamily(Family):
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
-        """Return the effect as a model file states it."""
+        """Raises KeyError naming an axis or error motion that is not there."""
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
         return _turning_over(symbol, axis, numbers.get(self.value_name, 0.0))
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return turnovers, where it is known how far each axis has gone."""
+        """Turnovers, mm; None if the travel since each reversal is not recorded."""
         return None if at.recorded is None else Scan(self.value_name, _TURNOVERS_MM)
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return half the difference between both directions, in µm or µrad.
-
-        And the travel that it takes to turn over.
-        """
+        """Half the difference between both directions, µm or µrad; turnover, mm."""
         scale = 1e6 if is_turn(found.candidate.keys["motion"]) else 1e3
         half_width = found.parameters[0].scale(scale)
         return {"half_width": half_width, self.value_name: found.value}

@@ -1,4 +1,4 @@
-"""What an effect answers, under given conditions; in one Run, or in all."""
+"""Interface of an effect under given conditions; in one Run, or in all."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from truepath.numerics.value_equality import ValueEquality
 
 
 class Role(Enum):
-    """What an effect belongs to.
+    """Part of the measurement to which an effect belongs.
 
     MACHINE : the machine, and so its volumetric error
     DIRECTION : the machine, by the direction of approach; the map is the mean of both
     MEASUREMENT : tracker or set-up; it is looked for where data show a gap
-    NUISANCE : pose, timing, seat of the target; every estimate has them beside
-    STRUCTURE : the machine, or all points in time; described, for want of a cause
+    NUISANCE : pose, timing, seat of the target; part of every estimate
+    STRUCTURE : the machine, or all points in time; described without a known cause
     """
 
     MACHINE = "machine"
@@ -45,14 +45,14 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class QuadraticPrior:
-    """A quadratic form θᵀKθ that a prior charges for.
+    """A quadratic form θᵀKθ penalised by a prior.
 
-    form : (p, p) K; rank : shapes that it charges; the others are free
-    usual : θᵀKθ of an effect of usual size
-    kind : effects of a kind are of like precision; empty for one on its own
+    form : (p, p) K; rank : shapes that it penalises; the others are free
+    usual : θᵀKθ of an effect of typical size
+    kind : effects of a kind have similar precision; empty for one on its own
     is_known : the form is the precision itself; nothing of it is found from the data
-    counted : shapes, those charged least, that tell how well the precision is known; 0
-        for all
+    counted : shapes, those penalised least, that determine how well the precision is
+        known; 0 for all
     """
 
     form: Float64[np.ndarray, "p p"]
@@ -68,11 +68,11 @@ class Effect(ValueEquality, ABC):
     """One physical cause that moves the measured point off its nominal, linear in θ.
 
     A dataclass: its fields are what is fixed, θ is what is estimated. Kind, units and
-    Jacobian make an effect; the other answers have a default.
+    Jacobian make an effect; the other methods have a default.
 
-    kind : what it is; with its axes, words and numbers, it is its name
-    units : inside unit of each parameter, by what follows the effect's label
-    role : what it belongs to
+    kind : with the axes, words and numbers it forms the name
+    units : inside unit of each parameter, keyed by the suffix to the effect's label
+    role : MACHINE by default
     """
 
     kind: ClassVar[str] = ""
@@ -81,16 +81,16 @@ class Effect(ValueEquality, ABC):
 
     @property
     def name(self) -> str:
-        """Identifies the effect in a model, its numbers to the last digit."""
+        """Unique in a model: its numbers are not rounded."""
         return self.compose_name("")
 
     @property
     def label(self) -> str:
-        """The name with its numbers rounded, for texts."""
+        """Name with its numbers rounded to 5 digits, for texts."""
         return self.compose_name(".5g")
 
     def compose_name(self, digits: str) -> str:
-        """Return the ISO symbol, or kind, axes, words and numbers in one word.
+        """ISO symbol, or kind, axes, words and numbers joined by hyphens.
 
         digits : format of a number
         """
@@ -108,51 +108,51 @@ class Effect(ValueEquality, ABC):
 
     @abstractmethod
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return ∂(displacement where the observer stands, mm)/∂θ."""
+        """∂(displacement in the observer's frame, mm)/∂θ."""
 
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return how far θ moves the measured point."""
+        """Displacement of the measured point, in the observer's frame."""
         return self.jacobian(at) @ theta
 
     def prior(self) -> QuadraticPrior | None:
-        """Return the quadratic form of its prior, or None for no prior."""
+        """None for no prior."""
         return None
 
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 p"] | None:
-        """Return its columns at single moments if it is a fast function of time alone.
+        """Columns at single moments if it is a fast function of time alone, else None.
 
-        Such an effect shows between the samples of a cell; others are None.
+        Such an effect varies between the samples of a cell.
         """
         del time_s
         return None
 
     def coarsen(self, intervals: int) -> Effect:
-        """Return it with fewer knots, if it is a spline along an axis; else itself."""
+        """The effect with fewer knots if it is a spline along an axis; else itself."""
         del intervals
         return self
 
     @property
     def iso_symbol(self) -> str:
-        """ISO symbol of the table or number that states it; empty if it has none."""
+        """ISO 230-1 symbol of its table or number; empty if it has none."""
         return ""
 
     @property
     def motion(self) -> ErrorCurve | None:
-        """The error motion that it is, as its table states it."""
+        """The error motion that it is, as tabulated; None if it is none."""
         return None
 
     @property
     def half_difference(self) -> ErrorCurve | None:
-        """Half the difference of both directions of approach, if it is one."""
+        """Half the difference between both directions of approach, if it is one."""
         return None
 
     @property
     def lag_axis(self) -> str:
-        """The axis whose lag behind its command it is, in s; empty if it is none."""
+        """The axis whose lag behind its command, in s, it is; empty if it is none."""
         return ""
 
     @property
@@ -178,7 +178,7 @@ def _format_fields(effect: Effect, digits: str) -> Iterator[str]:
 
 
 class SplineEffect(Effect):
-    """A spline of one coordinate; θ are its control values in a gauge.
+    """A spline of one coordinate; θ are the control values in a gauge.
 
     gauge : (K, p), control values per parameter
     """
@@ -193,12 +193,12 @@ class SplineEffect(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One for each degree of freedom that the gauge leaves."""
+        """One per degree of freedom left by the gauge."""
         name, count = self.name, self.gauge.shape[1]
         return tuple(Parameter(f"{name}[{i}]", self.unit) for i in range(count))
 
     def charge_square(self, usual: float, kind: str = "") -> QuadraticPrior:
-        """Return the mean square over all knots as a prior. usual : of the values."""
+        """Mean square over all knots as a prior. usual : typical size of the values"""
         length = float(self.spline.knots[-1] - self.spline.knots[0])
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
@@ -207,7 +207,7 @@ class SplineEffect(Effect):
 
 @dataclass(frozen=True)
 class ErrorCurve(SplineEffect):
-    """An error over the travel of an axis, as a table states it.
+    """An error over the travel of an axis, as a table holds it.
 
     symbol : ISO 230-1 symbol of the error motion
     """
@@ -219,29 +219,29 @@ class ErrorCurve(SplineEffect):
 
     @property
     def unit(self) -> str:
-        """That of the error motion."""
+        """`rad` for a turn, else `mm`."""
         return "rad" if is_turn(self.symbol) else "mm"
 
     def rows(self, position: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
-        """Return the value per parameter at positions of the axis, mm or deg."""
+        """Value per parameter at positions of the axis, mm or deg."""
         return self.spline.basis(position) @ self.gauge
 
 
 @dataclass(frozen=True)
 class EffectOfRun(Effect):
-    """An effect in the Run of its number; nothing in all others."""
+    """An effect in one Run; 0 in all others."""
 
     role = Role.MEASUREMENT
     effect: Effect
     run: int
 
     def compose_name(self, digits: str) -> str:
-        """Return the effect, with the number of its Run beyond the first."""
+        """Name of the effect, with the number of its Run beyond the first."""
         return name_in_run(self.effect.compose_name(digits), self.run)
 
     @property
     def own_run(self) -> int:
-        """The Run of its number."""
+        """The index of its Run."""
         return self.run
 
     @property
@@ -250,7 +250,7 @@ class EffectOfRun(Effect):
         return self.effect.parameters
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return that of the effect in its own Run."""
+        """0 outside its own Run."""
         if at.run != self.run:
             return np.zeros((len(at), 3, len(self.parameters)))
         return self.effect.jacobian(at)
@@ -258,18 +258,18 @@ class EffectOfRun(Effect):
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 p"] | None:
-        """Return those of the effect, at moments of its own Run."""
+        """Columns of the effect, at moments of its own Run."""
         return self.effect.jacobian_in_time(time_s)
 
     def prior(self) -> QuadraticPrior | None:
-        """Return that of the effect."""
+        """Prior of the effect."""
         return self.effect.prior()
 
 
 def columns_along(
     direction: str | Float64[np.ndarray, "n 3"], size: Float64[np.ndarray, "n ..."]
 ) -> Float64[np.ndarray, "n 3 p"]:
-    """Return columns of displacements along X, Y or Z, or along arms.
+    """Columns of displacements along X, Y or Z, or along arms.
 
     size : of each column; (n,) for one column
     """
@@ -279,5 +279,5 @@ def columns_along(
 
 
 def name_in_run(name: str, run: int) -> str:
-    """Return the name of an effect of one Run; the first Run's needs no number."""
+    """`name-2` for the second Run; the first Run adds no number."""
     return name if run == 0 else f"{name}-{run + 1}"

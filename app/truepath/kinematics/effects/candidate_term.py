@@ -16,7 +16,7 @@ from truepath.kinematics.effects.family import Candidate, Family, Scan, Wave
 
 @dataclass(frozen=True)
 class CandidateTerm:
-    """A candidate effect of a family, and the cost of looking for it.
+    """A candidate effect of a family, and the cost of searching for it.
 
     Two terms are equal if effect and Run are.
 
@@ -61,22 +61,22 @@ class CandidateTerm:
         return self.candidate.effect.jacobian_in_time(np.zeros(1)) is not None
 
     def scan(self, at: Conditions) -> Scan | None:
-        """Return the values to be scanned, or None."""
+        """Values to scan; None if nothing is scanned."""
         return self.family.scan(self.candidate, at)
 
     def wave(self, at: Conditions) -> Wave | None:
-        """Return the scan as a wave, if it is one."""
+        """The scan as a wave; None if it is not one."""
         return self.family.find_wave(self.candidate, at)
 
     def with_value(self, value: float) -> CandidateTerm:
-        """Return the term with another scanned value."""
+        """The same term at another scanned value."""
         return replace(self, candidate=self.family.with_value(self.candidate, value))
 
 
 def propose_terms(
     families: Sequence[Family], at: Sequence[Conditions]
 ) -> Iterator[CandidateTerm]:
-    """Yield terms of the machine once, and terms that end with a Run for each Run.
+    """Terms of the machine once; terms that end with a Run once per Run.
 
     at : conditions of each Run
     """

@@ -1,7 +1,7 @@
-"""What every effect and family keeps, as checks that any author can run.
+"""Checks of the contract of effects and families, for any author to run.
 
-A check takes a family and conditions in which it proposes something; it returns
-nothing, or raises NotConforming, which says what was not kept. With pytest:
+A check takes a family and conditions in which it proposes something; it raises
+NotConforming with what was not kept. With pytest:
 
     from truepath.kinematics.effects.conformance import CHECKS, example_conditions
 
@@ -45,17 +45,17 @@ _CLOSE = 1e-9
 
 
 class NotConforming(AssertionError):
-    """An effect does not keep what `Effect` and `Family` promise."""
+    """An effect breaks the contract of `Effect` or `Family`."""
 
 
 def require(kept: bool, otherwise: str) -> None:
-    """Raise NotConforming if something was not kept."""
+    """Raises NotConforming."""
     if not kept:
         raise NotConforming(otherwise)
 
 
 def example_conditions(count: int = 400) -> Conditions:
-    """Return cells of a machine of four axes that moves, turns and warms."""
+    """Cells of a machine of four axes that moves, turns and warms."""
     axes: tuple[Axis, ...] = tuple(LinearAxis(name, 0.0, 500.0) for name in "XYZ")
     axes += (RotaryAxis("C", 0.0, 500.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),)
     target = Target("T", "tool", (20.0, 30.0, -100.0))
@@ -110,7 +110,7 @@ def each_cell_is_for_itself(family: Family, at: Conditions) -> None:
 
 
 def parameters_have_names_and_units(family: Family, at: Conditions) -> None:
-    """There is a parameter a column, each with a name of its own and a known unit."""
+    """One parameter per column, each with a unique name and a known unit."""
     for candidate in _propose(family, at):
         effect = candidate.effect
         names = [p.name for p in effect.parameters]
@@ -134,7 +134,7 @@ def effects_are_values(family: Family, at: Conditions) -> None:
 
 
 def files_bring_it_back(family: Family, at: Conditions) -> None:
-    """What a file states of an effect makes it again, if it outlasts its Run."""
+    """An effect restored from its keys and numbers is equal, if it outlasts its Run."""
     for candidate in _propose(family, at):
         numbers = family.list_numbers(candidate)
         keys, numbers = json.loads(json.dumps([candidate.keys, numbers]))
@@ -148,7 +148,7 @@ def files_bring_it_back(family: Family, at: Conditions) -> None:
 
 
 def it_states_its_numbers(family: Family, at: Conditions) -> None:
-    """Every stated number is finite and has an uncertainty."""
+    """Every number of `state` is finite and has an uncertainty."""
     for candidate in _propose(family, at):
         found = CandidateEstimate(
             candidate, candidate.usual, np.diag((0.1 * candidate.usual) ** 2), 0.1
@@ -162,7 +162,7 @@ def it_states_its_numbers(family: Family, at: Conditions) -> None:
 
 
 def words_are_there(family: Family, at: Conditions) -> None:
-    """Title and sentences stand in every language; a title holds every key."""
+    """Title and sentences exist in every language; a title contains every key."""
     for language in LANGUAGES:
         require(language in family.words, f"{family.name} has no words in {language}")
         for what, text in asdict(family.words[language]).items():

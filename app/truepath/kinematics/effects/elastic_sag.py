@@ -1,4 +1,4 @@
-"""A guide that bends under another axis' carriage: no rigid body does it.
+"""A guide that bends under another axis' carriage: not a rigid-body error.
 
 A beam on two supports gives way most in its middle, and by the share of the weight that
 rests on it: that share grows with the other axis' position. In one direction the
@@ -44,9 +44,9 @@ _UNDER = replace(AXIS, phrase="under {}")
 
 @dataclass(frozen=True)
 class Sag(Effect):
-    """A guide gives way in one direction, by what another axis loads it with.
+    """A guide yields in one direction under the load of another axis.
 
-    axis : the guide; by : what carries the load
+    axis : the guide; by : the axis that carries the load
     """
 
     axis: LinearAxis
@@ -55,15 +55,15 @@ class Sag(Effect):
 
     @property
     def axis_pair(self) -> tuple[str, str]:
-        """The guide, and what carries the load."""
+        """The guide, then the axis that carries the load."""
         return self.axis.name, self.by.name
 
     @abstractmethod
     def load(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return the load for each parameter, at most 1."""
+        """Load for each parameter, at most 1."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the direction times the bend under the load."""
+        """−4u(1 − u) times the load, along the direction."""
         u = at.axis_share(self.axis)
         bend = -4.0 * u * (1.0 - u)
         arm = find_arm(f"E{self.direction}{self.axis.name}", at)
@@ -81,7 +81,7 @@ class ElasticSag(Sag):
     units = {"": "mm"}
 
     def load(self, at: Conditions) -> Float64[np.ndarray, "n 1"]:
-        """Return the position of the carriage along its travel."""
+        """Position of the carriage along its travel, 0 to 1."""
         return at.axis_share(self.by)[:, None]
 
 
@@ -89,20 +89,20 @@ class ElasticSag(Sag):
 class SwivelSag(Sag):
     """Displacement of a guide in one direction by the weight that a swivel carries.
 
-    Its centre of gravity is off the swivel's axis, so that what rests on the guide goes
-    as sine and cosine of the angle. θ : both at mid guide
+    Its centre of gravity is off the swivel's axis, so the load on the guide varies with
+    sine and cosine of the angle. θ : both at mid guide
     """
 
     kind = "swivel-sag"
     units = {"sin": "mm", "cos": "mm"}
 
     def load(self, at: Conditions) -> Float64[np.ndarray, "n 2"]:
-        """Return sine and cosine of the swivel's angle."""
+        """Sine and cosine of the swivel's angle."""
         return sine_and_cosine(np.radians(at.axis_mm(self.by.name)))
 
 
 class ElasticSagFamily(Family):
-    """Every pair of axes and direction."""
+    """One candidate per ordered pair of axes and direction."""
 
     name = "elastic-sag"
     varies_with = "place"
@@ -129,7 +129,7 @@ class ElasticSagFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each ordered pair and direction."""
+        """One per ordered pair and direction."""
         return [
             self.offer(ElasticSag(axis, by, direction), [2.0 * USUAL_MM])
             for axis, by in permutations(at.machine.linear_axes, 2)
@@ -138,7 +138,7 @@ class ElasticSagFamily(Family):
 
 
 class SwivelSagFamily(Family):
-    """Every guide under every rotary axis, and direction."""
+    """One candidate per guide, rotary axis and direction."""
 
     name = "swivel-sag"
     varies_with = "place"
@@ -168,7 +168,7 @@ class SwivelSagFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each pair and direction."""
+        """One per pair and direction."""
         return [
             self.offer(SwivelSag(axis, by, direction), [2.0 * USUAL_MM] * 2)
             for axis in at.machine.linear_axes
@@ -177,6 +177,6 @@ class SwivelSagFamily(Family):
         ]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the sag in mid guide, and its phase."""
+        """Sag at mid guide in µm, and its phase."""
         amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
         return {"amplitude_um": amplitude.scale(1e3), "phase_rad": phase}

@@ -47,25 +47,25 @@ class ErrorMotion(ErrorCurve):
         return self
 
     def coarsen(self, intervals: int) -> ErrorMotion:
-        """Return the same motion over fewer intervals."""
+        """The same motion over fewer intervals."""
         return make_error_motion(self.symbol, self.axis, intervals)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
+        """Arm of the error times its spline rows: e_d, or e_d × L for a turn."""
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         return columns_along(find_arm(self.symbol, at), rows)
 
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the error's arm times its value."""
+        """Arm of the error times its value."""
         rows = at.spline_rows(self.axis.name, self.spline)
         return find_arm(self.symbol, at) * (rows @ (self.gauge @ theta))[:, None]
 
     def prior(self) -> QuadraticPrior:
-        """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
+        """Bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
 
-        Usual is an error of usual size that waves once over the travel.
+        The typical size is that of an error that waves once over the travel.
         """
         length = self.axis.high - self.axis.low
         usual = (
@@ -80,7 +80,7 @@ class ErrorMotion(ErrorCurve):
 
 
 def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-    """Return what a unit of the error moves the target by: e_d, or e_d × L."""
+    """Displacement of the target per unit of error: e_d, or e_d × L; read-only."""
     arms = at.chain.arms
     if symbol not in arms:
         axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
@@ -93,12 +93,12 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
 
 
 def find_usual_size(symbol: str) -> float:
-    """Return the size of an error motion that surprises nobody, in mm or rad."""
+    """Typical size of an error motion, mm or rad."""
     return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
 
 
 def make_error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
-    """Return the error motion over the axis' travel, knots at equal intervals."""
+    """Knots at equal intervals over the travel; one turn where the axis turns fully."""
     knots = np.linspace(axis.low, axis.high, intervals + 1)
     if isinstance(axis, RotaryAxis) and axis.turns_fully:
         # One period of a travel that may hold more than a turn.
@@ -109,7 +109,7 @@ def make_error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
 def make_error_motion_over(
     symbol: str, axis: Axis, knots_mm: Float64[np.ndarray, " k"]
 ) -> ErrorMotion:
-    """Return the error motion in its gauge over given knots, mm or deg."""
+    """Over given knots, mm or deg, in the gauge of formats.md."""
     if isinstance(axis, RotaryAxis):
         return _turning_motion(symbol, axis, knots_mm)
     spline = natural_spline(knots_mm)
@@ -121,7 +121,7 @@ def make_error_motion_over(
 
 
 def reference_position_mm(axis: Axis) -> float:
-    """Return the axis zero, or the lowest position where zero is out of travel."""
+    """The axis zero, or the lowest position where zero is out of travel; mm or deg."""
     return 0.0 if axis.low <= 0.0 <= axis.high else axis.low
 
 
@@ -141,10 +141,8 @@ def _turning_motion(
 def _find_shapes(
     spline: CubicSpline, fixed: Float64[np.ndarray, "c k"]
 ) -> Float64[np.ndarray, "k p"]:
-    """Return control values of shapes that what is fixed leaves, straight ones first.
-
-    Orthonormal, and without a product of bending between two of them (Demmler & Reinsch
-    1975): in this basis prior and data are both well scaled, however many the knots.
+    """Orthonormal and without bending products (Demmler & Reinsch 1975), straight ones
+    first: in this basis prior and data are both well scaled, however many the knots.
     """
     free = null_space(fixed)
     _, shapes = np.linalg.eigh(free.T @ spline.bending() @ free)

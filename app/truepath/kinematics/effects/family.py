@@ -1,8 +1,8 @@
-"""What a catalogued effect tells of itself, so that discovery can look for it.
+"""Interface of a catalogued effect for the search by discovery.
 
-A family is one physical cause. For a machine and what was recorded it proposes
-candidates: effects that are linear in their parameters, with all else (which axis,
-which lead, which time constant) fixed. What is scanned has a range and a step.
+A family is one physical cause. For a machine and a recording it proposes candidates:
+effects that are linear in their parameters, with all else (which axis, which lead,
+which time constant) fixed. A scanned value has a range and a step.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from truepath.kinematics.machine.machine import Axis, Machine
 from truepath.numerics.value_equality import ValueEquality
 from truepath.plugins import find_point, gather, guarding, load_point
 
-USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
+USUAL_MM = 0.005  # typical size of an effect that matters
 LANGUAGES = ("en", "de")
-GROUP = "truepath.effects"  # of the entry points: our families, and those of others
+GROUP = "truepath.effects"  # of the entry points: our families and third-party ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Words:
 
 
 def read_words(text: str) -> dict[str, Words]:
-    """Return words by language from text with a section a language, as in INI files."""
+    """Words by language, from text with one section per language, as in INI files."""
     parser = ConfigParser(interpolation=None)
     parser.read_string(dedent(text))
     return {
@@ -53,19 +53,19 @@ def read_words(text: str) -> dict[str, Words]:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number and its standard uncertainty."""
+    """A number and its standard uncertainty, in the same unit."""
 
     value: float
     uncertainty: float
 
     def scale(self, factor: float) -> Quantity:
-        """Return it in another unit."""
+        """In another unit; the uncertainty stays positive."""
         return Quantity(factor * self.value, abs(factor) * self.uncertainty)
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """A parameter that is not linear: where it is looked for, and how finely.
+    """Values at which a nonlinear parameter is tried.
 
     values : increasing; between neighbours the columns hardly change
     """
@@ -78,7 +78,7 @@ class Scan:
 class Wave:
     """Columns arm · sin and arm · cos of 2π coordinate · waves, averaged over cells.
 
-    arm : (n, 3); coordinate, rate : (n,) with its change in a second
+    arm : (n, 3); coordinate, rate : (n,) with its change per second
     waves : (v,) per unit of the coordinate, one for each scanned value
     """
 
@@ -90,11 +90,11 @@ class Wave:
 
 @dataclass(frozen=True)
 class Candidate(ValueEquality):
-    """One effect that may be missing.
+    """One effect that may be missing from the model.
 
-    keys : what tells it from others of its family, as files name it: axis, motion, …
+    keys : distinguish it within its family, named as in files: axis, motion, …
     usual : (p,) prior standard deviation of the effect's parameters
-    value : of what is scanned, at which the effect is taken
+    value : the scanned value of the effect; None if nothing is scanned
     """
 
     family: str
@@ -105,7 +105,7 @@ class Candidate(ValueEquality):
 
     @property
     def label(self) -> str:
-        """Return name and keys in one line."""
+        """Family and keys in one line."""
         return " ".join([self.family, *self.keys.values()])
 
 
@@ -114,7 +114,7 @@ class CandidateEstimate:
     """Estimated parameters of a candidate, in inside units.
 
     theta : (p,), covariance : (p, p)
-    value_sigma : standard uncertainty of what was scanned
+    value_sigma : standard uncertainty of the scanned value
     """
 
     candidate: Candidate
@@ -124,37 +124,37 @@ class CandidateEstimate:
 
     @property
     def value(self) -> Quantity:
-        """What was scanned."""
+        """The scanned value; 0 if nothing is scanned."""
         return Quantity(self.candidate.value or 0.0, self.value_sigma)
 
     @property
     def parameters(self) -> list[Quantity]:
-        """Each parameter."""
+        """Each with its standard uncertainty."""
         sigma = np.sqrt(np.diag(self.covariance))
         return [Quantity(*p) for p in zip(self.theta.tolist(), sigma, strict=True)]
 
     def root_mean_square(self, weight: Float64[np.ndarray, " p"]) -> Quantity:
-        """Return √Σ w θ²."""
+        """√Σ w θ², with its uncertainty to first order."""
         rms = float(np.sqrt(np.sum(weight * self.theta**2)))
         slope = weight * self.theta / max(rms, 1e-300)
         return Quantity(rms, float(np.sqrt(slope @ self.covariance @ slope)))
 
 
 class Family(ABC):
-    """One physical cause and its candidates: what discovery looks for, and files name.
+    """One physical cause and its candidates, for discovery and for files.
 
     words : by language; keys : by the name that files give them, in their order
     makes : an effect of keys and `numbers`, by name; None where it ends with its Run
-    numbers : fields of the effect that make it again, beside its keys
-    is_rigid_body : every model has it; where that is the base, it is not missing
-    is_smooth : in what is scanned; else every value is tried, for want of a slope
-    happens_once : what is scanned is the moment; all shifts by it, then and for good
-    value_name : of what is scanned, as files state it and the effect has it
-    stated : factors from inside units, by the names that files give the parameters
-    covariates : what structure depends on: axes, `t` the time, `v(X)` a speed; braces
-        hold a key
+    numbers : fields of the effect that restore it together with its keys
+    is_rigid_body : part of every rigid-body model, so never missing there
+    is_smooth : in the scanned value; else every value is tried, since there is no slope
+    happens_once : the scanned value is the moment of a permanent shift of all points
+    value_name : of the scanned value, in files and as a field of the effect
+    stated : factors from inside units, keyed by the parameters' names in files
+    covariates : variables that structure depends on: axes, `t` the time, `v(X)` a
+        speed; braces hold a key
     varies_with : `time`, `place` or `way` (side of approach, speed), where free forms
-        of the same could be taken for it
+        of the same could be mistaken for it
     sentence : that describes structure; braces hold a key, or a number of a file
     """
 
@@ -176,20 +176,20 @@ class Family(ABC):
 
     @property
     def names_cause(self) -> bool:
-        """Whether it names a cause; else it describes structure."""
+        """False for a family that only describes structure."""
         return self.role is not Role.STRUCTURE
 
     @property
     def in_machine(self) -> bool:
-        """Whether it is part of the machine, and so of its volumetric error."""
+        """Whether it contributes to the machine's volumetric error."""
         return self.role is not Role.MEASUREMENT and self.makes is not None
 
     @abstractmethod
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return what may be looked for in these conditions, scans at their middle."""
+        """Candidates under these conditions, scans at their middle."""
 
     def offer(self, effect: Effect, usual: Iterable[float]) -> Candidate:
-        """Return a candidate whose keys and value are fields of the effect."""
+        """Candidate whose keys and value are fields of the effect. usual : of θ"""
         keys = {key: getattr(effect, key) for key in self.keys}
         keys = {k: v.name if isinstance(v, Axis) else v for k, v in keys.items()}
         value = getattr(effect, self.value_name, None) if self.value_name else None
@@ -197,28 +197,28 @@ class Family(ABC):
         return Candidate(self.name, keys, effect, sigma, value)
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return what is to be scanned, or None."""
+        """None if nothing is scanned."""
         del candidate, at
         return None
 
     def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
-        """Return the scan as a wave, if it is one: all its values are tried at once."""
+        """The scan as a wave, to try all its values at once; None if it is none."""
         del candidate, at
         return None
 
     def with_value(self, candidate: Candidate, value: float) -> Candidate:
-        """Return the candidate with what is scanned at another value."""
+        """The candidate with another scanned value."""
         effect = replace(candidate.effect, **{self.value_name: value})
         return replace(candidate, effect=effect, value=value)
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
-        """Return the numbers that make the effect again, beside its keys."""
+        """Numbers that restore the effect together with its keys."""
         return {name: float(getattr(candidate.effect, name)) for name in self.numbers}
 
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect | None:
-        """Return the effect as a model file states it; None if it ends with its Run.
+        """The effect from keys and numbers of a file; None if it ends with its Run.
 
         Raises KeyError naming a key, number or axis that is not there.
         """
@@ -229,37 +229,37 @@ class Family(ABC):
         return make(**parts, **{name: numbers[name] for name in self.numbers})
 
     def outlasts(self, candidate: Candidate, machine: Machine) -> bool:
-        """Tell whether the effect is in the next Run too, as in the machine's model."""
+        """Whether the effect can be restored, and so is in the next Run too."""
         numbers = self.list_numbers(candidate)
         return self.restore(machine, candidate.keys, numbers) is not None
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return what files state: names with units, values, standard uncertainties."""
+        """Values and standard uncertainties in the units and names of files."""
         parts = zip(self.stated.items(), found.parameters, strict=True)
         stated = {name: one.scale(factor) for (name, factor), one in parts}
         return stated | ({self.value_name: found.value} if self.value_name else {})
 
     def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return what structure depends on."""
+        """Variables that the structure depends on."""
         return [each.format(**candidate.keys) for each in self.covariates]
 
     def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
-        """Return structure in one sentence. stated : of `state`."""
+        """One sentence about structure. stated : of `state`"""
         said = {name: quantity.value for name, quantity in stated.items()}
         said |= self.list_numbers(candidate)
         text = self.sentence.format(**candidate.keys, **said)
         return text or self.title(candidate.keys)
 
     def title(self, keys: Mapping[str, str]) -> str:
-        """Return an effect in words: `Backlash of Y`."""
+        """An effect in words: `Backlash of Y`."""
         said = [key.describe(keys[name]) for name, key in self.keys.items()]
         return " ".join([self.words["en"].title, *filter(None, said)])
 
 
 def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
-    """Return one of each installed family, in the order of their names.
+    """One of each installed family, in the order of their names.
 
-    at : those of somebody else that fail in these conditions are left out
+    at : third-party families that fail under these conditions are left out
     """
 
     def ask(_name: str, factory: type[Family]) -> Family:
@@ -280,7 +280,7 @@ def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
 
 
 def find_family(name: str) -> Family:
-    """Return the family of a name. Raises BadInput, telling what is installed."""
+    """Raises BadInput listing the installed families."""
     point = find_point(GROUP, name)
     with guarding(point, "being made"):
         return _make_family(load_point(point))

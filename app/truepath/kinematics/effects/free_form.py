@@ -1,4 +1,4 @@
-"""Free functions of what an error may depend on: structure that no cause is known for.
+"""Free functions of what an error may depend on: structure without a known cause.
 
 Each moves the point along one arm by a sum of smooth shapes of time, positions, or
 direction of approach. They describe what no catalogued cause explains, and a cause has
@@ -37,30 +37,30 @@ _TURN_PAIRS = [(i, j) for i, j in product(range(3), range(1, 4)) if i + j < 5]
 
 
 class FreeForm(Effect):
-    """Shapes along one arm; θ in mm, at the usual length of the arm."""
+    """Shapes along one arm; θ in mm, at the typical length of the arm."""
 
     role = Role.STRUCTURE
 
     @abstractmethod
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return the direction, about as long as 1."""
+        """Direction, of length about 1."""
 
     @abstractmethod
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return the shapes, each at most about 1."""
+        """Shapes, each at most about 1."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the arm times the shapes."""
+        """Arm times the shapes."""
         return columns_along(self.arm(at), self.shapes(at))
 
 
 class FreeFormFamily(Family):
-    """Structure that is stated by its root mean square."""
+    """Structure reported by its root mean square."""
 
     role = Role.STRUCTURE
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the root mean square over what it depends on."""
+        """Root mean square in µm over the variables it depends on."""
         usual = found.candidate.usual
         even = np.full(len(usual), self.mean_square)
         return {"rms_um": found.root_mean_square(even).scale(1e3)}
@@ -70,9 +70,9 @@ class FreeFormFamily(Family):
 
 @dataclass(frozen=True)
 class TiltWander(FreeForm):
-    """All points turn to and fro about one direction, as a cosine series of time.
+    """All points turn slowly to and fro about one direction: a cosine series of time.
 
-    middle_mm : that they turn about; reach_mm : from there to the points, about
+    middle_mm : centre of the turn; reach_mm : typical distance of the points from it
     """
 
     kind = "tilt-wander"
@@ -84,18 +84,18 @@ class TiltWander(FreeForm):
     reach_mm: float
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return what a turn moves the points by."""
+        """Displacement of the points by the turn, per reach."""
         turn = np.eye(3)[LINEAR.index(self.direction)]
         return np.cross(turn, at.point_mm - self.middle_mm) / self.reach_mm
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return the cosines."""
+        """Cosines of 1, 2, … half waves over the Run."""
         angle = np.pi * (at.time_s - self.first_s) / self.span_s
         return np.cos(angle[:, None] * np.arange(1, _HALF_WAVES + 1))
 
 
 class TiltWanderFamily(FreeFormFamily):
-    """Every direction to turn about."""
+    """One candidate per direction to turn about."""
 
     name = "tilt-wander"
     varies_with = "time"
@@ -125,7 +125,7 @@ class TiltWanderFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a direction; the slower a wave, the higher it usually is."""
+        """One per direction; slower waves are typically larger."""
         if at.recorded is None:
             return []
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
@@ -138,9 +138,9 @@ class TiltWanderFamily(FreeFormFamily):
 
 @dataclass(frozen=True)
 class PlaneTurn(FreeForm):
-    """A turn of one axis that depends on where it and another stand.
+    """A turn of one axis that depends on its position and that of another.
 
-    reach_mm : of the turn's lever, about
+    reach_mm : typical length of the turn's lever
     """
 
     kind = "plane-turn"
@@ -156,17 +156,17 @@ class PlaneTurn(FreeForm):
         return self.axis.name, self.by.name
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return the turn's lever."""
+        """Lever of the turn, per reach."""
         return find_arm(self.symbol, at) / self.reach_mm
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return products of polynomials of both positions."""
+        """Products of polynomials of both positions."""
         shares = (at.axis_share(axis) for axis in (self.axis, self.by))
         return multiply_shares(shares, _TURN_PAIRS)
 
 
 class PlaneTurnFamily(FreeFormFamily):
-    """Every turn of an axis, by every other."""
+    """One candidate per turn of an axis and other axis."""
 
     name = "plane-turn"
     makes = PlaneTurn
@@ -198,7 +198,7 @@ class PlaneTurnFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each turn and other axis."""
+        """One per turn and other axis; none without a recording."""
         if at.recorded is None:
             return []
         found: list[Candidate] = []
@@ -216,7 +216,7 @@ class PlaneTurnFamily(FreeFormFamily):
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
-        """Return the effect as a model file states it."""
+        """Raises KeyError naming an axis or error motion that is not there."""
         symbol, by = keys["motion"], machine.linear(keys["by"])
         axis = machine.linear(symbol[2])
         if symbol not in list_error_motions(axis.name):
@@ -234,17 +234,17 @@ class SideShape(FreeForm):
     direction: str
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return the direction, by the side that the axis came from."""
+        """Direction, by the side from which the axis came."""
         side = at.approach[:, at.machine.axis_names.index(self.axis.name)]
         return find_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return polynomials of the position."""
+        """Polynomials of the position, without the constant."""
         return expand_share(at.axis_share(self.axis), _SIDE_DEGREES)[:, 1:]
 
 
 class SideShapeFamily(FreeFormFamily):
-    """Every axis and direction."""
+    """One candidate per axis and direction."""
 
     name = "side-shape"
     makes = SideShape
@@ -274,7 +274,7 @@ class SideShapeFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each axis and direction."""
+        """One per axis and direction; none without a recording."""
         if at.recorded is None:
             return []
         usual = USUAL_MM / np.array([*range(1, _SIDE_DEGREES + 1)])

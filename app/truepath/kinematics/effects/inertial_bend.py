@@ -1,7 +1,7 @@
-"""What the acceleration of an axis does: its carriage leans, and all that it carries.
+"""Acceleration of an axis: its carriage leans, with all that it carries.
 
-Only samples on ramps show it, and every estimate that uses them has it beside the error
-motions: it would pass for these near the ends of lines.
+Only samples on ramps show it. Every estimate that uses them includes it: near the ends
+of lines it would be taken for error motions.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.machine.symbols import is_turn, list_error_motions
 
 _UNIT_MM_S2 = 1000.0
-# At 1 m/s²: more than carriages do, so that data alone say how much it is.
+# At 1 m/s²: more than carriages bend, so that data alone determine the size.
 _USUAL_MM, _USUAL_RAD = 0.005, 1.5e-5
 
 
@@ -32,14 +32,14 @@ class InertialBend(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One for each error motion."""
+        """One per error motion."""
         return tuple(
             Parameter(f"{self.name}-{symbol}", "rad" if is_turn(symbol) else "mm")
             for symbol in list_error_motions(self.axis.name)
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the arms of the error motions, times the acceleration."""
+        """Arms of the error motions, times the acceleration in m/s²."""
         columns = np.zeros((len(at), 3, len(self.parameters)))
         share = at.axis_acceleration(self.axis.name) / _UNIT_MM_S2
         moving = np.flatnonzero(share)
@@ -50,7 +50,7 @@ class InertialBend(Effect):
         return columns
 
     def prior(self) -> QuadraticPrior:
-        """Return what carriages usually do."""
+        """Typical bends of carriages, as standard deviations."""
         sigma = [
             _USUAL_RAD if is_turn(symbol) else _USUAL_MM
             for symbol in list_error_motions(self.axis.name)

@@ -1,7 +1,8 @@
-"""What a tracker in order adds to every measurement, known as its maker states it.
+"""Systematic errors of a tracker within its maker's specification.
 
-Every estimate has these terms beside the errors of the machine, each with the standard
-uncertainty of its specification (Hughes et al. 2011; Muralikrishnan et al. 2009).
+Every estimate has these terms in addition to the errors of the machine, each with the
+standard uncertainty of its specification (Hughes et al. 2011; Muralikrishnan et al.
+2009).
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ _LEFT_OUT = 2e-3  # of the variance of what is fine
 
 @dataclass(frozen=True)
 class _Beam:
-    """Where the tracker looks, and its directions there, in its own frame.
+    """Beam of the tracker and its directions, in its own frame.
 
     azimuth, elevation : of its axes. In the second face the head is turned by half a
-        turn and looks over its back; across and up turn with it
+        turn and points over its back; across and up turn with it
     facing : 1, or -1 in the second face
     """
 
@@ -66,7 +67,6 @@ class _Beam:
 def _find_angles(
     recorded: RecordedState, face: int | None
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return azimuth and elevation of the axes."""
     x, y, z = recorded.tracker_mm.T
     azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     if face == 2:
@@ -76,9 +76,9 @@ def _find_angles(
 
 @dataclass(frozen=True)
 class FineCircle:
-    """Three to sixteen cycles a turn, as a stationary process over the angles seen.
+    """3 to 16 cycles per turn, as a stationary process over the measured angles.
 
-    Its shapes are those of greatest variance over them (Karhunen and Loève).
+    Its shapes are those of largest variance over them (Karhunen and Loève).
     """
 
     low_rad: float
@@ -86,14 +86,13 @@ class FineCircle:
 
     @staticmethod
     def over(angle_rad: Float64[np.ndarray, " n"]) -> FineCircle:
-        """Return the process over angles, seen from their mean direction."""
+        """The process over the range of the angles, centred on their mean direction."""
         middle = float(np.angle(np.exp(1j * angle_rad).sum()))
         off = np.angle(np.exp(1j * (angle_rad - middle)))
         return FineCircle(middle + float(off.min()), middle + float(off.max()))
 
     @cached_property
     def _shapes(self) -> Float64[np.ndarray, "w k"]:
-        """The waves that each shape is made of."""
         grid = _waves(np.linspace(self.low_rad, self.high_rad, _GRID))
         value, vector = np.linalg.eigh(grid @ grid.T)
         value, vector = value[::-1], vector[:, ::-1]
@@ -103,23 +102,21 @@ class FineCircle:
 
     @property
     def count(self) -> int:
-        """How many shapes."""
+        """Number of shapes."""
         return self._shapes.shape[1]
 
     def rows(self, angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
-        """Return the shapes at angles, of standard deviation 1 together."""
+        """Shapes at angles; together of standard deviation 1."""
         return _waves(angle_rad) @ self._shapes
 
 
 def _waves(angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n w"]:
-    """Return cosines and sines; their products are the process' correlation."""
+    """Their products are the process' correlation."""
     turns = np.multiply.outer(angle_rad, _CYCLES)
     return np.hstack([np.cos(turns), np.sin(turns)]) / len(_CYCLES) ** 0.5
 
 
 class _Terms:
-    """Columns that are put together, each with its size."""
-
     def __init__(self) -> None:
         self.columns: list[Float64[np.ndarray, "n 3"]] = []
 
@@ -130,9 +127,9 @@ class _Terms:
 
 @dataclass(frozen=True)
 class TrackerErrors(Effect):
-    """Errors that the tracker takes along from place to place; θ in their sizes.
+    """Errors that stay with the tracker when it is moved; θ in units of their sigma.
 
-    set_ups : of this tracker; all where empty
+    set_ups : of this tracker; all if empty
     """
 
     kind = "tracker-errors"
@@ -144,13 +141,13 @@ class TrackerErrors(Effect):
     set_ups: tuple[str, ...] = ()
 
     def compose_name(self, digits: str) -> str:
-        """Return it with the first of its set-ups."""
+        """With the first of its set-ups."""
         del digits
         return "-".join((self.kind, *self.set_ups[:1]))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One a column."""
+        """One per column."""
         return tuple(Parameter(f"tracker[{k}]", "1") for k in range(self._count))
 
     @cached_property
@@ -170,7 +167,7 @@ class TrackerErrors(Effect):
         return sum(count for size, count in parts if size > 0.0)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the columns where the observer stands."""
+        """Columns in the observer's frame; 0 without a recording."""
         recorded = _find_recorded(at, self.set_ups)
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
@@ -212,15 +209,15 @@ class TrackerErrors(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Return the standard uncertainties, 1 each."""
+        """Standard uncertainty 1 each."""
         return _known(self._count)
 
 
 @dataclass(frozen=True)
 class SetUpErrors(Effect):
-    """Errors of a tracker that are others after a new set-up, lock or weather.
+    """Errors of a tracker that change with set-up, lock or weather.
 
-    set_up : that it belongs to; any where empty
+    set_up : that it belongs to; any if empty
     locks : numbers of the locks of its beam, each with a range offset
     """
 
@@ -233,13 +230,13 @@ class SetUpErrors(Effect):
     locks: tuple[int, ...] = (0,)
 
     def compose_name(self, digits: str) -> str:
-        """Return it with its set-up."""
+        """With its set-up."""
         del digits
         return "-".join(filter(None, (self.kind, self.set_up)))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One a column."""
+        """One per column."""
         return tuple(Parameter(f"set-up[{k}]", "1") for k in range(self._count))
 
     @property
@@ -256,7 +253,7 @@ class SetUpErrors(Effect):
         return float(np.hypot(s.scale_ppm, 0.5 * s.scale_drift_ppm))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the columns where the observer stands."""
+        """Columns in the observer's frame; 0 without a recording."""
         recorded = _find_recorded(at, (self.set_up,) if self.set_up else ())
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
@@ -277,13 +274,13 @@ class SetUpErrors(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Return the standard uncertainties, 1 each."""
+        """Standard uncertainty 1 each."""
         return _known(self._count)
 
 
 @dataclass(frozen=True)
 class RangeStep(Effect):
-    """Another range offset from one moment on, of which nothing is known before.
+    """Range offset from one moment on, without knowledge beforehand.
 
     set_up : that it belongs to
     """
@@ -295,7 +292,7 @@ class RangeStep(Effect):
     time_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the unit beam after the moment."""
+        """Unit beam after the moment, 0 before."""
         recorded = _find_recorded(at, (self.set_up,))
         if recorded is None:
             return np.zeros((len(at), 3, 1))
@@ -305,12 +302,12 @@ class RangeStep(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Return a standard uncertainty of a millimetre."""
+        """Standard uncertainty of 1 mm."""
         return _known(1)
 
 
 def name_set_up(rotation: Float64[np.ndarray, "3 3"], face: int | None) -> str:
-    """Return what tells a set-up from others: how the tracker was found to stand.
+    """Hash that distinguishes set-ups: orientation of the tracker, and face.
 
     To the last bit: Runs that are solved together may have no numbers, or the same
     clock. A change of face is a new lock.
@@ -319,7 +316,6 @@ def name_set_up(rotation: Float64[np.ndarray, "3 3"], face: int | None) -> str:
 
 
 def _find_recorded(at: Conditions, set_ups: Sequence[str]) -> RecordedState | None:
-    """Return what was recorded in one of the set-ups; None where it was in none."""
     recorded = at.recorded
     if recorded is None or not set_ups:
         return recorded
@@ -338,14 +334,14 @@ def _known(count: int) -> QuadraticPrior:
 
 
 def is_of_instrument(effect: Effect) -> bool:
-    """Return whether an effect is what the tracker may be off by."""
+    """Whether an effect is a systematic error of the tracker."""
     return isinstance(effect, TrackerErrors | SetUpErrors | RangeStep)
 
 
 def list_instrument_errors(runs: Sequence[Conditions]) -> tuple[Effect, ...]:
-    """Return what trackers add to Runs that know what was recorded.
+    """Systematic errors of the trackers of Runs that have a recording.
 
-    Runs whose files state one specification have one tracker.
+    Runs whose files give the same specification have the same tracker.
     """
     trackers: dict[TrackerSpecification, dict[str, Conditions]] = {}
     for at in runs:

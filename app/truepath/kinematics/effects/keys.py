@@ -1,4 +1,4 @@
-"""Keys: what tells an effect from others of its family, as files name it."""
+"""Keys distinguish an effect within its family, and name it in files."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from truepath.kinematics.machine.symbols import (
 class Key:
     """One key of a family.
 
-    phrase : how a title says it, such as `of {}`; empty where the title leaves it out
-    read : what an effect has for the text of a file. Raises KeyError if the machine has
-        no such thing
+    phrase : for a title, such as `of {}`; empty where the title leaves it out
+    read : field of an effect from the text of a file. Raises KeyError if the machine
+        has no such thing
     explain : the text in words
     """
 
@@ -30,12 +30,12 @@ class Key:
     explain: Callable[[str], str] = str
 
     def describe(self, text: str) -> str:
-        """Return the key as a title says it."""
+        """The key as it appears in a title."""
         return self.phrase.format(self.explain(text))
 
 
 def choose_from(phrase: str, values: Sequence[str]) -> Key:
-    """Return a key that is one of some texts."""
+    """Key with a fixed set of texts; reading another raises KeyError."""
 
     def read(machine: Machine, text: str) -> str:
         del machine

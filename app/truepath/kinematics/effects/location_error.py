@@ -1,14 +1,14 @@
 """Location errors: squareness of linear axes, and where the axis of a rotary axis is.
 
 Squareness is the slope that straightness leaves to it. The rigid-body model has all of
-them. As a family, it is a squareness that the model in use has left out, or that has
+them. As a family, it is a squareness that the model in use does not have, or that has
 changed since.
 
-A rotary axis may be shifted and tilted against its nominal place: XOC, YOC, AOC, BOC of
-a C axis, and so on. At the axis zero a wrong location moves nothing; from there it
-moves the target by what the turn makes of it: (1 − R) g on the tool side, (R − 1) g on
-the workpiece side. Error motions across the axis have no mean over the travel: what
-they would have is location, as slopes of straightness are squareness.
+A rotary axis may be shifted and tilted against its nominal location: XOC, YOC, AOC, BOC
+of a C axis, and so on. At the axis zero a wrong location moves nothing; from there it
+moves the target by (1 − R) g on the tool side, (R − 1) g on the workpiece side. Error
+motions across the axis have no mean over the travel: their mean would be location,
+as slopes of straightness are squareness.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Squareness(Effect):
         return self.symbol
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the lean: a displacement in proportion to the axis' position."""
+        """Lean: a displacement in proportion to the axis' position."""
         name, direction, sign = _LEAN[self.symbol]
         axis = next(a for a in at.machine.linear_axes if a.name == name)
         lean = np.zeros((len(at), 3))
@@ -54,13 +54,13 @@ class Squareness(Effect):
 
 
 def list_squarenesses(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
-    """Return the squarenesses of the given linear axes."""
+    """One per pair among the given linear axes."""
     pairs = {"C0Y": {"X", "Y"}, "B0Z": {"X", "Z"}, "A0Z": {"Y", "Z"}}
     return tuple(Squareness(s) for s, pair in pairs.items() if pair <= set(axes))
 
 
 class SquarenessFamily(Family):
-    """One candidate a pair of straight axes."""
+    """One candidate per pair of linear axes."""
 
     name = "squareness"
     is_rigid_body = True
@@ -88,7 +88,7 @@ class SquarenessFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a pair of axes."""
+        """One per pair of axes."""
         names = tuple(axis.name for axis in at.machine.linear_axes)
         return [self.offer(s, [_USUAL_RAD]) for s in list_squarenesses(names)]
 
@@ -111,12 +111,12 @@ class AxisLocation(Effect):
         return (Parameter(self.symbol, "rad" if self.symbol[0] in TURNS else "mm"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return F (1 − R) d, with × L for a tilt."""
+        """F (1 − R) d, with × L for a tilt."""
         unit = find_local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
         chain = at.chain
         turn = chain.turns[self.axis.name]
         if self.axis.name in at.machine.workpiece_side:
-            # The error sits behind the joint: R there is that of the workpiece.
+            # The error is behind the joint: R there is that of the workpiece.
             direction = np.einsum("nji,j->ni", turn, unit) - unit
         else:
             direction = unit - np.einsum("nij,j->ni", turn, unit)
@@ -126,5 +126,5 @@ class AxisLocation(Effect):
 
 
 def list_axis_locations(axis: RotaryAxis) -> tuple[AxisLocation, ...]:
-    """Return the four location errors of a rotary axis, shifts first."""
+    """Four per rotary axis, shifts first."""
     return tuple(AxisLocation(symbol, axis) for symbol in list_locations(axis.name))

@@ -1,4 +1,4 @@
-"""An error of the tracker that follows the direction it looks in, of no known cause.
+"""An error of the tracker that depends on its beam direction, without a known cause.
 
 Smooth shapes of azimuth and elevation, of range or either angle. They describe what no
 catalogued cause explains, and a cause has to explain more than they do.
@@ -33,10 +33,10 @@ _LOOKS = ("range", "azimuth", "elevation")
 
 @dataclass(frozen=True)
 class LookError(BeamEffect):
-    """The range, or an angle, errs by the direction that the tracker looks in.
+    """Range, or an angle, has an error that depends on the direction of the beam.
 
     middle, half : (2,) of azimuth from the mean direction, and of elevation, rad
-    turn_rad : the mean azimuth; reach_mm : of the beam, about
+    turn_rad : the mean azimuth; reach_mm : typical length of the beam
     """
 
     kind = "look-error"
@@ -49,7 +49,7 @@ class LookError(BeamEffect):
     reach_mm: float
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return how the target seems to move."""
+        """Apparent displacement of the target, in the tracker's frame."""
         x, y, z = recorded.tracker_mm.T
         flat = np.hypot(x, y)
         if self.quantity == "range":
@@ -61,7 +61,7 @@ class LookError(BeamEffect):
     def sizes(
         self, at: Conditions, recorded: RecordedState
     ) -> Float64[np.ndarray, "n p"]:
-        """Return products of polynomials of both angles."""
+        """Products of polynomials of both angles."""
         del at
         angles = _look_angles(recorded, self.turn_rad)
         each = zip(angles, self.middle, self.half, strict=True)
@@ -78,7 +78,7 @@ def _look_angles(
 
 
 class LookErrorFamily(BeamFamily):
-    """Range, azimuth and elevation."""
+    """One candidate each for range, azimuth and elevation."""
 
     name = "look-error"
     role = Role.STRUCTURE
@@ -110,7 +110,7 @@ class LookErrorFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return one a quantity."""
+        """One per quantity."""
         del at
         x, y, z = recorded.tracker_mm.mean(axis=0).tolist()
         turn_rad = float(np.arctan2(y, x))
@@ -122,7 +122,7 @@ class LookErrorFamily(BeamFamily):
         return [self.offer(LookError(look, *about), falling) for look in _LOOKS]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the root mean square over the directions."""
+        """Root mean square over the directions, µm."""
         even = np.full(len(_PAIRS), _MEAN_SQUARE)
         return {"rms_um": found.root_mean_square(even).scale(1e3)}
 

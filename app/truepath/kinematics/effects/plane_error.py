@@ -1,8 +1,7 @@
-"""A displacement that depends on two axes at once: non-rigid behaviour at large.
+"""A displacement that depends on two axes at once: non-rigid behaviour in general.
 
-Bicubic in the positions of two axes, without what depends on one of them alone: that is
-what error motions hold already (the surface that brunn-hanebeck-2005 leaves to future
-work).
+Bicubic in the positions of two axes, without terms of one of them alone: error motions
+contain these already (the surface that brunn-hanebeck-2005 leaves to future work).
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class PlaneError(Effect):
 
     @property
     def plane(self) -> str:
-        """Both axes as files name them."""
+        """Names of both axes, as in files."""
         return self.first.name + self.second.name
 
     @property
@@ -56,7 +55,7 @@ class PlaneError(Effect):
         return self.first.name, self.second.name
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 9"]:
-        """Return the direction times the products."""
+        """Direction times the products."""
         shares = (at.axis_share(axis) for axis in (self.first, self.second))
         arm = find_arm(f"E{self.direction}{self.first.name}", at)
         return columns_along(arm, multiply_shares(shares, _PAIRS))
@@ -67,7 +66,7 @@ def _in_plane(plane: tuple[LinearAxis, LinearAxis], direction: str) -> PlaneErro
 
 
 class PlaneErrorFamily(Family):
-    """Every plane and direction."""
+    """One candidate per plane and direction."""
 
     name = "plane-error"
     varies_with = "place"
@@ -96,7 +95,7 @@ class PlaneErrorFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each pair of axes and direction."""
+        """One per pair of axes and direction."""
         falling = np.array([1.0 / (i * j) for i, j in _PAIRS])
         return [
             self.offer(PlaneError(*plane, direction), USUAL_MM * falling)
@@ -105,6 +104,6 @@ class PlaneErrorFamily(Family):
         ]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the root mean square over the plane."""
+        """Root mean square over the plane, µm."""
         weight = np.array([1.0 / ((2 * i + 1) * (2 * j + 1)) for i, j in _PAIRS])
         return {"rms_um": found.root_mean_square(weight).scale(1e3)}

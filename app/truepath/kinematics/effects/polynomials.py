@@ -12,14 +12,14 @@ from numpy.polynomial import legendre
 def expand_share(
     share: Float64[np.ndarray, " n"], degree: int
 ) -> Float64[np.ndarray, "n d"]:
-    """Return the polynomials of a share from 0 to 1, up to a degree."""
+    """Polynomials of degree 0 to `degree` at shares from 0 to 1."""
     return legendre.legvander(2.0 * share - 1.0, degree)
 
 
 def multiply_shares(
     shares: Iterable[Float64[np.ndarray, " n"]], degrees: Sequence[tuple[int, int]]
 ) -> Float64[np.ndarray, "n p"]:
-    """Return a product of polynomials of two shares for each pair of degrees."""
+    """One product of polynomials of two shares per pair of degrees."""
     highest = max(map(max, degrees))
     one, two = (expand_share(share, highest) for share in shares)
     return np.stack([one[:, i] * two[:, j] for i, j in degrees], axis=1)

@@ -1,10 +1,10 @@
-"""What every estimate of a Run has beside the machine: pose, timing, targets' seats.
+"""Pose, timing and targets' seats: part of every estimate of a Run.
 
-Where a nest is on tool or workpiece is known to a millimetre, never to a micrometre,
-and is its own in every Run. A shift of one target on the tool is a matter of the pose,
-and of where the rotary axes are: the volumetric error is that of this target as it
-sits, and locations of rotary axes are stated against it. Every other target may sit off
-its place in three directions.
+The position of a nest on tool or workpiece is known to a millimetre, never to a
+micrometre, and differs between Runs. A shift of one target on the tool is part of the
+pose, and of the locations of the rotary axes: the volumetric error is that of this
+target as it sits, and locations of rotary axes are given relative to it. Every other
+target may be off its nominal position in three directions.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class TrackerPose(Effect):
         return tuple(shifts + turns)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return shift + turn × (point − centre)."""
+        """Shift + turn × (point − centre)."""
         columns = np.zeros((len(at), 3, 6))
         columns[:, :, :3] = np.eye(3)
         columns[:, :, 3:] = cross_matrix(at.point_mm - np.array(self.centre_mm))
@@ -52,7 +52,7 @@ class TrackerPose(Effect):
     def correct(
         self, pose: RigidTransform, theta: Float64[np.ndarray, " p"]
     ) -> RigidTransform:
-        """Return a pose with these parameters in it."""
+        """The pose with these parameters applied."""
         translation, rotation = theta[:3], theta[3:]
         centre = np.array(self.centre_mm)
         return pose.precede_small(rotation, translation - np.cross(rotation, centre))
@@ -60,9 +60,9 @@ class TrackerPose(Effect):
 
 @dataclass(frozen=True)
 class TimingLaw(Effect):
-    """Along each line the machine is late by a constant, off its speed by another.
+    """On each line the machine has a constant lag and a constant speed error.
 
-    No clock is shared: when it was where is a phase and a speed.
+    No clock is shared, so time along the line has an unknown phase and rate.
     """
 
     kind = "timing-law"
@@ -79,7 +79,7 @@ class TimingLaw(Effect):
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the direction of travel, and the same times the time from mid line."""
+        """Direction of travel, and the same times the time from mid line."""
         columns = np.zeros((len(at), 3, 2 * len(self.lines)))
         # On an arc the target's own speed changes along the line; a ramp has no speed.
         usual = at.line_speed_mm_s
@@ -95,9 +95,9 @@ class TimingLaw(Effect):
 
 @dataclass(frozen=True)
 class TargetSeat(Effect):
-    """How far a target sits off where the machine file states it, in one Run.
+    """Deviation of a target from its position in the machine file, in one Run.
 
-    The volumetric error is stated for the first target on the tool as it sits: the
+    The volumetric error is given for the first target on the tool as it sits: the
     others sit relative to that one.
 
     target : whose rows it moves, by its offset; run : the Run that it belongs to
@@ -108,14 +108,14 @@ class TargetSeat(Effect):
     run: int = 0
 
     def compose_name(self, digits: str) -> str:
-        """Return the target, by its name or offset, with its Run."""
+        """`seat-` with the target's name or offset, and its Run."""
         del digits
         offset = ",".join(f"{value:g}" for value in self.target.offset_mm)
         return name_in_run(f"seat-{self.target.name or offset}", self.run)
 
     @property
     def own_run(self) -> int:
-        """The Run of the target."""
+        """The index of its Run."""
         return self.run
 
     @property
@@ -124,24 +124,24 @@ class TargetSeat(Effect):
         return tuple(Parameter(f"{self.name}-{d}", "mm") for d in "xyz")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-        """Return the turn of what carries the target, in its own rows."""
+        """Turn of what carries the target, in its own rows."""
         is_tool = self.target.on == "tool"
         frame = at.chain.tool_frame if is_tool else at.chain.workpiece_frame
         return frame * self.select(at)[:, None, None]
 
     def select(self, at: Conditions) -> Bool[np.ndarray, " n"]:
-        """Tell at which moments the target is measured."""
+        """Moments at which the target is measured in its Run."""
         away = np.abs(at.offset_mm - np.array(self.target.offset_mm)).max(axis=1)
         return (away < SAME_TARGET_MM) & (at.run == self.run)
 
     def prior(self) -> QuadraticPrior:
-        """Return what the machine file knows of the place."""
+        """Uncertainty of the position in the machine file."""
         form = np.eye(3) / self.target.seat_sigma_mm**2
         return QuadraticPrior(form, 3, 3.0, is_known=True)
 
 
 def list_target_seats(runs: Sequence[Sequence[Target]]) -> list[TargetSeat]:
-    """Return the seats of all targets but the one that the error is stated for.
+    """Seats of all targets but the one for which the error is given.
 
     runs : the targets of each Run, in the order of the machine
     """

@@ -26,16 +26,16 @@ from truepath.kinematics.effects.sinusoid import (
 from truepath.kinematics.machine.machine import Axis, LinearAxis, RotaryAxis
 from truepath.kinematics.machine.symbols import LINEAR
 
-_SECOND = 0.2  # usual share of the second harmonic
+_SECOND = 0.2  # typical share of the second harmonic
 _USUAL_RAD = 2e-5
-_FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
+_FEWEST_PLACES = 12  # fewer fit any wave
 
 
 @dataclass(frozen=True)
 class ScrewCyclic(Sinusoid):
-    """Positioning of an axis as sin and cos of its position over a lead and half of it.
+    """Positioning of an axis as sin and cos of its position, twice: lead and half lead.
 
-    A screw that errs every turn hardly does so as a pure sine.
+    The error of a screw turn is hardly ever a pure sine.
     """
 
     kind = "screw-cyclic"
@@ -46,7 +46,7 @@ class ScrewCyclic(Sinusoid):
     lead_mm: float
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Return the wave of the axis' position."""
+        """Wave of the axis' position in mm."""
         return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
@@ -61,7 +61,7 @@ class GearCyclic(Sinusoid):
     period_deg: float
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Return the wave of the axis' angle."""
+        """Wave of the axis' angle in deg."""
         return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
@@ -77,7 +77,7 @@ class PositionWave(Sinusoid):
     period_mm: float
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Return the wave of the axis' position."""
+        """Wave of the axis' position in mm."""
         return _make_wave(f"E{self.direction}{self.axis.name}", at, waves)
 
 
@@ -88,13 +88,10 @@ def _make_wave(symbol: str, at: Conditions, waves: Float64[np.ndarray, " v"]) ->
 
 
 class _FamilyOfAxes(SinusoidFamily):
-    """Waves of the position of an axis, between two periods in mm or deg."""
-
     shortest: ClassVar[float]
     longest: ClassVar[float]
 
     def is_resolved(self, axis: Axis, at: Conditions) -> bool:
-        """Tell whether positions tell waves apart: travel enough, and places in it."""
         places = np.unique(np.round(at.axis_mm(axis.name)))
         travel = float(np.ptp(places))
         return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest
@@ -102,15 +99,14 @@ class _FamilyOfAxes(SinusoidFamily):
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Return waves a mm or deg, four steps to one wave over the travel."""
-        # In a further Run the axis may stand.
+        # In a further Run the axis may not move.
         travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
         step = 0.25 / max(travel, self.longest)
         return np.arange(1.0 / self.longest, 1.0 / self.shortest, step)
 
 
 class ScrewCyclicFamily(_FamilyOfAxes):
-    """Candidates of every straight axis, the lead scanned."""
+    """One candidate per linear axis, the lead scanned."""
 
     name = "screw-cyclic"
     value_name = "lead_mm"
@@ -137,17 +133,17 @@ class ScrewCyclicFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one an axis."""
+        """One per linear axis that resolves waves."""
         usual = USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND])
         axes = [a for a in at.machine.linear_axes if self.is_resolved(a, at)]
         return [self.offer(ScrewCyclic(axis, 10.0), usual) for axis in axes]
 
 
 class GearCyclicFamily(_FamilyOfAxes):
-    """Candidates of every rotary axis, the period scanned.
+    """One candidate per rotary axis, the period scanned.
 
-    What repeats once a turn, as an eccentric ring scale does, or a few times, is part
-    of the axis' positioning in every model.
+    An error that repeats once or a few times per turn, as of an eccentric ring scale,
+    is part of the axis' positioning in every model.
     """
 
     name = "gear-cyclic"
@@ -177,13 +173,13 @@ class GearCyclicFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a rotary axis."""
+        """One per rotary axis that resolves waves."""
         axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
         return [self.offer(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2) for axis in axes]
 
 
 class PositionWaveFamily(_FamilyOfAxes):
-    """Every axis and direction across it, the period scanned."""
+    """One candidate per axis and direction across it, the period scanned."""
 
     name = "position-wave"
     role = Role.STRUCTURE
@@ -212,7 +208,7 @@ class PositionWaveFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each axis and direction across it."""
+        """One per axis that resolves waves and direction across it."""
         return [
             self.offer(PositionWave(axis, direction, 20.0), [USUAL_MM] * 2)
             for axis in at.machine.linear_axes

@@ -28,7 +28,7 @@ _DECAYS_MM = np.geomspace(3.0, 60.0, 10)
 class ReversalSpike(Effect):
     """Displacement in one direction that decays with the distance since reversal.
 
-    It turns over with the direction that the axis now goes in.
+    Its sign is that of the axis' present direction.
     θ : the excursion at the reversal
     """
 
@@ -39,7 +39,7 @@ class ReversalSpike(Effect):
     decay_mm: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the direction times what is left of the excursion."""
+        """Direction times the remaining part of the excursion."""
         if at.recorded is None:
             return np.zeros((len(at), 3, 1))
         column = at.machine.axis_names.index(self.axis.name)
@@ -49,7 +49,7 @@ class ReversalSpike(Effect):
 
 
 class ReversalSpikeFamily(Family):
-    """Every axis in every direction, the decay scanned."""
+    """One candidate per axis and direction, the decay scanned."""
 
     name = "reversal-spike"
     varies_with = "way"
@@ -78,7 +78,7 @@ class ReversalSpikeFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each axis that reverses, and direction."""
+        """One per axis that reverses, and direction."""
         axes = at.machine.linear_axes
         return [
             self.offer(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
@@ -88,7 +88,7 @@ class ReversalSpikeFamily(Family):
         ]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
-        """Return decays."""
+        """Decay lengths in mm."""
         return Scan(self.value_name, _DECAYS_MM)
 
 

@@ -1,7 +1,7 @@
-"""A ring scale, or what turns it, that sits off the axis: one wave a turn.
+"""A ring scale, or its coupling, off the axis: one wave per turn.
 
 The rigid-body model has it in the axis' own positioning. As a family, it is an
-eccentricity that the model in use has left out, or that has changed since.
+eccentricity that the model in use does not have, or that has changed since.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from truepath.kinematics.effects.sinusoid import (
 from truepath.kinematics.machine.machine import RotaryAxis
 
 _USUAL_RAD = 2e-5
-_LEAST_TURN_DEG = 180.0  # of less, a wave a turn is any bend
+_LEAST_TURN_DEG = 180.0  # over less, one wave per turn looks like any bend
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RotaryEccentricity(Effect):
     axis: RotaryAxis
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
-        """Return the lever of a turn about the axis times the waves."""
+        """Lever of a turn about the axis, times the waves."""
         name = self.axis.name
         zero = np.array([reference_position_mm(self.axis)])
         waves = sine_and_cosine(np.radians(at.axis_mm(name)))
@@ -51,7 +51,7 @@ class RotaryEccentricity(Effect):
 
 
 class RotaryEccentricityFamily(Family):
-    """One candidate a rotary axis that turns far enough."""
+    """One candidate per rotary axis that turns far enough."""
 
     name = "rotary-eccentricity"
     is_rigid_body = True
@@ -76,7 +76,7 @@ class RotaryEccentricityFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one an axis."""
+        """One per axis that turns far enough."""
         axes = [
             axis
             for axis in at.machine.rotary_axes
@@ -85,6 +85,6 @@ class RotaryEccentricityFamily(Family):
         return [self.offer(RotaryEccentricity(axis), [_USUAL_RAD] * 2) for axis in axes]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return amplitude and phase."""
+        """Amplitude in µrad, and phase."""
         wave = find_amplitude_and_phase(found.theta, found.covariance)
         return {"amplitude_urad": wave[0].scale(1e6), "phase_rad": wave[1]}

@@ -28,17 +28,17 @@ class ServoMismatch(Effect):
 
     @property
     def lag_axis(self) -> str:
-        """Its axis."""
+        """The axis that lags."""
         return self.axis.name
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return how far the axis is behind for each second of lag."""
+        """Displacement behind the command per second of lag."""
         arm = find_arm(f"E{self.axis.name}{self.axis.name}", at)
         return columns_along(arm, -at.axis_rate(self.axis.name))
 
 
 class ServoMismatchFamily(Family):
-    """One candidate an axis that moves together with others."""
+    """One candidate per axis that moves together with others."""
 
     name = "servo-mismatch"
     varies_with = "way"
@@ -66,7 +66,7 @@ class ServoMismatchFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one an axis; none where nothing is measured in motion."""
+        """One per axis; none where nothing is measured in motion."""
         if at.recorded is None or not at.recorded.rate.any():
             return []
         axes = at.machine.linear_axes

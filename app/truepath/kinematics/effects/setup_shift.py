@@ -1,4 +1,4 @@
-"""Shifts of the set-up: it creeps steadily, or is knocked at one moment."""
+"""Shifts of the set-up: a steady creep, or an unintended shift at one moment."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class TableDrift(Effect):
     middle_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-        """Return the time since the middle, for each direction."""
+        """Time since the middle, for each direction."""
         return (at.time_s - self.middle_s)[:, None, None] * np.eye(3)
 
 
 class TableDriftFamily(Family):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "table-drift"
     varies_with = "time"
@@ -61,7 +61,7 @@ class TableDriftFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return the drift."""
+        """A single candidate."""
         span = max(float(np.ptp(at.time_s)), 1.0)
         return [self.offer(TableDrift(at.middle_s), [2.0 * USUAL_MM / span] * 3)]
 
@@ -73,7 +73,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class SetupStep(Effect):
-    """All points shift from a moment on; as far before it as after it on average."""
+    """All points shift at one moment, by half of it to either side of the mean."""
 
     kind = "setup-step"
     role = Role.MEASUREMENT
@@ -81,7 +81,7 @@ class SetupStep(Effect):
     t_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-        """Return half a unit after the moment and minus half before."""
+        """½ after the moment and −½ before."""
         side = np.where(at.time_s >= self.t_s, 0.5, -0.5)
         return side[:, None, None] * np.eye(3)
 
@@ -112,13 +112,13 @@ class SetupStepFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return the step in the middle of the run."""
+        """A single candidate, at the middle of the Run."""
         return [self.offer(SetupStep(at.middle_s), [USUAL_MM] * 3)]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
-        """Return moments, none so early or late that one line would decide.
+        """Moments, none so early or late that one line would decide.
 
-        Between lines above all: a step elsewhere tears a line in two.
+        Mostly between lines: a step elsewhere splits a line in two.
         """
         first, last = float(at.time_s.min()), float(at.time_s.max())
         margin = 0.02 * (last - first)
@@ -129,14 +129,13 @@ class SetupStepFamily(Family):
         return Scan(self.value_name, np.union1d(even, between[inside]))
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the moment and the step."""
+        """Moment in s, and step in µm."""
         steps = zip(_AXES, found.parameters, strict=True)
         shifts = {f"step_um[{axis}]": step.scale(1e3) for axis, step in steps}
         return {"t_s": found.value, **shifts}
 
 
 def _between_lines(at: Conditions) -> Float64[np.ndarray, " l"]:
-    """Return the middle of each pause between lines or standstills, in order."""
     order = np.argsort(at.time_s, kind="stable")
     time_s, line = at.time_s[order], at.line[order]
     last = np.flatnonzero((np.diff(line) != 0) | (line[1:] < 0))

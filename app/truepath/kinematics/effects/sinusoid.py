@@ -33,7 +33,7 @@ class Sinusoid(Effect):
 
     @property
     def wave_number(self) -> float:
-        """Waves in a unit of the coordinate."""
+        """Waves per unit of the coordinate."""
         return 1.0 / float(getattr(self, self.period_name))
 
     @property
@@ -43,10 +43,10 @@ class Sinusoid(Effect):
 
     @abstractmethod
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Return its wave with other wave numbers."""
+        """Its wave with other wave numbers."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the arm times the waves."""
+        """Arm times the waves."""
         wave = self.make_wave(at, np.array([self.wave_number]))
         span_s = np.zeros(len(at)) if at.recorded is None else at.recorded.span_s
         turn = 2.0 * np.pi * self.wave_number
@@ -61,8 +61,8 @@ class Sinusoid(Effect):
 class SinusoidFamily(Family):
     """Sinusoids whose waves are scanned.
 
-    scans_periods : what is scanned is a period; else a frequency
-    amplitude : name that it is stated by, and how many of its units are one inside
+    scans_periods : the scanned value is a period; else a frequency
+    amplitude : its name in files, and the factor from the inside unit
     """
 
     scans_periods: ClassVar[bool] = True
@@ -72,16 +72,16 @@ class SinusoidFamily(Family):
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Return wave numbers at equal steps; none where there is nothing to scan."""
+        """Wave numbers at equal steps; empty where there is nothing to scan."""
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return periods or frequencies at equal steps of waves."""
+        """Periods or frequencies at equal steps of waves."""
         waves = self.list_waves(candidate, at)
         values = 1.0 / waves[::-1] if self.scans_periods else waves
         return Scan(self.value_name, values) if len(values) else None
 
     def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
-        """Return the scan as a wave of the coordinate."""
+        """The scan as a wave of the coordinate."""
         scan = self.scan(candidate, at)
         if scan is None or not isinstance(candidate.effect, Sinusoid):
             return None
@@ -89,7 +89,7 @@ class SinusoidFamily(Family):
         return candidate.effect.make_wave(at, waves)
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return what was scanned, amplitude and phase of the first harmonic."""
+        """Scanned value, and amplitude and phase of the first harmonic."""
         amplitude, phase = find_amplitude_and_phase(
             found.theta[:2], found.covariance[:2, :2]
         )
@@ -102,23 +102,24 @@ class SinusoidFamily(Family):
 
 
 def sine_and_cosine(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
-    """Return sine and cosine as columns."""
+    """Columns, (n, 2)."""
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
 def attenuate_wave(
     angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return what is left of a wave after averaging it over each span."""
+    """Factor left of a wave after averaging it over each span: a sinc."""
     return np.sinc(angular_rate * span_s / (2.0 * np.pi))
 
 
 def find_amplitude_and_phase(
     theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
 ) -> tuple[Quantity, Quantity]:
-    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).
+    """Amplitude and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).
 
-    To second order (GUM 5.1.2, note): where the phase is known badly, so is the size.
+    To second order (GUM 5.1.2, note): where the phase is poorly known, so is the
+    amplitude.
     """
     amplitude = max(float(np.hypot(theta[0], theta[1])), 1e-300)
     along = theta / amplitude

@@ -1,4 +1,4 @@
-"""A displacement that depends on how fast an axis moves, whichever way it goes."""
+"""A displacement that depends on the speed of an axis, regardless of its direction."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from truepath.kinematics.effects.family import (
 from truepath.kinematics.effects.keys import AXIS, DIRECTION
 from truepath.kinematics.machine.machine import LinearAxis
 
-_LEAST_SPREAD = 0.1  # of the highest speed: less tells nothing of speed
+_LEAST_SPREAD = 0.1  # of the highest speed: less gives no information about speed
 
 
 @dataclass(frozen=True)
 class SpeedError(Effect):
-    """An error motion as speed and square of the speed.
+    """An error motion in proportion to speed and to its square.
 
-    fastest_mm_s : the highest speed that is usual for the axis
-    θ : displacement at the highest speed by speed, and by its square
+    fastest_mm_s : the highest speed measured of the axis
+    θ : displacement at the highest speed from speed, and from its square
     """
 
     kind = "speed-error"
@@ -41,14 +41,14 @@ class SpeedError(Effect):
     fastest_mm_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
-        """Return the direction times speed and its square."""
+        """Direction times speed and its square, per highest speed."""
         speed = np.abs(at.axis_rate(self.axis.name)) / self.fastest_mm_s
         arm = find_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, np.stack([speed, speed**2], axis=1))
 
 
 class SpeedErrorFamily(Family):
-    """Every axis that goes at several speeds, and every direction."""
+    """One candidate per axis measured at several speeds, and direction."""
 
     name = "speed-error"
     varies_with = "way"
@@ -81,7 +81,7 @@ class SpeedErrorFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one for each axis and direction."""
+        """One per axis with several speeds, and direction."""
         found: list[Candidate] = []
         for axis in at.machine.linear_axes:
             speed = np.abs(at.axis_rate(axis.name))
@@ -95,6 +95,6 @@ class SpeedErrorFamily(Family):
         return found
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the displacement at the highest speed."""
+        """Displacement at the highest speed, µm."""
         sigma = float(np.sqrt(found.covariance.sum()))
         return {"amplitude_um": Quantity(float(found.theta.sum()), sigma).scale(1e3)}

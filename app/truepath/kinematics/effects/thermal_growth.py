@@ -39,7 +39,7 @@ class ThermalGrowth(Effect):
     start_degc: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the axis' direction times distance from its zero times the change."""
+        """Direction of the axis times distance from its zero times the change, K."""
         celsius = _read_sensor(self.axis, at)
         if celsius is None:
             return np.zeros((len(at), 3, 1))
@@ -48,7 +48,7 @@ class ThermalGrowth(Effect):
 
 @dataclass(frozen=True)
 class WarmingUp(Effect):
-    """Strain that approaches its end, θ, exponentially from the recording's start."""
+    """Strain that approaches its final value, θ, exponentially from the start."""
 
     kind = "warming-up"
     units = {"": "1"}
@@ -57,13 +57,13 @@ class WarmingUp(Effect):
     start_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the axis' direction times distance from its zero times the rise."""
+        """Direction of the axis times distance from its zero times the rise."""
         rise = -np.expm1(-(at.time_s - self.start_s) / self.tau_s)
         return _strain(self.axis, at, rise)
 
 
 def list_time_constants(at: Conditions) -> Float64[np.ndarray, " v"]:
-    """Return time constants that a recording can tell apart, in s."""
+    """Time constants in s that a recording can distinguish."""
     span_s = max(float(np.ptp(at.time_s)), 1.0)
     return np.geomspace(0.03 * span_s, 5.0 * span_s, _TAUS)
 
@@ -86,7 +86,7 @@ def _read_sensor(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"] 
 
 
 class ThermalGrowthFamily(Family):
-    """Every straight axis: by its sensor where that has seen a change, else by time."""
+    """One candidate per linear axis: by its sensor if that changed, else by time."""
 
     name = "thermal-growth"
     varies_with = "time"
@@ -114,7 +114,7 @@ class ThermalGrowthFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one an axis."""
+        """One per linear axis."""
         return [self._candidate(axis, at) for axis in at.machine.linear_axes]
 
     def _candidate(self, axis: LinearAxis, at: Conditions) -> Candidate:
@@ -127,13 +127,13 @@ class ThermalGrowthFamily(Family):
         return self.offer(effect, [_USUAL_GROWTH])
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return time constants, where there is no sensor."""
+        """Time constants in s; None where there is a sensor."""
         if candidate.value is None:
             return None
         return Scan(self.value_name, list_time_constants(at))
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
-        """Return the temperature at which there is no growth, or the time constant."""
+        """Temperature at which there is no growth, or the time constant."""
         if isinstance(candidate.effect, ThermalGrowth):
             return {_START: candidate.effect.start_degc}
         return {self.value_name: candidate.value or 0.0}
@@ -141,13 +141,13 @@ class ThermalGrowthFamily(Family):
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect | None:
-        """Return growth by the sensor; what warms up with time ends with its Run."""
+        """Growth by the sensor; None by time, which ends with its Run."""
         if _START not in numbers:
             return None
         return ThermalGrowth(machine.linear(keys["axis"]), numbers[_START])
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the coefficient, or growth and time constant."""
+        """Coefficient in µm/(m K), or growth in µm/m and time constant in s."""
         strain = found.parameters[0].scale(1e6)
         if found.candidate.value is None:
             return {"coefficient_um_per_m_K": strain}

@@ -1,4 +1,4 @@
-"""Motions of everything in time: vibration, slower waves, wander without a cause."""
+"""Motions of all points in time: vibration, slower waves, wander."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from truepath.kinematics.machine.symbols import LINEAR
 
 _LIMIT_HZ = 1.0  # between both
 _FASTEST = 0.45  # of the tracker's rate
-_FEWEST = 3.0  # periods in the run: what is slower wanders
+_FEWEST = 3.0  # periods in the Run: slower ones belong to the wander
 
 
 class SinusoidOfTime(Sinusoid):
     """Sine and cosine of time in one direction.
 
-    middle_s : of the run, where the phase is 0: so it does not turn with the period
+    middle_s : of the Run, where the phase is 0, so that it hardly depends on the period
     """
 
     direction: str
@@ -43,11 +43,11 @@ class SinusoidOfTime(Sinusoid):
 
     @property
     def origin(self) -> float:
-        """The middle of the run."""
+        """The middle of the Run, s."""
         return self.middle_s
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Return the wave of time."""
+        """Wave of time."""
         one = np.ones(len(at))
         return Wave(columns_along(self.direction, one)[:, :, 0], at.time_s, one, waves)
 
@@ -76,19 +76,19 @@ class Vibration(SinusoidOfTime):
 
     @property
     def wave_number(self) -> float:
-        """Waves a second."""
+        """Waves per second."""
         return self.frequency_hz
 
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
-        """Return the direction times the waves."""
+        """Direction times the waves."""
         angle = 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
         return columns_along(self.direction, sine_and_cosine(angle))
 
 
 class TimeWaveFamily(SinusoidFamily):
-    """Every direction, the period scanned down to a second."""
+    """One candidate per direction, the period scanned down to a second."""
 
     name = "time-wave"
     role = Role.STRUCTURE
@@ -118,20 +118,20 @@ class TimeWaveFamily(SinusoidFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a direction."""
+        """One per direction."""
         waves = [TimeWave(d, 20.0, at.middle_s) for d in LINEAR]
         return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Return waves from a third of the run to a second, four steps to one."""
+        """Waves from a third of the Run to a second, four steps to one."""
         span_s = float(np.ptp(at.time_s))
         return np.arange(_FEWEST / span_s, _LIMIT_HZ, 0.25 / span_s)
 
 
 class VibrationFamily(SinusoidFamily):
-    """Every direction, the frequency scanned as far as the samples can follow."""
+    """One candidate per direction, the frequency scanned up to the samples' limit."""
 
     name = "vibration"
     role = Role.MEASUREMENT
@@ -156,7 +156,7 @@ class VibrationFamily(SinusoidFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a direction."""
+        """One per direction; none without a recording."""
         if at.recorded is None:
             return []
         waves = [Vibration(d, _LIMIT_HZ, at.middle_s) for d in LINEAR]
@@ -165,7 +165,7 @@ class VibrationFamily(SinusoidFamily):
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Return frequencies, two steps to a period over the run."""
+        """Frequencies in Hz, two steps to a period over the Run."""
         fastest = _FASTEST * at.machine.tracker.rate_hz
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
         return np.arange(_LIMIT_HZ, fastest, step)
@@ -176,7 +176,7 @@ _HALF_WAVES = range(1, 13)
 
 @dataclass(frozen=True)
 class TimeWander(Effect):
-    """A cosine series over the run, in one direction; θ by number of half waves."""
+    """A cosine series over the Run in one direction; θ by number of half waves."""
 
     kind = "time-wander"
     role = Role.STRUCTURE
@@ -186,13 +186,13 @@ class TimeWander(Effect):
     span_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the direction times the cosines."""
+        """Direction times the cosines."""
         angle = np.pi * (at.time_s - self.first_s) / self.span_s
         return columns_along(self.direction, np.cos(angle[:, None] * [*_HALF_WAVES]))
 
 
 class TimeWanderFamily(Family):
-    """Every direction."""
+    """One candidate per direction."""
 
     name = "time-wander"
     varies_with = "time"
@@ -218,12 +218,12 @@ class TimeWanderFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a direction; the slower a wave, the higher it usually is."""
+        """One per direction; slower waves are typically larger."""
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
         usual = USUAL_MM / np.array(_HALF_WAVES)
         return [self.offer(TimeWander(d, first_s, span_s), usual) for d in LINEAR]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the root mean square over the run."""
+        """Root mean square over the Run, µm."""
         half = np.full(len(_HALF_WAVES), 0.5)
         return {"rms_um": found.root_mean_square(half).scale(1e3)}

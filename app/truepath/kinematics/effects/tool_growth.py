@@ -1,4 +1,4 @@
-"""Spindle, head or column that warms: the tool moves along itself, without an axis."""
+"""Spindle, head or column that warms: the tool shifts along itself."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ALONG = 2  # the tool's own Z is the spindle (ISO 841)
 
 @dataclass(frozen=True)
 class ToolGrowth(Effect):
-    """A shift of the tool along itself that approaches its end, θ, exponentially."""
+    """A shift of the tool along itself; it approaches its end, θ, exponentially."""
 
     kind = "tool-growth"
     units = {"": "mm"}
@@ -34,7 +34,7 @@ class ToolGrowth(Effect):
     start_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the tool's direction times the rise; 0 where no tool is measured."""
+        """Direction of the tool times the rise; 0 where no tool is measured."""
         rise = -np.expm1(-(at.time_s - self.start_s) / self.tau_s)
         return (at.chain.tool_frame[:, :, _ALONG] * rise[:, None])[:, :, None]
 
@@ -65,17 +65,17 @@ class ToolGrowthFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return the growth."""
+        """A single candidate, at half the Run's length."""
         half_s = 0.5 * max(float(np.ptp(at.time_s)), 1.0)
         effect = ToolGrowth(half_s, float(at.time_s.min()))
         return [self.offer(effect, [2.0 * USUAL_MM])]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
-        """Return time constants."""
+        """Time constants in s."""
         del candidate
         return Scan(self.value_name, list_time_constants(at))
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return growth and time constant."""
+        """Growth in µm, and time constant in s."""
         growth = found.parameters[0].scale(1e3)
         return {"growth_um": growth, "tau_s": found.value}

@@ -1,4 +1,4 @@
-"""What air does to a tracker: its scale drifts, its beam bends."""
+"""Effects of air on a tracker: its scale drifts, its beam bends."""
 
 from __future__ import annotations
 
@@ -29,53 +29,53 @@ _FEWEST_KELVIN = 0.1
 
 
 class ScaleError(BeamEffect):
-    """Every distance errs in proportion to itself and to what grows in time."""
+    """The error of a distance is in proportion to it and to a growth in time."""
 
     @abstractmethod
     def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
-        """Return how far it has grown."""
+        """Growth since its start, in K or s."""
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return the beam."""
+        """The beam, mm."""
         return recorded.tracker_mm
 
     def sizes(
         self, at: Conditions, recorded: RecordedState
     ) -> Float64[np.ndarray, "n 1"]:
-        """Return the growth."""
+        """Growth, for the one parameter."""
         del recorded
         return self.growth(at)[:, None]
 
 
 @dataclass(frozen=True)
 class ScaleByAir(ScaleError):
-    """Every distance is too long in proportion to the change of the air sensor."""
+    """Every distance is too long in proportion to the air's temperature change."""
 
     kind = "tracker-scale-by-air"
     units = {"": "1/K"}
     start_degc: float
 
     def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
-        """Return the change since the start; 0 where no sensor tells it."""
+        """Change in K since the start; 0 where no sensor measures it."""
         celsius = read_air_degc(at)
         return np.zeros(len(at)) if celsius is None else celsius - self.start_degc
 
 
 @dataclass(frozen=True)
 class ScaleDrift(ScaleError):
-    """Every distance grows evenly with time, in proportion to itself."""
+    """Every distance grows steadily with time, in proportion to itself."""
 
     kind = "tracker-scale-drift"
     units = {"": "1/s"}
     middle_s: float
 
     def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
-        """Return the time since the middle."""
+        """Time since the middle, s."""
         return at.time_s - self.middle_s
 
 
 def read_air_degc(at: Conditions) -> Float64[np.ndarray, " n"] | None:
-    """Return the temperature of the air; None where no sensor tells it."""
+    """Air temperature, °C; None where no sensor measures it."""
     recorded = at.recorded
     if recorded is None or recorded.temperature_degc is None:
         return None
@@ -85,7 +85,7 @@ def read_air_degc(at: Conditions) -> Float64[np.ndarray, " n"] | None:
 
 
 class ScaleDriftFamily(BeamFamily):
-    """One candidate: by the air's sensor where it has seen a change, else by time."""
+    """One candidate: by the air's sensor if that has changed, else by time."""
 
     name = "tracker-scale-drift"
     varies_with = "time"
@@ -111,7 +111,7 @@ class ScaleDriftFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return the drift."""
+        """A single candidate."""
         celsius = read_air_degc(at)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
@@ -122,14 +122,14 @@ class ScaleDriftFamily(BeamFamily):
         return [self.offer(ScaleDrift(at.middle_s), [usual])]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return ppm by kelvin, or by second."""
+        """In ppm per K, or per s."""
         unit = "K" if isinstance(found.candidate.effect, ScaleByAir) else "s"
         return {f"rate_ppm_per_{unit}": found.parameters[0].scale(1e6)}
 
 
 @dataclass(frozen=True)
 class BeamBending(BeamEffect):
-    """The beam bends up or down, as air that is warmer above than below bends it.
+    """The beam bends up or down, as in air that is warmer above than below.
 
     Its parameter is the curvature of a level beam, rad per mm.
     """
@@ -138,13 +138,13 @@ class BeamBending(BeamEffect):
     units = {"": "1/mm"}
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return how the target seems to rise, with the square of its distance."""
+        """Apparent rise of the target, with the square of its distance."""
         flat = np.linalg.norm(recorded.tracker_mm[:, :2], axis=1, keepdims=True)
         return 0.5 * flat * raise_beam(recorded)
 
 
 class BeamBendingFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "beam-bending"
     varies_with = "place"
@@ -169,7 +169,7 @@ class BeamBendingFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return the curvature."""
+        """A single candidate."""
         del at
         square = 3.0 * float(np.mean(recorded.tracker_mm**2))
         return [self.offer(BeamBending(), [4.0 * USUAL_MM / square])]

@@ -1,6 +1,6 @@
-"""What moves the target in the eyes of the tracker, and nothing else.
+"""Apparent motions of the target that only the tracker sees.
 
-It is known only where the tracker stands: without a recording there is none of it.
+They need the tracker's pose, so they are 0 without a recording.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from truepath.kinematics.effects.family import Candidate, Family
 
 
 class BeamEffect(Effect):
-    """The target seems to move along one arm, in the frame of the tracker."""
+    """Apparent motion of the target along one arm, in the tracker's frame."""
 
     role = Role.MEASUREMENT
 
     @abstractmethod
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return how the target seems to move, in the tracker's frame."""
+        """Apparent motion of the target per unit, in the tracker's frame."""
 
     def sizes(
         self, at: Conditions, recorded: RecordedState
     ) -> Float64[np.ndarray, "n p"]:
-        """Return how far along the arm, for each parameter; 1 where left out."""
+        """Size along the arm for each parameter; 1 by default."""
         del recorded
         return np.ones((len(at), 1))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the arm in the frame the tracker stands on, times the sizes."""
+        """Arm in the frame on which the tracker stands, times the sizes."""
         recorded = at.recorded
         if recorded is None:
             return np.zeros((len(at), 3, len(self.units)))
@@ -42,7 +42,7 @@ class BeamEffect(Effect):
 
 
 class BeamFamily(Family):
-    """Candidates where it is known how the tracker looks at the target."""
+    """Candidates that need the beam direction of a recording."""
 
     role = Role.MEASUREMENT
 
@@ -50,15 +50,15 @@ class BeamFamily(Family):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return what may be looked for."""
+        """As `propose`, with a recording at hand."""
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return what may be looked for; nothing without a recording."""
+        """No candidates without a recording."""
         return [] if at.recorded is None else self.propose_for(at, at.recorded)
 
 
 def raise_beam(recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-    """Return how a target moves with its elevation, mm per rad."""
+    """Motion of a target with its elevation, mm per rad."""
     x, y, z = recorded.tracker_mm.T
     azimuth = np.arctan2(y, x)
     across = [-z * np.cos(azimuth), -z * np.sin(azimuth), np.hypot(x, y)]

@@ -1,6 +1,6 @@
-"""Errors of the tracker: circles off their axis or zero, a wrong distance.
+"""Errors of the tracker: eccentric circles, index error, range offset.
 
-No time averages them, and a tracker within its maker's specification has all of them.
+Averaging does not reduce them, and a tracker within its specification has all of them.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ CIRCLES = ("azimuth", "elevation")
 
 @dataclass(frozen=True)
 class TrackerEccentricity(BeamEffect):
-    """The measured angle errs as sin and cos of itself, once a turn."""
+    """The measured angle has an error of sin and cos of itself, once per turn."""
 
     kind = "tracker-eccentricity"
     units = {"sin": "rad", "cos": "rad"}
     circle: str
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return what a turn about the circle's axis moves the target by."""
+        """Displacement of the target by a turn about the circle's axis."""
         if self.circle == "elevation":
             return raise_beam(recorded)
         x, y, _ = recorded.tracker_mm.T
@@ -52,7 +52,7 @@ class TrackerEccentricity(BeamEffect):
     def sizes(
         self, at: Conditions, recorded: RecordedState
     ) -> Float64[np.ndarray, "n 2"]:
-        """Return sine and cosine of the angle."""
+        """Sine and cosine of the angle."""
         del at
         x, y, z = recorded.tracker_mm.T
         sides = (y, x) if self.circle == "azimuth" else (z, np.hypot(x, y))
@@ -60,7 +60,7 @@ class TrackerEccentricity(BeamEffect):
 
 
 class TrackerEccentricityFamily(BeamFamily):
-    """Both circles."""
+    """One candidate per circle."""
 
     name = "tracker-eccentricity"
     varies_with = "place"
@@ -87,13 +87,13 @@ class TrackerEccentricityFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return one a circle."""
+        """One per circle."""
         del at, recorded
         effects = map(TrackerEccentricity, CIRCLES)
         return [self.offer(effect, [_USUAL_RAD] * 2) for effect in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return amplitude and phase."""
+        """Amplitude in µrad, and phase."""
         amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
         return {"amplitude_urad": amplitude.scale(1e6), "phase_rad": phase}
 
@@ -106,13 +106,13 @@ class TrackerRangeOffset(BeamEffect):
     units = {"": "mm"}
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return the unit beam."""
+        """Unit beam."""
         beam = recorded.tracker_mm
         return beam / np.linalg.norm(beam, axis=1, keepdims=True)
 
 
 class TrackerRangeOffsetFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "tracker-range-offset"
     varies_with = "place"
@@ -139,7 +139,7 @@ class TrackerRangeOffsetFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return the offset."""
+        """A single candidate."""
         del at, recorded
         return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
 
@@ -152,12 +152,12 @@ class ElevationIndex(BeamEffect):
     units = {"": "rad"}
 
     def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-        """Return how the target seems to rise."""
+        """Apparent rise of the target."""
         return raise_beam(recorded)
 
 
 class ElevationIndexFamily(BeamFamily):
-    """One candidate."""
+    """A single candidate, for any machine."""
 
     name = "tracker-index"
     varies_with = "place"
@@ -182,6 +182,6 @@ class ElevationIndexFamily(BeamFamily):
     def propose_for(
         self, at: Conditions, recorded: RecordedState
     ) -> Sequence[Candidate]:
-        """Return the index."""
+        """A single candidate."""
         del at, recorded
         return [self.offer(ElevationIndex(), [_USUAL_RAD])]

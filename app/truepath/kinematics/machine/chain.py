@@ -1,4 +1,4 @@
-"""How an error at one axis moves the target where the tracker stands, to first order.
+"""Motion of the target by an error at one axis, to first order, seen from the tracker.
 
 The chain is p = T_1 … T_n t from the workpiece to the tool. An error sits at the side
 of its joint that faces the base for a rotary axis (about the axis' origin), behind the
@@ -25,7 +25,7 @@ from truepath.kinematics.machine.symbols import LINEAR
 class AxisLever:
     """Lever and turn of one axis' errors at n moments.
 
-    lever_mm : (n, 3) L; frame : (n, 3, 3) F, 0 where the error does not show
+    lever_mm : (n, 3) L; frame : (n, 3, 3) F, 0 where the error has no effect
     """
 
     lever_mm: Float64[np.ndarray, "n 3"]
@@ -34,7 +34,10 @@ class AxisLever:
     def displace(
         self, direction: Float64[np.ndarray, "*n 3"], *, is_turn: bool
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return F d, or F (d × L) for a turn. direction : at each moment, or at all"""
+        """F d, or F (d × L) for a turn.
+
+        direction : one for each moment, or one for all
+        """
         arm = np.cross(direction, self.lever_mm) if is_turn else direction
         arm = np.broadcast_to(arm, self.lever_mm.shape)
         return np.einsum("nij,nj->ni", self.frame, arm)
@@ -55,14 +58,14 @@ class NominalChain:
 
     @property
     def point_mm(self) -> Float64[np.ndarray, "n 3"]:
-        """Where the target is."""
+        """The target, mm, in the observer's frame."""
         if self.observer == "base":
             return self._base_mm
         seen = self._through(self.machine.workpiece_side, self._base_mm)
         return np.where(self.on_workpiece[:, None], self.offset_mm, seen)
 
     def lever(self, name: str) -> AxisLever:
-        """Return how errors at an axis show."""
+        """Lever of the errors of an axis; computed once."""
         if name not in self._levers:  # the same for every error of the axis
             self._levers[name] = self._find_lever(name)
         return self._levers[name]
@@ -73,7 +76,7 @@ class NominalChain:
 
     @cached_property
     def arms(self) -> dict[str, Float64[np.ndarray, "n 3"]]:
-        """What a unit of an error motion moves the target by, made once for all."""
+        """Displacement of the target per unit of error; filled by `find_arm`."""
         return {}
 
     def _find_lever(self, name: str) -> AxisLever:
@@ -156,9 +159,9 @@ class NominalChain:
         *,
         back: bool = False,
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the points after the joints, the last of them first.
+        """The last joint first.
 
-        back : the points that the joints would bring to the given ones
+        back : through the inverse of the joints
         """
         point = point_mm.copy()
         for name in names if back else reversed(names):
@@ -172,6 +175,6 @@ class NominalChain:
         return point
 
     def _origin(self, name: str) -> Float64[np.ndarray, "3"]:
-        """Return the point about which errors of an axis turn, in its own frame."""
+        """The point about which errors of an axis turn, in its own frame."""
         origins = {axis.name: axis.origin_mm for axis in self.machine.rotary_axes}
         return np.array(origins.get(name, (0.0, 0.0, 0.0)))

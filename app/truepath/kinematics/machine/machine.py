@@ -1,7 +1,7 @@
-"""The machine as `machine.json` states it: chain, axes, targets, tracker noise.
+"""The machine as in `machine.json`: chain, axes, targets, tracker noise.
 
-A rotary axis on the workpiece side turns the workpiece by its angle, so what is seen
-from the workpiece turns back; one on the tool side turns the tool.
+A rotary axis on the workpiece side turns the workpiece by its angle, so seen from the
+workpiece all else turns back; one on the tool side turns the tool.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from truepath.kinematics.machine.symbols import TURNS
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 SAME_TARGET_MM = 1e-6  # rounding
-SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known
+SEAT_SIGMA_MM = 1.0  # where the uncertainty of a target's position is not stated
 
 
 @dataclass(frozen=True, slots=True)
 class LinearAxis:
-    """A straight axis and its travel, from low to high, mm."""
+    """Travel from low to high, mm."""
 
     name: str
     low: float
@@ -43,7 +43,7 @@ class RotaryAxis:
 
     @property
     def turns_fully(self) -> bool:
-        """Whether the travel is a full turn, so that errors repeat."""
+        """Travel of at least 360°: its errors repeat."""
         return self.high - self.low >= 360.0 - 1e-9
 
 
@@ -51,7 +51,7 @@ Axis = LinearAxis | RotaryAxis
 
 
 def position_unit(axis: Axis) -> str:
-    """Return the unit of an axis' positions."""
+    """`mm`, or `deg` for a rotary axis."""
     return "deg" if isinstance(axis, RotaryAxis) else "mm"
 
 
@@ -59,7 +59,7 @@ def position_unit(axis: Axis) -> str:
 class Target:
     """A reflector and the side that carries it: `tool` or `workpiece`.
 
-    seat_sigma_mm : how well its place is known, each coordinate
+    seat_sigma_mm : standard uncertainty of each coordinate
     """
 
     name: str
@@ -70,9 +70,9 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What the machine can along a line.
+    """Limits of motion along a line.
 
-    assumed : names of those that nobody has stated and that are the usual ones
+    assumed : names of those not stated, which have typical values
     """
 
     max_feed_mm_min: float = 10_000.0
@@ -83,12 +83,12 @@ class MotionLimits:
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """How an NC program goes to its first row: one axis after another.
+    """Path of an NC program to its first row: one axis after another.
 
-    clearance_mm : linear axes that are driven first, and where to; None is Z to near
+    clearance_mm : linear axes that move first, and their positions; None is Z to near
         the upper end of its travel
-    order : in which all axes are then driven to the row; empty is that of the machine,
-        those of the clearance last
+    order : in which all axes then move to the row; empty is that of the machine, those
+        of the clearance last
     """
 
     clearance_mm: tuple[tuple[str, float], ...] | None = None
@@ -132,37 +132,37 @@ class Machine:
 
     @property
     def linear_axes(self) -> tuple[LinearAxis, ...]:
-        """The straight axes, in column order."""
+        """X, Y, Z as far as they exist, in column order."""
         return tuple(a for a in self.axes if isinstance(a, LinearAxis))
 
     @property
     def rotary_axes(self) -> tuple[RotaryAxis, ...]:
-        """The rotary axes, in column order."""
+        """A, B, C as far as they exist, in column order."""
         return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
 
     def axis(self, name: str) -> Axis:
-        """Return the axis called `name`."""
+        """Raises KeyError if there is none."""
         for axis in self.axes:
             if axis.name == name:
                 return axis
         raise KeyError(name)
 
     def rotary(self, name: str) -> RotaryAxis:
-        """Return the rotary axis called `name`."""
+        """Raises KeyError if it is not a rotary axis."""
         for axis in self.rotary_axes:
             if axis.name == name:
                 return axis
         raise KeyError(name)
 
     def linear(self, name: str) -> LinearAxis:
-        """Return the straight axis called `name`."""
+        """Raises KeyError if it is not a linear axis."""
         for axis in self.linear_axes:
             if axis.name == name:
                 return axis
         raise KeyError(name)
 
     def target(self, name: str = "") -> Target:
-        """Return the target called `name`; the first where no name is given."""
+        """The first if no name is given. Raises KeyError if there is none."""
         for target in self.targets:
             if target.name == name or not name:
                 return target
@@ -170,7 +170,7 @@ class Machine:
 
 
 def remove_rotary_axes(machine: Machine) -> Machine:
-    """Return the machine without its rotary axes, as while they stand."""
+    """For measurements during which the rotary axes stand still."""
     names = {axis.name for axis in machine.linear_axes}
     return replace(
         machine,
@@ -183,7 +183,7 @@ def remove_rotary_axes(machine: Machine) -> Machine:
 def compute_turns(
     axis: RotaryAxis, angle_rad: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """Return the right-handed turns about the direction of the axis (Rodrigues)."""
+    """Right-handed turns about the direction of the axis (Rodrigues), (n, 3, 3)."""
     K = _across(np.array(axis.direction))
     sine, cosine = np.sin(angle_rad)[:, None, None], np.cos(angle_rad)[:, None, None]
     return np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
@@ -191,7 +191,7 @@ def compute_turns(
 
 @lru_cache(maxsize=64)
 def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
-    """Return the directions that X, Y, Z in its symbols mean, as columns.
+    """Directions of X, Y, Z in the symbols of the axis, as columns.
 
     They are those of the machine, turned the shortest way that brings the letter's own
     direction (A: X, B: Y, C: Z) onto the direction of the axis.
@@ -207,5 +207,5 @@ def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
 
 
 def _across(v: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """Return K with K p = v × p."""
+    """K with K p = v × p."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,4 +1,4 @@
-"""Other machines that a machine file may have meant: axes elsewhere, or reversed."""
+"""Machines that a machine file may have meant: axes elsewhere, or reversed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from truepath.kinematics.machine.machine import Machine, RotaryAxis
 
 
 def list_orders(machine: Machine, names: Collection[str]) -> Iterator[Machine]:
-    """Yield the machine with these axes in each order at their places of the chain."""
+    """The machine with these axes in each order, at their places of the chain."""
     own = [name for name in machine.order if name in names]
     for order in permutations(own):
         new = dict(zip(own, order, strict=True))
@@ -21,7 +21,7 @@ def list_orders(machine: Machine, names: Collection[str]) -> Iterator[Machine]:
 
 
 def list_other_machines(machine: Machine) -> Iterator[Machine]:
-    """Yield machines that move the target elsewhere.
+    """Variants of the machine that move the target differently.
 
     Rotary axes count the other way, follow one another in another order or are all on
     the other side, or one axis is.
@@ -42,7 +42,7 @@ def list_other_machines(machine: Machine) -> Iterator[Machine]:
 
 
 def describe_other(machine: Machine, other: Machine) -> str:
-    """Say in what another machine differs."""
+    """Text for reports: the other chain, and axes that count the other way."""
     axes = zip(machine.axes, other.axes, strict=True)
     back = [f"axis {a.name} counted the other way" for a, b in axes if a != b]
     return f"chain {other.chain}" + " with " * bool(back) + " and ".join(back)

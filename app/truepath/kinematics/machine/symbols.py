@@ -1,4 +1,4 @@
-"""Symbols of ISO 230-1 and what they mean.
+"""Symbols of ISO 230-1 and their meaning.
 
 An error motion is `E`, the direction (X, Y, Z for a displacement, A, B, C for a turn
 about X, Y, Z), then the axis that moves: EYX is the straightness of X in Y, ECX its
@@ -17,7 +17,7 @@ SQUARENESS = ("C0Y", "B0Z", "A0Z")
 
 
 def list_locations(axis: str) -> tuple[str, ...]:
-    """Return the location errors of a rotary axis, shifts first: XOC, YOC, AOC, BOC."""
+    """Shifts first: XOC, YOC, AOC, BOC."""
     own = TURNS.index(axis)
     return tuple(
         f"{g[i]}O{axis}" for g in (LINEAR, TURNS) for i in range(3) if i != own
@@ -25,40 +25,40 @@ def list_locations(axis: str) -> tuple[str, ...]:
 
 
 def is_location(symbol: str) -> bool:
-    """Tell whether a symbol is the location of a rotary axis."""
+    """Location of a rotary axis, such as XOC."""
     return symbol[1] == "O" and symbol[2] in TURNS
 
 
 def list_error_motions(axis: str) -> tuple[str, ...]:
-    """Return the six symbols of an axis, displacements first."""
+    """Six symbols, displacements first: EXX, EYX, … ECX."""
     return tuple(f"E{d}{axis}" for d in LINEAR + TURNS)
 
 
 def is_turn(symbol: str) -> bool:
-    """Tell whether an error motion is an angle."""
+    """An angle: its second letter is A, B or C."""
     return symbol[1] in TURNS
 
 
 def is_positioning(symbol: str) -> bool:
-    """Tell whether an error motion is along its own axis."""
+    """Along, or about, its own axis."""
     return DIRECTION[symbol[1]] == DIRECTION[symbol[2]] and (
         is_turn(symbol) == (symbol[2] in TURNS)
     )
 
 
 def is_straightness(symbol: str) -> bool:
-    """Tell whether an error motion is a displacement across its own axis."""
+    """A displacement across its own axis."""
     return not is_turn(symbol) and not is_positioning(symbol)
 
 
 def find_unit(symbol: str) -> str:
-    """Return the unit in which files state the symbol."""
+    """`um` or `urad`, as in files."""
     kind = symbol[0 if is_location(symbol) else 1]
     return "urad" if symbol in SQUARENESS or kind in TURNS else "um"
 
 
 def describe_symbol(symbol: str) -> str:
-    """Return the symbol's name in words."""
+    """The symbol in words: `straightness of X in Y`."""
     if symbol in SQUARENESS:
         axes = {"C0Y": "Y to X", "B0Z": "Z to X", "A0Z": "Z to Y"}
         return f"squareness of {axes[symbol]}"

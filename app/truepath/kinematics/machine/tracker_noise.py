@@ -1,4 +1,4 @@
-"""The tracker's errors, as `machine.json` states them."""
+"""Errors of the tracker as in `machine.json`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from truepath.kinematics.machine.tracker_specification import TrackerSpecificati
 
 @dataclass(frozen=True, slots=True)
 class TrackerNoise:
-    """Standard deviations of one sample, its rate, and where the tracker stands.
+    """Standard deviations of one sample, sample rate, and position of the tracker.
 
     specification : of its systematic errors; None where it is not stated
-    face : 1 or 2, in which it measures; None where it has not two
+    face : 1 or 2, in which it measures; None if it has only one
     """
 
     range_sigma_um: float = 1.0
@@ -29,13 +29,13 @@ class TrackerNoise:
 
     @property
     def systematic(self) -> TrackerSpecification:
-        """The specification as stated, or a typical one."""
+        """The specification in the file, or a typical one."""
         return self.specification or TrackerSpecification()
 
     def sigma_mm(
         self, distance_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 2"]:
-        """Return one sample's standard deviation along and across the beam, in mm."""
+        """Standard deviation of one sample along and across the beam, (n, 2)."""
         along = self.range_sigma_um + self.range_ppm * distance_mm * 1e-3
         across = np.hypot(
             self.angle_sigma_urad * distance_mm * 1e-3, self.transverse_sigma_um

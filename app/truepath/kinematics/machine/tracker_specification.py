@@ -1,4 +1,4 @@
-"""By how much a tracker in order may be off, as its file states it."""
+"""Systematic errors of a tracker within its specification, as in its file."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class TrackerSpecification:
-    """Standard uncertainties of a tracker's systematic errors; a typical tracker's.
+    """Standard uncertainties of systematic errors; defaults are a typical tracker's.
 
-    One that is 0 is not there.
+    A term of 0 is left out.
     """
 
     index_urad: float = 10.0

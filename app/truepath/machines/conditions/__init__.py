@@ -1,5 +1,5 @@
 """What must hold before a machine may move: required state, and reason if not.
 
-Here: levels, read whenever asked. Not here: faults during motion
+Here: levels, read on every request. Not here: faults during motion
 (`measurement.faults`), arm tokens (`jobs.dispatch`).
 """

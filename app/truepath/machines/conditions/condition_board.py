@@ -1,4 +1,4 @@
-"""Finds how each condition of a machine is, and keeps since when."""
+"""Evaluates each condition of a machine, and keeps since when it holds."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ YES, UNTOLD = Finding(Level.TRUE), Finding(Level.UNKNOWN, "not-told")
 
 @dataclass(slots=True)
 class ConditionBoard:
-    """Keeps since when each condition is as it is; for any thread.
+    """Keeps since when each condition has its level; thread-safe.
 
-    observe : reads what there is, at once
-    look_s : between two looks, once it has been started
+    observe : reads the present state, at once
+    look_s : between two readings, once it has been started
     on_change : receives each condition whose level has changed; returns at once
-    path : of the job that waits to be armed, as its thread has judged it
-    judge_approach : judges the way to that path from where the machine stands
-    wants_compensation : what that job asks of the control, None for nothing
+    path : of the job that waits to be armed, as checked by its thread
+    judge_approach : checks the approach to that path from the present position
+    wants_compensation : what that job requires of the control, None for nothing
     """
 
     observe: Callable[[], Observed]
@@ -64,22 +64,22 @@ class ConditionBoard:
     _closing: threading.Event = field(default_factory=threading.Event)
 
     def start(self) -> None:
-        """Look every so often, so that each change has its time."""
+        """Read periodically, so that each change has its time."""
         threading.Thread(target=self._run, name="conditions", daemon=True).start()
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop the periodic reading."""
         self._closing.set()
 
     def _run(self) -> None:
         while not host_clock.wait(self._closing, self.look_s):
             try:
                 self.read()
-            except OSError as error:  # the disk of the data cannot be asked
+            except OSError as error:  # the disk of the data cannot be read
                 log.warning("conditions are not read", reason=str(error))
 
     def read(self) -> list[Condition]:
-        """Return every condition as it is now."""
+        """Every condition as it is now."""
         with self._lock:
             now_s, seen = host_clock.now_s(), self.observe()
             wants = self.wants_compensation
@@ -90,7 +90,6 @@ class ConditionBoard:
             return [self._note(kind, one, seen) for kind, one in found.items()]
 
     def _find_path(self, seen: Observed) -> Finding:
-        """Return how the path lies; where that is well, how the way to it does."""
         judge = self.judge_approach
         if self.path.level is not Level.TRUE or judge is None:
             return self.path
@@ -99,7 +98,7 @@ class ConditionBoard:
         )
 
     def list_obstacles(self) -> list[Condition]:
-        """Return what keeps the machine from being let move."""
+        """Conditions that prevent the machine from moving."""
         return [condition for condition in self.read() if condition.is_obstacle]
 
     def _note(self, kind: ConditionType, found: Finding, seen: Observed) -> Condition:
@@ -125,10 +124,10 @@ class ConditionBoard:
 def find_conditions(
     seen: Observed, now_s: float, *, wants_compensation: bool | None = None
 ) -> Mapping[ConditionType, Finding]:
-    """Return what is found.
+    """Findings by condition.
 
     now_s : of the monotonic clock
-    wants_compensation : what the job that waits asks of the control, if anything
+    wants_compensation : what the job that waits requires of the control, if anything
     """
     answers, status = _read_controller(seen, now_s)
     return {

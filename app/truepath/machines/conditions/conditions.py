@@ -1,11 +1,11 @@
-"""What has to be so before the machine may be let move, as levels and not as events.
+"""Conditions before the machine may move, as levels and not as events.
 
-Each condition is read from what the cell has read in its own cycle: a device that does
-not answer delays nobody (`condition_board`). The board looks once a second, so that
-`since` is when a level changed and not when somebody asked (`condition_board`). What a
-device does not tell is unknown; only what is known to be wrong stands in the way, and a
-controller that the cell has not read for a while is wrong. The measurement looks at
-everything again before it moves.
+Each condition is derived from readings of the cell in its own cycle: a device that does
+not answer delays no request (`condition_board`). The board reads once a second, so that
+`since` is when a level changed and not when it was requested. What a device does not
+report is unknown; only a known fault is an obstacle, and a controller that the cell has
+not read for a while is a fault. The measurement checks everything again before it
+moves.
 """
 
 from __future__ import annotations
@@ -68,12 +68,12 @@ REQUIRED = frozenset(
 LEFT_TO_MEASUREMENT = frozenset(
     {ConditionType.TARGET_IN_SIGHT, ConditionType.STREAM_HEALTHY}
 )
-"""While it is under way it decides itself: it has held, and looks before it goes on."""
+"""During a measurement it decides itself: it holds, and checks before it continues."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found of one condition.
+    """State of one condition.
 
     reason : for programs; message : for people, with the remedy where there is one
     """
@@ -87,8 +87,8 @@ class Finding:
 class Condition:
     """One condition as it is now.
 
-    since : UTC, when its level became what it is
-    temperatures : that it was read from, where it was
+    since : UTC, when it reached its level
+    temperatures : that it was derived from, if any
     """
 
     type: ConditionType
@@ -101,12 +101,12 @@ class Condition:
 
     @property
     def is_obstacle(self) -> bool:
-        """Whether it keeps the machine from being let move."""
+        """Whether it prevents the machine from moving."""
         return self.is_required and self.level is Level.FALSE
 
 
 class NotInOrder(JobError):
-    """Something that is known to be wrong keeps the machine from being let move."""
+    """A known fault prevents the machine from moving."""
 
     def __init__(self, obstacles: Sequence[Condition]) -> None:
         super().__init__("; ".join(one.message for one in obstacles))
@@ -115,13 +115,14 @@ class NotInOrder(JobError):
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """All that conditions are read from.
+    """Inputs of all conditions.
 
     controller : its last reading at rest; None where there is none
     free_bytes, least_bytes : room on the disk, and how much has to stay
     clock_step_s : by how much the wall clock has left the monotonic one
-    standing : of the machine by its calibrations; None where nobody has looked
-    stream : what was seen of the tracker's stream lately
+    standing : status by the calibrations of the machine; None where it was not
+        evaluated
+    stream : recent state of the tracker's stream
     drift_limit_degC : by which a temperature may change; None where none is stated
     """
 
@@ -136,7 +137,7 @@ class Observed:
     drift_limit_degC: float | None = None  # noqa: N815
 
     def requires(self, kind: ConditionType) -> bool:
-        """Tell whether a condition has to hold before the machine is let move."""
+        """Whether a condition has to hold before the machine may move."""
         if kind is ConditionType.TEMPERATURE_STEADY:
             return self.drift_limit_degC is not None
         is_left = kind in LEFT_TO_MEASUREMENT and self.cell.state in MOVING

@@ -1,7 +1,7 @@
-"""What a cell tells of beam, stream and temperatures, now and lately.
+"""State of beam, stream and temperatures from a cell, now and recently.
 
-In a measurement its events tell them. At rest a stream is heard for a moment every so
-often, and thermometers are read.
+In a measurement its events report them. At rest a stream is read for a moment
+periodically, and thermometers are read.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from truepath.measurement.messages import (
 from truepath_drivers import host_clock
 
 LATELY_S = 5.0
-"""Over which samples that were lost or damaged are counted."""
+"""Period over which lost or damaged samples are counted."""
 FRESH_S = 3.0
-"""Events come several times a second while a stream runs; older ones tell nothing."""
+"""Events come several times a second while a stream runs; older ones do not count."""
 HEARD_S = 15.0
-"""For how long what was heard at rest is believed."""
+"""How long a reading of the stream at rest counts."""
 LEAST_SEEN = 0.5
 """Share of usable samples from which on the target is in sight."""
 FEW_LOST = 0.01
 """Share of samples lost at rest that a busy computer may account for."""
 COURSE_S, LEAST_COURSE_S = 600.0, 60.0
-"""Over which temperatures are held against each other, and what tells a drift."""
+"""Longest and shortest period of temperatures from which a drift is computed."""
 READING_S = 5.0  # between two readings that are kept
 _TEMPERATURE = "_degC"
 _BEAM_FAULTS = frozenset({"beam-lost", "not-resumed"})
@@ -43,7 +43,7 @@ _BEAM_FAULTS = frozenset({"beam-lost", "not-resumed"})
 
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """What one thermometer shows.
+    """Reading of one thermometer.
 
     change_degC : highest less lowest reading in the last `over_s`, `COURSE_S` at most
     """
@@ -56,15 +56,15 @@ class Temperature:
 
 @dataclass(frozen=True, slots=True)
 class StreamLevels:
-    """What was seen of a tracker's stream.
+    """State of a tracker's stream.
 
-    has_beam : None where nothing tells it
+    has_beam : None where unknown
     lost_samples, crc_errors : in the last `LATELY_S`; None while no stream runs
-    drift_degC : the most that one thermometer has changed by in the last `COURSE_S`;
-        None where none shows anything, or not for long enough; drifting : its channel
-    usable_share, rate_share : of the samples heard at rest those that are usable, and
-        their rate as a share of what was asked; None for a rate that is not known
-    failure : why nothing could be heard at rest; empty where something was
+    drift_degC : largest change of one thermometer in the last `COURSE_S`; None without
+        readings, or not for long enough; drifting : its channel
+    usable_share, rate_share : of the samples read at rest those that are usable, and
+        their rate as a share of the requested one; None for a rate that is not known
+    failure : why nothing could be read at rest; else empty
     temperatures : newest reading of each thermometer
     """
 
@@ -81,7 +81,7 @@ class StreamLevels:
 
 @dataclass(slots=True)
 class StreamWatch:
-    """Follows the events of a cell; any thread may ask."""
+    """Follows the events of a cell; thread-safe."""
 
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _is_running: bool = False
@@ -93,7 +93,7 @@ class StreamWatch:
     _heard_s: float = -float("inf")
 
     def follow(self, event: CellEvent) -> None:
-        """Take note of an event."""
+        """Update from an event of the cell."""
         now_s = host_clock.now_s()
         with self._lock:
             match event:
@@ -112,15 +112,15 @@ class StreamWatch:
                     pass
 
     def hear(self, tried: TrackerTried, rate_hz: float, *, aims: bool) -> None:
-        """Take note of what was heard at rest.
+        """Update from a reading of the stream at rest.
 
-        rate_hz : that was asked; aims : the measurement points the beam at its targets
-        itself, so that one not seen now says nothing
+        rate_hz : requested; aims : the measurement points the beam at its targets
+            itself, so that a missing beam now means nothing
         """
         self._note_heard(_judge_trial(tried, rate_hz, aims=aims))
 
     def hear_failure(self, text: str) -> None:
-        """Take note that nothing could be heard."""
+        """Update from a failed reading of the stream at rest."""
         self._note_heard(StreamLevels(failure=text))
 
     def _note_heard(self, levels: StreamLevels) -> None:
@@ -128,7 +128,7 @@ class StreamWatch:
             self._heard, self._heard_s = levels, host_clock.now_s()
 
     def read(self) -> StreamLevels:
-        """Return what was seen, as it is now."""
+        """State at the present moment."""
         now_s = host_clock.now_s()
         with self._lock:
             drift_degC, drifting = self._find_drift(now_s)  # noqa: N806
@@ -140,7 +140,6 @@ class StreamWatch:
             )
 
     def _find_stream(self, now_s: float) -> StreamLevels:
-        """Return what was heard at rest last, or what a measurement tells."""
         if now_s - self._heard_s <= HEARD_S:
             return self._heard
         return StreamLevels(self._find_beam(now_s), *self._sum_lately(now_s))
@@ -162,7 +161,7 @@ class StreamWatch:
 
     def _count(self, now_s: float, lost: int, damaged: int) -> None:
         newest = self._counts[-1] if self._counts else (0.0, 0, 0)
-        if lost < newest[1] or damaged < newest[2]:  # another measurement counts anew
+        if lost < newest[1] or damaged < newest[2]:  # another measurement counts from 0
             self._counts.clear()
         self._counts.append((now_s, lost, damaged))
         while now_s - self._counts[0][0] > LATELY_S and len(self._counts) > 1:

@@ -31,7 +31,7 @@ def _read_clock_difference_s() -> float:
 
 
 def configure_cell(stated: DeviceConfiguration) -> CellConfig:
-    """Return how the settings of a machine let its devices be reached."""
+    """Cell configuration from the device settings of a machine."""
     patience = {f"{name}_s": s for name, s in stated.tracker_patience_s.items()}
     return CellConfig(
         stated.tracker_driver,
@@ -47,7 +47,7 @@ def configure_cell(stated: DeviceConfiguration) -> CellConfig:
 
 
 def refuse_same_names(named: Iterable[tuple[str, str]]) -> None:
-    """Raise BadInput where two machine files state one name: Runs go by it.
+    """Raise BadInput where two machine files have one name, which identifies Runs.
 
     named : identifier and name of each machine
     """
@@ -79,10 +79,6 @@ def refuse_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
 
 
 def _list_links(config: CellConfig) -> Iterator[str]:
-    """Yield the ports and addresses of the devices of one machine.
-
-    A driver that is not installed has none; it is named when its device is connected.
-    """
     devices = (
         ("tracker", config.tracker_driver, config.tracker_options),
         ("motion", config.motion_driver, config.motion_options),
@@ -112,12 +108,12 @@ def _list_links_of(word: str, driver: str, options: Mapping[str, Any]) -> Iterat
 
 @dataclass(frozen=True, slots=True)
 class CellSetup:
-    """What all machines of a service share.
+    """Common to all machines of a service.
 
     folder : on the disk of the Runs; least_bytes : that have to stay free there
-    calibrations : by which the machines stand
-    publish : tells of changes
-    drift_limit_degC : by which a temperature may change before the machine is let move
+    calibrations : source of the status of machines
+    publish : receives changes
+    drift_limit_degC : by which a temperature may change before the machine may move
     begun_s : wall clock less monotonic clock when the service began
     """
 
@@ -131,7 +127,7 @@ class CellSetup:
     def make(
         self, machine_id: str, machine: Machine, config: CellConfig, version: int = 1
     ) -> MachineCell:
-        """Return a machine with its cell, to be started."""
+        """A machine with its cell, not yet started."""
         cell = CellSupervisor(lambda: Cell(config))
 
         def observe() -> Observed:

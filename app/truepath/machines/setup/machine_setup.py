@@ -1,7 +1,7 @@
-"""Machines while the service runs: add one, choose its devices, try them.
+"""Machines while the service runs: add one, choose its devices, test them.
 
-What the settings configure is changed in the settings; what was added over the
-interface is kept in the catalogue and comes back with the next start.
+Machines of the settings are changed in the settings; those added over the interface are
+stored in the catalogue and loaded at the next start.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ _OPTIONS = ("tracker_options", "motion_options", "thermometer_options")
 class ConfiguredMachine:
     """A machine of the settings, or a simulated one.
 
-    control : of a simulated machine: its ports are others each time and no part of
-        the configuration
+    control : of a simulated machine: its ports differ each time and are no part of the
+        configuration
     """
 
     id: str
@@ -74,7 +74,7 @@ class ConfiguredMachine:
 
 
 class MachineSetup:
-    """Keeps cells and catalogue of the machines together. Any thread may call it."""
+    """Keeps cells and catalogue of the machines consistent; thread-safe."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class MachineSetup:
         self.simulated_controls = SimulatedControls()
 
     def load(self, configured: Iterable[ConfiguredMachine]) -> None:
-        """Take the machines of the settings, then those of the catalogue.
+        """Load the machines of the settings, then those of the catalogue.
 
         One of the catalogue that the settings now contradict is left out.
         """
@@ -127,7 +127,7 @@ class MachineSetup:
         devices: DeviceConfiguration,
         version: int | None = None,
     ) -> MachineRecord:
-        """Choose drivers and their options; the cell is started anew with them.
+        """Choose drivers and their options; the cell is started again with them.
 
         version : of the configuration, as it was read; None for any
 
@@ -147,7 +147,7 @@ class MachineSetup:
     def set_machine_file(
         self, machine_id: str, machine_file: Json, version: int | None = None
     ) -> MachineRecord:
-        """Describe a machine anew; its cell, if it has one, is started anew.
+        """Replace the machine file; the cell, if there is one, is started again.
 
         version : of the configuration, as it was read; None for any
 
@@ -165,7 +165,7 @@ class MachineSetup:
         return self.registry.get(machine_id)
 
     def remove(self, machine_id: str, version: int) -> None:
-        """Drive a machine no more; what was measured of it stays.
+        """Stop controlling a machine; its measurements stay.
 
         version : of its configuration, as it was read
 
@@ -184,7 +184,7 @@ class MachineSetup:
             taken.close()
 
     def try_devices(self, machine_id: str) -> TrackerTried:
-        """Connect, and listen to the tracker for a moment. Nothing moves.
+        """Connect, and read the tracker's stream for a moment. Nothing moves.
 
         Raises NotFound, CellBusy, DeviceError, DeviceSettings, CellDown.
         """
@@ -196,7 +196,7 @@ class MachineSetup:
         return tried
 
     def read_loaded_files(self, machine_id: str) -> LoadedFiles:
-        """Return which files a simulated control has from this service."""
+        """Files that this service has loaded into a simulated control."""
         return self.simulated_controls.read(machine_id)
 
     def refuse_while_measuring(self, machine_id: str) -> None:
@@ -260,7 +260,7 @@ class MachineSetup:
 
 
 def show_devices(devices: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the devices of a version without the passwords among their options."""
+    """Devices of a version without the passwords among their options."""
     return {k: hide_secrets(v) if k in _OPTIONS else v for k, v in devices.items()}
 
 
@@ -269,7 +269,6 @@ def _describe(config: CellConfig) -> dict[str, Any]:
 
 
 def _check_options(config: CellConfig) -> None:
-    """Raise BadInput for a driver or an option that there is not. Opens nothing."""
     make_device("tracker", config.tracker_driver, config.tracker_options)
     make_device("motion", config.motion_driver, config.motion_options)
     if config.thermometer_driver:

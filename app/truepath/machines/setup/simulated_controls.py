@@ -1,8 +1,8 @@
 """Compensation files in the controls of simulated machines, and of no others.
 
-Who loads tables into a real control does so at that control, and looks at what it then
-does. A simulated one may be told, so that the way from as found to as left can be gone
-and tested from end to end.
+Tables are loaded into a real control at that control, by a person who watches the
+effect. A simulated one can be loaded here, so that the way from as found to as left can
+be tested from end to end.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from truepath.kinematics.machine.machine import Machine
 
 
 class SimulatedControl(Protocol):
-    """A simulated control that takes tables while its axes stand."""
+    """A simulated control that takes tables while its axes are at rest."""
 
     def load_compensation(
         self, compensation: Sequence[Path | str], rules: Mapping[str, Any] | None = None
     ) -> None:
-        """Take files, or none; rules : how it is set for them.
+        """Replace all files; rules : settings of the control for them.
 
         Raises ValueError where it refuses them.
         """
+        ...
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedFiles:
-    """What a simulated control has from this service; nothing of it at first.
+    """What a simulated control has from this service; nothing at first.
 
     job_id, compensation_id : the result and the files that were made of it
     """
@@ -45,7 +46,7 @@ class LoadedFiles:
 
 
 class SimulatedControls:
-    """By machine; any thread may call it."""
+    """By machine; thread-safe."""
 
     def __init__(self, controls: Mapping[str, SimulatedControl] | None = None) -> None:
         self._lock = threading.Lock()
@@ -53,16 +54,16 @@ class SimulatedControls:
         self._loaded: dict[str, LoadedFiles] = {}
 
     def read(self, machine_id: str) -> LoadedFiles:
-        """Return what was loaded: nothing into a real control."""
+        """Empty for a real control."""
         with self._lock:
             return self._loaded.get(machine_id, LoadedFiles())
 
     def is_simulated(self, machine_id: str) -> bool:
-        """Tell whether the control of a machine is a simulated one."""
+        """Whether the control of a machine is a simulated one."""
         return machine_id in self._controls
 
     def require(self, machine_id: str) -> SimulatedControl:
-        """Return the simulated control of a machine. Raises NotSimulated."""
+        """Raises NotSimulated."""
         if machine_id not in self._controls:
             raise NotSimulated(machine_id)
         return self._controls[machine_id]
@@ -75,12 +76,12 @@ class SimulatedControls:
         job_id: str,
         compensation_id: str,
     ) -> LoadedFiles:
-        """Give the control kept files in place of what it has.
+        """Load stored files into the control in place of the present ones.
 
-        folder : of the files that are kept with the result of the job
+        folder : of the files that are stored with the result of the job
 
-        Raises NotSimulated, NotFound, BadInput where they are of another machine or
-        the control refuses them.
+        Raises NotSimulated, NotFound, BadInput where they are of another machine or the
+        control refuses them.
         """
         control = self.require(machine_id)
         account = read_account(folder, compensation_id)
@@ -96,7 +97,7 @@ class SimulatedControls:
         return loaded
 
     def clear(self, machine_id: str) -> None:
-        """Take the tables of a control away. Raises NotSimulated, BadInput."""
+        """Remove the tables of a control. Raises NotSimulated, BadInput."""
         control = self.require(machine_id)
         self._give(control, machine_id, [], {}, LoadedFiles())
 

@@ -1,4 +1,4 @@
-"""Circles of ISO 230-4 that were driven on the fly, as the tracker saw them.
+"""Circles of ISO 230-4 that were executed on the fly, as the tracker measured them.
 
 No clock is shared: angle and radius of each sample are its own, about the commanded
 centre; what lies beyond the middle 360° of an arc is run-in and run-out. The radius is
@@ -9,8 +9,8 @@ the centre of the circle of least squares of both senses,
     G   range of the radius, in both senses and in each       circular deviation
     F   largest and smallest radius less the commanded one        radial deviation
 
-Noise enlarges a range. By how much is told by adding noise to the shape that stands
-clear of it, the harmonics above the universal threshold (Donoho and Johnstone 1994):
+Noise enlarges a range. By how much is estimated by adding noise to the significant part
+of the shape, the harmonics above the universal threshold (Donoho and Johnstone 1994):
 the figures are stated less that, and most of it is part of their uncertainty. The scale
 of air and tracker is in F alone: it makes a circle larger, and leaves it one. Other
 errors of the tracker bend both senses alike and count as noise that these share.
@@ -44,9 +44,9 @@ Sectors = Float64[np.ndarray, " s"]
 
 @dataclass(frozen=True, slots=True)
 class CommandedCircle:
-    """What one arc commands, where the tracker stands.
+    """One commanded arc, in the frame that the tracker stands on.
 
-    centre_mm : (3,); along : (2, 3) how the target moves per mm of both axes
+    centre_mm : (3,); along : (2, 3) motion of the target per mm of both axes
     begin_deg, turn_deg : about the centre, from the first axis towards the second
     """
 
@@ -60,15 +60,15 @@ class CommandedCircle:
 
     @property
     def sense(self) -> str:
-        """As it is seen with the first axis to the right and the second upwards."""
+        """As seen with the first axis to the right and the second upwards."""
         return _SENSES[int(self.turn_deg < 0.0)]
 
     def place_mm(self, angle_deg: Sectors) -> Float64[np.ndarray, "s 3"]:
-        """Return the nominal places."""
+        """Nominal positions, mm."""
         return self.centre_mm + self.radius_mm * self.outwards(angle_deg)
 
     def outwards(self, angle_deg: Sectors) -> Float64[np.ndarray, "s 3"]:
-        """Return the unit vectors from the centre."""
+        """Unit vectors from the centre."""
         angle = np.radians(angle_deg)
         return np.column_stack([np.cos(angle), np.sin(angle)]) @ self.along
 
@@ -92,7 +92,7 @@ class DrivenCircle:
 
 
 def list_sector_angles() -> Sectors:
-    """Return the middles of the sectors, deg."""
+    """Middles of the sectors, deg."""
     return SECTOR_DEG * (np.arange(SECTORS) + 0.5)
 
 
@@ -105,7 +105,7 @@ def reduce_to_sectors(
     noise: NoiseModel,
     tracker: TrackerNoise,
 ) -> DrivenCircle | None:
-    """Return the middle turn of an arc; None where a sector of it is missing.
+    """The middle turn of an arc; None where a sector of it is missing.
 
     time_s, tracker_mm : valid samples from standstill to standstill
     pose : of the tracker, from the frame it stands on
@@ -128,7 +128,7 @@ def reduce_to_sectors(
     span_s = count / tracker.rate_hz
     white_mm = float(np.std(np.diff(radial))) / np.sqrt(2.0)
     covariance = _build_noise(commanded, pose, noise, tracker, mean_s, span_s)
-    # What moves scatters more than what stands: vibration, rough guides.
+    # Samples in motion scatter more than at rest: vibration, rough guides.
     more = np.maximum(white_mm**2 / count - np.diag(covariance), 0.0)
     covariance += np.diag(more)
     took_s = float(time_s[inside[-1]] - time_s[inside[0]])
@@ -146,26 +146,26 @@ def reduce_to_sectors(
 
 
 def fit_centre(radial: Float64[np.ndarray, "s e"]) -> Float64[np.ndarray, "2 e"]:
-    """Return the centres of the circles of least squares, from the commanded one.
+    """Centres of the circles of least squares, from the commanded one.
 
-    radial : radius less the commanded one, in one sense or the mean of both; the
-        centre is in its unit
+    radial : radius less the commanded one, in one sense or the mean of both; the centre
+        is in its unit
     """
-    # Equal sectors all round: sine, cosine and the mean do not tell of each other.
+    # Equal sectors all round: sine, cosine and the mean are orthogonal.
     return 2.0 / SECTORS * (_list_outwards().T @ radial)
 
 
 def take_centre_off(
     radial: Float64[np.ndarray, "s e"], centre: Float64[np.ndarray, "2 e"]
 ) -> Float64[np.ndarray, "s e"]:
-    """Return the radius less the commanded one about another centre, to first order."""
+    """Radius less the commanded one about another centre, to first order."""
     return radial - _list_outwards() @ centre
 
 
 def compute_figures(
     both: dict[str, Float64[np.ndarray, "s e"]],
 ) -> dict[str, Float64[np.ndarray, " e"]]:
-    """Return the figures of e circles by name, of the senses that there are.
+    """Figures of e circles by name, of the senses that there are.
 
     both : radius less the commanded one by sense
     """
@@ -197,10 +197,10 @@ def state_figures(
     common_mm: dict[str, Float64[np.ndarray, "s c"]] | None = None,
     scale_mm: float = 0.0,
 ) -> StatedFigures:
-    """Return the figures of a measurement less what its errors add to them.
+    """Figures of a measurement less the contribution of its errors.
 
-    common_mm : what one standard uncertainty of each error of the tracker, the same in
-        both senses, makes of the radii
+    common_mm : radii by one standard uncertainty of each error of the tracker, the same
+        in both senses
     scale_mm : standard uncertainty of the radius by the scale of all lengths
     """
     rng = np.random.default_rng(1)
@@ -238,7 +238,6 @@ def _list_outwards() -> Float64[np.ndarray, "s 2"]:
 def _find_shape(
     radial_mm: dict[str, Sectors], noise: dict[str, Float64[np.ndarray, "s e"]]
 ) -> dict[str, Sectors]:
-    """Return what stands clear of the noise: mean and difference of both senses."""
     there, *back = radial_mm
     if not back:
         return {there: _keep_clear(radial_mm[there], noise[there])}
@@ -250,7 +249,7 @@ def _find_shape(
 
 
 def _keep_clear(values: Sectors, noise: Float64[np.ndarray, "s e"]) -> Sectors:
-    """Return the harmonics whose power is above what noise may make of any of them."""
+    """Only the harmonics whose power is above what noise may make of any of them."""
     wave = np.fft.rfft(values)
     power = np.mean(np.abs(np.fft.rfft(noise, axis=0)) ** 2, axis=1)
     clear = np.abs(wave) ** 2 > power * (np.log(len(wave)) + 1.0)
@@ -260,7 +259,7 @@ def _keep_clear(values: Sectors, noise: Float64[np.ndarray, "s e"]) -> Sectors:
 def draw(
     rng: np.random.Generator, covariance: Float64[np.ndarray, "s s"]
 ) -> Float64[np.ndarray, "s d"]:
-    """Return departures by a covariance."""
+    """Samples with a covariance, one per column."""
     value, vector = np.linalg.eigh(covariance)
     scale = np.sqrt(np.maximum(value, 0.0))
     return (vector * scale) @ rng.standard_normal((len(value), _DRAWS))

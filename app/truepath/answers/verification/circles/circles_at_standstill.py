@@ -1,11 +1,11 @@
 """Circles of ISO 230-4 as polygons of standstills, in figures that noise is part of.
 
 Of the radial deviations, G is the range about the circle of least squares in both
-senses, F the largest and smallest about the commanded centre. Standing still, they show
+senses, F the largest and smallest about the commanded centre. At standstill, they show
 geometry and lost motion, no servo.
 
-Noise makes a range larger: of an exact machine it makes all of it. What is stated is
-the middle of what the noise leaves for each figure.
+Noise makes a range larger: of an exact machine it makes all of it. The value stated is
+the middle of the interval that the noise allows for each figure.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ _FEWEST = 12
 class CircleFigures:
     """A circle in figures, µm.
 
-    plane : both axes; angle_deg, radial_um : (n,) of its places, about the commanded
+    plane : both axes; angle_deg, radial_um : (n,) of its positions, about the commanded
         centre
-    figures, uncertainty_um : by name, k = 1; own_um : what noise alone would make of
-        each figure
+    figures, uncertainty_um : by name, k = 1; own_um : each figure of noise alone
     predicted_um : by name, from the result
     """
 
@@ -51,7 +50,7 @@ class CircleFigures:
 def find_circles(
     position: Float64[np.ndarray, "n a"],
 ) -> list[Int64[np.ndarray, " k"]]:
-    """Return the places of each circle, in both senses: equal chords that turn.
+    """Rows of each circle, in both senses: equal chords that turn.
 
     Circles in different planes may share centre and radius, and are different circles.
     """
@@ -83,7 +82,6 @@ def _find_same(
     circle: Float64[np.ndarray, " c"],
     found: Sequence[tuple[Float64[np.ndarray, " c"], list[Int64[np.ndarray, " k"]]]],
 ) -> list[Int64[np.ndarray, " k"]] | None:
-    """Return the senses of a circle that was found before; None of a new one."""
     for other, senses in found:
         if np.abs(other - circle).max() < _SAME_CIRCLE_MM:
             return senses
@@ -97,9 +95,9 @@ def evaluate_circle(
     predicted_mm: Float64[np.ndarray, "n 3"],
     places: MeasuredPlaces,
 ) -> CircleFigures:
-    """Return the figures of the circle that places lie on.
+    """Figures of the circle that positions lie on.
 
-    own : which of n places
+    own : which of n positions
     """
     plane, centre_mm, radius_mm = _fit_nominal(position[own])
     out = (position[own] - centre_mm)[:, plane] / radius_mm
@@ -137,7 +135,7 @@ def evaluate_circle(
 def _enclose(
     name: str, raw: float, by_error: Float64[np.ndarray, " e"], largest_sigma: float
 ) -> tuple[float, float]:
-    """Return the middle of the interval of a figure, and a quarter of its width."""
+    """Middle of the interval of a figure, and a quarter of its width."""
     if name != "F_min":
         value, uncertainty = enclose_largest(raw, by_error, largest_sigma)
         # A range below 0 is 0: the interval about it still reaches as far up.
@@ -170,7 +168,6 @@ def _compute_figures(
 def _centre(
     radial: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
 ) -> Float64[np.ndarray, "n e"]:
-    """Return radial deviations about the centre of the circle of least squares."""
     # Each angle counts once, however often the circle was begun and ended there.
     _, place, count = np.unique(
         np.round(out, 4), axis=0, return_inverse=True, return_counts=True
@@ -184,7 +181,6 @@ def _centre(
 def _fit_nominal(
     position: Float64[np.ndarray, "n a"],
 ) -> tuple[Int64[np.ndarray, "2"], Float64[np.ndarray, " a"], float]:
-    """Return plane, centre and radius of commanded positions on a circle."""
     plane = np.sort(np.argsort(-np.ptp(position, axis=0))[:2])
     flat = position[:, plane]
     columns = np.column_stack([2.0 * flat, np.ones(len(flat))])

@@ -1,8 +1,8 @@
-"""Circles driven on the fly, and what a result says that they should have shown.
+"""Circles executed on the fly, and the prediction of a result for them.
 
 The prediction is of the same sectors in the same senses: with the direction, the speed
-and the way since the reversal of each axis there, so that lost motion, reversal spikes
-and following errors are in it where the result's model has them.
+and the distance since the reversal of each axis there, so that lost motion, reversal
+spikes and following errors are in it where the result's model has them.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from truepath_drivers.interfaces.arcs import measure_radius_mm, turn_about
 from truepath_drivers.interfaces.records import Path
 
 Displace = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
-"""What a result says the target is off nominal, mm."""
+"""Predicted displacement of the target from nominal, mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class CircleInMotion:
-    """One circle, in the senses in which it was driven whole.
+    """One circle, in the senses in which it was executed completely.
 
     driven : by sense; radial_um, expected_um : about the commanded centre
     first_row : of the plan, that its Run begins with
@@ -63,7 +63,7 @@ class CircleInMotion:
 
     @property
     def commanded(self) -> CommandedCircle:
-        """The circle as it is commanded, in one of its senses."""
+        """In one of its senses."""
         return next(iter(self.driven.values())).commanded
 
     @property
@@ -78,7 +78,7 @@ class CircleInMotion:
 
     @property
     def expected_centre_um(self) -> Float64[np.ndarray, "2"]:
-        """The same of what the result predicts."""
+        """The same of the prediction."""
         return _fit_mean_centre(self.expected_um)
 
 
@@ -86,8 +86,8 @@ class CircleInMotion:
 class CirclesInMotion:
     """Circles of a Run.
 
-    whole : rows of the plan whose arcs tell something
-    broken : rows of circles that tell nothing, however often they were driven
+    whole : rows of the plan whose arcs are evaluated
+    broken : rows of circles without a complete arc, however often they were executed
     """
 
     circles: tuple[CircleInMotion, ...] = ()
@@ -104,9 +104,9 @@ def evaluate_circles(
     errors: Sequence[Effect],
     first_row: int,
 ) -> CirclesInMotion:
-    """Return the circles of a Run; the latest drive of one that was driven again.
+    """Circles of a Run; of a repeated one the latest.
 
-    fitted : tells pose and noise; errors : what the tracker may be off by
+    fitted : for pose and noise; errors : of the tracker within its specification
     first_row : of the plan, that the Run begins with
     """
     path = run.commanded
@@ -140,7 +140,6 @@ def evaluate_circles(
 def _list_missing(
     run: Run, path: Path, groups: Mapping[tuple[object, ...], Collection[str]]
 ) -> list[int]:
-    """Return the rows of the circles that no drive shows whole, the first of each."""
     missing: dict[tuple[object, ...], int] = {}
     for row, arc in enumerate(path.arc):
         if arc is None or row == 0:
@@ -152,9 +151,9 @@ def _list_missing(
 
 
 def join_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
-    """Return the circles of all parts of a Run, each in the frame of its own part.
+    """Circles of all parts of a Run, each in the frame of its own part.
 
-    Senses that were driven in different parts stand apart: the tracker may have moved.
+    Senses in different parts are not combined: the tracker may have moved.
     """
     whole = {row for part in parts for row in part.whole}
     broken = {row for part in parts for row in part.broken} - whole
@@ -174,7 +173,7 @@ def _key(one: CommandedCircle) -> tuple[object, ...]:
 
 
 def read_commanded(run: Run, path: Path, row: int) -> CommandedCircle:
-    """Return what the arc to a row commands, where the tracker stands."""
+    """The arc to a row, in the frame that the tracker stands on."""
     arc = path.arc[row]
     if arc is None:
         raise ValueError(f"row {row} is driven to on a straight line")
@@ -251,10 +250,9 @@ def _find_conditions(
     observations: Observations,
     pose: RigidTransform,
 ) -> Conditions:
-    """Return the conditions in the middle of each sector, as it was driven.
+    """Conditions in the middle of each sector, as measured.
 
-    What the circle does not tell, temperatures and other axes, is that of the cell
-    nearest in time.
+    Temperatures and other axes are those of the cell nearest in time.
     """
     row, commanded = driven.drive.row, driven.commanded
     arc = path.arc[row]
@@ -303,7 +301,7 @@ def _find_conditions(
 def _since_reversal(
     angle_deg: Float64[np.ndarray, " s"], sign: float
 ) -> Float64[np.ndarray, "s 2"]:
-    """Return how far both axes have gone since they turned back, in radii."""
+    """Distance of both axes since they reversed, in radii."""
     gone = np.empty((len(angle_deg), 2))
     for column, first in enumerate((0.0, 90.0)):
         past = (sign * (angle_deg - first)) % 180.0

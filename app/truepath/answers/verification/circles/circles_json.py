@@ -1,4 +1,4 @@
-"""Circles driven on the fly as JSON, and in sentences."""
+"""Circles executed on the fly as JSON, and in sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
 
 
 def circles_json(found: CirclesInMotion) -> dict[str, Any]:
-    """Return `circles_in_motion`, and the rows of `circles_missing`."""
+    """`circles_in_motion`, and the rows of `circles_missing`."""
     return {
         "circles_in_motion": [_circle_json(one) for one in found.circles],
         "circles_missing": list(found.broken),
@@ -30,7 +30,7 @@ def circles_json(found: CirclesInMotion) -> dict[str, Any]:
 
 
 def state_circles(found: CirclesInMotion) -> Iterator[str]:
-    """Yield a sentence for each circle, and one for each that is missing."""
+    """One per circle, and one per missing circle."""
     for one in found.circles:
         figures = ", ".join(
             f"{name} {format_expanded(value, one.measured.uncertainty_um[name])}"

@@ -64,7 +64,7 @@ class PolarWords:
     mark: Callable[[str], str] = str
 
     def name(self, figure: str) -> str:
-        """Return the name of a figure: G of one sense with its sense."""
+        """G of one sense with its sense."""
         letter, _, of = figure.partition("_")
         senses = {
             "counterclockwise": self.counterclockwise,
@@ -86,9 +86,9 @@ ENGLISH = PolarWords(
 def draw_polar_circles(
     circles: Sequence[Mapping[str, Any]], words: PolarWords
 ) -> Markup:
-    """Return one figure of all circles that tell the centre they are to be drawn about.
+    """One figure of all circles that have a fitted centre.
 
-    circles : `circles_in_motion` of `verification.json`; nothing comes of none
+    circles : `circles_in_motion` of `verification.json`; empty where none has one
     """
     drawable = [one for one in circles if one.get("centre_um")]
     if not drawable:
@@ -146,20 +146,16 @@ def _draw_circle(
 
 @dataclass(frozen=True, slots=True)
 class _Polar:
-    """The scale of one circle: `rings` of `step_um` on either side of the nominal."""
-
     step_um: float
     rings: int
 
     @classmethod
     def fit(cls, curves_um: Sequence[Sectors]) -> _Polar:
-        """Return a scale of round numbers that holds the curves."""
         largest = max(_LEAST_UM, *(float(np.abs(one).max()) for one in curves_um))
         step = round_up(largest / _MOST_RINGS)
         return cls(step, math.ceil(largest / step - 1e-9))
 
     def place(self, deviation_um: Sectors) -> Sectors:
-        """Return the radii of deviations in the figure."""
         share = deviation_um / (self.step_um * self.rings)
         return _NOMINAL + (_OUTER - _NOMINAL) * share
 
@@ -173,14 +169,12 @@ class _Polar:
         width: float,
         dash: str = "",
     ) -> Markup:
-        """Return a closed curve; angles are from the first axis to the second."""
         out = self.place(values_um)
         x, y = centre[0] + out * np.cos(angle), centre[1] - out * np.sin(angle)
         points = "L".join(f"{a:.2f} {b:.2f}" for a, b in zip(x, y, strict=True))
         return draw_strokes([f"M{points}Z"], colour, width=width, dash=dash)
 
     def draw_rings(self, centre: Sectors, plane: str, words: PolarWords) -> Markup:
-        """Return rings with their numbers, and both axes with their names."""
         at_um = self.step_um * np.arange(-self.rings, self.rings + 1)
         radii = self.place(at_um).tolist()
         x, y = centre.tolist()
@@ -208,7 +202,6 @@ class _Polar:
 def _centre(
     radial_um: Mapping[str, Sequence[float]], centre_um: Sequence[float]
 ) -> dict[str, Sectors]:
-    """Return the radius less the nominal one about a centre, by sense."""
     centre = np.array(centre_um)[:, None]
     return {
         sense: take_centre_off(np.array(values)[:, None], centre)[:, 0]

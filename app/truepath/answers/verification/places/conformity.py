@@ -16,7 +16,7 @@ class Conformity(StrEnum):
 def decide_conformity(
     value_um: float, expanded_uncertainty_um: float, tolerance_um: float
 ) -> Conformity:
-    """Return whether a length keeps to its tolerance, whatever it is in its interval.
+    """Decide on a length for all values in its interval.
 
     Within where the value and its expanded uncertainty keep to the tolerance, outside
     where the value less its uncertainty does not, else undecided (ISO 14253-1:2017).

@@ -1,7 +1,7 @@
-"""Figures that noise makes larger: the middle of what it leaves for them.
+"""Figures that noise makes larger: the middle of the interval that it allows.
 
-A range, or a repeatability, is the largest of many linear combinations a·m of what is
-measured, m = t + e. So whatever the true t,
+A range, or a repeatability, is the largest of many linear combinations a·m of the
+measured m = t + e. So whatever the true t,
 
     f(m) − f(e) ≤ f(t) ≤ f(m) − a·e    with the a that is largest at t
 
@@ -26,10 +26,10 @@ _SIDE = float(ndtri(0.975))
 def enclose_largest(
     raw: float, by_error: Float64[np.ndarray, " e"], largest_sigma: float
 ) -> tuple[float, float]:
-    """Return the middle of the interval, and its standard uncertainty (k = 1).
+    """Middle of the interval, and its standard uncertainty (k = 1).
 
-    raw : figure of what was measured; by_error : of draws of the error alone
-    largest_sigma : largest standard deviation of what the figure may be the largest of
+    raw : figure of the measurement; by_error : of draws of the error alone
+    largest_sigma : largest standard deviation of the combinations a·e
     """
     more = float(np.quantile(by_error, _BY_ERROR))
     less = _SIDE * largest_sigma

@@ -1,4 +1,4 @@
-"""Measurement and prediction at the same places, both less their rigid motion."""
+"""Measurement and prediction at the same points, both less their rigid motion."""
 
 from __future__ import annotations
 
@@ -42,40 +42,40 @@ _GROWTH = 5e-5  # of a length: steel that is some 4 K warmer
 
 @dataclass(frozen=True, slots=True)
 class PlaceVectors:
-    """A vector at each place, less rigid motion; covariance : (n, 3, 3) of it."""
+    """A vector at each point, less rigid motion; covariance : (n, 3, 3) of it"""
 
     vector_mm: Float64[np.ndarray, "n 3"]
     covariance_mm2: Float64[np.ndarray, "n 3 3"]
 
     @property
     def length_um(self) -> Float64[np.ndarray, " n"]:
-        """Lengths."""
+        """Euclidean, µm."""
         return UM_PER_MM * np.linalg.norm(self.vector_mm, axis=1)
 
     @property
     def length_sigma_um(self) -> Float64[np.ndarray, " n"]:
-        """Standard uncertainty of a length: that of the direction known least."""
+        """Standard uncertainty of a length: that of the least known direction, µm."""
         largest = np.linalg.eigvalsh(self.covariance_mm2)[:, -1]
         return UM_PER_MM * np.sqrt(np.maximum(largest, 0.0))
 
     @property
     def sigma_um(self) -> Float64[np.ndarray, "n 3"]:
-        """Standard uncertainties of the components."""
+        """Standard uncertainties of the components, µm."""
         variance = np.diagonal(self.covariance_mm2, axis1=1, axis2=2)
         return UM_PER_MM * np.sqrt(np.maximum(variance, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """χ² of deviations, and how likely a larger one is if all is as stated.
+    """χ² of deviations, and the chance of a larger one if all is as stated.
 
-    The noise is known by the Run itself, as well as it has data beyond those that a
-    free machine takes up: the chance is that of an F distribution.
+    The noise is estimated from the Run itself, with the degrees of freedom that a free
+    machine leaves: the chance is that of an F distribution.
 
     share_within : of components that are within their expanded uncertainty (k = 2)
-    known_by : degrees of freedom by which the Run knows its noise
-    repeated : chance of what a machine free to err otherwise leaves: small where the
-        measurement itself does not fit together
+    known_by : degrees of freedom of the noise of the Run
+    repeated : chance of the residual of a machine with free errors: small where the
+        measurement is inconsistent in itself
     """
 
     chi_square: float
@@ -87,7 +87,7 @@ class Consistency:
 
     @property
     def is_consistent(self) -> bool:
-        """Whether the deviations are what noise and stated uncertainty allow."""
+        """With a chance of 5 % or more by noise and stated uncertainty."""
         return self.chance >= _LIKELY
 
     @property
@@ -98,14 +98,14 @@ class Consistency:
 
 @dataclass(frozen=True)
 class HeldPlaces:
-    """Measurement and prediction at places, in their m components, mm.
+    """Measurement and prediction at points, in their m components, mm.
 
     scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     tracker_mm : (m, i) by one of each error of a tracker within its specification
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
     lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
-    change_mm : (m, c) by what usually changes of an axis
-    less_rigid : (m, m) takes the best-fit pose and seats out of components
+    change_mm : (m, c) by typical changes of an axis
+    less_rigid : (m, m) removes the best-fit pose and seats from components
     """
 
     result: CalibrationResult
@@ -128,7 +128,7 @@ class HeldPlaces:
         errors: Sequence[Effect],
         scale_ppm: float = 0.0,
     ) -> HeldPlaces:
-        """Return the places of one Run with what a result says of them.
+        """Points of one Run with the prediction of a result.
 
         errors : of the trackers of all Runs, their parameters in standard uncertainties
         scale_ppm : standard uncertainty that all lengths of the Run have in common
@@ -147,7 +147,7 @@ class HeldPlaces:
         size = len(places.owner)
         N = places.nuisance
         turned = [effect.jacobian(at) for effect in errors]
-        # From where is no matter: a shift of all places goes with the pose.
+        # The origin does not matter: a shift of all points goes with the pose.
         away_mm = places.project(at.point_mm - at.point_mm.mean(axis=0))
         return HeldPlaces(
             result,
@@ -165,7 +165,7 @@ class HeldPlaces:
 
     @staticmethod
     def join(parts: Sequence[HeldPlaces]) -> HeldPlaces:
-        """Return several Runs as one, each without a rigid motion of its own."""
+        """Several Runs as one, each with its own rigid motion removed."""
         if len(parts) == 1:
             return parts[0]
         return HeldPlaces(
@@ -184,18 +184,18 @@ class HeldPlaces:
 
     @property
     def covariance_mm2(self) -> Float64[np.ndarray, "m m"]:
-        """Covariance of the measurement: its noise, and what all have in common."""
+        """Of the measurement: its noise, and the errors that all points share."""
         return self.places.noise_mm2 + self.common_mm @ self.common_mm.T
 
     @property
     def common_mm(self) -> Float64[np.ndarray, "m c"]:
-        """Scale, then errors of the tracker: what all places share."""
+        """Scale, then errors of the tracker, which all points share."""
         return np.column_stack([self.scale_mm, self.tracker_mm])
 
     def state(
         self, value: Float64[np.ndarray, " m"], covariance: Float64[np.ndarray, "m m"]
     ) -> PlaceVectors:
-        """Return a quantity and its covariance as vectors at the places."""
+        """A quantity and its covariance as vectors at the points."""
         M = self.less_rigid
         return PlaceVectors(
             self.places.collect(M @ value),
@@ -203,12 +203,12 @@ class HeldPlaces:
         )
 
     def predict_covariance(self) -> Float64[np.ndarray, "m m"]:
-        """Return the covariance of what the result predicts, mm²."""
+        """Of the prediction by the result, mm²."""
         spread = self.columns @ self.result.covariance @ self.columns.T
         return spread + self.lost_mm @ self.lost_mm.T + np.diag(self.bend_mm2)
 
     def free_covariance(self) -> Float64[np.ndarray, "m m"]:
-        """Return that of a machine which errs otherwise, mm²."""
+        """Of a machine with other errors than the result's, mm²."""
         spread = self.columns @ self.result.covariance @ self.columns.T
         free = _FREE**2 * (spread + self.lost_mm @ self.lost_mm.T)
         return free + self.change_mm @ self.change_mm.T + np.diag(self.bend_mm2)
@@ -216,7 +216,7 @@ class HeldPlaces:
     def draw(
         self, covariance: Float64[np.ndarray, "m m"], seed: int
     ) -> Float64[np.ndarray, "n 3 d"]:
-        """Return departures by a covariance, less their rigid motion."""
+        """Samples with a covariance, less their rigid motion."""
         value, vector = np.linalg.eigh(covariance)
         unit = np.random.default_rng(seed).standard_normal((len(value), DRAWS))
         drawn = (vector * np.sqrt(np.maximum(value, 0.0))) @ unit
@@ -225,7 +225,7 @@ class HeldPlaces:
     def compute_chi_square(
         self, covariance: Float64[np.ndarray, "m m"]
     ) -> tuple[float, int]:
-        """Return χ² of the deviations, pose and seats fitted, and its freedom."""
+        """χ² of the deviations, pose and seats fitted, and its freedom."""
         deviation = self.places.residual_mm - self.predicted_mm
         factor = np.linalg.cholesky(self.covariance_mm2 + covariance)
         whitened = np.linalg.solve(
@@ -238,9 +238,9 @@ class HeldPlaces:
     def fit_share(
         self, data: Float64[np.ndarray, " m"], shape: Float64[np.ndarray, " m"]
     ) -> tuple[float, float]:
-        """Return how many times a shape is in data, and the inverse variance of that.
+        """Factor of a shape in data, and the inverse variance of it.
 
-        Pose and seats are fitted beside it; the noise is that of the measurement.
+        Pose and seats are fitted as well; the noise is that of the measurement.
         """
         factor = np.linalg.cholesky(self.covariance_mm2)
         columns = np.column_stack([data, shape, self.places.nuisance])
@@ -255,9 +255,9 @@ class HeldPlaces:
         covariance: Float64[np.ndarray, "m m"],
         true: Float64[np.ndarray, "m m"],
     ) -> tuple[float, float]:
-        """Return scale and freedom of the χ² by one covariance where another is true.
+        """Scale and freedom of the χ² by one covariance where another is true.
 
-        Its first two moments (Satterthwaite 1946), pose and seats taken off.
+        By its first two moments (Satterthwaite 1946), pose and seats removed.
         """
         V = self.covariance_mm2
         ratio = np.linalg.solve(V + covariance, V + true)
@@ -271,13 +271,13 @@ class HeldPlaces:
 def judge_consistency(
     held: HeldPlaces, spread: Float64[np.ndarray, "m m"]
 ) -> Consistency:
-    """Return how the deviations stand to the noise and to the result's own covariance.
+    """Test the deviations against the noise and the result's own covariance.
 
-    spread : (m, m) covariance of what the result predicts, mm²
+    spread : (m, m) covariance of the prediction, mm²
     """
     chi_square, freedom = held.compute_chi_square(spread)
     free = held.free_covariance()
-    # What is known of the tracker is no matter of the Run.
+    # Prior knowledge of the tracker does not come from the Run.
     tracker = held.tracker_mm @ held.tracker_mm.T
     _, noise_freedom = held.match_chi_square(free, -tracker)
     known_by = max(noise_freedom, _FEWEST)
@@ -303,8 +303,8 @@ def _orthonormalise(columns: Float64[np.ndarray, "m k"]) -> Float64[np.ndarray, 
 
 
 def _list_typical_changes_mm(at: Conditions) -> Float64[np.ndarray, "n 3 c"]:
-    # By lost motion, and by growth of linear axes; from where growth is counted is no
-    # matter: a shift of all places goes with the pose.
+    # By lost motion, and by growth of linear axes; the origin of growth does not
+    # matter: a shift of all points goes with the pose.
     machine = at.machine
     moved: list[Float64[np.ndarray, "n 3"]] = []
     for column, axis in enumerate(machine.axes):

@@ -1,12 +1,12 @@
 """Mean, 95th percentile and largest length of vectors that are known with noise.
 
 A length of a noisy vector is too long on average: its square by the trace of the
-covariance of the noise, which is taken off. What that leaves of the noise in a
+covariance of the noise, which is subtracted. The remaining effect of the noise on a
 statistic is found by adding noise once more (a parametric bootstrap; Efron & Tibshirani
-1993, chapter 10) and taken off as well; the uncertainty has its spread, what was taken
-off again, how well the size of the noise is known, and the scale that all places have
-in common. Where lengths drown in noise the bootstrap sees but a part of what noise adds
-to their upper end: there twice as much counts.
+1993, chapter 10) and subtracted as well; the uncertainty has its spread, the second
+subtraction, the uncertainty of the size of the noise, and the scale that all points
+have in common. Where noise is larger than the lengths the bootstrap shows only a part
+of what noise adds to their upper end: there twice as much counts.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ def state_measured(
     known_by: float,
     scale_mm: Float64[np.ndarray, "n 3"],
 ) -> LengthStatistics:
-    """Return the statistics of vectors, of which noise is part.
+    """Statistics of vectors that include noise.
 
-    noise_mm : drawn from its distribution
-    known_by : degrees of freedom by which the size of the noise is known
-    scale_mm : what one standard uncertainty of the scale makes of each
+    noise_mm : sampled from its distribution
+    known_by : degrees of freedom of the size of the noise
+    scale_mm : by one standard uncertainty of the scale
     """
     added = np.mean(np.sum(noise_mm**2, axis=1), axis=1)
     length = _take_off(vector_mm[:, :, None], added)
     value = _state(UM_PER_MM * length)[:, 0]
-    # What is left of the noise shows where it is added to what seems to be there.
+    # Adding noise to the apparent lengths shows the bias that remains.
     seems = vector_mm * length / np.linalg.norm(vector_mm, axis=1)[:, None]
     again = _state(UM_PER_MM * _take_off(seems[:, :, None] + noise_mm, added))
     bias = again.mean(axis=1) - value
@@ -71,7 +71,6 @@ def state_measured(
 def _take_off(
     vector_mm: Float64[np.ndarray, "n 3 d"], added: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n d"]:
-    """Return lengths whose squares have less of what noise adds on average."""
     square = np.sum(vector_mm**2, axis=1) - added[:, None]
     return np.sqrt(np.maximum(square, 0.0))
 
@@ -79,9 +78,9 @@ def _take_off(
 def state_predicted(
     vector_mm: Float64[np.ndarray, "n 3"], departure_mm: Float64[np.ndarray, "n 3 d"]
 ) -> LengthStatistics:
-    """Return what is expected of vectors that may depart from a prediction.
+    """Statistics of vectors that may deviate from a prediction.
 
-    departure_mm : drawn from the distribution of truth less prediction
+    departure_mm : sampled from the distribution of truth less prediction
     """
     length = np.linalg.norm(vector_mm[:, :, None] + departure_mm, axis=1)
     drawn = _state(UM_PER_MM * length)

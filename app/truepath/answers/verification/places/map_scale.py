@@ -1,9 +1,9 @@
 """How much of a result's map a measurement shows, and what that says of a controller.
 
-As found a machine errs by what the result says of it, so 1 time; an ideal compensation
-leaves 0, one of the wrong sign 2. Files that carry a part of the errors alone leave the
-rest: what they should leave stands beside what is seen, and whether they are active is
-told by what they add, not by what is left.
+As found a machine has the errors of the result, so 1 time; an ideal compensation leaves
+0, one of the wrong sign 2. Files that compensate only a part of the errors leave the
+rest: their expected residual is stated together with the measured one, and whether they
+are active is decided by what they add, not by what remains.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ _NEARLY = 0.2  # of the expected number, whatever the noise
 class MapScale:
     """How much of the result's map the machine still has.
 
-    uncertainty : the standard one; expected : 1 as found, else what the files leave
-    cause : why it is otherwise, of the controller's compensation; None where it is not
-        otherwise, or the measurement does not tell
+    uncertainty : the standard one; expected : 1 as found, else the residual of the
+        files
+    cause : why it differs, of the controller's compensation; None where it does not
+        differ, or the measurement does not determine it
     """
 
     value: float
@@ -37,7 +38,7 @@ class MapScale:
 
 
 def find_map_scale(held: HeldPlaces, *, is_compensated: bool) -> MapScale | None:
-    """Return how much of the map is in the measurement; None where it has no errors.
+    """Factor of the map in the measurement; None where the map has no errors.
 
     is_compensated : the controller is said to correct by files of the result
     """
@@ -52,7 +53,6 @@ def find_map_scale(held: HeldPlaces, *, is_compensated: bool) -> MapScale | None
 
 
 def _judge_files(held: HeldPlaces) -> ScaleCause | None:
-    """Return what is wrong with files that are said to be active, by what they add."""
     added = held.predicted_mm - held.as_found_mm
     share, square = held.fit_share(held.places.residual_mm - held.as_found_mm, added)
     if square < 1.0:
@@ -61,7 +61,6 @@ def _judge_files(held: HeldPlaces) -> ScaleCause | None:
 
 
 def _find_cause(times: float, sigma: float, causes: Causes) -> ScaleCause | None:
-    """Return the cause of the only number that the measurement allows."""
     clear = 3.0 * sigma + _NEARLY
     near: list[ScaleCause | None] = [
         cause for number, cause in causes.items() if abs(times - number) < clear

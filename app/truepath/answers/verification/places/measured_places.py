@@ -1,10 +1,11 @@
-"""A measurement reduced to places: standstills, and stretches of lines.
+"""A measurement reduced to points: standstills, and segments of lines.
 
-A place is the mean of a standstill in three components, or of about a second of a line
+A point is the mean of a standstill in three components, or of about a second of a line
 in the two across it: along it the tracker's clock says only when the machine was where.
-The noise of all places together is that of the cells: white, and correlated in time.
+The noise of all points together is that of the cells: white, and correlated in time.
+
 Everything here is linear in the pose of the tracker, which is unknown like the seats of
-further targets: whoever states a deviation takes both out first.
+further targets: remove both before stating a deviation.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ from truepath.numerics.rigid import RigidTransform
 PLACE_S = 1.0  # of a line: longer than most correlation times, shorter than a shape
 MOST_PLACES = 500
 _SEEN = 0.5
-_RESTS = 0.02  # of its travel: an axis that stands
+_RESTS = 0.02  # of its travel: an axis at rest
 
 
 @dataclass(frozen=True)
 class MeasuredPlaces:
-    """n places, with m components that were measured of them, in mm.
+    """n points, with m measured components, in mm.
 
     at, row : (n,) conditions, and rows of the path or points
     run : (n,) which of several Runs measured each, from 0
-    cells, means : what the places are means of
+    cells, means : what the points are means of
     component : (m, 3) unit directions in the frame that the tracker stands on
-    owner : (m,) the place of each
+    owner : (m,) the point of each
     residual_mm : (m,) measured less nominal
     nuisance : (m, k) columns of pose and seats
     noise_mm2 : (m, m) covariance
@@ -59,9 +60,9 @@ class MeasuredPlaces:
     def project(
         self, vectors: Float64[np.ndarray, "c 3 ..."]
     ) -> Float64[np.ndarray, "m ..."]:
-        """Return the measured components of the mean vector of each place.
+        """Measured components of the mean vector of each point.
 
-        vectors : at the cells; errors bend within the stretch of a line
+        vectors : at the cells; errors bend within the segment of a line
         """
         mean = self.means.of(vectors)[self.owner]
         return np.einsum("mi,mi...->m...", self.component, mean)
@@ -69,7 +70,7 @@ class MeasuredPlaces:
     def collect(
         self, values: Float64[np.ndarray, "m ..."]
     ) -> Float64[np.ndarray, "n 3 ..."]:
-        """Return the vector of each place, 0 in a direction that was not measured."""
+        """Vector of each point, 0 in a direction that was not measured."""
         vectors = np.zeros((len(self), 3, *values.shape[1:]))
         trailing = (1,) * (values.ndim - 1)
         np.add.at(
@@ -82,7 +83,7 @@ class MeasuredPlaces:
     def collect_covariance(
         self, covariance: Float64[np.ndarray, "m m"]
     ) -> Float64[np.ndarray, "n 3 3"]:
-        """Return the covariance of the vector of each place."""
+        """Covariance of the vector of each point."""
         found = np.zeros((len(self), 3, 3))
         for place in range(len(self)):
             own = np.flatnonzero(self.owner == place)
@@ -92,12 +93,12 @@ class MeasuredPlaces:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all three components were measured at every place."""
+        """Whether all three components were measured at every point."""
         return len(self.owner) == 3 * len(self)
 
     @property
     def unseen_directions(self) -> tuple[str, ...]:
-        """Directions that lie across no line and at no standstill: nothing tells them.
+        """Directions without data: across no line and at no standstill.
 
         A component counts as along one that is less than 60° from it.
         """
@@ -106,7 +107,7 @@ class MeasuredPlaces:
 
     @property
     def resting_axes(self) -> tuple[str, ...]:
-        """Axes that all places were measured at one position of: nothing tells them."""
+        """Axes that moved by less than 2 % of their travel."""
         machine = self.at.machine
         moved = np.ptp(self.at.position_mm, axis=0)
         return tuple(
@@ -117,9 +118,9 @@ class MeasuredPlaces:
 
     @property
     def sees_all(self) -> bool:
-        """Whether every direction is seen, and every linear axis as it moves.
+        """Whether every direction was measured, and every linear axis moved.
 
-        Rotary axes stand in all tests of linear ones, which say nothing of them.
+        Rotary axes rest in all tests of linear ones, which say nothing of them.
         """
         linear = {axis.name for axis in self.at.machine.linear_axes}
         return not self.unseen_directions and not linear & {*self.resting_axes}
@@ -128,7 +129,7 @@ class MeasuredPlaces:
 def reduce_to_places(
     observations: Observations, pose: RigidTransform, noise: NoiseModel
 ) -> MeasuredPlaces:
-    """Return the places of a Run. pose : workpiece to tracker, near the true one."""
+    """Points of a Run. pose : workpiece to tracker, near the true one"""
     cells = observations.leave_out_ramps()
     starts = _find_starts(cells)
     seen, means = cells.join(starts), CellMeans(cells.count, starts)
@@ -153,7 +154,7 @@ def reduce_to_places(
 
 
 def join_places(parts: Sequence[MeasuredPlaces]) -> MeasuredPlaces:
-    """Return the places of several Runs, one after another, each with its own pose."""
+    """Points of several Runs, one after another, each with its own pose."""
     if len(parts) == 1:
         return parts[0]
     places = np.cumsum([0, *(len(part) for part in parts[:-1])])
@@ -176,7 +177,7 @@ def join_places(parts: Sequence[MeasuredPlaces]) -> MeasuredPlaces:
 
 
 def _join_moments(parts: Sequence[Conditions]) -> Conditions:
-    """Return moments of several Runs without what a recording says of one Run alone."""
+    """Without recorded quantities, which belong to one Run alone."""
     first = parts[0]
     return Conditions(
         first.machine,
@@ -192,7 +193,6 @@ def _join_moments(parts: Sequence[Conditions]) -> Conditions:
 
 
 def _find_starts(observations: Observations) -> Int64[np.ndarray, " n"]:
-    """Return the first cell of each place: of standstills, and stretches of lines."""
     rate_hz = observations.at.machine.tracker.rate_hz
     ends = observations.lines
     stretches = observations.count.sum() / rate_hz / PLACE_S
@@ -210,13 +210,13 @@ def _find_starts(observations: Observations) -> Int64[np.ndarray, " n"]:
 def _list_components(
     seen: Observations,
 ) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
-    """Return three directions at a standstill, the two across it on a line."""
+    """Three directions at a standstill, the two across it on a line."""
     directions: list[Float64[np.ndarray, "k 3"]] = []
     for travel, line in zip(seen.direction, seen.at.line, strict=True):
         if line < 0 or not travel.any():
             directions.append(np.eye(3))
         else:
-            # The last rows of V span what is square to the travel.
+            # The last rows of V span the plane normal to the travel.
             directions.append(np.linalg.svd(travel[None, :])[2][1:])
     owner = np.repeat(np.arange(len(seen)), [len(each) for each in directions])
     return np.concatenate(directions), owner
@@ -255,7 +255,7 @@ def _build_noise(
 def correlate_means(
     time_s: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"], tau_s: float
 ) -> Float64[np.ndarray, "n n"]:
-    """Return the covariance of means of an Ornstein–Uhlenbeck process of variance 1.
+    """Covariance of means of an Ornstein–Uhlenbeck process of variance 1.
 
     time_s : (n,) middles of spans that do not overlap; span_s : (n,) their lengths
     """

@@ -1,6 +1,6 @@
-"""Conformity of many places with one tolerance, by ISO 14253-1.
+"""Conformity of many points with one tolerance, by ISO 14253-1.
 
-All of them have to be within; one outside decides. So that a place among many does not
+All of them have to be within; one outside decides. So that a point among many does not
 fail by chance, the coverage factor is that with which all of them lie within their
 uncertainties together in 95 % of cases.
 """
@@ -26,7 +26,7 @@ class PlaceConformity:
     """Lengths against a tolerance.
 
     tolerance_um : upper limit; coverage_factor : of the expanded uncertainties
-    worst : place that is farthest outside, or nearest to it
+    worst : point that is farthest outside, or nearest to it
     """
 
     conformity: Conformity
@@ -38,7 +38,7 @@ class PlaceConformity:
 
 
 def compute_joint_factor(count: int, known_by: float) -> float:
-    """Return the k with which so many independent values all lie within k σ.
+    """Factor k such that `count` independent values all lie within k σ, by 95 %.
 
     known_by : degrees of freedom of σ (Student's distribution, as in GUM G.3)
     """
@@ -54,11 +54,11 @@ def decide_places(
     *,
     sees_all: bool = True,
 ) -> PlaceConformity:
-    """Return whether lengths keep to a tolerance.
+    """One decision for all lengths.
 
     sigma_um : their standard uncertainties; known_by : degrees of freedom of these
-    sees_all : whether every direction is measured somewhere, and every axis as it
-        moves; else what was seen may be outside, but cannot prove that all is within
+    sees_all : whether every direction is measured somewhere, and every axis moved; else
+        a point may be outside, but nothing proves that all is within
     """
     factor = compute_joint_factor(len(length_um), known_by)
     half = factor * sigma_um

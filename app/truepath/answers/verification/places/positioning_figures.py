@@ -4,10 +4,10 @@
     B = largest |reversal value|,                 Bᵢ = x̄ᵢ↑ − x̄ᵢ↓ = 2 hᵢ
     E = range of the means of both directions,    x̄ᵢ ± hᵢ
 
-Their uncertainties are the spreads over errors drawn from the covariance (JCGM 101);
-the half differences hᵢ, which a result states apart from its model, are drawn as wholly
-correlated along their axis. Repeatability and accuracy need repeated approaches of
-target positions: they are not here.
+Their uncertainties are the spreads over errors sampled from the covariance (JCGM 101);
+the half differences hᵢ, which a result states apart from its model, are sampled as
+fully correlated along their axis. Repeatability and accuracy need repeated approaches
+of target positions: they are not here.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PositioningFigures:
     """Of one axis, in `unit`: "um" or "urad".
 
     range : lowest and highest position of those that they are of, in `position_unit`:
-        measured, or the travel where nobody knows what was measured
+        measured, or the travel where the measured range is unknown
     reversal : None where the result has no dependence on direction
     """
 
@@ -70,7 +70,7 @@ class HalfDifference:
 def compute_positioning_figures(
     estimated: EstimatedModel, halves: Mapping[str, HalfDifference], measured: Ranges
 ) -> tuple[PositioningFigures, ...]:
-    """Return the figures of every axis whose positioning is known, where it is.
+    """Of every axis whose positioning is known, over its measured range.
 
     halves : by the symbol, of those that depend on the direction
     measured : by axis, the range that was measured, if it is known
@@ -124,7 +124,7 @@ def _choose_positions(axis: Axis, measured: Ranges) -> Float64[np.ndarray, " n"]
 def _draw_half(
     half: HalfDifference | None, position: Float64[np.ndarray, " n"], count: int
 ) -> Float64[np.ndarray, "n d"]:
-    """Return half differences: as stated, then as they may be."""
+    """Half differences: first as stated, then sampled."""
     if half is None:
         return np.zeros((1, count))
     departure = np.random.default_rng(0).standard_normal(count)

@@ -1,4 +1,4 @@
-"""What a result says of the target's motion, and the poses of the tracker beside it."""
+"""Predicted motion of the target by a result, and the poses of the tracker given it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from truepath.results.lost_motion import find_lost_motion_mm
 _ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth
 
 Correction = Callable[[Conditions], Float64[np.ndarray, "n 3"]]
-"""What a controller adds at the conditions of cells, mm."""
+"""Correction by a controller at the conditions of cells, mm."""
 
 
 def predict_displacement(
     result: CalibrationResult, at: Conditions, correction: Correction | None = None
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return how far off nominal the target is, as errors and controller move it.
+    """Displacement from nominal, by errors of the machine and the controller.
 
     Lost motion counts by the direction that each axis came from.
     """
@@ -48,11 +48,11 @@ def find_poses(
     parts: Sequence[Observations],
     correction: Correction | None,
 ) -> Sequence[RunInput]:
-    """Return the pose and the noise of each part, whatever its machine is.
+    """Pose and noise of each part, whatever its machine is.
 
-    The noise is that beside a machine which is free to err otherwise than the result
-    says, so that what the result gets wrong does not pass for noise. Of what the result
-    explains nothing is left to be taken for errors: noise is not lost to them either.
+    The noise is estimated next to a machine whose errors are free, so that errors of
+    the result do not count as noise. The prediction is subtracted first: no noise is
+    lost to the free errors either.
     """
     known = extract_known_effects(
         result.model, np.zeros(result.model.size), result.covariance
@@ -63,14 +63,14 @@ def find_poses(
     starts = [_take_off(result, part, correction) for part in parts]
     try:
         return _settle_noise(models.coarse, starts, known)
-    except Unidentifiable:  # too few places to tell: as loud as is usual
+    except Unidentifiable:  # too few points: typical noise
         return [replace(one, noise=raise_noise(one.noise)) for one in starts]
 
 
 def _take_off(
     result: CalibrationResult, part: Observations, correction: Correction | None
 ) -> RunInput:
-    """Return what a result leaves unexplained of a part, with its rough pose."""
+    """Residual of a part after the prediction, with its rough pose."""
     moved = predict_displacement(result, part.at, correction)
     rest = replace(part, tracker_mm=part.tracker_mm - moved @ part.pose.rotation.T)
     return RunInput(rest, part.pose, guess_noise(part, perpendicular_only=False))
@@ -79,10 +79,11 @@ def _take_off(
 def _settle_noise(
     model: MachineModel, starts: Sequence[RunInput], known: KnownEffects
 ) -> Sequence[RunInput]:
-    """Return pose and noise with how far the machine errs judged by that same noise.
+    """Alternate between the noise and the variance of the machine's free errors.
 
     By a noise that is too low, some of it passes for error of the free machine, which
-    the next noise then lacks: few places cannot tell, so both are found in turn.
+    the next noise then lacks: few points cannot distinguish them, so both are found in
+    turn.
     """
     found: Sequence[RunInput] = starts
     for _ in range(_ROUNDS):

@@ -19,7 +19,7 @@ depends_on = None
 def upgrade() -> None:
     """Apply.
 
-    The tables are those of `schema` until a revision follows: it takes a copy of them
-    along, since this step has to go on making the tables that it makes today.
+    The tables are those of `schema` until a revision follows: it then needs a copy of
+    them here, since this step has to make the same tables for ever.
     """
     metadata.create_all(op.get_bind(), checkfirst=False)
