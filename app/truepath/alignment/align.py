@@ -1,4 +1,4 @@
-"""Runs in, observations out."""
+"""Observations of closed Runs, at standstill, on the fly or polled."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ from truepath_drivers.interfaces.records import Path
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
-_FEWEST_POINTS = 4  # of which three tell the pose
+_FEWEST_POINTS = 4  # of which three determine the pose
 _FEWEST_ROWS = 3
 _CLEARLY = 0.95  # of the standstills
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
@@ -67,16 +67,16 @@ _DECIMALS = 6  # mm or deg
 _OTHER_FEED = 0.03  # of the commanded one; controllers keep it far better
 _STEADY_S = 0.5  # at least: a short line may not come to its feed
 _HOLD_S = 0.3  # shorter standstills are no hold
-_GAP = 5.0  # times the usual step; the beam is lost for single samples as well
-_TELLING_S = 0.2  # of dwell: a ramp is short beside it
-_CLOCK = 0.25  # of the logarithm: less may be the ramps beside a standstill
+_GAP = 5.0  # times the typical step; the beam is lost for single samples as well
+_TELLING_S = 0.2  # of dwell: a ramp is short against it
+_CLOCK = 0.25  # of the logarithm: less may be due to ramps next to a standstill
 _FROM_ENDS_MM = 1.0  # nearer to a waypoint it is the waypoint
 
 
 def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
-    """Align Runs; return the observations of each, with their surroundings.
+    """Observations of each Run, with their surroundings.
 
-    Raises AlignmentError with the name of the Run meant where there are several.
+    Raises AlignmentError, with the name of the Run where there are several.
     """
     observed: list[Observations] = []
     for name, run in zip(names, runs, strict=True):
@@ -97,9 +97,9 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
-    """Recognise what the machine did in the stream and reduce it to observations.
+    """Match the stream to the commanded path or points and reduce it to cells.
 
-    cell_mm : longest cell on a line; shorter ones show shorter waves
+    cell_mm : longest cell on a line; shorter ones resolve shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
     if run.points is not None:
@@ -188,7 +188,6 @@ def _match_or_explain(
 def _match(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
-    """Return the path by the targets' seats, the standstills, and which is where."""
     machine, path = run.machine, run.commanded
     nominal = compute_nominal_path(machine, path)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
@@ -222,10 +221,7 @@ def _list_beyond(
     matching: Matching,
     nominal: NominalPath,
 ) -> list[LeftOut]:
-    """Return how often the target stands still before the path and after it.
-
-    Where that is the path once more, return how many samples it has.
-    """
+    """Standstills before and after the path; samples where it is repeated."""
     found: list[LeftOut] = []
     expected = matching.pose.apply(nominal.place_mm)
     sides: tuple[tuple[Cause, int, int], ...] = (
@@ -248,10 +244,8 @@ def _list_beyond(
 def _list_astray(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> list[LeftOut]:
-    """Return the parts of the stream that stand still, but at none of their places.
-
-    As many in a row as places are missing there: the machine went on, and the stream
-    lost its frame.
+    """Parts of the stream with several standstills in a row that match no point, where
+    points are missing: the machine went on, and the stream lost its frame.
     """
     stop = np.concatenate([[-1], matching.stop, [len(stops)]])
     place = np.concatenate([[-1], matching.waypoint, [len(nominal.first)]])
@@ -274,7 +268,6 @@ def _list_astray(
 def _list_lines_without_pass(
     nominal: NominalPath, passes: tuple[Pass, ...]
 ) -> list[LeftOut]:
-    """Return the lines on which nothing was measured although axes move for a while."""
     seen = {each.row for each in passes}
     takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
     rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
@@ -303,7 +296,7 @@ def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
 
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:
-    """Refuse what moves no target: the rotary axes turn about it, or on other sides."""
+    """Rejects rotary axes that turn about the target, or do not carry it."""
     rows = len(nominal.end_mm)
     if rows < _FEWEST_ROWS:
         raise AlignmentError(
@@ -321,7 +314,7 @@ def _require_motion(nominal: NominalPath, commanded: str) -> None:
 def drop_measured_elsewhere(
     runs: Sequence[Run], observed: Sequence[Observations]
 ) -> list[Observations]:
-    """Return the observations without the missing rows that other Runs have.
+    """Removes missing rows from `left_out` that other Runs have measured.
 
     An interrupted measurement that was continued is several Runs: a row is missing only
     if none of them has it.
@@ -348,7 +341,6 @@ def drop_measured_elsewhere(
 def _add_driven_elsewhere(
     number: int, runs: Sequence[Run], observed: Sequence[Observations]
 ) -> Driving | None:
-    """Return what was driven of a path, on to where other Runs of it begin and end."""
     driving = observed[number].driving
     if driving is None or driving.is_whole:
         return driving
@@ -367,7 +359,6 @@ def _add_driven_elsewhere(
 
 
 def _describe_row(run: Run, row: int) -> tuple[object, ...]:
-    """Return what a line or point is: its ends or place, and its target."""
     path = run.commanded
     first = row - 1 if isinstance(path, Path) else row
     ends = np.round(path.position[max(first, 0) : row + 1], _DECIMALS)
@@ -383,7 +374,7 @@ def _describe_driving(
     nominal: NominalPath,
     passes: Sequence[Pass],
 ) -> Driving:
-    # A measurement rests on none of it, but who ran the program should know.
+    # For the operator; the measurement does not depend on it.
     place = matching.waypoint
     feeds = _find_other_feeds(stream, nominal, passes)
     clock = _find_clock(run, stream, stops, matching, nominal, feeds, len(passes))
@@ -411,7 +402,7 @@ def _find_clock(
     feeds: dict[int, float],
     lines: int,
 ) -> float:
-    """Return how much longer all took than it should, 1 where that is not certain.
+    """Ratio of measured to commanded times, 1 where it is not certain.
 
     An override changes the lines alone, a wrong rate the standstills as well.
     """
@@ -437,7 +428,7 @@ def _find_clock(
 def _find_other_feeds(
     stream: Stream, nominal: NominalPath, passes: Sequence[Pass]
 ) -> dict[int, float]:
-    """Return shares of the feed; how it is split over rotary axes is the control's."""
+    """Without rotary axes: each control splits the feed over them differently."""
     found: dict[int, float] = {}
     for each in passes:
         if not each.is_steady or nominal.turn_deg[each.row] > 0.0:
@@ -469,7 +460,6 @@ def _find_holds(
 def _is_on_line(
     nominal: NominalPath, row: int, place_mm: np.ndarray, matching: Matching
 ) -> bool:
-    """Tell whether a place is on a line, and neither its beginning nor its end."""
     curve = nominal.curve(row)
     share, off_mm = curve.nearest(place_mm[None])
     way_mm = float(share[0]) * curve.length_mm

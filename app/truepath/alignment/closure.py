@@ -1,9 +1,9 @@
-"""How far an interrupted Run has got, and whether its set-up still stands as it did.
+"""Progress of an interrupted Run, and whether its set-up is unchanged.
 
-Before a measurement goes on, the machine stands again where it stood last, come from
-where it came then. The tracker was not moved and neither was the reflector if it is
-seen at the same places, to noise, repeatability and the tracker's own distance: places
-are compared in the tracker's frame, for anything that moved shows there.
+Before a measurement continues, the machine returns to its last points, from the same
+direction. Neither tracker nor reflector was moved if the reflector is seen at the same
+points, to noise, repeatability and the tracker's own distance: points are compared in
+the tracker's frame, for any move shows there.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import select_rows
 from truepath_drivers.interfaces.records import Path
 
-MOST_PLACES = 3  # that are compared
-_NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
-_REPEATS_MM = 0.003  # machine and reflector, come from the same side
+MOST_PLACES = 3  # compared, at most
+_NOISE = 0.25  # of one sample's: after a second of samples, air included
+_REPEATS_MM = 0.003  # machine and reflector, approached from the same side
 _LIMIT = 4.0  # of the standard uncertainty of a difference
-_SEARCHED_MM = 20.0  # a target that is farther from its place was not knocked
+_SEARCHED_MM = 20.0  # a larger distance is no shift of the set-up
 
 
 @dataclass(frozen=True)
 class Committed:
-    """What of a Run is there for good, and where the target stood last.
+    """Completed part of a Run, and the last points of the target.
 
-    next_row : of the commanded rows: the line to it, or the point, is the first left
-    row : (k,) rows of the last standstills, in the order of driving
-    place_mm : (k, 3) where the target was, in the tracker's frame
+    next_row : of the commanded rows: the line to it, or the point, is the first to
+        measure
+    row : (k,) rows of the last standstills, in the order of motion
+    place_mm : (k, 3) position of the target, in the tracker's frame
     """
 
     next_row: int
@@ -47,9 +48,9 @@ class Committed:
 
 @dataclass(frozen=True)
 class Closure:
-    """How far the target is from where it was before the interruption.
+    """Distance of the target from its points before the interruption.
 
-    step_mm : the largest distance of a place; allowed_mm : of that
+    step_mm : the largest of the distances; allowed_mm : its limit
     """
 
     step_mm: float
@@ -57,15 +58,15 @@ class Closure:
 
     @property
     def agrees(self) -> bool:
-        """Whether the set-up still stands as it did."""
+        """True if the set-up is unchanged."""
         return self.step_mm <= self.allowed_mm
 
 
 def find_committed(run: Run) -> Committed:
-    """Return how far a Run has got. Raises AlignmentError where it tells no pose.
+    """Progress of a Run. Raises AlignmentError where it does not determine a pose.
 
-    A line counts with the standstill at its end, a point once it was dwelt at in full.
-    A pose takes three places that are not on one straight line.
+    A line counts with the standstill at its end, a point once its dwell is complete. A
+    pose takes three points that are not on one straight line.
     """
     seen = align(run)
     still = seen.at.line < 0
@@ -92,10 +93,10 @@ def find_committed(run: Run) -> Committed:
 def find_again(
     run: Run, place_mm: Float64[np.ndarray, "k 3"]
 ) -> Float64[np.ndarray, "k 3"]:
-    """Return where the target stands now, of each place before, in the same order.
+    """Present position of the target at each earlier point, in the same order.
 
-    run : standstill points, of which the places are the last. Raises AlignmentError
-    where there are fewer standstills, or none is near a place.
+    run : standstill points, of which these are the last. Raises AlignmentError where
+        there are fewer standstills, or one is not near its point.
     """
     if run.points is not None:
         now_mm = run.tracker.position_mm[-len(place_mm) :]
@@ -127,7 +128,7 @@ def compare_places(
     now_mm: Float64[np.ndarray, "k 3"],
     noise: TrackerNoise,
 ) -> Closure:
-    """Return how far the places are apart, and how far they may be."""
+    """Largest distance between both, with a limit of 4 standard uncertainties."""
     along_mm, across_mm = noise.sigma_mm(np.linalg.norm(before_mm, axis=1)).T
     variance = (_NOISE * along_mm) ** 2 + 2.0 * (_NOISE * across_mm) ** 2
     sigma_mm = np.sqrt(2.0 * (variance + _REPEATS_MM**2))

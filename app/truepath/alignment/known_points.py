@@ -1,8 +1,8 @@
-"""Known points: places of the reflector that the tracker measures from every station.
+"""Known points: reflector positions that the tracker measures from every station.
 
-The machine stands there again after the tracker was moved. What it puts the reflector
-off by is the same both times, so a rigid motion from one station to the other has to
-fit to the noise, the repeatability of the machine and what the tracker may be off by.
+The machine returns to them after the tracker was moved. Its positioning error is the
+same both times, so a rigid motion from one station to the other has to fit to the
+noise, the repeatability of the machine and the tracker's systematic errors.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.numerics.rigid import fit_rigid
 
-_NOISE = 0.25  # of one sample's: what a second of samples leaves, air included
+_NOISE = 0.25  # of one sample's: after a second of samples, air included
 _REPEATS_MM = 0.003  # machine and reflector, within minutes
 _LIMIT = 4.0  # of the standard uncertainty of a point
-_MOVED = 0.2  # of the way that the tracker was asked to go
+_MOVED = 0.2  # of the planned move of the tracker
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class KnownPoints:
     """Known points as measured from one station.
 
     tracker_mm : (n, 3) in the tracker's frame
-    sigma_mm : of a point; place_mm : of the tracker, in the frame it stands on
+    sigma_mm : of a point; place_mm : of the tracker, in the frame that it is mounted on
     """
 
     tracker_mm: Float64[np.ndarray, "n 3"]
@@ -40,12 +40,12 @@ class KnownPoints:
 
 @dataclass(frozen=True)
 class StationCheck:
-    """How a new station agrees with the one before.
+    """Agreement of a new station with the previous one.
 
     moved_mm : of the tracker; residual_mm : root mean square distance of the points
-    after the best rigid motion; allowed_mm : of that
+        after the best rigid motion; allowed_mm : its limit
     problem : `not-seen`, `not-moved` or `residual` where the station cannot be used,
-    text : in words
+        text : its description
     """
 
     place_mm: Float64[np.ndarray, "3"]
@@ -57,9 +57,9 @@ class StationCheck:
 
 
 def measure_points(run: Run, specification: TrackerSpecification) -> KnownPoints:
-    """Return the points of a Run at standstill. Raises AlignmentError.
+    """Points of a Run at standstill, with uncertainties. Raises AlignmentError.
 
-    specification : what the tracker may be off by
+    specification : of the tracker's systematic errors
     """
     seen = align(run)
     count = len(run.commanded)
@@ -91,9 +91,9 @@ def measure_points(run: Run, specification: TrackerSpecification) -> KnownPoints
 def compare_stations(
     before: KnownPoints, now: KnownPoints, asked_mm: float
 ) -> StationCheck:
-    """Return how a station agrees with the one before.
+    """Agreement of a station with the previous one.
 
-    asked_mm : how far the tracker was asked to go
+    asked_mm : planned distance of the tracker's move
     """
     motion = fit_rigid(now.tracker_mm, before.tracker_mm)
     left = motion.apply(now.tracker_mm) - before.tracker_mm
@@ -121,11 +121,11 @@ def compare_stations(
 def hold_against_plan(
     now: KnownPoints, planned_mm: Float64[np.ndarray, "3"], asked_mm: float
 ) -> StationCheck:
-    """Return how the first station agrees with its place in the plan.
+    """Agreement of the first station with its planned position.
 
     It may be as far off as a further one, which has to go a fifth of the way at least.
 
-    asked_mm : from its place to that of the next station
+    asked_mm : from its planned position to that of the next station
     """
     off_mm = float(np.linalg.norm(now.place_mm - planned_mm))
     problem = text = ""

@@ -1,7 +1,7 @@
-"""Points of a tracker that is polled, one by one while they are measured.
+"""Points of a polled tracker, one by one during the measurement.
 
-Each says which commanded row it is of. Where they belong together the pose is known;
-from then on a point is where its row is, or astray.
+Each names its commanded row. Once a few agree the pose is known; from then on a point
+is near its row, or off it.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FEWEST, _TRIES = 4, 30  # points among which the first pose is sought
+_FEWEST, _TRIES = 4, 30  # points for the first pose: at least, at most
 
 
 class PointAlignment:
-    """Holds measured points against their rows while they come in. One thread.
+    """Compares measured points with their rows while they come in. One thread.
 
     pose : workpiece to tracker from the points so far, None before it is known
     """
@@ -50,8 +50,8 @@ class PointAlignment:
         nothing = PointRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3, 3)))
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
         self._points = nothing
-        self._near: list[int] = []  # points that are where their rows are
-        self._waiting: list[int] = []  # of these, whose targets' seats are not known
+        self._near: list[int] = []  # points near their rows
+        self._waiting: list[int] = []  # of these, with targets' seats not settled
         self._astray: list[LeftOut] = []
         self._known = KnownSeats()
         self._reach_mm = TOLERANCE_MM
@@ -61,13 +61,13 @@ class PointAlignment:
 
     @property
     def seats(self) -> Seats:
-        """Targets that sit far off their places, and by how much, as known so far."""
+        """Targets far off their stated positions, and their shifts, as known so far."""
         return self._known.seats
 
     def list_astray(self) -> tuple[LeftOut, ...]:
-        """Return the points since the latest known one, as one; nothing of few.
+        """Points off their rows since the last good one, as one; none below three.
 
-        Those before it are said with the observations.
+        Those before it are reported with the observations.
         """
         if len(self._astray) < FEWEST_ASTRAY or not self._near:
             return ()
@@ -84,7 +84,7 @@ class PointAlignment:
         return (whole,)
 
     def extend(self, commanded: Path | Configurations) -> None:
-        """Know of further rows; the earlier ones are among them as they were."""
+        """Further rows; the earlier ones are among them, unchanged."""
         self._run = replace(self._run, commanded=commanded)
         self._know_rows()
 
@@ -99,7 +99,7 @@ class PointAlignment:
             self._refine_pose()
 
     def add(self, block: PointBlock) -> list[CellBlock]:
-        """Take the next points; return those that are where their rows are."""
+        """Cells of points near their rows, once the target's seat is settled."""
         before = len(self._run.tracker)
         tracker = TrackerSamples.join([self._run.tracker, block.samples])
         self._run = replace(self._run, tracker=tracker)
@@ -112,12 +112,12 @@ class PointAlignment:
         return self._deliver()
 
     def finish(self) -> list[CellBlock]:
-        """Nothing follows: return what was waiting for more."""
+        """End of data: the cells that were waiting for a target's seat."""
         self._is_over = True
         return self._deliver()
 
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
-        """Return points as one block, about the pose as it is now."""
+        """Points as one block, about the present pose."""
         if self.pose is None:
             raise AlignmentError("the points so far do not tell the pose")
         begin_s = min(float(part.cells.time_s[0]) for part in parts)
@@ -140,7 +140,7 @@ class PointAlignment:
                 seating=seating,
             )
         except AlignmentError:
-            return  # too little so far: more points may tell
+            return  # too few so far: more points may suffice
         same = found.stop[found.stop == found.waypoint]
         if len(same) >= _FEWEST and is_wide(
             self._place_mm[waypoints[same]], self._place_mm
@@ -149,7 +149,6 @@ class PointAlignment:
             self._sort_by_place(measured)
 
     def _sort_by_place(self, measured: Int64[np.ndarray, " m"]) -> None:
-        """Keep the points that are where their rows are; say what of the others."""
         for sample in measured.tolist():
             assert self.pose is not None  # noqa: S101 (the callers have asked)
             (waypoint,) = self._waypoints_of(np.array([sample]))
@@ -184,7 +183,6 @@ class PointAlignment:
         return self._is_over or self._known.is_known(int(waypoint))
 
     def _find_reach_mm(self, waypoint: int) -> float:
-        """Return how far off its place a point may be."""
         return self._reach_mm + self._known.find_reach_mm(waypoint)
 
     def _places_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:

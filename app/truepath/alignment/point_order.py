@@ -1,4 +1,4 @@
-"""At which commanded points shots were taken that nothing names."""
+"""Assign unnamed shots to commanded points by position and order."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from truepath.motion.configurations import Configurations
 def order_shots(
     machine: Machine, points: Configurations, tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> Int64[np.ndarray, " n"] | None:
-    """Return the row of each shot by order and place, −1 of one that is at no point.
+    """Row of each shot, −1 off all points; None if shots do not follow them.
 
-    Shots in a row at one place are of one point; any may be missing. Nothing is
-    returned where they do not follow the points.
+    Consecutive shots at one position are of one point; any point may be missing.
     """
     if not len(tracker_mm):
         return None

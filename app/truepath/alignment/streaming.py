@@ -1,8 +1,8 @@
-"""A Run that is still being measured -> finished passes and standstills, one by one.
+"""Finished passes and standstills of a Run in progress, one by one.
 
-The same functions as for a whole Run, fed with what has come so far. The first matching
-takes at least three standstills that do not lie on one line; from then on the pose says
-which waypoint a standstill is, among the next few in the order of the path.
+The same functions as for a whole Run, applied to the samples so far. The first matching
+takes at least three standstills that do not lie on one line; from then on the pose
+decides which waypoint a standstill is, among the next few in the order of the path.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from truepath.motion.workspace.line_of_sight import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
+_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning needs
 _FEWEST = 3  # standstills that fix a pose
-_TRIES = 30  # standstills among which the first matching is sought
+_TRIES = 30  # standstills for the first matching, at most
 _MOST_KEPT_S = 600.0  # of one line
 
 
 class StreamingAlignment:
-    """Recognises what the machine does while the samples come in. One thread.
+    """Matches the stream to the commanded rows while samples come in. One thread.
 
     pose : workpiece to tracker from the standstills so far, None before the first match
     """
@@ -65,7 +65,7 @@ class StreamingAlignment:
         self._begun_s: list[float] = []  # of each of these
         self._astray: list[tuple[int, float]] = []  # the newest, and how far off
         self._was_astray: list[LeftOut] = []
-        self._delivered = 0  # matched standstills up to which all is handed on
+        self._delivered = 0  # matched standstills up to which all cells are delivered
         self._passes: list[Pass] = []
         self._is_over = False
         self._unusable: list[LeftOut] = []
@@ -73,15 +73,15 @@ class StreamingAlignment:
 
     @property
     def seats(self) -> Seats:
-        """Targets that sit far off their places, and by how much, as known so far."""
+        """Targets far off their stated positions, and their shifts, as known so far."""
         return self._known.seats
 
     def place_rows(self, since_s: float = -np.inf) -> Float64[np.ndarray, "w 3"] | None:
-        """Return where in the tracker's frame each row of straight lines should be.
+        """Expected position of each row in the tracker's frame, for straight lines.
 
-        As the standstills say that have begun since a time. None where they do not fix
-        a pose, where lines bend, and where targets are exchanged: where these sit is
-        known at the end only.
+        From the standstills that have begun since `since_s`. None where they do not
+        determine a pose, where lines bend, and where targets are exchanged: their seats
+        are known at the end only.
         """
         if self.pose is None or self._known.seating or not self._nominal.is_polygon:
             return None
@@ -93,12 +93,11 @@ class StreamingAlignment:
         return fit_rigid(nominal, places).apply(self._nominal.end_mm)
 
     def list_astray(self) -> tuple[LeftOut, ...]:
-        """Return the times in which all standstills were at no place of the path."""
+        """Periods in which no standstill was at a point of the path."""
         now = self._describe_astray()
         return (*self._was_astray, *((now,) if now else ()))
 
     def _describe_astray(self) -> LeftOut | None:
-        """Return the standstills since the latest known one; None of few."""
         if len(self._astray) < FEWEST_ASTRAY:
             return None
         first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
@@ -113,11 +112,11 @@ class StreamingAlignment:
 
     @property
     def samples_kept(self) -> int:
-        """How many samples wait for more."""
+        """Number of samples kept for later."""
         return self._stream.kept
 
     def extend(self, commanded: Path | Configurations) -> None:
-        """Know of further rows; the earlier ones are among them as they were."""
+        """Further rows; the earlier ones are among them, unchanged."""
         self._run = replace(self._run, commanded=commanded)
         self._know_rows()
 
@@ -132,7 +131,7 @@ class StreamingAlignment:
         self._seat_path()
 
     def add(self, block: TrackerSamples) -> list[CellBlock]:
-        """Take the next samples; return what they finish."""
+        """Cells of the passes and standstills that these samples finish."""
         raw = TrackerSamples.join([self._raw, block])
         valid = find_valid_samples(raw)
         old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
@@ -143,7 +142,7 @@ class StreamingAlignment:
         return self._add_valid(raw, np.flatnonzero(fresh & valid))
 
     def finish(self) -> list[CellBlock]:
-        """Nothing follows: return what was waiting for more."""
+        """End of data: the cells that were waiting for more."""
         held = np.arange(max(len(self._raw) - _HELD, 0), len(self._raw))
         valid = find_valid_samples(self._raw)
         found = self._add_valid(self._raw, held[valid[held]])
@@ -153,7 +152,7 @@ class StreamingAlignment:
         return found + self._last_standstill()
 
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
-        """Return the cells of stretches as one block, about the pose as it is now.
+        """Cells as one block, about the present pose.
 
         `first` and `last` of its passes count valid samples.
         """
@@ -204,7 +203,7 @@ class StreamingAlignment:
                 join_stops(stops, 0), nominal_mm, ordered_by=names, seating=seating
             )
         except AlignmentError:
-            return  # too little so far, or another path: the batch will say
+            return  # too few so far, or another path: the batch decides
         if is_wide(nominal_mm[found.waypoint], self._place_mm):
             pairs = zip(found.stop.tolist(), found.waypoint.tolist(), strict=True)
             self._matched, self.pose = list(pairs), found.pose
@@ -232,10 +231,7 @@ class StreamingAlignment:
             self._note_astray(index, begin)
 
     def _note_astray(self, index: int, begin: int) -> None:
-        """Note a standstill that is neither at a place ahead nor on the way there.
-
-        begin : the next place
-        """
+        """Records a standstill off all points ahead and the way to them."""
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         place = self.pose.invert().apply(self._stream.stops[index].position_mm)
         away_mm = np.linalg.norm(self._known.seated_mm[begin:] - place, axis=1)
@@ -248,7 +244,6 @@ class StreamingAlignment:
             self._astray.append((index, float(away_mm.min())))
 
     def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
-        """Return how far off targets may be whose seats are not known yet."""
         ahead = range(*places.indices(len(self._place_mm)))
         if self._is_over or self._known.seating is None:
             return np.zeros(len(ahead))

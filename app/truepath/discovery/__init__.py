@@ -1,4 +1,4 @@
-"""What the model still lacks: where it errs, which effect is missing, and the proof.
+"""Effects missing in the model: where it deviates, their names and evidence.
 
 Here: search, evidence, names, open questions. Not here: the effects themselves
 (`kinematics.effects`), documents and report of a discovery (`answers.discovery`).
@@ -7,26 +7,27 @@ Runs are compared with a baseline (`estimation.noise.baseline`): the rigid-body 
 fitted to them, or a reference model. Each further effect is a term that is linear in
 its parameters; leads, time constants and event times are scanned, then refined.
 
-Evidence. Machine, poses, the timing of each line and what the tracker may be off by are
-integrated out first, so that a displacement that these can absorb is no evidence. A
-term of information S, data r and prior covariance D then has the log Bayes factor
-½ rᵀ (S + D⁻¹)⁻¹ r − ½ log det (I + D S) (Kass & Raftery 1995), less the log of the
-number of alternatives that were tried.
+Evidence. Machine, poses, the timing of each line and the tracker's systematic errors
+are integrated out first, so that a displacement that these can absorb is no evidence. A
+term of information S, data r and prior covariance D then has the log Bayes factor ½ rᵀ
+(S + D⁻¹)⁻¹ r − ½ log det (I + D S) (Kass & Raftery 1995), less the log of the number of
+alternatives that were tried.
 
 Search. Terms are added one by one, exchanged and removed. Each needs a log Bayes factor
-of 5, and whole lines held out of the fit must be predicted better. The noise is then
-fitted again beside the terms, and the search repeated. Structure without a physical
-cause (waves, errors of two axes) competes with the causes, and gives way to them.
+of 8, and whole lines held out of the fit must be predicted better. The noise is then
+fitted again together with the terms, and the search repeated. Structure without a
+physical cause (waves, errors of two axes) competes with the causes, and gives way to
+them.
 
-Statement. Parameters with their uncertainty, the effects that explain the Runs as well,
-and the gap on held-out lines before and after. Questions that stay open go to
+Result. Parameters with their uncertainty, the effects that explain the Runs as well,
+and the gap on held-out lines before and after. Undecided questions go to
 `terms.discrimination`, which designs lines to decide them; old and new Runs are then
-explained together, each with a pose, a timing and a noise of its own.
+explained together, each with separate pose, timing and noise.
 
 Modules in the order of the data: evidence, scan, event_time, value_refinement,
 term_fitter, term_search, findings, residual_location, discover, extended_model,
 open_questions.
 
-brunn-hanebeck-2005 leaves non-rigid behaviour to future work, and sanders-2023 what its
-residuals hold.
+brunn-hanebeck-2005 leaves non-rigid behaviour to future work, and sanders-2023 the
+content of its residuals.
 """

@@ -1,4 +1,4 @@
-"""From Runs to the effects that their model lacks: prepare, search, state."""
+"""From Runs to the effects missing in their model: prepare, search, report."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _MOST_CELLS = 12_000  # of all Runs: memory and time grow with them
 
 @dataclass(frozen=True)
 class AlignedRun:
-    """A Run cut into fine and coarse cells that know their surroundings."""
+    """A Run in fine and coarse cells, both with their surroundings."""
 
     run: Run
     observations: Observations
@@ -72,7 +72,6 @@ def align_runs(runs: Sequence[Run]) -> tuple[AlignedRun, ...]:
 
 
 def _measure_way(run: Run) -> float:
-    """Return how far the linear axes of a Run go, in mm."""
     linear = {axis.name for axis in run.machine.linear_axes}
     columns = [name in linear for name in run.commanded.axes]
     steps = np.diff(run.commanded.position[:, columns], axis=0)
@@ -80,12 +79,10 @@ def _measure_way(run: Run) -> float:
 
 
 def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
-    """Return the observations that a discovery may rest on.
-
-    Ramps are left out, unless the Run has nothing but these: what acceleration does
-    would pass for effects of place and speed. So is the first point of a standstill
-    Run, and the stand before a path: the side that the machine reached it from is
-    unknown, and an axis with play stands elsewhere from either side.
+    """Ramps are excluded, unless the Run has nothing else: effects of acceleration
+    would pass for effects of position and speed. So is the first point of a standstill
+    Run, and the standstill before a path: its direction of approach is unknown, and an
+    axis with play stops elsewhere from either side.
     """
     if run.mode == "standstill":
         return observations.select(np.flatnonzero(observations.row > 0))
@@ -98,7 +95,6 @@ def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
 def _add_surroundings(
     run: Run, observations: Observations, number: int
 ) -> Observations:
-    """Return observations of a Run with its number and their surroundings."""
     observations = _leave_out_unlike(run, observations)
     return add_surroundings(
         observations,
@@ -111,13 +107,13 @@ def _add_surroundings(
 
 @dataclass(frozen=True)
 class Discovery:
-    """What the model lacks.
+    """Effects missing in the model, with their evidence and residuals.
 
-    aligned : each Run, where the baseline places its tracker
+    aligned : each Run, with the tracker's pose of the baseline
     fitter : fits other terms to the Runs
     baseline_fit, fit : of the baseline alone, and with the terms found
-    findings : that hold, by evidence, greatest first; possible : names that do not
-    tried : what decided between these
+    findings : accepted, greatest evidence first; possible : names that are not
+    tried : the decision between these
     residuals : of each Run, before and after, and where they are
     """
 
@@ -139,12 +135,12 @@ class Discovery:
 
     @property
     def leaves_gap(self) -> bool:
-        """Whether held-out lines are predicted worse than by a complete model."""
+        """True if held-out lines are predicted worse than by a complete model."""
         return is_open(self.fit)
 
     @property
     def compared(self) -> int:
-        """How many effects were looked for."""
+        """Number of effects in the catalogue searched."""
         return len(self.fitter.catalogue)
 
 
@@ -153,10 +149,10 @@ def discover(
     reference: EstimatedModel | None = None,
     on_progress: ShareProgress = ignore_progress,
 ) -> Discovery:
-    """Find the effects that the model of Runs lacks.
+    """Search for the effects missing in the model of Runs.
 
-    runs : of one machine, each with its own tracker pose, timing and noise
-    reference : the model; the rigid-body model fitted to the Runs if None
+    runs : of one machine, each with separate tracker pose, timing and noise
+    reference : the model; None fits the rigid-body model to the Runs
 
     Raises AlignmentError, EstimationError if the Runs cannot be fitted at all,
     BundleError if they are not of one machine.

@@ -1,9 +1,9 @@
-"""The time of an event, such as a knock: tried at every cell around the best time.
+"""The time of an event, such as an unintended shift of the set-up, to one cell.
 
 Two times within one line differ on that line alone, so all other lines are summed once.
-The exact time within a line stands out only from its neighbours within some hundredths
-of a second, and a pause beside the line is the best of all times farther away: no slope
-leads to the exact time.
+The exact time within a line exceeds its neighbours only within some hundredths of a
+second, and a pause next to the line is the best of all times farther away: no slope
+leads to the exact time. So every cell around the best time is tried.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ _ROUNDS = 4  # the best time moves into a line, to its end, and beyond
 
 @dataclass(frozen=True)
 class _Trials:
-    """Times that were tried, their distances, and their log Bayes factors."""
-
     time_s: Float64[np.ndarray, " v"]
     width_s: Float64[np.ndarray, " v"]
     log_bayes: Float64[np.ndarray, " v"]
@@ -38,11 +36,9 @@ class _Trials:
 
     @property
     def best_s(self) -> float:
-        """The time of greatest evidence."""
         return float(self.time_s[np.argmax(self.log_bayes)])
 
     def sigma_s(self) -> float:
-        """Return the standard uncertainty of the best time, by the weight of all."""
         weight = np.exp(self.log_bayes - self.log_bayes.max()) * self.width_s
         square = (self.time_s - self.best_s) ** 2 + self.width_s**2 / 12.0
         return float(np.sqrt(weight @ square / weight.sum()))
@@ -51,7 +47,7 @@ class _Trials:
 def locate_event(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
-    """Return a term that happens once at its best time, with its uncertainty.
+    """A one-time term at its best time, with its uncertainty.
 
     beside : terms that are fitted with it
     """
@@ -79,7 +75,6 @@ def locate_event(
 def _try_line(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm, line: int
 ) -> _Trials:
-    """Try the times between the cells of a line, and in the pause before it."""
     edges_s = data.equations.lines.edges_s(line)
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):

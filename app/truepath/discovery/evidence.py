@@ -1,4 +1,4 @@
-"""The evidence for a term, and how well held-out lines are predicted.
+"""The evidence for a term, and the prediction error of held-out lines.
 
 The machine, which any smooth error motion fits, is integrated out first: a displacement
 that it can absorb is no evidence. A term of k parameters with prior covariance D then
@@ -7,7 +7,7 @@ has the log Bayes factor
     log B = ½ rᵀ (S + D⁻¹)⁻¹ r − ½ log det (I + D S),
 
 S and r its information and data once the machine has taken its share. The second part
-is the price of freedom.
+penalises free parameters.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from truepath.estimation.problem.information import Information, compute_posteri
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 
-_FREE = 100.0  # times the usual size: a fitted term has hardly a prior
+_FREE = 100.0  # times the typical size: a fitted term has hardly a prior
 
 
 def prior_precision(
     base: Float64[np.ndarray, "b b"], terms: Sequence[CandidateTerm]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision of machine, poses and fitted terms together.
+    """Prior precision of machine, poses and fitted terms together.
 
-    The usual size decides whether a term is there; how large it is, the data say.
+    The typical size matters for the existence of a term only; fitted, it has a hundred
+    times this size as a prior.
     """
     usual = _FREE * np.concatenate([np.zeros(0), *(t.candidate.usual for t in terms)])
     size = len(base)
@@ -55,7 +56,7 @@ class Remainder:
     data: tuple[Float64[np.ndarray, " p"], ...]
 
     def log_bayes(self) -> Float64[np.ndarray, " t"]:
-        """Return the log Bayes factor of each term."""
+        """One for each term, without the cost of the search."""
         each = zip(self.information, self.data, self.terms, strict=True)
         return np.array([log_bayes(S, r, term.candidate.usual) for S, r, term in each])
 
@@ -65,7 +66,7 @@ def log_bayes(
     r: Float64[np.ndarray, " p"],
     usual: Float64[np.ndarray, " p"],
 ) -> float:
-    """Return log B of a term from its information, data and usual size."""
+    """Log B of a term from its information, data and typical size."""
     scaled = np.eye(len(r)) + usual[:, None] * S * usual
     pull = usual * r
     _, log_determinant = np.linalg.slogdet(scaled)
@@ -78,9 +79,9 @@ def integrate_out(
     precision: Float64[np.ndarray, "p p"],
     terms: Sequence[CandidateTerm],
 ) -> Remainder:
-    """Return what is left for each term once all other parameters are integrated out.
+    """Information and data of each term once all other parameters are integrated out.
 
-    blocks : normal equations of each term beside the other parameters
+    blocks : normal equations of each term with the other parameters
     precision : prior of the other parameters
     """
     size = len(precision)
@@ -105,13 +106,13 @@ def _solve_lower(
 
 @dataclass(frozen=True, slots=True)
 class HeldOutMisfit:
-    """How well lines are predicted that were held out of the fit.
+    """Prediction error of lines that were held out of the fit.
 
     square : (k,) squared misfit of each fold in units of the noise
     freedom : (k,) its expectation from noise alone
-    unknown : (k,) what the fit's own uncertainty adds to that expectation
+    unknown : (k,) addition to that expectation by the uncertainty of the fit
     fast_square, fast_freedom : (k,) of the samples within their cells; `square` has
-        only what fast effects take from them
+        only the part that fast effects take from them
     """
 
     square: Float64[np.ndarray, " k"]
@@ -121,19 +122,19 @@ class HeldOutMisfit:
     fast_freedom: Float64[np.ndarray, " k"]
 
     def measure_ratio(self, *, fast: bool = False) -> float:
-        """Return the weighted root mean square misfit over that of noise.
+        """Weighted root mean square misfit over that of noise.
 
-        fast : of the samples within their cells as well
+        fast : include the samples within their cells
         """
         square = self.square.sum() + (self.fast_square.sum() if fast else 0.0)
         return float(np.sqrt(square / self._total_freedom(fast)))
 
     def expect_ratio(self, *, fast: bool = False) -> float:
-        """Return the ratio of a complete model: noise and the fit's uncertainty."""
+        """Ratio expected of a complete model: noise and the fit's uncertainty."""
         return float(np.sqrt(1.0 + self.unknown.sum() / self._total_freedom(fast)))
 
     def measure_excess(self, *, fast: bool = False) -> float:
-        """Return the squared misfit beyond that of noise, in units of the noise."""
+        """Squared misfit beyond that of noise, in units of the noise."""
         ratio = self.measure_ratio(fast=fast)
         return (ratio**2 - 1.0) * self._total_freedom(fast)
 
@@ -144,7 +145,7 @@ class HeldOutMisfit:
 def predict_held_out(
     sums: FoldedSums, precision: Float64[np.ndarray, "m m"]
 ) -> HeldOutMisfit:
-    """Predict each fold of lines from all others, under a prior precision."""
+    """Cross-validation: each fold of lines is predicted from all others."""
     total, columns = sums.total, np.arange(len(precision))
     square, unknown = np.zeros((2, len(sums.fold)))
     for k, fold in enumerate(sums.fold):
@@ -172,16 +173,16 @@ class ValueTrials:
 
 @dataclass(frozen=True)
 class TermData:
-    """The lines of all Runs, and what is known of machine and poses.
+    """The lines of all Runs, and the prior of machine and poses.
 
-    precision : (b, b) prior of machine and poses
+    precision : (b, b) of that prior
     """
 
     equations: TermEquations
     precision: Float64[np.ndarray, "b b"]
 
     def conditions_of(self, term: CandidateTerm) -> Conditions:
-        """Return the conditions of the Run that a term is scanned in."""
+        """Of the Run that a term is scanned in; the first Run for terms of all Runs."""
         return self.equations.lines.runs[term.run or 0].observations.at
 
     def compare(
@@ -191,10 +192,10 @@ class TermData:
         *,
         keep: bool = True,
     ) -> Remainder:
-        """Return what the data tell of each term.
+        """Information and data of each term.
 
         beside : terms that are integrated out with machine and poses
-        keep : the terms' columns, to be asked for again
+        keep : cache the terms' columns
         """
         blocks = self.equations.collect_blocks(
             [t.effect for t in beside], [t.effect for t in terms], keep=keep
@@ -207,7 +208,7 @@ class TermData:
         term: CandidateTerm,
         moment_s: Float64[np.ndarray, " v"],
     ) -> Remainder:
-        """Return what the data tell of a term that happens once at several moments.
+        """Information and data of a one-time term at several moments.
 
         moment_s : increasing
         """
@@ -223,7 +224,7 @@ class TermData:
         term: CandidateTerm,
         values: Float64[np.ndarray, " v"],
     ) -> ValueTrials:
-        """Return what the data tell of a term at each of several values."""
+        """Evidence and parameters of a term at each of several values."""
         terms = [term.with_value(float(value)) for value in values]
         remainder = self.compare(beside, terms, keep=False)
         known = prior_precision(np.zeros((0, 0)), [term])

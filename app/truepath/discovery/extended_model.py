@@ -1,7 +1,7 @@
-"""The model with what was found: base and effects as one, with joint covariance.
+"""The model extended by the findings, with joint covariance.
 
-What belongs to the machine becomes part of it. What belongs to the measurement (drift,
-a step, the tracker's own errors) was taken out of the numbers and stays with its Run.
+Effects of the machine become part of it. Effects of the measurement (drift, a step, the
+tracker's own errors) were removed from the numbers and stay with their Run.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class ExtendedModel(EstimatedModel):
     added: tuple[tuple[Finding, Effect], ...]
 
     def holds(self, finding: Finding) -> bool:
-        """Tell whether a finding is part of the model."""
+        """True if the finding is part of the model; compared by identity."""
         return any(finding is one for one, _ in self.added)
 
 
 def extend_model(found: Discovery) -> ExtendedModel:
-    """Return the model of a discovery with the findings that the machine keeps."""
+    """Includes the findings that persist with the machine."""
     base, fit = found.baseline.model, found.fit
     covariance = fit.posterior.covariance.copy()
     added: list[tuple[Finding, Effect]] = []
@@ -61,7 +61,7 @@ def extend_model(found: Discovery) -> ExtendedModel:
 
 
 def baseline_model(found: Discovery) -> ExtendedModel:
-    """Return the model of a discovery as it is estimated without the findings."""
+    """As estimated without the findings."""
     base, fit = found.baseline.model, found.baseline_fit.posterior
     columns = _list_columns(base)
     keep = np.concatenate([np.r_[part] for _, part in columns])
@@ -71,20 +71,18 @@ def baseline_model(found: Discovery) -> ExtendedModel:
 
 
 def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
-    """Return the effects of the machine, and where their parameters are."""
     of_machine = [e for e in base.effects if not is_of_instrument(e)]
     return [(effect, base.slices[effect.name]) for effect in of_machine]
 
 
 def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
-    """Return the effect as part of a model; None if it ends with its Run."""
+    """None if the effect ends with its Run."""
     family, candidate = finding.family, finding.candidate
     numbers = family.list_numbers(candidate)
     return restore_effect(family, model.machine, candidate.keys, numbers)
 
 
 def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
-    """Return a model that has an effect once, even if it was found again."""
     once = {effect.name: effect for effect in reversed(effects)}
     names = dict.fromkeys(effect.name for effect in effects)
     return replace(base, effects=tuple(once[name] for name in names))
@@ -93,6 +91,6 @@ def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
 def _spread_beyond(
     stated: Float64[np.ndarray, "k k"], fitted: Float64[np.ndarray, "k k"]
 ) -> Float64[np.ndarray, "k k"]:
-    """Return what scanned values add to a covariance; never less than nothing."""
+    """Addition to a covariance by scanned values; never negative."""
     value, vector = np.linalg.eigh(stated - fitted)
     return (vector * np.maximum(value, 0.0)) @ vector.T

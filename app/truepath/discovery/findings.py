@@ -1,4 +1,4 @@
-"""What is stated of the effects found, and of the gap on held-out lines."""
+"""Results for each effect found, and for the gap on held-out lines."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LEAST_MM = 5e-4  # half of what most controls correct by
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why an effect is believed.
+    """The evidence of an effect.
 
     log_bayes : of the effect given the others, less the cost of the search
     held_out : gain in log score on lines that were held out of the fit
@@ -39,11 +39,11 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect with its parameters, its evidence, and what else it may be.
+    """One effect with its parameters, its evidence, and alternative explanations.
 
     rivals : terms that would explain the Runs as well
-    is_imitated : so might the tracker, off by more than is stated
-    largest_mm : displacement of the target in all that was measured
+    is_imitated : the tracker could produce it if it exceeds its specification
+    largest_mm : displacement of the target over the whole measurement
     grade : `certain`, `likely`, or `possible` where free forms do as well
     """
 
@@ -69,12 +69,12 @@ class Finding:
 
     @property
     def family(self) -> Family:
-        """The effect's family."""
+        """Family of the term."""
         return self.term.family
 
     @property
     def candidate(self) -> Candidate:
-        """The effect."""
+        """Candidate of the term, at its scanned value."""
         return self.term.candidate
 
     @property
@@ -86,7 +86,7 @@ class Finding:
 def state_findings(
     fitter: TermFitter, baseline: TermFit, tried: TriedNames
 ) -> tuple[Finding, ...]:
-    """Return what is stated of the terms that hold, by evidence, greatest first.
+    """Results for the accepted terms, greatest evidence first.
 
     baseline : the fit without terms
     """
@@ -98,7 +98,7 @@ def state_findings(
 def state_possible(
     fitter: TermFitter, baseline: TermFit, tried: TriedNames
 ) -> tuple[Finding, ...]:
-    """Return what is stated of the names that do not hold."""
+    """Results for the names that are not accepted."""
     terms = tried.named.terms
     return tuple(
         _state(fitter, baseline, tried.named, tried, k)
@@ -150,10 +150,10 @@ def _find_largest_mm(
 
 
 def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
-    """Return the share of the misfit above a complete model's that a term takes.
+    """Share of the misfit above a complete model's that a term removes.
 
-    What the search has left open counts: a lone effect closes all of the gap only where
-    nothing but noise is left.
+    The remaining gap counts: a lone effect closes all of the gap only where nothing but
+    noise remains.
     """
     fast = best.has_fast
     before = baseline.held_out.measure_excess(fast=fast)
@@ -167,9 +167,9 @@ def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
 class Gap:
     """Weighted root mean square of measured minus simulated on held-out lines.
 
-    expected_um : what a complete model would leave there: noise, and the uncertainty
-        of a fit to the other lines
-    usual_um : what noise alone would leave if it were as the tracker states it
+    expected_um : of a complete model: noise, and the uncertainty of a fit to the other
+        lines
+    usual_um : of noise alone at the tracker's specification
     """
 
     before_um: float
@@ -180,7 +180,7 @@ class Gap:
 
 
 def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
-    """Return the gap; with a fast effect, of the samples within cells as well."""
+    """With a fast effect, the samples within cells are included."""
     floor_um, usual_um = _find_noise_floors_um(run_data)
     fast = any(term.is_fast for term in best.terms)
     return Gap(
@@ -193,10 +193,7 @@ def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -
 
 
 def _find_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
-    """Return the root mean square that noise alone leaves in a cell of all Runs.
-
-    As it was found, and as it is stated.
-    """
+    """Root mean square of noise alone in a cell: as found, as specified."""
     square, usual, cells = 0.0, 0.0, 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation

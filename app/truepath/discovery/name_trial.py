@@ -1,20 +1,21 @@
-"""Whether names hold against free forms: shapes that fit anything of the same kind.
+"""Test of names against free forms: shapes that fit anything of the same kind.
 
-A name claims a shape: even in time, the same at every place, of one axis, one harmonic.
-An unlisted cause may look like it, or like two names at once. So each name, and all of
-them together, are tried against structure without a cause in their place: free
-functions of time, place, side of approach, speed and direction of the beam.
+A name claims a shape: constant in time, the same at every point, of one axis, one
+harmonic. An unlisted cause may look like it, or like two names at once. So each name,
+and all of them together, are compared with structure without a cause in their place:
+free functions of time, position, side of approach, speed and direction of the beam.
 
     lead    the log evidence of the names less that of the free forms: a true shape
             needs fewer numbers for the same lines
-    purity  where free forms of its kind stay beside a name, the share of the evidence
-            of both that the name brings alone: a cause has hardly a remainder
-    gap     what names alone leave on held-out lines above what a complete model leaves,
-            of what there was, where the whole explanation leaves some
+    purity  where free forms of its kind remain in addition to a name, the share of the
+            evidence of both that the name alone has: a true cause leaves hardly any
+            residual
+    gap     residual of the names alone on held-out lines above that of a complete
+            model, relative to the original one, where the whole explanation leaves some
 
 A name that fails stays possible, and the structure is described instead. So does one
-that the tracker could imitate: which loses its evidence where all that the tracker may
-be off by is free at three times what is stated. Certain is what stays so there.
+that the tracker could imitate: it loses its evidence where all errors of the tracker
+are free at three times their specification. Certain is what stays so there.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
-_SIGMAS = 4.0  # of what chance makes of the squared gap
+_SIGMAS = 4.0  # of the scatter of the squared gap by chance
 _MOST_FREE = 4  # free forms in the place of a name
 
 
 @dataclass(frozen=True)
 class Support:
-    """What speaks for a name.
+    """The support for a name.
 
     evidence : log Bayes factor given the others, less the cost of the search
     lead : log evidence over free forms; rivals : other names that do as well
@@ -55,20 +56,20 @@ class Support:
 
     @property
     def is_clear(self) -> bool:
-        """Whether nothing else may do as well."""
+        """True if no alternative comes close."""
         far = self.lead >= _CERTAIN_LEAD
         return far and self.evidence >= _CERTAIN_EVIDENCE and not self.rivals
 
 
 @dataclass(frozen=True)
 class TriedNames:
-    """What is left of an explanation once its names have been tried.
+    """An explanation after the test of its names.
 
-    fit : with the names that hold, and structure
-    named : the fit with all names; doubtful : those of its terms that do not hold
-    lead : log evidence of each name that holds over free forms, by label
-    doubted : what speaks for each name, by label, where the tracker may be off by far
-        more than is stated; none of a perfect one
+    fit : with the accepted names, and structure
+    named : the fit with all names; doubtful : those of its terms that are not accepted
+    lead : log evidence of each accepted name over free forms, by label
+    doubted : support for each name, by label, with a tracker that may exceed its
+        specification by far; empty for a perfect one
     """
 
     fit: TermFit
@@ -78,14 +79,14 @@ class TriedNames:
     doubted: dict[str, Support]
 
     def is_imitated(self, term: CandidateTerm) -> bool:
-        """Tell whether the tracker may do what a name says, off by more than stated."""
+        """True if a tracker beyond its specification could produce the effect."""
         doubted = self.doubted.get(term.label)
         return doubted is not None and doubted.evidence < LEAST_EVIDENCE
 
     def grade(
         self, term: CandidateTerm, evidence: float, rivals: tuple[CandidateTerm, ...]
     ) -> str:
-        """Return how sure a name is; evidence, rivals : as of its support."""
+        """`certain`, `likely` or `possible`; evidence, rivals : as in its support"""
         if term in self.doubtful:
             return POSSIBLE
         own = Support(evidence, self.lead.get(term.label, 0.0), rivals)
@@ -95,13 +96,13 @@ class TriedNames:
 
 
 def is_open(fit: TermFit) -> bool:
-    """Tell whether held-out lines are predicted worse than by a complete model."""
+    """True if held-out lines are predicted worse than by a complete model."""
     by_chance = float(np.sqrt(2.0 / fit.held_out.freedom.sum()))
     return fit.gap_ratio**2 > _OPEN**2 + _SIGMAS * by_chance
 
 
 class NameTrial:
-    """Tries the names of a fit against structure without a cause."""
+    """Tests the names of a fit against structure without a cause."""
 
     def __init__(self, fitter: TermFitter, search: TermSearch) -> None:
         self._fitter, self._search = fitter, search
@@ -110,7 +111,7 @@ class NameTrial:
         self._flexible = [term for term in self._free if term.family.varies_with]
 
     def judge(self, best: TermFit) -> TriedNames:
-        """Return the names that hold, and those that do not."""
+        """The accepted names, and those that are not."""
         names = [term for term in best.terms if term.has_cause]
         if not names or self._need_more(best, names):
             return self._doubt(best, names)
@@ -138,7 +139,6 @@ class NameTrial:
     def _doubt_tracker(
         self, best: TermFit, names: Sequence[CandidateTerm]
     ) -> dict[str, Support]:
-        """Return what speaks for names where the tracker may be off by far more."""
         if not self._fitter.has_tracker_errors:
             return {}
         fitter = self._fitter.doubt_tracker()
@@ -158,16 +158,15 @@ class NameTrial:
         out: Sequence[CandidateTerm],
         among: Sequence[CandidateTerm],
     ) -> TermFit:
-        """Return the fit with free forms in the place of names."""
         kept = [term for term in best.terms if term not in out]
         most = len(kept) + max(_MOST_FREE, len(out))
         return self._search.add_among(kept, among, most)
 
     def _measure_lead(self, best: TermFit, names: Sequence[CandidateTerm]) -> float:
-        """Return the log evidence of names over that of free forms in their place.
+        """Log evidence of names over that of free forms in their place.
 
-        Where the best free form alone brings so little that several of them could not
-        reach the names, they are not fitted.
+        The free forms are not fitted where several of the best one's evidence could not
+        reach the names'.
         """
         kept = [term for term in best.terms if term not in names]
         without = self._fitter.fit(kept, refine=False)
@@ -180,9 +179,9 @@ class NameTrial:
         return self._fitter.compare_fits(best, instead)
 
     def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:
-        """Tell whether a name does not hold.
+        """True if a name is not accepted.
 
-        With structure left beside it, it has to be clearly better than a free form.
+        With structure left in addition, it has to be clearly better than a free form.
         """
         is_alone = all(term.has_cause for term in best.terms)
         if lead < (_LEAST_LEAD if is_alone else _CERTAIN_LEAD):
@@ -193,7 +192,6 @@ class NameTrial:
     def _find_purity(
         self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
     ) -> float:
-        """Return the share of the evidence of both that a name brings alone."""
         kept = [t for t in best.terms if t is not name and t not in beside]
         nothing = self._fitter.fit(kept, refine=False)
         alone = self._fitter.fit([*kept, name])
@@ -201,7 +199,6 @@ class NameTrial:
         return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
 
     def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
-        """Tell whether names explain the lines only with structure, or too little."""
         beside = [t for t in fit.terms if t not in names and not t.has_cause]
         if not beside and not is_open(fit):
             return False
@@ -216,11 +213,9 @@ class NameTrial:
 
 
 def _excess(left: HeldOutMisfit, *, fast: bool) -> float:
-    """Return the mean squared misfit above that of a complete model."""
     return left.measure_ratio(fast=fast) ** 2 - left.expect_ratio(fast=fast) ** 2
 
 
 def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
-    """Tell whether a term is a free form of what a name depends on."""
     kind = name.family.varies_with
     return not term.has_cause and bool(kind) and term.family.varies_with == kind

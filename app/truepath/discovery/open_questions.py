@@ -1,8 +1,9 @@
-"""What the Runs leave open, as questions that further lines can decide.
+"""Undecided alternatives of a discovery, as questions that further lines can decide.
 
-Names compete where another effect explains the Runs as well; evidence is thin where one
+Names compete where another effect explains the Runs as well; evidence is weak where one
 effect more, or one less, explains about as much. Each explanation is a Gaussian over
-machine and effects, as the Runs leave it, so that both absorb what the machine can.
+machine and effects, the posterior of the Runs, so that both absorb what the machine
+can.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ TRACKER = "an error of the tracker"  # beyond its specification, that imitates i
 _THIN = LEAST_EVIDENCE + 3.0
 _NEARLY = 0.5 * LEAST_EVIDENCE
 _MOST_QUESTIONS = 3
-_NEGLIGIBLE_MM = 3e-5  # root mean square displacement of a shape that is left out
+_NEGLIGIBLE_MM = 3e-5  # root mean square displacement of a dropped shape
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class HypothesisPair:
     base: int
 
     def measure(self, lines: Sequence[PlacedLine]) -> Float64[np.ndarray, "q q"]:
-        """Return the normal equations of `planning.discrimination.Question`."""
+        """Normal equations for `terms.discrimination.Question`."""
         total = np.zeros((self.columns.shape[1],) * 2)
         for line, base in lines:
             at = line.design.observations.at
@@ -102,7 +103,7 @@ class HypothesisPair:
 def design_discrimination(
     found: Discovery, *, seed: int = 0
 ) -> DiscriminationDesign | None:
-    """Return the lines that would decide what the Runs leave open; None if nothing.
+    """Lines that would decide the open questions; None if there are none.
 
     The same seed gives the same lines.
     """
@@ -117,9 +118,10 @@ def design_discrimination(
 
 
 def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
-    """Return G with θᵀGθ the mean square of displacements over the volume, mm².
+    """G with θᵀGθ the mean square of displacements over the volume, mm².
 
-    Errors of the tracker, sized 1 each, show at its targets alone: as usual effects.
+    Errors of the tracker, of size 1 each, show at its targets alone: weighted as
+    typical effects.
     """
     gram = compute_volumetric_gram(model)
     for effect in filter(is_of_instrument, model.effects):
@@ -131,10 +133,6 @@ def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
 def _list_questions(
     found: Discovery, gram: Float64[np.ndarray, "m m"]
 ) -> Iterator[Question]:
-    """Yield possible names against free forms, rivals, then thin evidence.
-
-    Evidence is thin for one effect less or more.
-    """
     best, fitter = found.fit, found.fitter
     named = found.tried.named
     for finding in found.possible:
@@ -182,17 +180,17 @@ def _form_question(
 
 
 def _foresee_run(found: Discovery) -> Linearisation:
-    """Return the problem with a further Run, its tracker where the first one's is."""
     return replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
 
 
 def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypothesis:
-    """Return what a fit predicts of machine and effects in any Run to come.
+    """Posterior of a fit for machine and effects in any future Run.
 
-    machine : its Gram matrix: θᵀGθ is the mean square of its displacements, mm²
+    machine : Gram matrix of the machine: θᵀGθ is the mean square of its displacements,
+        mm²
 
-    With C = A Aᵀ, the eigenvectors of Aᵀ G A are the shapes of what is unknown, ordered
-    by their displacements; the few that matter are kept.
+    With C = A Aᵀ, the eigenvectors of Aᵀ G A are the undetermined shapes, ordered by
+    their displacements; the few that matter are kept.
     """
     size, theta = len(machine), fit.posterior.theta
     keep = np.r_[np.arange(size), np.arange(fit.base_size, len(theta))]
@@ -211,7 +209,6 @@ def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypoth
 
 
 def _highest_feed_mm_min(runs: Sequence[Run]) -> float:
-    """Return the highest feed that the Runs have driven."""
     feeds = [r.commanded.feed_mm_min for r in runs if isinstance(r.commanded, Path)]
     if not feeds:
         return DEFAULT_FEED_MM_MIN

@@ -1,7 +1,7 @@
-"""Where measured and simulated disagree: by line, axis, place, direction, time, feed.
+"""Location of residuals: by line, axis, position, direction, time, feed.
 
-What a grouping explains is the share of the squared disagreement that the means of its
-groups hold: an effect that follows the line's number shows there and not elsewhere.
+The share of a grouping is the part of the squared residual in the means of its groups:
+an effect that follows the line's number shows there and not elsewhere.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SIDES = {-1.0: "− direction", 0.0: "not yet moved", 1.0: "+ direction"}
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Disagreement on one line or standstill.
+    """Residual on one line or standstill.
 
     row : of the path; axis : that moves most, empty at a standstill; region : in words
     """
@@ -38,9 +38,9 @@ class Segment:
 
 @dataclass(frozen=True)
 class ResidualLocation:
-    """Segments, the worst first, and the share that each grouping explains.
+    """Segments, the worst first, and the share of each grouping.
 
-    residual_mm : (n, 3) of the cells, in the frame that the tracker stands on
+    residual_mm : (n, 3) of the cells, in the frame that the tracker is mounted on
     """
 
     residual_mm: Float64[np.ndarray, "n 3"]
@@ -50,7 +50,7 @@ class ResidualLocation:
 
 @dataclass(frozen=True)
 class RunResidual:
-    """The residual of one Run, before the effects are in the model and with them."""
+    """Residuals of one Run without and with the found effects."""
 
     observations: Observations
     before: ResidualLocation
@@ -59,10 +59,10 @@ class RunResidual:
 
 @dataclass(frozen=True)
 class Covariate:
-    """A number of each cell that the disagreement may depend on.
+    """A number of each cell that the residual may depend on.
 
-    label : with its unit; is_class : cells are grouped by the number as it is
-    names : of the classes, where their numbers mean nothing by themselves
+    label : with its unit; is_class : cells are grouped by the number itself
+    names : of the classes, where their numbers mean nothing to a reader
     """
 
     name: str
@@ -73,7 +73,7 @@ class Covariate:
 
 
 def list_covariates(seen: Observations) -> list[Covariate]:
-    """Return what a disagreement is located by, under the names of its shares."""
+    """Candidates for grouping residuals, by the names of their shares."""
     at, recorded = seen.at, seen.at.recorded
     length_mm = np.linalg.norm(seen.tracker_mm, axis=1)
     speed = np.linalg.norm(at.velocity_mm_s, axis=1)
@@ -100,7 +100,7 @@ def list_covariates(seen: Observations) -> list[Covariate]:
 def locate_residual(
     seen: Observations, residual_mm: Float64[np.ndarray, "n 3"]
 ) -> ResidualLocation:
-    """Return where a residual is."""
+    """Segments sorted by root mean square, and shares of all groupings."""
     parts = [slice(first, last) for first, last in seen.lines]
     segments = [_describe_segment(seen, residual_mm, part) for part in parts]
     segments.sort(key=lambda s: -s.rms_um)
@@ -136,7 +136,6 @@ def _describe_segment(
 
 
 def _describe_region(seen: Observations, part: slice) -> str:
-    """Return the range of each axis in words."""
     low = seen.at.position_mm[part].min(axis=0)
     high = seen.at.position_mm[part].max(axis=0)
     return ", ".join(
@@ -160,7 +159,7 @@ def _list_groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
 
 
 def _main_axis(rate: Float64[np.ndarray, "n a"]) -> Int64[np.ndarray, " n"]:
-    """Return which axis moves most in each cell, −1 where none does."""
+    """Number of the axis that moves most in each cell, −1 where none does."""
     main = np.argmax(np.abs(rate), axis=1)
     return np.where(np.abs(rate).max(axis=1) > 0.0, main, -1)
 
@@ -177,7 +176,6 @@ def _find_share(
     weight: Float64[np.ndarray, " n"],
     group: Int64[np.ndarray, " n"],
 ) -> float:
-    """Return the share of the weighted squares that the groups' means hold."""
     _, index = np.unique(group, return_inverse=True)
     total = np.bincount(index, weight)
     means = np.stack([np.bincount(index, weight * c) / total for c in residual_mm.T])

@@ -1,4 +1,4 @@
-"""A quick scan of what is not linear in a term: leads, time constants, event times.
+"""A quick scan of nonlinear values: leads, time constants, event times.
 
 The term is taken as orthogonal to the machine and the Ornstein–Uhlenbeck noise as
 white: accurate enough to find where a scan peaks. The exact evidence comes later.
@@ -28,7 +28,7 @@ _HOPELESS = 1.0  # log Bayes factor of a best value that neighbours cannot raise
 
 
 def scan_term(term: CandidateTerm, residuals: Sequence[Residual]) -> CandidateTerm:
-    """Return the term at the value of its scan that promises most.
+    """The term at the most promising value of its scan.
 
     residuals : of all Runs, in their order
     """
@@ -49,7 +49,6 @@ def scan_term(term: CandidateTerm, residuals: Sequence[Residual]) -> CandidateTe
 def _best_wave(
     term: CandidateTerm, scan: Scan, wave: Wave, residuals: Sequence[Residual]
 ) -> float:
-    """Return the value of a scan of waves that promises most, between them as well."""
     best = int(np.argmax(_wave_gains(term, wave.waves, residuals)))
     around = slice(max(best - 1, 0), best + 2)
     order = np.argsort(wave.waves[around])
@@ -63,7 +62,6 @@ def _best_wave(
 def _best_value(
     term: CandidateTerm, scan: Scan, residuals: Sequence[Residual]
 ) -> float:
-    """Return the value of any other scan that promises most."""
     if term.family.happens_once:
         gains = _moment_gains(term, residuals, scan.values)
     else:
@@ -82,7 +80,6 @@ def _best_value(
 
 
 def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> float:
-    """Return the quick log Bayes factor of a term at a value."""
     candidate = term.with_value(value).candidate
     data, information = np.zeros(term.size), np.zeros((term.size, term.size))
     for one in residuals:
@@ -102,7 +99,7 @@ def _moment_gains(
     residuals: Sequence[Residual],
     moment_s: Float64[np.ndarray, " v"],
 ) -> Float64[np.ndarray, " v"]:
-    """Return the quick log Bayes factor of a term that happens once at each moment.
+    """Quick log Bayes factor of a one-time term at each moment.
 
     All cells before a moment are as if it never came, all others as if it had been.
     """
@@ -127,7 +124,7 @@ def _sum_sides(
     after: Float64[np.ndarray, "n ..."],
     begin: Int64[np.ndarray, " v"],
 ) -> Float64[np.ndarray, "v ..."]:
-    """Return the sums over rows, those from each beginning on taken from `after`."""
+    """Sums over rows, those from each beginning on from `after`."""
     change = np.cumsum(before - after, axis=0)
     change = np.concatenate([np.zeros_like(change[:1]), change])
     return after.sum(axis=0) + change[begin]
@@ -138,7 +135,6 @@ def _wave_gains(
     waves: Float64[np.ndarray, " v"],
     residuals: Sequence[Residual],
 ) -> Float64[np.ndarray, " v"]:
-    """Return the quick log Bayes factor of all values of a wave at once."""
     data, information = np.zeros(len(waves), complex), np.zeros(len(waves))
     for one in residuals:
         wave = term.wave(one.at)
@@ -160,7 +156,7 @@ def _wave_gains(
 def _wave_sums(
     wave: Wave, residual: Residual
 ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
-    """Return data and information of a Run for each wave.
+    """Data and information of a Run for each wave.
 
     Cells of similar rate average a wave alike, and have it at a similar frequency in
     time, where the Ornstein–Uhlenbeck noise adds to the white noise.
@@ -183,7 +179,6 @@ def _wave_sums(
 
 
 def _group_by_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m"]]:
-    """Return cells in groups of similar rate."""
     if np.ptp(rate) <= 1e-9 * max(float(rate.max()), 1e-12):
         return [np.arange(len(rate))]
     order = np.argsort(rate, kind="stable")

@@ -1,4 +1,4 @@
-"""Fit terms to Runs beside machine and poses, and rank the terms not yet in a fit."""
+"""Fit terms to Runs with machine and poses, and rank the terms not yet in a fit."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 _REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
 _HOPELESS = -4.0  # evidence that no finer scan raises enough
-_DOUBT = 3.0  # times what a tracker is stated to be off by: few are
-_MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
+_DOUBT = 3.0  # times the tracker's specification: few trackers exceed it
+_MOST_PROMISING = 12  # terms of a ranking that may replace another later
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +50,15 @@ class TermFit:
     def misfit(self) -> float:
         """Squared misfit of held-out lines and of earlier Runs, in units of the noise.
 
-        A machine that was measured before may bend towards an effect that it lacks:
-        held-out lines then fit as well, and only what was known of it does not.
+        A machine that was measured before may bend towards a missing effect: held-out
+        lines then fit as well, and only the earlier knowledge contradicts it.
         """
         departure = self.prior.measure_departure(self.posterior.theta)
         return float(self.held_out.square.sum()) + departure
 
     @property
     def has_fast(self) -> bool:
-        """Whether a term changes within cells."""
+        """True if a term changes within cells."""
         return any(term.is_fast for term in self.terms)
 
     @property
@@ -68,18 +68,18 @@ class TermFit:
         return left.measure_ratio(fast=fast) / left.expect_ratio(fast=fast)
 
     def other_terms(self, term: CandidateTerm) -> list[CandidateTerm]:
-        """Return the terms without one of them."""
+        """All terms but one, compared by identity."""
         return [other for other in self.terms if other is not term]
 
     def part(self, number: int) -> slice:
-        """Return where the parameters of a term lie."""
+        """Parameters of a term, by its number."""
         begin = self.base_size + sum(term.size for term in self.terms[:number])
         return slice(begin, begin + self.terms[number].size)
 
     def parameters_of(
         self, number: int
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Return parameters and covariance of a term."""
+        """Mean and covariance of a term, by its number."""
         part = self.part(number)
         return self.posterior.theta[part], self.posterior.covariance[part, part]
 
@@ -111,25 +111,25 @@ class TermFitter:
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
 
     def use_lines(self, lines: FoldedLines, prior: MachinePrior) -> TermFitter:
-        """Return a fitter of the same catalogue to lines with another noise."""
+        """A fitter of the same catalogue to lines with another noise."""
         fitter = TermFitter(lines, prior, self.catalogue)
         fitter._promising |= self._promising
         return fitter
 
     @property
     def has_tracker_errors(self) -> bool:
-        """Whether the tracker may be off at all."""
+        """True if the model includes systematic errors of the tracker."""
         model = self.run_data[0].base.machine_model
         return any(map(is_of_instrument, model.effects))
 
     def doubt_tracker(self) -> TermFitter:
-        """Return a fitter that allows the tracker to be off by far more than stated."""
+        """A fitter whose tracker may exceed its specification threefold."""
         return self.use_lines(self._lines, self._prior.widen_tracker(_DOUBT))
 
     def fit(self, terms: Sequence[CandidateTerm], *, refine: bool = True) -> TermFit:
-        """Return the fit of terms.
+        """Cached for the same terms.
 
-        refine : scanned values as well; else they stay as they are
+        refine : also the scanned values; else they stay as they are
         """
         is_scanned = any(term.candidate.value is not None for term in terms)
         key = tuple(terms), refine and is_scanned
@@ -157,9 +157,9 @@ class TermFitter:
     def rank(
         self, fit: TermFit, terms: Sequence[CandidateTerm], *, keep: bool = True
     ) -> list[RankedTerm]:
-        """Return terms by their evidence beyond a fit, greatest first.
+        """Terms by their evidence beyond a fit, greatest first.
 
-        terms : at their present values; keep : their columns, to be asked for again
+        terms : at their present values; keep : cache their columns
         """
         data = self._data(fit.prior)
         log_bayes = data.compare(fit.terms, terms, keep=keep).log_bayes()
@@ -173,11 +173,12 @@ class TermFitter:
     def rank_catalogue(
         self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
     ) -> list[RankedTerm]:
-        """Return scanned terms by their evidence beyond a fit, greatest first.
+        """Scanned terms by their evidence beyond a fit, greatest first.
 
         among : terms to scan; the whole catalogue if None
-        The quick scan leaves the machine aside: the best terms are scanned again with
-        the machine integrated out.
+
+        The quick scan ignores the machine: the best terms are scanned again with the
+        machine integrated out.
         """
         among = self.catalogue if among is None else among
         ranked = self.rank(fit, self._scan(fit, among))
@@ -195,14 +196,14 @@ class TermFitter:
     def rank_promising(
         self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
     ) -> list[RankedTerm]:
-        """Return those terms alone that ever were among the best of a ranking."""
+        """Limited to terms that were among the best of a ranking before."""
         among = self.catalogue if among is None else among
         return self.rank_catalogue(fit, self.choose_promising(among))
 
     def find_rivals(
         self, without: TermFit, term: CandidateTerm, evidence: float
     ) -> tuple[CandidateTerm, ...]:
-        """Return the terms with a cause that would explain the Runs as well as one.
+        """Terms with a cause that would explain the Runs as well as one.
 
         without : the fit without it; evidence : that it adds
         """
@@ -215,13 +216,13 @@ class TermFitter:
         )
 
     def choose_promising(self, among: Sequence[CandidateTerm]) -> list[CandidateTerm]:
-        """Return those terms that ever were among the best of a ranking."""
+        """Terms that were among the best of any ranking so far."""
         return [term for term in among if term.label in self._promising]
 
     def compare_fits(self, one: TermFit, other: TermFit) -> float:
-        """Return how much greater the log evidence of one fit is than of another.
+        """Difference of the log evidence of two fits.
 
-        The mean with the machine as smooth as suits the one, and the other.
+        Mean of two values: with the machine as smooth as suits the one, and the other.
         """
         gains = [
             self._measure_evidence(one, prior) - self._measure_evidence(other, prior)
@@ -230,7 +231,6 @@ class TermFitter:
         return 0.5 * (gains[0] + gains[1])
 
     def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
-        """Return the log evidence of all terms of a fit, less the search's cost."""
         known = self._data(prior).precision
         usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
         own = np.arange(len(known), len(known) + len(usual))
@@ -247,7 +247,6 @@ class TermFitter:
     def _scan(
         self, fit: TermFit, among: Sequence[CandidateTerm]
     ) -> list[CandidateTerm]:
-        """Return terms that are not in a fit, at the best values of a quick scan."""
         known = self._scanned.setdefault(fit, {})
         present = {term.label for term in fit.terms}
         wanted = [term for term in among if term.label not in present]
@@ -258,7 +257,6 @@ class TermFitter:
         return [known[term.label] for term in wanted]
 
     def _sharpen(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
-        """Return a term at its best value with the machine integrated out."""
         if (fit, term) not in self._sharpened:
             best = self._sharpen_value(fit, term)
             self._sharpened |= {(fit, term): best, (fit, best): best}
@@ -279,7 +277,7 @@ class TermFitter:
         return self.rank(fit, [term, *terms], keep=False)[0].term
 
     def residuals(self, fit: TermFit) -> list[Residual]:
-        """Return what a fit leaves in every cell of each Run."""
+        """Residual in every cell of each Run."""
         effects, theta = [t.effect for t in fit.terms], fit.posterior.theta
         return [
             weight_residual(data, self._lines.of(run), effects, theta)

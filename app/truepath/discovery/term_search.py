@@ -1,4 +1,4 @@
-"""Stepwise search for terms: added on evidence, then tried for exchange and removal."""
+"""Stepwise search for terms: addition, exchange and removal by evidence."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ LEAST_EVIDENCE = 8.0
 _MOST_TERMS = 6
 _MOST_LARGE, _CLOSED = 3, 1.03  # terms, or gap over that of a complete model
 _MOST_FREE = 3  # without a cause: more describe nothing better
-LEAST_PURITY = 0.85  # of the evidence that causes bring alone, structure beside them
-_TRIED = 2  # terms that held-out lines may refuse before the search ends
+LEAST_PURITY = 0.85  # of the evidence, by causes alone, with structure in addition
+_TRIED = 2  # terms that held-out lines may reject before the search ends
 
 _Among = Sequence[CandidateTerm] | None
 
@@ -28,12 +28,12 @@ class TermSearch:
         self._fitter = fitter
 
     def select_terms(self, start: Sequence[CandidateTerm]) -> TermFit:
-        """Return the fit of all terms with evidence, starting from some."""
+        """The fit of all terms with evidence, starting from some."""
         best = self._add_terms(self._remove_terms(self._fitter.fit(start)))
         return self._remove_terms(self._prefer_causes(best))
 
     def find_largest(self) -> TermFit:
-        """Return the fit of the few terms that noise can be judged beside."""
+        """The fit of the few terms that affect the estimate of the noise."""
         best = self._fitter.fit([])
         for _ in range(_MOST_LARGE):
             larger = self._add_terms(best, None, len(best.terms) + 1)
@@ -45,16 +45,12 @@ class TermSearch:
     def add_among(
         self, start: Sequence[CandidateTerm], among: Sequence[CandidateTerm], most: int
     ) -> TermFit:
-        """Return the fit of some terms and further ones out of a list."""
+        """The fit of some terms and further ones out of a list, `most` in all."""
         return self._add_terms(self._fitter.fit(start, refine=False), among, most)
 
     def _add_terms(
         self, best: TermFit, among: _Among = None, most: int = _MOST_TERMS
     ) -> TermFit:
-        """Return the fit with every further term that has evidence.
-
-        among : terms to choose from; the whole catalogue if None
-        """
         while len(best.terms) < most:
             larger = self._add_term(best, among)
             if larger is None:
@@ -63,7 +59,6 @@ class TermSearch:
         return best
 
     def _add_term(self, best: TermFit, among: _Among) -> TermFit | None:
-        """Return the fit with one term more, if there is evidence for one."""
         free = sum(not term.has_cause for term in best.terms)
         if free >= _MOST_FREE:
             every = self._fitter.catalogue if among is None else among
@@ -78,7 +73,6 @@ class TermSearch:
         return None
 
     def _exchange_term(self, best: TermFit, among: _Among) -> TermFit:
-        """Exchange or remove a term that later ones have made worse or needless."""
         for term in best.terms[:-1]:
             without = self._fitter.fit(best.other_terms(term), refine=False)
             ranked = self._fitter.rank_promising(without, among)
@@ -91,7 +85,7 @@ class TermSearch:
         return best
 
     def _remove_terms(self, best: TermFit) -> TermFit:
-        """Remove terms without evidence given the others, the least first.
+        """Removes terms without evidence given the others, the least first.
 
         With the noise fitted again, a term may lose the evidence that it had.
         """
@@ -110,7 +104,7 @@ class TermSearch:
         return best
 
     def _prefer_causes(self, best: TermFit) -> TermFit:
-        """Replace structure without a cause by causes that explain as much.
+        """Replaces structure without a cause by causes that explain as much.
 
         Several shapes that fit anything may together stand for as many causes or fewer.
         """

@@ -6,7 +6,7 @@ one more column. Elsewhere the best of many values is taken.
 The slope at the best value understates the uncertainty where the likelihood is not
 symmetric: a time constant longer than the Run hardly differs from a longer one, and the
 final growth depends on it. Values around the best one are then weighted by their
-evidence, all values of the scan being equally likely beforehand.
+evidence, all values of the scan having equal prior probability.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _Terms = tuple[CandidateTerm, ...]
 
 @dataclass(frozen=True)
 class ValueDerivative(Effect):
-    """How a scanned effect changes with its value, at its present size."""
+    """Derivative of a scanned effect by its value, at its present size."""
 
     before: Effect
     after: Effect
@@ -45,22 +45,22 @@ class ValueDerivative(Effect):
 
     @property
     def name(self) -> str:
-        """Name of the effect and what it is."""
+        """Name of the effect with the suffix `-by-value`."""
         return f"{self.before.name}-by-value"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The change of the value."""
+        """The change of the value, dimensionless."""
         return (Parameter(self.name, "1"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the central difference of the displacement."""
+        """Central difference of the displacement."""
         return self._difference(self.before.jacobian(at), self.after.jacobian(at))
 
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 1"] | None:
-        """Return the same at single moments."""
+        """The same at single moments; None if the effect is not fast."""
         before, after = (
             self.before.jacobian_in_time(time_s),
             self.after.jacobian_in_time(time_s),
@@ -76,7 +76,7 @@ class ValueDerivative(Effect):
 
 
 def refine_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
-    """Return the terms at their best scanned values, with their uncertainties."""
+    """The terms at their best scanned values, with their uncertainties."""
     refined = _search_values(data, terms)
     smooth = [
         k
@@ -102,7 +102,7 @@ _FEWEST = 3  # values, for any to lie between others
 def _average_value(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
-    """Return a term at the mean of its scanned value, with the spread of all values.
+    """The term at the mean of its scanned value, with the spread of all values.
 
     beside : terms that are fitted with it
     term : at its best value, its uncertainty by the slope
@@ -131,7 +131,6 @@ def _average_value(
 
 
 def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
-    """Return the terms; those without a slope at the best of many values."""
     found = list(terms)
     for k, term in enumerate(terms):
         if term.candidate.value is None or term.family.is_smooth:
@@ -145,7 +144,6 @@ def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
 def _search_grid(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
-    """Return the term at the best of a grid of values, then of a finer one."""
     at = data.conditions_of(term)
     reach = 2.0 * max(_spacing(term, at), _mean_spacing(term, at))
     for _ in range(_GRIDS):
@@ -161,7 +159,6 @@ def _take_best_of_grid(
     term: CandidateTerm,
     reach: float,
 ) -> CandidateTerm:
-    """Return the term at the best of values around its own, with their spread."""
     at = data.conditions_of(term)
     middle = term.candidate.value or 0.0
     values = np.linspace(middle - reach, middle + reach, _GRID)
@@ -180,7 +177,6 @@ def _take_best_of_grid(
 
 
 def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Terms:
-    """Return the terms with their smooth values at the best, by Gauss–Newton."""
     fit = _fit(data, terms, [], np.empty(0))
     for _ in range(_ROUNDS):
         spacing = np.array(
@@ -203,10 +199,7 @@ def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Ter
 def _move_values(
     data: TermData, terms: _Terms, fit: Posterior, steps: Mapping[int, float]
 ) -> _Terms:
-    """Return the terms with some values moved, within the range of their scans.
-
-    fit : of the terms and, last, of the changes of the values
-    """
+    """Clipped to the range of their scans; `fit` has the changes last."""
     moved = list(terms)
     sigma = np.sqrt(np.diag(fit.covariance)[-len(steps) :])
     for (k, step), value_sigma in zip(steps.items(), sigma.tolist(), strict=True):
@@ -222,7 +215,6 @@ def _move_values(
 
 
 def _columns(data: TermData, terms: _Terms, number: int) -> slice:
-    """Return where the parameters of a term lie in a fit of all."""
     begin = len(data.precision) + sum(t.size for t in terms[:number])
     return slice(begin, begin + terms[number].size)
 
@@ -233,7 +225,6 @@ def _fit(
     slopes: Sequence[Effect],
     spacing: Float64[np.ndarray, " v"],
 ) -> Posterior:
-    """Fit terms and changes of their values."""
     sums = data.equations.sums([*(t.effect for t in terms), *slopes])
     known = prior_precision(data.precision, terms)
     size = len(known)
@@ -247,13 +238,11 @@ def _fit(
 def _clip(
     values: Float64[np.ndarray, " v"], term: CandidateTerm, at: Conditions
 ) -> Float64[np.ndarray, " v"]:
-    """Return the values within the range of a term's scan."""
     scan = term.scan(at)
     return values if scan is None else np.clip(values, scan.values[0], scan.values[-1])
 
 
 def _spacing(term: CandidateTerm, at: Conditions) -> float:
-    """Return the distance of neighbours of the scan at the present value."""
     scan, value = term.scan(at), term.candidate.value
     if scan is None or value is None or len(scan.values) < 2:
         return 1.0
@@ -262,7 +251,6 @@ def _spacing(term: CandidateTerm, at: Conditions) -> float:
 
 
 def _mean_spacing(term: CandidateTerm, at: Conditions) -> float:
-    """Return the mean distance of neighbours of the scan."""
     scan = term.scan(at)
     return 0.0 if scan is None else float(np.ptp(scan.values)) / len(scan.values)
 

@@ -1,4 +1,4 @@
-"""What a machine is commanded to do: standstill points, or a path, row by row."""
+"""Commands for a machine: standstill points, or a path, row by row."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from truepath_drivers.interfaces.records import Arc, Path
 
 @dataclass(frozen=True, slots=True)
 class Configurations:
-    """Axis positions to stand still at.
+    """Axis positions of standstills.
 
     position : (n, axes), mm for linear and deg for rotary axes
     dwell_s : (n,)
@@ -36,12 +36,12 @@ _SAME = 1e-6  # mm or deg
 
 
 def name_columns(axes: Sequence[str]) -> list[str]:
-    """Return the columns of axes."""
+    """Column names of a CSV file: `x_mm` for X, Y and Z, `c_deg` for others."""
     return [f"{axis.lower()}_{'mm' if axis in 'XYZ' else 'deg'}" for axis in axes]
 
 
 def select_rows(commanded: Commanded, rows: slice) -> Commanded:
-    """Return some rows of a path or of points."""
+    """All fields of some rows, arcs and targets included."""
     chosen = replace(
         commanded,
         position=commanded.position[rows],
@@ -55,14 +55,14 @@ def select_rows(commanded: Commanded, rows: slice) -> Commanded:
 
 
 def split_by_target(commanded: Commanded) -> list[Commanded]:
-    """Return the stretches of rows that measure one target each."""
+    """Consecutive rows of one target each, without shared rows."""
     name = np.array(commanded.target or ("",) * len(commanded))
     bounds = [0, *(np.flatnonzero(name[1:] != name[:-1]) + 1).tolist(), len(commanded)]
     return [select_rows(commanded, slice(*pair)) for pair in pairwise(bounds)]
 
 
 def join_rows(blocks: Sequence[Commanded]) -> Commanded:
-    """Return paths, or points, one after another. They have the same axes."""
+    """Concatenates paths, or points, of the same axes."""
     joined = replace(
         blocks[0],
         position=np.concatenate([block.position for block in blocks]),
@@ -83,9 +83,10 @@ def _join_arcs(paths: Sequence[Path]) -> tuple[Arc | None, ...]:
 
 
 def append_part(before: Commanded, part: Commanded) -> Commanded:
-    """Return all rows: those before, then those that the part adds.
+    """All rows: those before, then the new ones.
 
-    Raises PlanningError if the part does not go on where the rows before have ended.
+    Of a path the part repeats the last row. Raises PlanningError if the part does not
+    continue where the rows before have ended.
     """
     if part.axes != before.axes or isinstance(part, Path) != isinstance(before, Path):
         raise PlanningError("a part has the axes and the mode of what it goes on from")

@@ -1,4 +1,4 @@
-"""How long motions take, which part of a line has constant feed, a short order."""
+"""Motion times, the part of a line at constant feed, a short order of stops."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from truepath_drivers.interfaces.records import Path
 DEFAULT_FEED_MM_MIN = 6000.0
 USUAL_MOTION = MotionLimits()
 FASTEST_DEG_MIN = 1800.0  # of a rotary axis on a line
-_SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
-# What alignment leaves out at either end beside ramp and settling.
+_SHORTEST_MM = 100.0  # path of a target on a line while rotary axes turn
+# Excluded by alignment at either end, in addition to ramp and settling.
 _SETTLE_S = 0.02
 _LEAST_S = 1e-9  # a gain beyond rounding
 
@@ -35,7 +35,7 @@ class Legs:
 
     @property
     def step(self) -> Float64[np.ndarray, "n a"]:
-        """Way of each axis."""
+        """Signed displacement of each axis."""
         return self.end - self.begin
 
 
@@ -58,21 +58,21 @@ class Stops:
         return Legs(self.position[:-1], self.position[1:], self.feed_mm_min[1:])
 
     def select(self, of: slice) -> Stops:
-        """Return some of the stops."""
+        """A contiguous part of the stops."""
         return Stops(self.position[of], self.feed_mm_min[of])
 
     def append(self, end: Float64[np.ndarray, " a"], feed_mm_min: float) -> Stops:
-        """Return the stops and one more."""
+        """Adds one stop at the end; the feed is towards it."""
         feed = np.append(self.feed_mm_min, feed_mm_min)
         return Stops(np.vstack([self.position, end]), feed)
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How the machine goes along a line, and how long it dwells at its end.
+    """Motion of the machine along a line, and its dwell at the end.
 
-    linear : (a,) which position columns are linear axes
-    least_mm : no line takes the target less far
+    linear : (a,) mask of the linear axes among the position columns
+    least_mm : shortest motion of the target on a line
     fastest_deg_min : the feed is lowered where a rotary axis would turn faster
     """
 
@@ -86,47 +86,47 @@ class Drive:
     def of(
         cls, axes: Sequence[str], dwell_s: float, limits: MotionLimits = USUAL_MOTION
     ) -> Drive:
-        """Return the drive of axes by their names."""
+        """X, Y and Z are linear."""
         return cls(tuple(name in "XYZ" for name in axes), dwell_s, limits)
 
     @classmethod
     def of_machine(cls, machine: Machine, dwell_s: float) -> Drive:
-        """Return the drive of a machine."""
+        """Limits of the machine file."""
         return cls.of(machine.axis_names, dwell_s, machine.motion)
 
     @classmethod
     def of_lines(cls, machine: Machine, dwell_s: float) -> Drive:
-        """Return the drive of a machine along lines, on which rotary axes may turn."""
+        """For lines on which rotary axes may turn, with limits on turn and length."""
         drive = cls.of_machine(machine, dwell_s)
         if not machine.rotary_axes:
             return drive
         return replace(drive, least_mm=_SHORTEST_MM, fastest_deg_min=FASTEST_DEG_MIN)
 
     def turns(self, legs: Legs) -> Bool[np.ndarray, " n"]:
-        """Tell on which legs a rotary axis turns."""
+        """Mask of the legs on which a rotary axis turns."""
         turned = legs.step[:, ~np.asarray(self.linear)] != 0.0
         return np.asarray(turned.any(axis=1), np.bool_)
 
     def length(self, legs: Legs) -> Float64[np.ndarray, " n"]:
-        """Return the length of legs, mm; deg where rotary axes turn alone."""
+        """Length of each leg, mm; deg where rotary axes turn alone."""
         straight = np.asarray(self.linear)
         linear = np.asarray(np.linalg.norm(legs.step[:, straight], axis=1), np.float64)
         turn = np.asarray(np.linalg.norm(legs.step[:, ~straight], axis=1), np.float64)
         return np.where(linear > 0.0, linear, turn)
 
     def driven_feed(self, legs: Legs) -> Float64[np.ndarray, " n"]:
-        """Return the feeds, lowered where a rotary axis would turn too fast."""
+        """Feeds, lowered where a rotary axis would turn too fast."""
         turn = np.abs(legs.step)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
         least_min = np.maximum(turn / self.fastest_deg_min, 1e-12)
         return np.minimum(legs.feed_mm_min, self.length(legs) / least_min)
 
     def times_s(self, legs: Legs) -> Float64[np.ndarray, " n"]:
-        """Return the time of each leg from rest to rest, and the dwell."""
+        """Time of each leg from rest to rest, plus the dwell."""
         speed = self.peak_mm_s(legs)
         return self.length(legs) / speed + self.ramp_s(speed) + self.dwell_s
 
     def peak_mm_s(self, legs: Legs) -> Float64[np.ndarray, " n"]:
-        """Return the highest speed of each leg; a short one never reaches its feed.
+        """Highest speed of each leg; a short one never reaches its feed.
 
         A ramp from rest to the speed p and back takes 2 t(p) and a length of p t(p).
         """
@@ -144,7 +144,7 @@ class Drive:
     def ramp_s(
         self, speed_mm_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return how long the machine takes from rest to a speed, jerk limited."""
+        """Time from rest to a speed, jerk limited."""
         limits = self.limits
         rise_s = limits.acceleration_mm_s2 / limits.jerk_mm_s3
         return np.where(
@@ -156,9 +156,9 @@ class Drive:
     def steady(
         self, legs: Legs
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Return the share of each line lost at either end, and the time of the rest.
+        """Share of each line lost at either end, and the time of the remaining part.
 
-        Lost is the ramp and what alignment leaves out beside it; all of a line that is
+        Lost is the ramp and what alignment excludes next to it; all of a line that is
         too short.
         """
         length = np.maximum(self.length(legs), 1e-9)
@@ -171,7 +171,7 @@ class Drive:
     def shortest_mm(
         self, feed_mm_min: float | Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the shortest line worth its stops: most of it is driven steadily."""
+        """Shortest line worth its stops: most of it is at a steady feed."""
         speed = np.atleast_1d(np.asarray(feed_mm_min, np.float64)) / 60.0
         steady_mm = 4.0 * speed * (self.ramp_s(speed) + _SETTLE_S)
         return np.maximum(steady_mm, self.least_mm)
@@ -182,13 +182,13 @@ def row_times_s(
     feed_mm_min: float = DEFAULT_FEED_MM_MIN,
     limits: MotionLimits = USUAL_MOTION,
 ) -> Float64[np.ndarray, " n"]:
-    """Return the time of each row: the line towards it, exact stops, and its dwell.
+    """Time of each row: the line towards it, exact stops, and its dwell.
 
     The first row counts its dwell alone. The feed is that of the linear axes; where
     none moves it is that of the rotary axes, in deg/min (formats.md), with the same
     figure for their acceleration in deg/s².
 
-    feed_mm_min : between points; a path states its own
+    feed_mm_min : between points; a path has its own
     """
     feed = np.full(len(commanded), feed_mm_min)
     if isinstance(commanded, Path):
@@ -201,7 +201,7 @@ def row_times_s(
 
 
 def _unroll_arcs(path: Path, legs: Legs) -> Legs:
-    """Return legs that are as long as the arcs are, straight along their first axis."""
+    """Legs as long as the arcs are, straight along their first axis."""
     end = legs.end.copy()
     for row, arc in enumerate(path.arc[1:]):
         if arc is not None:
@@ -213,12 +213,12 @@ def _unroll_arcs(path: Path, legs: Legs) -> Legs:
 
 
 def travel_time_s(path: Path, limits: MotionLimits = USUAL_MOTION) -> float:
-    """Return how long the path takes from its first row, dwells included."""
+    """Time of the path from its first row, dwells included."""
     return float(row_times_s(path, limits=limits).sum())
 
 
 def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
-    """Return the stops in an order from which turning any stretch round gains nothing.
+    """An order of stops in which no reversal of a stretch gains anything.
 
     The first one stays. Croes (1958), the end being free.
 
@@ -235,12 +235,11 @@ def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " 
 def _find_best_reversal(
     time_s: Float64[np.ndarray, "n n"], order: Int64[np.ndarray, " n"]
 ) -> tuple[float, int, int]:
-    """Return what turning the stretch first … last round gains, the best of all."""
     between = time_s[np.ix_(order, order)]
     n = len(order)
     if n < 3:
         return 0.0, 0, 0
-    step = np.append(np.diagonal(between, 1), 0.0)  # nothing follows the last stop
+    step = np.append(np.diagonal(between, 1), 0.0)  # no move after the last stop
     after = np.hstack([between[:, 1:], np.zeros((n, 1))])
     # Before: i−1 → i … j → j+1; turned round: i−1 → j … i → j+1.
     gain = step[:-1, None] + step[None, 1:] - between[:-1, 1:] - after[1:, 1:]

@@ -1,10 +1,10 @@
-"""The next part of an adaptive measurement: planned anew from all that is known by now.
+"""The next part of an adaptive measurement: planned from all information so far.
 
-Before each part the planner takes over what the live estimate has found: where the
-tracker stands, the noise, how smooth the error motions are, and which rows have been
-recognised. A line on which the beam was lost has not, so it adds no information, and
-what it was to show is planned for again. On the fly a part is a few lines; at
-standstill it is the next point (Brunn & Hanebeck 2005), looking a few points ahead.
+Before each part the planner takes over the findings of the live estimate: the tracker's
+position, the noise, the smoothness of the error motions, and the recognised rows. A
+line on which the beam was lost is not among them, so it adds no information, and its
+content is planned again. On the fly a part is a few lines; at standstill it is the next
+point (Brunn & Hanebeck 2005), looking a few points ahead.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LEAST_JITTER = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What to drive next, and what it will bring.
+    """Next rows to measure, with the predicted result.
 
     commanded : None where no more fits into the time
     rows : lines or points in it; duration_s : its motion and dwells
@@ -50,7 +50,7 @@ class AdaptivePlanner:
 
     commanded : all rows so far
     order : its minutes are those of the whole measurement
-    earlier : Runs of the measurement that it goes on from
+    earlier : Runs of the measurement that it continues
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class AdaptivePlanner:
         self._number, self._earlier = 0, earlier
 
     def next(self, found: LiveFindings, sigma_mm: float) -> Part:
-        """Return the next part; its rows count as commanded from now on.
+        """The next part; its rows count as commanded from now on.
 
         sigma_mm : volumetric, by the live estimate
         """
@@ -94,7 +94,7 @@ class AdaptivePlanner:
         return Part(part, rows, self._used_s - used_s, predicted_mm)
 
     def _make_planner(self, found: LiveFindings) -> Planner:
-        """Return the planner that knows the rows that have been recognised.
+        """Planner with the information of all recognised rows.
 
         The last one may wait for samples that come after it.
         """
@@ -112,7 +112,7 @@ class AdaptivePlanner:
         return planner
 
     def _make_design(self, found: LiveFindings) -> DesignState:
-        # Few lines may show no jitter of the feed at all; there is always some.
+        # Few lines may show no jitter of the feed, but there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)
         assumed = replace(
@@ -134,7 +134,6 @@ class AdaptivePlanner:
 
     @property
     def _horizon_s(self) -> float:
-        """How far ahead the planner looks: so many of the longest legs."""
         low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
         slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])

@@ -1,9 +1,9 @@
-"""What is known of a machine before the next leg, and what a leg would add.
+"""Information on a machine before the next leg, and the information of a leg.
 
 A leg is a motion from one stop to the next: a line that is measured on the way, or a
-move to a point that is measured at rest. The criterion is the integrated variance
-J = tr(G C) of the volumetric error over the travel (brunn-hanebeck-2005, eq. 34–36), C
-the covariance of the error motions, G the Gram matrix.
+move to a point that is measured at rest. The criterion is the integrated variance J =
+tr(G C) of the volumetric error over the travel (brunn-hanebeck-2005, eq. 34–36), C the
+covariance of the error motions, G the Gram matrix.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class ExpectedNoise:
     """Noise of the tracker, white and correlated together, as if it were white.
 
     density_s : (2,) along and across the beam: variance of the mean over a second, in
-        units of the stated variance of one sample
+        units of the specified variance of one sample
     jitter_mm2_s : the same of the feed, along the travel of a line; infinite where only
         deviations across the path are used
     """
@@ -38,14 +38,14 @@ class ExpectedNoise:
 
 @dataclass(frozen=True)
 class DesignState(ABC):
-    """What is known so far, and how legs are measured.
+    """Present information, and how legs are measured.
 
     model : effects of the machine, then the tracker's pose
     precision : (p, p) information so far, prior included
     gram : (p, p), θᵀ G θ is the mean square of the volumetric error, mm²
-    station_mm : (3,) of the tracker, in the frame that it stands on
-    drive : how the machine moves, and dwells at the stops
-    order_is_free : whether stops may change places; the approach alone depends on it
+    station_mm : (3,) of the tracker, in the frame that it is mounted on
+    drive : motion limits of the machine, and the dwell at stops
+    order_is_free : stops may be permuted; only their approach depends on the order
     """
 
     model: MachineModel
@@ -59,20 +59,20 @@ class DesignState(ABC):
 
     @abstractmethod
     def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
-        """Return rows H of each leg with HᵀH its information."""
+        """Rows H of each leg with HᵀH its information."""
 
     @abstractmethod
     def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
-        """Tell which legs are long enough to be recognised and measured."""
+        """Mask of the legs that are long enough to be recognised and measured."""
 
     @abstractmethod
     def command(self, machine: Machine, stops: Stops) -> Commanded:
-        """Return the stops as what the machine is commanded."""
+        """The stops as a path or as points for all axes of the machine."""
 
     def hold(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
     ) -> Float64[np.ndarray, "n a"]:
-        """Return ends of legs from here, some axes of some left where they are."""
+        """Ends of legs from `here`; a design may keep some axes of some at rest."""
         return ends
 
     def better_places(
@@ -80,14 +80,13 @@ class DesignState(ABC):
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],
     ) -> Float64[np.ndarray, "n a"]:
-        """Return places that may tell more than a stop that is already good.
+        """Candidates that may improve a stop that is already good.
 
-        covariance : of the parameters, the legs that meet in the stop left out
+        covariance : of the parameters, without the legs that meet in the stop
         """
         return np.empty((0, len(here)))
 
     def _name_target(self, rows: int) -> tuple[str, ...]:
-        """Return the target of each row; none where it has no name."""
         return (self.target.name,) * rows if self.target.name else ()
 
     @property
@@ -96,7 +95,7 @@ class DesignState(ABC):
         return float(np.sum(inverse(self.precision) * self.gram))
 
     def information(self, legs: Legs) -> Float64[np.ndarray, "p p"]:
-        """Return the information of all legs."""
+        """Sum over all legs."""
         if not len(legs):
             return np.zeros_like(self.precision)
         rows = self.rows(legs)
@@ -104,13 +103,13 @@ class DesignState(ABC):
         return flat.T @ flat
 
     def add(self, precision: Float64[np.ndarray, "p p"]) -> DesignState:
-        """Return the state that knows more."""
+        """Adds information."""
         return replace(self, precision=self.precision + precision)
 
     def conditions(
         self, position: Float64[np.ndarray, "n a"], approach: Float64[np.ndarray, "n a"]
     ) -> Conditions:
-        """Return the conditions at positions, approached by motions of given signs."""
+        """For the design's target, approached by motions of these signs."""
         at = observe_targets(self.model.machine, position, [self.target])
         return replace(at, approach=approach)
 
@@ -120,7 +119,7 @@ class DesignState(ABC):
         direction: Float64[np.ndarray, "n 3"] | None = None,
         jitter_mm2_s: float | Float64[np.ndarray, " n"] = 0.0,
     ) -> Float64[np.ndarray, "n 3 3"]:
-        """Return W with WᵀW the information that a second at each place gives, 1/mm².
+        """W with WᵀW the information of one second at each position, 1/mm².
 
         direction : of travel, in which the jitter counts
         """
@@ -143,5 +142,5 @@ class DesignState(ABC):
 
 
 def inverse(matrix: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p p"]:
-    """Return the inverse of a positive definite matrix of unlike units."""
+    """Of a positive definite matrix of different units."""
     return ScaledCholesky.of(matrix).invert()

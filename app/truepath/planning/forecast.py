@@ -1,11 +1,11 @@
-"""What a planned measurement will leave unknown, by the estimator's own model.
+"""Uncertainty after a planned measurement, by the estimator's own model.
 
-The cells that the plan would give, the noise and the prior of the estimator, and its
-posterior: nothing is estimated, so the covariance is all there is. The prior's
-precisions, which an estimate finds from its data, are those of machines of usual
-errors, or those that a live estimate has found. What the tracker may be off by stands
-beside the machine's parameters, as in every estimate; the scale of the air, which no
-data tell, is added to what they leave.
+The cells of the plan, the noise and the prior of the estimator, and its posterior:
+nothing is estimated, so the result is a covariance. The prior's precisions, which an
+estimate finds from its data, are those of typical machines, or those of a live
+estimate. The tracker's systematic errors are estimated together with the machine's
+parameters, as in every estimate; the scale of the air, which no data determine, is
+added to the result.
 """
 
 from __future__ import annotations
@@ -60,23 +60,23 @@ from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 from truepath_drivers.interfaces.records import Path
 
 _NAMED = 3  # of the weakest error motions
-_CURVE = 24  # places along the plan at which the uncertainty is stated
-# Of the tracker, before enough lines locate it: a millimetre, a milliradian.
+_CURVE = 24  # rows of the plan at which the uncertainty is given
+# Of the tracker's pose before enough lines locate it: a millimetre, a milliradian.
 _POSE = {"mm": 1.0, "rad": 1e-3}
-# Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
-# ones, in the median of their error motions; and to have less lost motion.
+# Estimates find machines smoother than their prior: by 3 to 9 on simulated
+# ones, in the median of their error motions, and with less lost motion.
 _SMOOTHER, _LESS_LOST = 6.0, 4.0
-_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # that the rank of rows is looked at by
+_LONGEST_DWELL_S, _LONGEST_LINE_S = 1.0, 5.0  # for the rank of rows
 _POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
 
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What is believed of a machine and its tracker before a measurement.
+    """Assumptions on a machine and its tracker before a measurement.
 
-    known : effects beside the error motions, as an earlier measurement has left them
+    known : effects in addition to the error motions, from an earlier measurement
     perpendicular_only : only deviations across the path are used
-    prior_precision : by the effect's name; that of usual machines where left out
+    prior_precision : by the effect's name; None for that of typical machines
     """
 
     known: KnownEffects = field(default_factory=KnownEffects)
@@ -92,7 +92,7 @@ class Assumptions:
         return self.noise
 
     def make_prior(self, model: MachineModel) -> Float64[np.ndarray, "p p"]:
-        """Return the precision of the parameters of a model that has the effects."""
+        """Prior precision for a model that contains the known effects."""
         precision = self.prior_precision
         if not precision:
             usual = guess_prior(model)
@@ -110,12 +110,12 @@ class Assumptions:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What is left once a row of the plan is reached.
+    """Uncertainty after a row of the plan.
 
     sigma_mm : volumetric, as of the whole plan
-    random_mm : what of it a perfect tracker in known air would leave
-    weakest_mm : what of it the error motions known least put at the tool, by name, the
-        weakest first
+    random_mm : its part with a perfect tracker in known air
+    weakest_mm : its parts by the least determined error motions, at the tool, by name,
+        the largest first
     """
 
     row: int
@@ -129,13 +129,13 @@ class Forecast:
     """The uncertainty after a plan, and on the way.
 
     covariance : (p, p) of the model's parameters
-    known : effects in the model, as an earlier measurement has left them
+    known : effects in the model, from an earlier measurement
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
-        of the volumetric error vector, its rigid motion left out
-    random_mm : what of it a perfect tracker in known air would leave
-    curve : the same once rows of the plan are reached, in its order
-    unobservable : what the plan cannot show, in words
-    stations : what is measured from each place of the tracker
+        of the volumetric error vector, without its rigid motion
+    random_mm : its part with a perfect tracker in known air
+    curve : the same after rows of the plan, in its order
+    unobservable : sentences on what the plan does not determine
+    stations : predicted measurement at each station
     """
 
     model: MachineModel
@@ -148,7 +148,7 @@ class Forecast:
     stations: tuple[RunInput, ...]
 
     def motion_sigmas(self) -> dict[str, float]:
-        """Return the standard uncertainty of each error, mm or rad, by its symbol.
+        """Standard uncertainty of each error, mm or rad, by its symbol.
 
         Of an error motion the root mean square over its travel.
         """
@@ -175,10 +175,10 @@ def forecast(
     assumed: Assumptions | None = None,
     before: Forecast | None = None,
 ) -> Forecast:
-    """Return what is to be expected of a plan, the tracker standing at a place.
+    """Predicted uncertainty of a plan with the tracker at a station.
 
-    station_mm : in the frame that the tracker stands on
-    before : what the plans of other stations leave, which are measured first
+    station_mm : in the frame that the tracker is mounted on
+    before : forecast after the stations that are measured first
     """
     cells = predict_cells(machine, commanded, station_mm)
     assumed = assumed or Assumptions()
@@ -210,9 +210,9 @@ def predict_with_each(
     further: Sequence[Observations],
     assumed: Assumptions,
 ) -> list[float]:
-    """Return the volumetric sigma in mm after a plan and each of further measurements.
+    """Volumetric sigma in mm after a plan and one of several further measurements.
 
-    further : cells of one each, of which one is made after the plan
+    further : cells of each alternative
     """
     runs = [RunInput(cells, cells.pose, assumed.used_noise) for cells in further]
     stations = (*found.stations, *runs)
@@ -237,14 +237,13 @@ def predict_with_each(
 
 
 def _state_length_scale(machine: Machine) -> float:
-    """Return the standard uncertainty of all lengths, of 1, as of any recording."""
+    """Relative standard uncertainty of all lengths, as of any recording."""
     return PER_PPM * state_length_ppm(Refraction(), machine.tracker.range_ppm)
 
 
 def _build_model(
     machine: Machine, known: KnownEffects, stations: Sequence[RunInput]
 ) -> MachineModel:
-    """Return the model that an estimate of the stations would have."""
     seen = [run.observations for run in stations]
     offset_mm = np.vstack([each.at.offset_mm for each in seen])
     model, _ = build_identifiable_model(machine, offset_mm)
@@ -258,13 +257,12 @@ def _build_model(
 def predict_undetermined(
     machine: Machine, commanded: Commanded, station_mm: Float64[np.ndarray, "3"]
 ) -> str:
-    """Say what rows alone do not determine, in the words of the estimate; else nothing.
+    """Sentence on shapes that rows alone do not determine; else empty.
 
-    By the rank of what their cells tell of straight shapes, which no prior knows, with
-    the tracker's pose and the timing of the lines open.
+    By the rank of their information on straight shapes, of which no prior knows, with
+    the tracker's pose and the timing of the lines unknown.
 
-    station_mm : in the frame that the tracker stands on
-
+    station_mm : in the frame that the tracker is mounted on
     Raises Unidentifiable if not even the pose is determined, PlanningError if nothing
     would be measured.
     """
@@ -274,7 +272,7 @@ def predict_undetermined(
 
 
 def _shorten(machine: Machine, commanded: Commanded) -> Commanded:
-    """Return rows that take seconds each: the rank of what they tell is the same.
+    """Rows that take seconds each: the rank of their information is the same.
 
     An hour of dwell, or a line at a millimetre a minute, would be thousands of cells.
     """
@@ -293,7 +291,6 @@ def _trace_curve(
     model: MachineModel,
     prior: Float64[np.ndarray, "p p"],
 ) -> tuple[Float64[np.ndarray, "p p"], tuple[Step, ...]]:
-    """Return the covariance after all cells, and what is left on the way."""
     gram = compute_volumetric_gram(model)
     of_tracker = np.zeros(model.size, bool)
     for effect in filter(is_of_instrument, model.effects):
@@ -321,7 +318,6 @@ def _trace_curve(
 def _hold(
     covariance: Float64[np.ndarray, "p p"], fixed: Bool[np.ndarray, " p"]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the covariance where some parameters are known exactly."""
     if not fixed.any():
         return covariance
     factor = ScaledCholesky.of(covariance[np.ix_(fixed, fixed)])
@@ -330,9 +326,9 @@ def _hold(
 
 
 def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:
-    """Return what the error motions known least put at the tool, the weakest first.
+    """Volumetric part of the least determined error motions, the largest first.
 
-    Of those that the targets show: what they cannot tell is said apart.
+    Only motions that the targets show: the others are reported separately.
     """
     told = found.at_targets
     gram = compute_volumetric_gram(told.model)
@@ -349,7 +345,6 @@ def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:
 def _compute_covariance(
     sums: RecursiveEstimator, prior: Float64[np.ndarray, "p p"]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the covariance of the model's parameters after the cells so far."""
     size = len(prior)
     pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
     posterior = compute_posterior(sums.information(), block_diag(prior, pose))

@@ -1,18 +1,19 @@
-"""A plain grade of a set-up from its geometry alone, before anything moves.
+"""A grade of a set-up from its geometry alone, before anything moves.
 
-One number, as the dilution of precision of satellite navigation: the standard
-uncertainty of the volumetric error that the measurement would leave, root mean square
-over the travel, in units of the standard deviation of a single tracker sample. It
-follows from machine, path or points, targets and the place of the tracker; deviations
-of the machine play no part (as in the valuation numbers of HEIDENHAIN's cycle 451).
-Indices of robot calibration (Menq & Borm 1988, Nahvi & Hollerbach 1996) ask the same of
-singular values, but those depend on units and on how a spline is cut; the variance of
-the map does not.
+One number, as the dilution of precision of satellite navigation: the expected standard
+uncertainty of the volumetric error, root mean square over the travel, in units of the
+standard deviation of a single tracker sample. It follows from machine, path or points,
+targets and the tracker's station; deviations of the machine play no part (as in the
+valuation numbers of HEIDENHAIN's cycle 451).
 
-Up to 0.25 a set-up is good: twice the uncertainty of the map is half of what one sample
-scatters. Up to 1 it is usable: the map is still worth more than measuring its every
-point once. Above it is poor: it rests on what is usual of machines more than on data.
-On random simulated set-ups the error that was left is in `docs/grade.md`.
+Indices of robot calibration (Menq & Borm 1988, Nahvi & Hollerbach 1996) are similar
+functions of singular values, but those depend on units and on how a spline is cut; the
+variance of the map does not.
+
+Up to 0.25 a set-up is good: twice the uncertainty of the map is half of the scatter of
+one sample. Up to 1 it is usable: the map is still worth more than measuring its every
+point once. Above it is poor: it rests on the prior of typical machines more than on
+data. Remaining errors of random simulated set-ups are in `docs/grade.md`.
 """
 
 from __future__ import annotations
@@ -54,10 +55,10 @@ from truepath.planning.remedies import Remedy, append_line, find_best_line
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
-_INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
+_INTERVALS = 2 * _SHAPES  # finer shapes are bridged by the prior
 _NAMED = 3  # weakest motions
 # What any measurement shows of the tracker's pose: 1 mm, 10 mrad. Less drowns in
-# rounding where a set-up tells hardly anything.
+# rounding where a set-up determines hardly anything.
 _ROUGH_POSE = {"mm": 1.0, "rad": 1e-2}
 
 
@@ -65,7 +66,7 @@ _ROUGH_POSE = {"mm": 1.0, "rad": 1e-2}
 class WeakMotion:
     """One of the weakest error motions.
 
-    at_tool_mm : standard uncertainty that it alone puts at the tool, root mean square
+    at_tool_mm : its own part of the standard uncertainty at the tool, root mean square
         over the travel
     remedy : the line that helps it most, None where the set-up is good
     """
@@ -77,16 +78,16 @@ class WeakMotion:
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """What a set-up is worth.
+    """Grade of a set-up, with its weakest motions.
 
     number : expected sigma_mm over sample_sigma_mm; the worst of the stations
     verdict : `good`, `usable` or `poor`
     sigma_mm : expected standard uncertainty of the volumetric error vector
     sample_sigma_mm : standard deviation of one tracker sample as a vector
-    station_mm : where the tracker stands for this number; assumed : nobody said so
+    station_mm : station for this number; assumed : True if it was not given
     best : number of the best of the stations
-    improved : number with the line that the weakest motion asks for, None where the
-        set-up is good
+    improved : number with the line for the weakest motion, None where the set-up is
+        good
     """
 
     number: float
@@ -104,9 +105,9 @@ class Grade:
 
 @dataclass(frozen=True, slots=True)
 class SetUp:
-    """One Run of a set-up: its machine (with its targets), what it commands, the stand.
+    """One Run of a set-up: its machine (with its targets), its rows and its station.
 
-    station_mm : place of the tracker in the frame that it stands on
+    station_mm : of the tracker in the frame that it is mounted on
     """
 
     machine: Machine
@@ -114,16 +115,16 @@ class SetUp:
     station_mm: Float64[np.ndarray, "3"]
 
     def predict(self) -> Observations:
-        """Return the cells that it would give."""
+        """The cells that it would give."""
         return predict_cells(self.machine, self.commanded, self.station_mm)
 
 
 @dataclass(frozen=True, slots=True)
 class _Evaluation:
-    """Set-ups, solved as far as that goes before anything has been measured.
+    """Predicted posterior of set-ups.
 
-    information : (p, p) on what the targets tell, whatever the tracker's poses
-    covariance : (p, p) of that; sigma_mm : with what they do not tell
+    information : (p, p) on the determined effects, the tracker's poses integrated out
+    covariance : (p, p) of them; sigma_mm : undetermined effects included
     """
 
     set_ups: tuple[SetUp, ...]
@@ -141,7 +142,7 @@ class _Evaluation:
 class _Criterion:
     """The criterion of set-ups; gram is of the model's θ.
 
-    told : of its parameters, those that the targets tell; they come first
+    told : number of parameters that the targets determine; they come first
     """
 
     model: MachineModel
@@ -162,7 +163,6 @@ class _Criterion:
         )
 
     def _marginalise_pose(self, cells: Observations) -> Float64[np.ndarray, "p p"]:
-        """Return what one Run tells of the machine whatever the tracker's pose."""
         base = linearise(cells, self.model, cells.pose, self.noise)
         matrix = compute_information(cells, base).matrix
         p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters
@@ -184,12 +184,11 @@ def grade(
     station_mm: Float64[np.ndarray, "3"] | None = None,
     perpendicular_only: bool = False,
 ) -> Grade:
-    """Grade what would be measured.
+    """Grade a planned measurement.
 
-    station_mm : place of the tracker in the frame that it stands on. If left out, four
-        usual places a metre off each side of the travel are tried; the worst counts
-    perpendicular_only : what lies along the lines will be left out
-
+    station_mm : of the tracker in the frame that it is mounted on. None tries four
+        typical stations a metre off each side of the travel; the worst counts
+    perpendicular_only : ignore deviations along the lines
     Raises PlanningError if nothing would be measured at all.
     """
     stations = (
@@ -203,7 +202,7 @@ def grade(
 def grade_together(
     machine: Machine, set_ups: Sequence[SetUp], *, perpendicular_only: bool = False
 ) -> Grade:
-    """Grade several Runs that are solved together, each with its own stand.
+    """Grade several Runs that are solved together, each with its own station.
 
     machine : with the targets of all
     """
@@ -249,7 +248,7 @@ def _grade_stations(
 
 
 def sample_sigma_mm(cells: Sequence[Observations]) -> float:
-    """Return the standard deviation of one sample as a vector, at usual distance."""
+    """Standard deviation of one sample as a vector, at the mean distance."""
     distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
     tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
@@ -257,7 +256,7 @@ def sample_sigma_mm(cells: Sequence[Observations]) -> float:
 
 
 def verdict(number: float) -> str:
-    """Return the word for a number."""
+    """`good`, `usable` or `poor`."""
     if number <= GOOD:
         return "good"
     return "usable" if number <= USABLE else "poor"
@@ -266,7 +265,7 @@ def verdict(number: float) -> str:
 def _coarser(
     model: MachineModel,
 ) -> tuple[MachineModel, Float64[np.ndarray, "p c"]]:
-    """Return a model of fewer knots, and its shapes in the parameters of the finer.
+    """A model of fewer knots, and its shapes in the parameters of the finer.
 
     Every second knot of a spline makes a spline of the same space, so nothing is lost.
     """

@@ -1,9 +1,9 @@
 """The planner's design state from the estimator: its model, prior, noise and criterion.
 
-Planning comes before estimation, so what is believed of a machine is handed to it from
-here: the motions that the targets can tell, with few knots, and how each depends on the
-direction of approach, so that backlash is planned for as well. Of what they do not
-tell, all is there but turns that a displacement makes up for at every target.
+Planning comes before estimation, so the assumptions on a machine come from here: the
+motions that the targets determine, with few knots, and their dependence on the
+direction of approach, so that backlash is planned for as well. Undetermined effects are
+included, but for turns that a displacement makes up for at every target.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from truepath.planning.predicted_cells import (
     predict_cells,
 )
 
-INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
-_ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # nobody knows where the tracker stands
+INTERVALS = 6  # of the knots: enough for the choice; the forecast uses all
+_ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # the tracker's pose is unknown
 _ANY_LAG_S = 1e-3  # of an axis behind its command
-_JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
+_JITTER_CELL_S = 0.2  # over which the feed's jitter is averaged
 
 
 def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
-    """Return how well each axis' lag against the mean of all is known, by axis.
+    """Standard uncertainty of each axis' lag against the mean of all, by axis.
 
-    The lag that all have in common only makes a line late, which its own unknown phase
-    takes up. Nothing where the design has no lags.
+    The common lag only makes a line late, which its unknown phase absorbs. Empty where
+    the design has no lags.
     """
     model = design.model
     lags = {e.lag_axis: e.name for e in model.effects if e.lag_axis}
@@ -63,7 +63,7 @@ def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
 
 
 def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
-    """Return where the tracker stands: as stated, or a usual place."""
+    """The given or a typical station, in the frame that it is mounted on."""
     if workspace.tracker_mm is not None:
         return np.array(workspace.tracker_mm, np.float64)
     return assume_stations_mm(machine)[2]
@@ -79,12 +79,12 @@ def start_design(
     target: str | None = None,
     dynamic: bool = False,
 ) -> DesignState:
-    """Return what is believed before the first line or standstill of a machine.
+    """State before the first line or standstill of a machine.
 
-    target : that is measured while all axes move; if left out, the first one while the
-        rotary axes stand
+    target : measured while all axes move; None for the first one while the rotary axes
+        are at rest
     dynamic : each axis may lag behind its command by more than the others, which lines
-        of several feeds tell from errors that do not depend on the feed
+        of several feeds distinguish from errors that do not depend on the feed
     """
     one, assumed = machine.target(target or ""), assumed or Assumptions()
     shown = machine.targets
@@ -121,9 +121,9 @@ def start_design(
 
 
 def add_station(design: DesignState, before: DesignState) -> DesignState:
-    """Return a design that knows of the machine what stations before it tell.
+    """A design with the information on the machine from the stations before.
 
-    design : of the new station, whose pose nobody knows; before : after the last one
+    design : of the new station, whose pose is unknown; before : after the last one
     """
     pose = _pose_of(design.model.machine)
     known = design.model.size - len(pose.parameters)
@@ -134,10 +134,10 @@ def add_station(design: DesignState, before: DesignState) -> DesignState:
 
 
 def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
-    """Return the Gram matrix of known effects that are nothing at a standstill.
+    """Gram matrix of known effects that vanish at a standstill.
 
-    What lost motion, a lag or a spike does on lines between the corners counts as the
-    volumetric error does: else no line would be chosen to tell it.
+    The effect of lost motion, a lag or a spike on lines between the corners counts as
+    the volumetric error does: else no line would be chosen to determine it.
     """
     gram = np.zeros((model.size, model.size))
     if not known.effects:
@@ -155,14 +155,14 @@ def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64
 
 
 def _pose_of(machine: Machine) -> TrackerPose:
-    """Return the pose, its turn about the middle of the volume."""
+    """Its turn is about the middle of the volume."""
     middle = np.array([[0.5 * (axis.low + axis.high) for axis in machine.axes]])
     x, y, z = (float(v) for v in make_standstill(machine, middle).point_mm[0])
     return TrackerPose((x, y, z))
 
 
 def _expect_noise(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
-    """Return all noise as white: over seconds the correlated part averages too."""
+    """All noise as white: over seconds the correlated part averages too."""
     beam, across = (
         white**2 / rate_hz + 2.0 * noise.ou_time_s * ou**2
         for white, ou in zip(noise.white, noise.ou_along_and_across, strict=True)

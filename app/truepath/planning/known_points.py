@@ -1,4 +1,4 @@
-"""Which known points the tracker measures from every station."""
+"""Choice of the known points that the tracker measures from every station."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truepath.motion.workspace.workspace import Workspace, moving_targets
 
 DWELL_S = 1.5
 _POINTS, _FEWEST = 5, 4
-_APART_MM = 50.0  # beside the line that the points lie on: else they show no turn
+_APART_MM = 50.0  # off the line through the points: else they determine no turn
 
 
 def choose_known_points(
@@ -25,11 +25,10 @@ def choose_known_points(
     places_mm: Sequence[Float64[np.ndarray, "3"]],
     lines: Sequence[Commanded],
 ) -> Configurations:
-    """Return places of the travel, far apart, that every station sees.
+    """Points of the travel, far apart, that every station sees.
 
-    lines : what is driven from each station, after the known points
-
-    Raises PlanningError if there are not enough of them, or none can be driven to.
+    lines : rows of each station, after the known points
+    Raises PlanningError if there are not enough of them, or none can be reached.
     """
     places = _make_grid(machine)
     for place_mm in places_mm:
@@ -60,9 +59,9 @@ def choose_known_points(
 def _list_moves(
     way: Float64[np.ndarray, "n a"], lines: Sequence[Commanded]
 ) -> tuple[Float64[np.ndarray, "m a"], Float64[np.ndarray, "m a"]]:
-    """Return where moves between known points and lines begin and end.
+    """Begins and ends of moves between known points and lines.
 
-    A check that ends early begins anew from any of the points.
+    A check that ends early restarts from any of the points.
     """
     first, last = way[:1], way[-1:]
     begin, end = [way[:-1], way], [way[1:], np.repeat(first, len(way), axis=0)]
@@ -73,7 +72,6 @@ def _list_moves(
 
 
 def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
-    """Return places of the whole travel; rotary axes stand at their zero."""
     low, high = inner_travel(machine)
     unit = np.array(list(product((0.0, 0.5, 1.0), repeat=len(machine.linear_axes))))
     linear = unit.shape[1]
@@ -83,7 +81,6 @@ def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
 
 
 def _spread(places: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "m a"]:
-    """Return places, each as far as can be from those before it."""
     if not len(places):
         return np.zeros((1, places.shape[1]))
     chosen = places[:1]

@@ -1,4 +1,4 @@
-"""A plan, chosen by the planner from one place and judged as the estimator will."""
+"""A plan for one station, evaluated by the estimator's model."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ from truepath.planning.stations.station_choice import (
 from truepath.planning.stations.station_information import StationJudge, Survey
 from truepath_drivers.interfaces.records import Path
 
-_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
+_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # for the evaluation of stations
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
-# Where stops were moved all axes would go on every line.
+# If stops were moved, all axes would move on every line.
 _TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan and what it will leave unknown.
+    """A plan and its predicted uncertainty.
 
     station_mm : of the tracker; time_s : (rows,) at which each row is done
     lag_sigma_s : of each axis behind the others, where there are several feeds
-    stations : what is said of the tracker's place, where areas for it are known
-    feeds_worth : what a second would tell, of what it does, with all lines at one feed;
-        nothing where the feeds were given
-    further : plans from further stations, in their order; each knows what those before
-        it will tell, and so does its forecast
+    stations : advice on the tracker's station, where areas for it are known
+    feeds_worth : information per second, relative to the plan's, with all lines at one
+        feed; empty where the feeds were given
+    further : plans from further stations, in their order; each includes the information
+        of those before it, and so does its forecast
     """
 
     machine: Machine
@@ -88,7 +88,7 @@ class Plan:
 
     @property
     def outcome(self) -> Forecast:
-        """What to expect after the last station."""
+        """Forecast after the last station."""
         return self.at_stations[-1].forecast
 
     @property
@@ -98,14 +98,14 @@ class Plan:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the target is reached, None without a target."""
+        """None without a target uncertainty."""
         target_um = self.order.target_um
         return None if target_um is None else self.uncertainty_um <= target_um
 
 
 @dataclass(frozen=True)
 class PlanAttempt:
-    """A plan from one place.
+    """Planning from one station.
 
     told : forecast after the stations before it; design : the planner's state then
     """
@@ -118,28 +118,31 @@ class PlanAttempt:
     design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
-        """Return the plan that tells most in so much time."""
+        """The plan with most information in this time."""
         return self._evaluate(self._choose(budget_s))
 
     def plan_corners(self) -> Plan:
-        """Return the plan along the corner path."""
+        """The plan along the corner path.
+
+        Raises PlanningError outside the workspace.
+        """
         path = self._corners()
         self.order.workspace.refuse(self.machine, path)
         return self._evaluate(path)
 
     def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
-        """Return the attempt with the tracker at a place."""
+        """The same with the tracker at another station."""
         workspace = self.order.workspace.place_tracker(place_mm)
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)
 
     def tell(self, plan: Plan) -> PlanAttempt:
-        """Return the attempt that knows what a plan from here will tell."""
+        """Includes the information of a plan from here, for the next station."""
         known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
         return replace(self, told=plan.forecast, design=known)
 
     def choose_place(self, areas: StationAreas) -> StationChoice:
-        """Judge places by lines or points that do not regard what each place sees."""
+        """Evaluate stations by a survey that ignores what each of them sees."""
         order, workspace = self.order, self.order.workspace
         free = replace(order, workspace=replace(workspace, tracker_mm=None))
         survey = Survey(
@@ -156,7 +159,7 @@ class PlanAttempt:
         return choose_place(judge, areas, order.budget_s, stated_mm)
 
     def survey(self) -> Commanded:
-        """Return a few lines or points of the whole travel, chosen in no time."""
+        """A few lines or points of the whole travel, chosen without a search."""
         if self.order.corner_path:
             return self._corners()
         count = _SURVEY_LINES if self.order.is_on_the_fly else _SURVEY_POINTS
@@ -169,7 +172,6 @@ class PlanAttempt:
         return corner_path(self.machine, self.order.feeds(self.machine)[0], dwell_s)
 
     def _choose(self, budget_s: float) -> Commanded:
-        """Return a block for each target that is worth it, one after another."""
         change_s = CHANGE_S if self.order.is_on_the_fly else 0.0
         shares = share_among_targets(
             self._planners, budget_s, change_s, self.order.seed
@@ -179,7 +181,6 @@ class PlanAttempt:
 
     @property
     def _turns(self) -> bool:
-        """Whether rotary axes turn on lines."""
         order = self.order
         return order.is_on_the_fly and bool(order.moving(self.machine).rotary_axes)
 
@@ -193,13 +194,11 @@ class PlanAttempt:
 
     @property
     def _tells_lags(self) -> bool:
-        """Whether lags are to be told from what does not depend on the feed."""
         known = self.assumed.known.effects
         return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
 
     @cached_property
     def _planners(self) -> tuple[Planner, ...]:
-        """One for each target that may be measured."""
         machine, order = self.machine, self.order
         if order.is_on_the_fly and not self._turns:
             return (self._make_planner(None),)
@@ -214,7 +213,7 @@ class PlanAttempt:
         )
 
     def _make_planner(self, target: str | None) -> Planner:
-        """Return the planner of a target; None: the first, the rotary axes at rest."""
+        """Target None: the first, with the rotary axes at rest."""
         order, machine = self.order, self.machine
         if target is None and not moves_where_seen(
             remove_rotary_axes(machine), machine.target()
@@ -240,7 +239,6 @@ class PlanAttempt:
         return Planner(machine, design, order.workspace, feeds, is_free)
 
     def _share(self, commanded: Commanded) -> tuple[list[Planner], list[Commanded]]:
-        """Return the stretches of rows of one target each, and who plans for these."""
         known = {one.design.target.name: one for one in self._planners}
         blocks = split_by_target(commanded)
         first = self._planners[0]

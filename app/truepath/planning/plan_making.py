@@ -1,7 +1,7 @@
-"""Plans within a time or for a target, from one place of the tracker or from several.
+"""Plans within a time or for a target, from one station of the tracker or several.
 
-The plan is what tells most in the time it takes; the forecast says what it will leave
-unknown, by the model, prior and noise that the estimate will be made with.
+The plan has most information for its time; the forecast gives the uncertainty after it,
+by the model, prior and noise of the later estimate.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _LITTLE = 0.1  # of a variance: without it the uncertainty is less by a twentiet
 def make_plan(
     machine: Machine, order: PlanOrder, *, on_progress: Progress = ignore_progress
 ) -> Plan:
-    """Return the plan that was asked for.
+    """The requested plan.
 
     With a target it is the shortest plan found that reaches it; where none does within
-    the minutes (an hour without), the plan of that length, which says how far it comes,
-    or a shorter one after which time would change hardly anything.
+    the minutes (an hour without), the plan of that length, which reports how far it
+    comes, or a shorter one after which time would change hardly anything.
 
     Raises PlanningError if nothing can be planned; it names the reason. BundleError if
     the model is of another machine.
@@ -71,7 +71,6 @@ def _add_remedies(
     elsewhere_mm: Sequence[NDArray[np.float64]],
     move_s: float,
 ) -> Plan:
-    """Return the plan that says what would take away most of the tracker's errors."""
     last = plan.at_stations[-1]
     remedies = find_set_up_remedies(
         attempt.order.moving(attempt.machine),
@@ -87,7 +86,6 @@ def _add_remedies(
 
 
 def _list_usual_places(plan: Plan) -> list[NDArray[np.float64]]:
-    """Return the usual places, apart from the tracker's, that see all of a plan."""
     found: list[NDArray[np.float64]] = []
     for place in assume_stations_mm(plan.machine):
         if np.linalg.norm(place - plan.station_mm) >= APART_MM:
@@ -101,7 +99,6 @@ def _list_usual_places(plan: Plan) -> list[NDArray[np.float64]]:
 def _plan_stations(
     attempt: PlanAttempt, choice: StationChoice, on_progress: Progress
 ) -> Plan:
-    """Return the plan from the first place, with those from further places."""
     order, plans = attempt.order, list[Plan]()
     share_s = order.budget_s / order.stations
     for number, station in enumerate(choice.choose_stations(order.stations)):
@@ -114,7 +111,6 @@ def _plan_stations(
 
 
 def _plan_as_ordered(attempt: PlanAttempt, on_progress: Progress) -> Plan:
-    """Return the plan from where the tracker stands."""
     order = attempt.order
     if order.corner_path:
         return attempt.plan_corners()
@@ -127,7 +123,6 @@ def _plan_as_ordered(attempt: PlanAttempt, on_progress: Progress) -> Plan:
 def _plan_for_target(
     attempt: PlanAttempt, target_um: float, longest_s: float, on_progress: Progress
 ) -> Plan:
-    """Return the shortest plan found that reaches the target, or the longest."""
     budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
     planned = attempt.plan_within(budget_s)
     for number in range(1, _TRIES):

@@ -1,6 +1,6 @@
-"""What is asked of a plan: mode, time or target, feeds, workspace; nonsense is refused.
+"""Request for a plan: mode, time or target, feeds, workspace, with validation.
 
-Where feeds are left out, they are those of the machine that lines may choose from.
+Where feeds are not given, lines choose from those of the machine.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from truepath.planning.stations.station_choice import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
-_FEEDS, _LOWER = 4, 0.63  # among so many a line has its own, each lower by so much
+_FEEDS, _LOWER = 4, 0.63  # number of feeds, and the ratio of neighbours
 _LEAST_FEED_MM_MIN = 10.0
-# A plan of lines near the longest alone leaves two to six times as much.
+# Only lines near the longest give two to six times the uncertainty.
 _OF_LONGEST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class PlanOrder:
-    """What is asked of a plan.
+    """Request for a plan.
 
     mode : `otf` or `standstill`
     minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
-    feeds_mm_min : several to tell dynamic effects from static ones; where left out,
-        those at which lines tell most a second
-    max_feed_mm_min : up to which feeds are chosen; where left out, what the machine can
-    corner_path : the path of the 2023 paper instead, to compare with
-    model : whose effects are to be told apart from the error motions and each other
+    feeds_mm_min : several to distinguish dynamic effects from static ones; empty for
+        those with most information per second
+    max_feed_mm_min : highest feed to choose; None for the machine's
+    corner_path : the path of the 2023 paper instead, for comparison
+    model : with effects to be distinguished from the error motions and each other
     turns : rotary axes turn on the lines as well
-    stations : places of the tracker, which share the minutes
+    stations : number of tracker stations, which share the minutes
     """
 
     mode: str = "otf"
@@ -64,46 +64,46 @@ class PlanOrder:
 
     @property
     def is_on_the_fly(self) -> bool:
-        """Whether lines are measured, not points."""
+        """True if lines are measured, not points."""
         return self.mode == "otf"
 
     @property
     def budget_s(self) -> float:
-        """The time that a plan without a target takes, at most."""
+        """Longest time of a plan without a target."""
         return 60.0 * (self.minutes or DEFAULT_MINUTES[self.mode])
 
     @property
     def design_kind(self) -> type[DesignState]:
-        """How legs are measured."""
+        """Design of lines or of points."""
         return LineDesignState if self.is_on_the_fly else PointDesignState
 
     def select_effects(self, machine: Machine) -> KnownEffects:
-        """Return what the model knows of a machine's effects. Raises BundleError."""
+        """Known effects from the model. Raises BundleError."""
         model = self.model
         return KnownEffects() if model is None else model.select_effects(machine)
 
     def assume(self, machine: Machine) -> Assumptions:
-        """Return what is believed of a machine before the plan."""
+        """Default noise and prior, with the model's effects."""
         return Assumptions(self.select_effects(machine), self.perpendicular_only)
 
     def moving(self, machine: Machine) -> Machine:
-        """Return the machine without its rotary axes where they stand."""
+        """The machine without rotary axes that stay at rest."""
         stands = self.is_on_the_fly and (self.corner_path or not self.turns)
         return remove_rotary_axes(machine) if stands else machine
 
     def drive(self, machine: Machine) -> Drive:
-        """Return how the machine moves."""
+        """Motion limits, with the dwell of the mode."""
         moving = self.moving(machine)
         if self.is_on_the_fly:
             return Drive.of_lines(moving, self.dwell_s or LINE_DWELL_S)
         return Drive.of_machine(moving, self.dwell_s or POINT_DWELL_S)
 
     def feeds(self, machine: Machine) -> tuple[float, ...]:
-        """Return the feeds as asked for, else those that lines choose from.
+        """Requested feeds, else those that lines choose from.
 
-        Highest first: that of the machine or the order, or less where only lines of
-        more than half the volume's diagonal hold it. Between points it goes as fast as
-        it can.
+        Highest first: that of the machine or the request, or less where only lines of
+        more than half the volume's diagonal hold it. Between points it is the machine's
+        highest.
         """
         asked = self.max_feed_mm_min or np.inf
         highest = min(machine.motion.max_feed_mm_min, LARGEST_FEED_MM_MIN, asked)
@@ -136,7 +136,7 @@ class PlanOrder:
             )
         for feed_mm_min in self.feeds_mm_min:
             check_feed(machine, feed_mm_min)
-        if self.max_feed_mm_min is not None:  # above what it can it limits nothing
+        if self.max_feed_mm_min is not None:  # else the machine limits
             check_feed(
                 machine, min(self.max_feed_mm_min, machine.motion.max_feed_mm_min)
             )
@@ -166,6 +166,5 @@ class PlanOrder:
 
 
 def _round_down(feed_mm_min: float) -> float:
-    """Return three digits of a feed."""
     step = 10.0 ** (math.floor(math.log10(feed_mm_min)) - 2)
     return step * math.floor(feed_mm_min / step + 1e-9)

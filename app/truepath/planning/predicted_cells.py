@@ -1,8 +1,8 @@
-"""A measurement before it is made: the cells that a path or points would give.
+"""The cells that a path or points would give, before the measurement.
 
-Nothing is drawn at random and nothing moves. The cells stand where the machine would
-be, as often and for as long as feed and dwell have it, and where the tracker would see
-them; what they tell follows from that alone.
+Nothing is random and nothing moves. The cells are at the machine's positions, as many
+and as long as feed and dwell give, and where the tracker would see them; their
+information follows from that alone.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from truepath.motion.motion_times import Drive, Stops, row_times_s
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers.interfaces.records import Path
 
-# Usual of trackers in a shop; what a Run shows is estimated once there is one.
+# Typical of trackers in a shop; a Run's own noise is estimated later.
 EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 2e-4)
 _CELL_MM, _CELL_S = 16.0, 0.25
 _MOST_CELLS = 4000  # then cells are longer
 _AHEAD = 1e-4  # of a line, to see where the target is going
-_POINT_TO_POINT_S = 2.0  # usual time of a move between standstill points
+_POINT_TO_POINT_S = 2.0  # typical time of a move between standstill points
 
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Part of a line, or a dwell: shares of the way to its row, and times of its cells.
+    """Part of a line, or a dwell: shares of the line, and times of its cells.
 
-    rate : of the share, a second; 0 for a dwell
-    change : of the rate, a second, on a ramp; None elsewhere
+    rate : of the share, per second; 0 for a dwell
+    change : of the rate, per second, on a ramp; None elsewhere
     """
 
     row: int
@@ -56,7 +56,6 @@ class _Stretch:
 
     @property
     def is_ramp(self) -> bool:
-        """Whether the feed changes."""
         return self.change is not None
 
 
@@ -68,14 +67,13 @@ def predict_cells(
     cell_mm: float = _CELL_MM,
     turn_rad: float = 0.0,
 ) -> Observations:
-    """Return the cells of a measurement with the tracker at a place.
+    """The cells of a measurement with the tracker at a station.
 
-    They know their surroundings, temperatures left out.
+    With their surroundings, without temperatures.
 
-    station_mm : in the frame that the tracker stands on (workpiece or base)
+    station_mm : in the frame that the tracker is mounted on (workpiece or base)
     cell_mm : length of cells along lines, at least
     turn_rad : of the tracker about its standing axis, from where it faces the machine
-
     Raises PlanningError if nothing moves and nothing dwells.
     """
     is_path = isinstance(commanded, Path)
@@ -110,14 +108,12 @@ def _face(
     station_mm: Float64[np.ndarray, "3"],
     turn_rad: float,
 ) -> RigidTransform:
-    """Return the pose of a level tracker at a place that looks at a point."""
     x, y, _ = point_mm - station_mm
     rotation = build_rotation(np.array([0.0, 0.0, turn_rad - np.arctan2(y, x)]))
     return RigidTransform(rotation, -rotation @ station_mm)
 
 
 def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
-    """Yield each line, at constant feed and on its ramps, and the dwell at its end."""
     row_s = row_times_s(path, limits=machine.motion)
     end_s = np.cumsum(row_s)
     drive = Drive.of(path.axes, 0.0, machine.motion)
@@ -129,12 +125,12 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
     yield from _dwell(0, path.dwell_s[0], end_s[0])
     for k in range(len(legs)):
         row, begin_s = k + 1, end_s[k]
-        if path.arc and path.arc[row] is not None:  # which tells an estimate nothing
+        if path.arc and path.arc[row] is not None:  # of no use to an estimate
             yield from _dwell(row, path.dwell_s[row], end_s[row])
             continue
         moving_s = row_s[row] - path.dwell_s[row]
         span_s = 0.5 * (moving_s - steady_s[k])
-        ramp = None  # on a curve it tells nothing
+        ramp = None  # on a curve it has no information
         if not turns[k]:
             ramp = _ramp(row, lost[k], span_s, ramp_s[k], cell / length[k])
         if ramp is not None:
@@ -164,9 +160,8 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
 def _ramp(
     row: int, lost: float, span_s: float, ramp_s: float, cell_share: float
 ) -> _Stretch | None:
-    """Return the first stretch of a line, at even acceleration and what settles after.
-
-    lost : share of the line that it takes; span_s : its time, ramp_s of it on the ramp
+    """First stretch of a line: constant acceleration, then settling. lost : share of
+    the line that it takes; span_s : its time, ramp_s of it on the ramp
     """
     used_s = span_s - RAMP_SETTLE_S
     if used_s <= 0.0:
@@ -183,7 +178,6 @@ def _ramp(
 
 
 def _dwell(row: int, dwell_s: float, end_s: float) -> Iterator[_Stretch]:
-    """Yield a standstill at the end of a line, where it is long enough."""
     span_s = dwell_s - 2.0 * STANDSTILL_SETTLE_S
     if span_s <= 0.0:
         return
@@ -194,7 +188,7 @@ def _dwell(row: int, dwell_s: float, end_s: float) -> Iterator[_Stretch]:
 
 
 def _count(span_s: float, cells_per_s: float) -> int:
-    """Return the number of cells; none lasts longer than a second."""
+    """No cell lasts longer than a second."""
     return max(1, round(float(span_s * max(cells_per_s, 1.0))))
 
 
@@ -247,7 +241,7 @@ def _conditions(
 def find_slopes_mm(
     at: Conditions, step: Float64[np.ndarray, "n a"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return how the target's place changes with the share of a step of the axes."""
+    """Derivative of the target's position by the share of a step of the axes."""
     behind, ahead = (
         replace(at, position_mm=at.position_mm + sign * _AHEAD * step).point_mm
         for sign in (-1.0, 1.0)
@@ -256,9 +250,9 @@ def find_slopes_mm(
 
 
 def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
-    """Return four usual places of a tracker: a metre off each side, at middle height.
+    """Four typical tracker stations: a metre off each side, at middle height.
 
-    For when nobody has said where it will stand.
+    Used when no station is given.
     """
     straight = [isinstance(axis, LinearAxis) for axis in machine.axes]
     travel = np.array([(axis.low, axis.high) for axis in machine.axes]).T

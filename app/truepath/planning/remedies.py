@@ -1,12 +1,12 @@
-"""What would help most, found by trying: a line more, or the tracker set up otherwise.
+"""Most effective changes, by trial: one more line, or another set-up of the tracker.
 
 Lines along each axis at the ends and the middle of the others, and the diagonals of the
-travel; each is put through the same algebra as the measurement itself. What a line
-gains of the motion's variance at the tool decides.
+travel; each is evaluated by the same algebra as the measurement itself. The decrease of
+the motion's variance at the tool decides.
 
-What the tracker is off by no line and no time takes away, but the same rows do from
-another place, from the same one with its base turned, or in its second face: the same
-fault acts otherwise.
+Errors of the tracker do not decrease with lines or time, but by the same rows from
+another station, from the same one with the base turned, or in the second face: the same
+error then acts differently.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from truepath_drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell
-_TURNS_RAD = (0.5 * np.pi, np.pi)  # of the base: cycles once and twice a turn change
+_TURNS_RAD = (0.5 * np.pi, np.pi)  # of the base: errors once and twice a turn change
 _TURN_S = 300.0  # to turn the base, and to let it settle
 _FACE_S = 60.0  # to turn the head over and to lock again
 _PLACES = {"low": "low end", "middle": "middle", "high": "high end"}
@@ -40,7 +40,7 @@ _PLACES = {"low": "low end", "middle": "middle", "high": "high end"}
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """A line to add, or standstill points on it: in words, and where it goes.
+    """A line to add, or standstill points on it: in words, and its ends.
 
     begin, end : axis positions in the column order of the machine
     """
@@ -57,9 +57,9 @@ def find_best_line(
     covariance: Float64[np.ndarray, "p p"],
     gram: Float64[np.ndarray, "p p"],
 ) -> Remedy:
-    """Return the line that leaves least of a motion's uncertainty.
+    """The line that reduces a motion's uncertainty most.
 
-    covariance : of the model's θ as the measurement would leave it
+    covariance : of the model's θ after the measurement
     """
     part = model.slices[symbol]
     own = np.zeros_like(gram)
@@ -72,7 +72,7 @@ def find_best_line(
 
 
 def append_line(commanded: Commanded, line: Remedy) -> Commanded:
-    """Return what is commanded with a line at its end, or with points on it."""
+    """Adds a line at the end, or points on it."""
     is_path = isinstance(commanded, Path)
     share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
     more, last = len(share), select_rows(commanded, slice(-1, None))
@@ -89,13 +89,13 @@ def append_line(commanded: Commanded, line: Remedy) -> Commanded:
 
 @dataclass(frozen=True, slots=True)
 class SetUpRemedy:
-    """The rows once more, with the tracker set up otherwise.
+    """The rows once more, with the tracker set up differently.
 
     change : `second-place`, `turned-base` or `other-face`
-    turn_rad : of the base, against where it stands before
-    added_s : what it takes, moving and measuring
+    turn_rad : of the base, relative to before
+    added_s : its time, moving and measuring
     sigma_mm : volumetric, of both measurements together
-    removed_mm : what of the plan's it takes away
+    removed_mm : decrease relative to the plan
     """
 
     change: str
@@ -107,7 +107,7 @@ class SetUpRemedy:
 
     @property
     def mm_per_s(self) -> float:
-        """What a second of it takes away."""
+        """Decrease per second."""
         return self.removed_mm / self.added_s
 
 
@@ -122,11 +122,11 @@ def find_set_up_remedies(
     takes_s: float,
     move_s: float,
 ) -> tuple[SetUpRemedy, ...]:
-    """Return what takes away most of the tracker's errors, the most a second first.
+    """Most effective changes against the tracker's errors, by decrease per second.
 
     commanded, takes_s : the rows that are measured once more; found : after the plan
-    here_mm : where the tracker stands; elsewhere_mm : where it may stand as well
-    move_s : what moving it takes
+    here_mm : station of the tracker; elsewhere_mm : other possible stations
+    move_s : time to move it
     """
     if not any(map(is_of_instrument, found.model.effects)):  # a perfect tracker
         return ()
@@ -187,7 +187,7 @@ def _format_place(machine: Machine, position: Float64[np.ndarray, " a"]) -> str:
 def _rows(
     line: Remedy, seen: Observations, model: MachineModel
 ) -> Float64[np.ndarray, "r p"]:
-    """Return the rows of a line in units of the noise, phase and speed left out."""
+    """Rows of a line in units of the noise, phase and speed projected out."""
     share = (np.arange(_POINTS) + 0.5) / _POINTS
     position = line.begin + share[:, None] * (line.end - line.begin)
     offset = np.tile(seen.at.offset_mm[0], (_POINTS, 1))
@@ -208,7 +208,6 @@ def _rows(
 
 
 def _sigma_mm(seen: Observations) -> float:
-    """Return the standard deviation of one component of a cell."""
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     white, ou = EXPECTED_NOISE.white[1], EXPECTED_NOISE.ou[1]

@@ -1,4 +1,4 @@
-"""Cells of one pass or one standstill, with what was commanded there."""
+"""Cells of one pass or one standstill, with the commanded positions there."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from truepath.alignment.stream.stops import StopSequence, standstill_speed_mm_s
 from truepath.files.bundle.run import Run
 from truepath.numerics.rigid import RigidTransform
 
-STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the least
-_TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end
+STANDSTILL_SETTLE_S = 0.05  # excluded at both ends of a standstill, at the least
+_TO_REST = 4.0  # times distance over speed there: even soft jerks end
 _FEWEST_SAMPLES = 5  # of a standstill
-_PARABOLA = 5  # samples before and after, through which one is laid
+_PARABOLA = 5  # samples before and after, for a local parabola
 _CREEP_SIGMAS = 5.0  # of a quarter of a standstill: rare samples are no creep
-_CREEP_MM = 0.03  # several times what the air does in a second
+_CREEP_MM = 0.03  # several times the effect of air in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class CellBlock:
 
     @property
     def is_ramp(self) -> bool:
-        """Whether the feed changes: places on the line are the measured ones."""
+        """True if the feed changes: positions are then measured ones."""
         return self.acceleration is not None
 
 
@@ -66,7 +66,7 @@ def reduce_pass(
     curve: Curve,
     cell_mm: float = CELL_MM,
 ) -> list[CellBlock]:
-    """Return the cells of one pass, in order of time: of its ramps as well."""
+    """In order of time, ramps included."""
     found = [
         _reduce_ramp(run, line, each, slice(*ramp), stream, curve, cell_mm)
         for ramp in each.ramps
@@ -85,10 +85,10 @@ def _reduce_ramp(
     curve: Curve,
     cell_mm: float,
 ) -> CellBlock:
-    """Return cells where they were measured on a straight line.
+    """Cells at their measured positions on a straight line.
 
-    Machine errors change slowly, so that a place that is wrong by their own size along
-    the line costs nothing across it. Scatter along the line is none.
+    Machine errors change slowly, so a position that is wrong by their own size along
+    the line has no effect across it. Scatter along the line is 0.
     """
     share, aside = curve.nearest(stream.points_mm(part.start, part.stop))
     on, rotation = aside < stream.reach_mm, stream.pose.rotation
@@ -128,9 +128,8 @@ def _follow(
     at_s: Float64[np.ndarray, " n"],
     cell_s: float,
 ) -> Float64[np.ndarray, "2 n"]:
-    """Return the rate of the share of the line, and its change, at the cells.
-
-    By parabolas through the samples of each, and a few more where it has few.
+    """First and second derivative of the share of the line, at the cells: by parabolas
+    through the samples of each, and a few more where it has few.
     """
     half_s = max(0.5 * cell_s, _PARABOLA * float(np.median(np.diff(time_s))))
     first = np.searchsorted(time_s, np.maximum(at_s - half_s, time_s[0]))
@@ -149,7 +148,6 @@ def _follow(
 def _reduce_steady(
     run: Run, line: int, each: Pass, stream: Stream, curve: Curve, cell_mm: float
 ) -> CellBlock:
-    """Return the cells at constant feed, from which their places follow."""
     part = slice(each.first, each.last)
     time = stream.time_s[part]
     middle, rate = 0.5 * float(time[0] + time[-1]), each.speed_mm_s / curve.length_mm
@@ -196,7 +194,6 @@ def _aside_mm(
     lag_s: Float64[np.ndarray, " n"],
     rate: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Return how far the samples of a pass lie aside of its line."""
     share = each.share + rate * lag_s
     slope = curve.slope_mm(share)
     away = stream.points_mm(each.first, each.last) - curve.point_mm(share)
@@ -218,9 +215,9 @@ def _timing(
     cells: Cells,
     line_time_s: Float64[np.ndarray, " n"],
 ) -> tuple[float, float]:
-    """Return by how much the cells are ahead, at mid line and more every second.
+    """Lead of the cells at mid line, and its rate per second.
 
-    In shares of the line, by least squares along it; one cell tells no speed.
+    In shares of the line, by least squares along it; one cell determines no rate.
     """
     slope = curve.slope_mm(share)
     off = to_workpiece.apply(cells.tracker_mm) - curve.point_mm(share)
@@ -242,12 +239,12 @@ def reduce_standstills(
     stream: Stream,
     nominal: NominalPath,
 ) -> list[CellBlock]:
-    """Return the cells of every matched standstill, settling left out.
+    """Cells of every matched standstill, without settling.
 
-    Of lines as well: phase and speed of a line are free, and the stops at its ends tell
-    what is along it.
-    Not of those at which an axis may have turned unseen. They begin and end where the
-    machine is slow; how far it still was then tells how long it took to rest.
+    Those of lines too: phase and speed of a line are free, and the stops at its ends
+    determine the errors along it. Not those at which an axis may have turned unseen.
+    They begin and end where the machine is slow; its distance from rest there gives the
+    time to rest.
     """
     slow_mm_s = standstill_speed_mm_s(nominal.slowest_mm_s)
     found: list[CellBlock] = []
@@ -287,10 +284,6 @@ def reduce_standstills(
 def _find_settled(
     stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
 ) -> Int64[np.ndarray, " m"]:
-    """Return the samples of a standstill without those at both ends.
-
-    wait_s : to leave out at its begin and at its end, at the least
-    """
     time = stream.time_s[first:last]
     begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
     settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
@@ -302,9 +295,8 @@ def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
 
 
 def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
-    """Tell whether a target moves that was too slow to be told from one at rest.
-
-    A target near a rotary axis, or on a table that hardly turns, does so on the way.
+    """True if a target moves too slowly to be distinguished from one at rest. A target
+    near a rotary axis, or on a table that hardly turns, does so during the motion.
 
     sigma_mm : noise of a sample
     """

@@ -1,9 +1,9 @@
-"""Cells that stand off their neighbours: several times more than noise and machine do.
+"""Cells that deviate from their neighbours several times more than noise and machine.
 
 Machine errors are long against a cell, so a cell lies where its neighbours on both
-sides lie, their slope taken along. What stands off the median of nine by ten times the
-tracker's noise, and by more than the rest of the line varies, is no machine. A longer
-stretch shows against the other lines only, once these are solved for.
+sides lie, their slope included. A deviation from the median of nine by ten times the
+tracker's noise, and by more than the rest of the line varies, is no machine error. A
+longer stretch shows against the other lines only, once these are solved for.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from truepath.alignment.observations.reduction import Cells, beam_frame
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
-USUAL_OU = 0.15  # correlated part of the noise, of the stated one: hall and tracker
+USUAL_OU = 0.15  # correlated part of the specified noise: hall and tracker
 _BESIDE = 4  # cells on either side
 _LIMIT = 10.0  # standard deviations of a cell
-_LEAST_MM = 0.01  # what is smaller is left to the solve
+_LEAST_MM = 0.01  # smaller deviations are left to the solve
 
 
 def leave_out_cells(
@@ -28,9 +28,9 @@ def leave_out_cells(
     tracker: TrackerNoise,
     row: int,
 ) -> tuple[Cells, list[LeftOut]]:
-    """Return the cells that go on from their neighbours, and what of the others.
+    """The cells consistent with their neighbours, and a description of the others.
 
-    expected_mm : where the cells should be, from any origin, in the tracker's frame
+    expected_mm : expected positions, from any origin, in the tracker's frame
     """
     off_mm = _stand_off_mm(cells, expected_mm, tracker)
     bad = off_mm > 0.0
@@ -48,7 +48,7 @@ def describe_cells(
     off_mm: Float64[np.ndarray, " n"],
     row: int,
 ) -> list[LeftOut]:
-    """Return what is said of cells of one line that are left out, by stretches."""
+    """Records of excluded cells of one line, one for each stretch."""
     inside = np.flatnonzero(bad)
     half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     return [
@@ -67,7 +67,6 @@ def describe_cells(
 def _stand_off_mm(
     cells: Cells, expected_mm: Float64[np.ndarray, "n 3"], tracker: TrackerNoise
 ) -> Float64[np.ndarray, " n"]:
-    """Return how far each cell stands off its neighbours; 0 where it may."""
     n = len(cells.time_s)
     if n < 3:
         return np.zeros(n)
@@ -85,7 +84,6 @@ def _stand_off_mm(
 def _median_of_neighbours(
     rest: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return running medians; towards the ends of as many cells on either side."""
     n = len(rest)
     median = rest.copy()
     for beside in range(1, _BESIDE):

@@ -27,10 +27,10 @@ def join_blocks(
     seats: Seats,
     left_out: list[LeftOut] | None = None,
 ) -> Observations:
-    """Return the cells of all stretches as one block.
+    """Concatenates the blocks, which are in order of time.
 
-    seats : targets that sit far off their places, and by how much
-    left_out : what is in none of the stretches, beside what each of them left out
+    seats : targets that are far off their stated positions, and their shifts
+    left_out : exclusions outside the blocks, in addition to those of each block
     """
     said = [*(left_out or []), *(each for p in parts for each in p.left_out)]
     own = np.repeat(np.arange(len(parts)), [len(p.cells.time_s) for p in parts])
@@ -62,10 +62,6 @@ def join_blocks(
 def _collect_conditions(
     run: Run, parts: list[CellBlock], own: Int64[np.ndarray, " n"], seats: Seats
 ) -> Conditions:
-    """Return what was commanded and where the targets were at the cells.
-
-    own : number of the stretch of each cell
-    """
     machine = run.machine
     row = np.array([p.row for p in parts])[own]
     velocity = np.concatenate([p.velocity_mm_s for p in parts])
@@ -125,7 +121,7 @@ def _find_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:
 def approach_signs(
     position: Float64[np.ndarray, "w a"],
 ) -> Float64[np.ndarray, "w a"]:
-    """Return the sign of each axis' last motion on the way to each row."""
+    """Sign of each axis' last motion on the way to each row; 0 before its first."""
     step = np.sign(np.diff(position, axis=0, prepend=position[:1]))
     last = np.where(step != 0.0, np.arange(len(step))[:, None], 0)
     np.maximum.accumulate(last, axis=0, out=last)

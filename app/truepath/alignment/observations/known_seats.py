@@ -1,4 +1,4 @@
-"""Where targets sit, as far as the standstills or points so far tell."""
+"""Seats of targets, as far as the standstills or points so far determine them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from truepath.alignment.stream.sequence import seat_places
 class KnownSeats:
     """Seats of targets while measurements come in. One thread.
 
-    place_mm, seated_mm : waypoints where they are stated, and where the targets stand
-    seats : targets that sit far off their places, and by how much; another object
-        once another target is known
+    place_mm, seated_mm : waypoints with targets as stated, and with targets at their
+        seats
+    seats : targets that are far off their stated positions, and their shifts; another
+        object once another target is known
     """
 
     def __init__(self) -> None:
@@ -24,14 +25,14 @@ class KnownSeats:
     def expect(
         self, place_mm: Float64[np.ndarray, "w 3"], seating: Seating | None
     ) -> None:
-        """Know of waypoints; `seating` is None where every target sits as stated."""
+        """Sets the waypoints; `seating` is None where every target is as stated."""
         self.place_mm = self.seated_mm = place_mm
         self.seating = seating
 
     def refine(
         self, places_mm: Float64[np.ndarray, "k 3"], waypoints: Int64[np.ndarray, " k"]
     ) -> bool:
-        """Find the seats from what was measured; say whether another one is known."""
+        """Estimates the seats from all points; True if one more is settled."""
         if self.seating is None:
             return False
         self.seated_mm, found = seat_places(
@@ -40,19 +41,19 @@ class KnownSeats:
         settled = self.seating.list_settled(waypoints)
         if settled == self._settled:
             return False
-        # All anew with each target: the estimate is linear in the rest.
+        # All again with each target: the estimate is linear in the rest.
         self._settled = settled
         self.seats = {name: found[name] for name in found if name in settled}
         return True
 
     def is_known(self, waypoint: int) -> bool:
-        """Tell whether it is known where the target at a waypoint sits."""
+        """True if the seat of the target at a waypoint is settled."""
         if self.seating is None:
             return True
         return self.seating.names[self.seating.target[waypoint]] in self._settled
 
     def find_reach_mm(self, waypoint: int) -> float:
-        """Return how far off its place a target may be whose seat is not known yet."""
+        """Tolerance for a target whose seat is not settled yet; 0 for others."""
         if self.seating is None or self.is_known(waypoint):
             return 0.0
         return float(self.seating.reach_mm[waypoint])

@@ -1,8 +1,8 @@
-"""Points of a tracker that is polled: each sample says which commanded row it is of.
+"""Points of a polled tracker: each sample names its commanded row.
 
 Nothing is recognised from motion: a sample is the mean of a whole dwell. The sequence
-of places still has to be that of the rows, so that a wrong numbering, another target or
-a reflector that moved shows as a point that is astray.
+of points still has to be that of the rows, so that a wrong numbering, another target or
+a reflector that moved shows as a point off its row.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from truepath_drivers.interfaces.records import TrackerSamples
 
 
 def find_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
-    """Return which samples are measurements."""
+    """Indices of the samples with status 0."""
     return np.flatnonzero(samples.status == 0)
 
 
 def list_as_stops(tracker_mm: Float64[np.ndarray, "n 3"]) -> StopSequence:
-    """Return each measured point as a standstill of its own."""
+    """Each point becomes a separate standstill of one sample."""
     number = np.arange(len(tracker_mm))
     return StopSequence(number, number + 1, tracker_mm)
 
@@ -38,9 +38,9 @@ def reduce_points(
     matching: Matching,
     nominal: NominalPath,
 ) -> tuple[list[CellBlock], list[LeftOut]]:
-    """Return a cell of each point that is where its row is, and what of the others.
+    """A cell for each point near its row, and exclusions for the others.
 
-    measured : samples that are measurements
+    measured : indices of the samples that are measurements
     """
     expected = matching.pose.apply(nominal.end_mm[points.row[measured]])
     tracker_mm = run.tracker.position_mm[measured]
@@ -58,12 +58,12 @@ def reduce_points(
 
 
 def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
-    """Return the cell of one measured point."""
+    """One cell; its scatter is 0 where the covariance is unknown."""
     row, tracker_mm = int(points.row[sample]), run.tracker.position_mm[[sample]]
     frame = beam_frame(tracker_mm)[0]
     square = np.diag(frame @ points.covariance_mm2[sample] @ frame.T)
     sigma = run.machine.tracker.sigma_mm(np.linalg.norm(tracker_mm, axis=1))[0]
-    # A covariance that is not known says nothing of the scatter.
+    # An unknown covariance contains nothing on the scatter.
     free = float(points.count[sample] - 1) * bool(square.any())
     scatter = free * np.array([square[0], square[1] + square[2]]) / sigma**2
     cells = Cells(

@@ -1,4 +1,4 @@
-"""What alignment hands to estimation: one row a cell, no samples any more."""
+"""Output of alignment, input of estimation: one row a cell, no samples any more."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from truepath.numerics.rigid import RigidTransform
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One uninterrupted drive along one line of the path.
+    """One uninterrupted motion along one line of the path.
 
     row : row of the path that the machine moved towards
-    first, last : indices of its samples at constant feed in the Run; none where the
+    first, last : indices of its samples at constant feed in the Run; equal where the
         line is too short for its feed
     speed_mm_s : as measured; the mean along the line where it is a curve
-    share : of the line that was done at the middle of its time
+    share : of the line done at the middle of its time
     ramps : first and last of the samples before and after, on its ramps
     """
 
@@ -36,11 +36,11 @@ class Pass:
 
     @property
     def is_steady(self) -> bool:
-        """Whether any of it has constant feed."""
+        """True if any of it has constant feed."""
         return self.last > self.first
 
     def shift(self, index: Callable[[int], int]) -> Pass:
-        """Return the pass with its samples counted otherwise."""
+        """Renumbers the samples by `index`, also of the ramps."""
 
         def part(first: int, last: int) -> tuple[int, int]:
             return (index(first), index(last - 1) + 1) if last > first else (0, 0)
@@ -52,7 +52,7 @@ class Pass:
 
 @dataclass(frozen=True, slots=True)
 class ArcDrive:
-    """One uninterrupted drive along an arc, from standstill to standstill.
+    """One uninterrupted motion along an arc, from standstill to standstill.
 
     row : of the path; first, last : indices of its samples in the Run
     """
@@ -64,16 +64,16 @@ class ArcDrive:
 
 @dataclass(frozen=True, slots=True)
 class Driving:
-    """What was driven of a path, and how.
+    """Executed part of a path, and its timing.
 
-    first, last, rows : rows of the path that the stream shows, or together with other
-        Runs of it that are aligned beside, and how many there are
-    feed : share of the commanded feed on each line that was driven at another, by row
+    first, last, rows : rows of the path that the stream shows, also together with other
+        Runs of it, and how many there are
+    feed : measured over commanded feed on each line where they differ, by row
     holds : row, begin and duration in s of standstills in the middle of a line
-    clock : time on the tracker's clock that lines and standstills alike took, of what
-        they should; 1 where they do not tell
+    clock : ratio of times on the tracker's clock to commanded ones for lines and
+        standstills alike; 1 where it is not determined
     gaps_s : times from sample to sample between which samples are missing
-    missing : samples that are
+    missing : number of samples that are
     """
 
     first: int
@@ -87,7 +87,7 @@ class Driving:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all lines of the path are there, from the first to the last."""
+        """True if all lines of the path are there, from the first to the last."""
         return self.first <= 1 and self.last >= self.rows - 1
 
 
@@ -101,13 +101,13 @@ class Observations:
     direction : (n, 3) unit direction of travel, 0 at a standstill
     row : (n,) row of the commanded path or points
     scatter : (2,) standard deviation of samples about their cell along and across the
-        beam, in units of the tracker's stated noise; NaN where single shots tell none
+        beam, in units of the tracker's specified noise; NaN for single shots
     pose : rough pose, workpiece to tracker; estimation refines it
     used, offered : samples that went into cells, samples of the stream
     left_out : valid samples that were not used, and why
-    ramp : (n,) cells on ramps: their place on the line is the measured one, so they
-        tell only what is across it; none where left out
-    driving : what was driven of the path, and how; none of points
+    ramp : (n,) cells on ramps: their position on the line is the measured one, so only
+        their deviation across it counts; None if there are none
+    driving : executed part of the path; None for points
     arcs : in no cells
     """
 
@@ -139,7 +139,7 @@ class Observations:
 
     @property
     def measured_rows(self) -> frozenset[int]:
-        """Rows of the lines that were measured; of points where there is no line."""
+        """Rows of the measured lines; of points where there is no line."""
         on_line = self.at.line >= 0
         return frozenset((self.row[on_line] if on_line.any() else self.row).tolist())
 
@@ -147,7 +147,7 @@ class Observations:
     def stretches(self) -> list[tuple[int, int]]:
         """First cell and one past the last of lines and standstills.
 
-        Ramps apart, and what is before and after a new lock of the beam.
+        Split at ramps and at new locks of the beam.
         """
         changes = 1 + np.flatnonzero(np.diff(self.is_ramp))
         changes = np.union1d(changes, self.new_locks)
@@ -164,7 +164,7 @@ class Observations:
 
     @property
     def is_ramp(self) -> Bool[np.ndarray, " n"]:
-        """Which cells are on ramps."""
+        """Mask of the cells on ramps."""
         return np.zeros(len(self), bool) if self.ramp is None else self.ramp
 
     @property
@@ -173,7 +173,7 @@ class Observations:
         return beam_frame(self.tracker_mm)
 
     def select(self, cells: Int64[np.ndarray, " m"]) -> Observations:
-        """Return some of the cells."""
+        """`used` and `offered` stay those of all cells."""
         return replace(
             self,
             at=self.at.select(cells),
@@ -185,11 +185,11 @@ class Observations:
         )
 
     def leave_out_ramps(self) -> Observations:
-        """Return the cells at constant feed and at standstill."""
+        """Only cells at constant feed and at standstill."""
         return self.select(np.flatnonzero(~self.is_ramp))
 
     def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
-        """Return means of neighbours on straight lines, from each start to the next."""
+        """Means of neighbours on straight lines, from each start to the next."""
         means = CellMeans(self.count, starts)
         return replace(
             self.select(starts),
@@ -199,9 +199,9 @@ class Observations:
         )
 
     def join_cells(self, longest_mm: Mapping[str, float]) -> Observations:
-        """Return the observations with neighbouring cells of a line as one.
+        """Neighbouring cells of a line merged.
 
-        longest_mm : by linear axis, how far it may move within a cell. Standstills, and
+        longest_mm : by linear axis, largest motion within a cell. Standstills, and
             lines on which a rotary axis turns, stay as they are.
         """
         names = self.at.machine.axis_names
@@ -214,7 +214,7 @@ class Observations:
         return self if len(joined) == len(self) else self.join(joined)
 
     def find_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
-        """Return the first cell in each of joined cells, and one past the last."""
+        """First original cell of each merged cell, and one past the last."""
         ends, joined_ends = np.cumsum(self.count), np.cumsum(joined.count)
         edges = 1 + np.searchsorted(ends, joined_ends - 0.5)  # whole samples
         return np.concatenate([[0], edges])
@@ -235,7 +235,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class CellMeans:
-    """Means over neighbouring cells, each cell counting by its samples.
+    """Means over neighbouring cells, weighted by their samples.
 
     starts : first cell of each mean
     """
@@ -251,18 +251,17 @@ class CellMeans:
     def total(
         self, values: Float64[np.ndarray, "n ..."]
     ) -> Float64[np.ndarray, "m ..."]:
-        """Return the sums of values."""
+        """Unweighted sums."""
         return np.add.reduceat(values, self.starts, axis=0)
 
     def of(self, values: Float64[np.ndarray, "n ..."]) -> Float64[np.ndarray, "m ..."]:
-        """Return the means of values."""
+        """Weighted means."""
         shape = (-1,) + (1,) * (values.ndim - 1)
         total = self.total(values * self.weight.reshape(shape))
         return total / self.count.reshape(shape)
 
 
 def _count_up(cells: int, together: int) -> Int64[np.ndarray, " m"]:
-    """Return the first of so many cells each, as even as they can be."""
     parts = -(-cells // together)
     return np.arange(parts) * cells // parts
 

@@ -1,10 +1,10 @@
-"""Reduce samples to cells: short stretches whose mean carries all that they tell.
+"""Reduce samples to cells: short stretches whose mean keeps all information.
 
-Within a cell the machine error is as good as straight, so its mean loses nothing but
-the noise. A cell's nominal position is its place on its own commanded line by a
-constant feed; the phase and speed of that feed are parameters of the solve. Takes no
-clock of the controller. What the nominal motion itself does within a cell is taken off
-before the mean and put back after it, so that a cell on an arc lies on the arc.
+Within a cell the machine error is practically straight, so its mean loses nothing but
+the noise. A cell's nominal position is its position on its commanded line by a constant
+feed; the phase and speed of that feed are parameters of the solve. The controller's
+clock is not used. The nominal motion within a cell is subtracted before the mean and
+added after it, so that a cell on an arc lies on the arc.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ _OUTLIER = 6.0  # of the samples' own standard deviation
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Means of the samples of each cell, and how samples scatter about them.
+    """Means of the samples of each cell, and the scatter of samples about them.
 
     time_s : (n,), tracker_mm : (n, 3), count : (n,)
     scatter_square : (2,) sums over samples of squared deviations along and across the
-        beam, in units of the stated variance; freedom : (2,) their degrees of freedom
-    outlier : (samples,) which samples were left out; off_mm : how far they lie off
+        beam, in units of the specified variance; freedom : (2,) their degrees of
+        freedom
+    outlier : (samples,) mask of the excluded ones; off_mm : their deviations
     """
 
     time_s: Float64[np.ndarray, " n"]
@@ -45,7 +46,7 @@ class Cells:
     off_mm: Float64[np.ndarray, " k"]
 
     def select(self, kept: Bool[np.ndarray, " n"]) -> Cells:
-        """Return some of the cells."""
+        """Scatter and outliers stay those of all cells."""
         return replace(
             self,
             time_s=self.time_s[kept],
@@ -60,7 +61,7 @@ def count_cells(
     turn_deg_s: float = 0.0,
     cell_mm: float = CELL_MM,
 ) -> int:
-    """Return into how many cells of equal time a stretch of the stream is cut."""
+    """Number of cells of equal time, within the limits of time, travel and turn."""
     most = max(1.0 / CELL_S, speed_mm_s / cell_mm, turn_deg_s / CELL_DEG)
     return max(1, int(np.ceil(span_s * most)))
 
@@ -74,8 +75,8 @@ def reduce_to_cells(
 ) -> Cells:
     """Cut a pass or a standstill into cells of equal time; average.
 
-    way : where the target should be at given times, in the tracker's frame, from any
-        origin
+    way : nominal position of the target at given times, in the tracker's frame, from
+        any origin
     sigma_mm : of a sample along and across the beam, at given distances
     """
     span = float(time_s[-1] - time_s[0]) + 1e-9
@@ -110,7 +111,7 @@ def reduce_to_cells(
 
 @dataclass(frozen=True, slots=True)
 class _Means:
-    """rest_mm : of what is left without the nominal motion; tracker_mm : with it."""
+    """`rest_mm` without the nominal motion, `tracker_mm` with it."""
 
     time_s: Float64[np.ndarray, " c"]
     rest_mm: Float64[np.ndarray, "c 3"]
@@ -120,8 +121,6 @@ class _Means:
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Samples without the nominal motion, and the cell of each."""
-
     time_s: Float64[np.ndarray, " n"]
     rest_mm: Float64[np.ndarray, "n 3"]
     cell: Int64[np.ndarray, " n"]
@@ -129,7 +128,6 @@ class _Stretch:
     sigma_mm: Sigma
 
     def average(self, good: Bool[np.ndarray, " n"]) -> _Means:
-        """Return the means of the good samples of each cell."""
         cell, size = self.cell, int(self.cell[-1]) + 1
         weight = good.astype(np.float64)
         count = np.bincount(cell, weight, size)
@@ -145,12 +143,11 @@ class _Stretch:
     def off_mm(
         self, means: _Means, which: Bool[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " k"]:
-        """Return how far some samples lie off their cell's mean, in mm."""
         off = self.rest_mm[which] - means.rest_mm[self.cell[which]]
         return np.linalg.norm(off, axis=1)
 
     def scatter(self, means: _Means) -> Float64[np.ndarray, "n 3"]:
-        """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
+        """Deviation of each sample from its cell, in sigmas along the beam frame."""
         cell = self.cell
         lag = self.time_s - means.time_s[cell]
         off = self.rest_mm - means.rest_mm[cell]
@@ -166,7 +163,7 @@ def _slope(
     off_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "c 3"]:
-    """Return the slope that the machine error has in each cell, in mm/s.
+    """Slope of the machine error in each cell, mm/s.
 
     Along a line the error changes within a cell; that is not noise.
     """
@@ -176,7 +173,7 @@ def _slope(
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Return rows: unit beam, azimuth, elevation at points in the tracker's frame."""
+    """(n, 3, 3), rows: unit beam, azimuth, elevation in the tracker's frame."""
     beam = tracker_mm / np.linalg.norm(tracker_mm, axis=1, keepdims=True)
     azimuth = np.cross(np.array([0.0, 0.0, 1.0]), beam)
     flat = np.linalg.norm(azimuth, axis=1, keepdims=True)

@@ -1,12 +1,12 @@
-"""Cut a stream into passes: along one commanded line each, at constant feed and ramps.
+"""Cut a stream into passes: one commanded line each, constant feed and ramps.
 
 Between two matched standstills lies the line between their waypoints. Where standstills
-are missing from the stream, the rough pose tells the lines apart. On ramps the place on
-the line does not follow from the feed; there the measured one is taken, and the samples
-tell what is across the line. What settles after a standstill is left out.
+are missing from the stream, the rough pose distinguishes the lines. On ramps the
+position on the line does not follow from the feed; there the measured one is used, and
+only deviations across the line count. Settling after a standstill is excluded.
 
 A line on which rotary axes turn is a curve of the target, whose speed changes on the
-way. What is even at a constant feed is the share of the line that is done a second.
+way. Uniform at a constant feed is the share of the line per second.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ _SHORTEST_S = 0.1  # a pass
 _FEWEST_SAMPLES = 8  # of a pass
 _FEWEST_ON_RAMP = 5
 RAMP_SETTLE_S = 0.03  # after a standstill, and before one
-_SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
-_AGREES = 0.05  # what is gone and how fast belong together
+_SLOW_PACE = 0.2  # of its mean speed: slower, the target does not give the share
+_AGREES = 0.05  # distance and speed have to agree
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Valid samples in order of time; `pose` takes the workpiece to the tracker.
+    """Valid samples in order of time; `pose` maps workpiece to tracker.
 
-    reach_mm : how far beside its line the machine may be: nearer than any other line
+    reach_mm : largest deviation of the machine from its line: nearer than any other
+        line
     """
 
     time_s: Float64[np.ndarray, " n"]
@@ -47,13 +48,13 @@ class Stream:
     reach_mm: float = TOLERANCE_MM
 
     def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
-        """Return a stretch of the samples in the workpiece frame."""
+        """A range of samples in the workpiece frame."""
         return self.pose.invert().apply(self.tracker_mm[first:last])
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What was driven of a line: samples from first to last, and where it began.
+    """Executed part of a line: samples from first to last.
 
     origin : sample at which the line began; below 0 where it is not known
     is_whole : it began and ended at its standstills
@@ -69,7 +70,7 @@ class _Part:
 def cut_into_passes(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[Pass, ...]:
-    """Return the passes in the order of time; `first` and `last` index `stream`."""
+    """In order of time; `first` and `last` index `stream`."""
     passes = (
         _recognise_pass(stream, part, nominal.curve(part.row))
         for part in _parts(stream, stops, matching, nominal)
@@ -81,7 +82,7 @@ def cut_into_passes(
 def find_arc_drives(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[ArcDrive, ...]:
-    """Return the arcs that were driven without a stop, in the order of time."""
+    """Arcs executed without a stop, in order of time."""
     return tuple(
         ArcDrive(part.row, part.first, part.last)
         for part in _parts(stream, stops, matching, nominal)
@@ -124,7 +125,6 @@ def _split_by_place(
 
 
 def _recognise_pass(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
-    """Return what was driven of a line; None where there is next to nothing."""
     if curve.length_mm < MIN_MOTION_MM:
         return None  # the target changed, or hardly moves
     first, last = part.first, part.last
@@ -148,10 +148,7 @@ def _find_steady(
     on: Bool[np.ndarray, " n"],
     curve: Curve,
 ) -> tuple[int, int, float, float] | None:
-    """Return first and last sample at constant feed, speed, and share at mid time.
-
-    None where there is no such part.
-    """
+    """First and last sample, speed, share at mid time; None without such a part."""
     speed, pace = speed_mm_s(time, points), curve.pace(share)
     counted = on & (pace > _SLOW_PACE)
     middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
@@ -185,10 +182,11 @@ def _find_ramps(
     steady: tuple[int, int, float, float] | None,
     part: _Part,
 ) -> tuple[tuple[int, int], ...]:
-    """Return first and last sample of stretches whose feed changes.
+    """First and last sample of stretches with changing feed.
 
-    Of straight lines: on a curve the place tells nothing of what is across. The first
-    part, in which the machine settles into its motion, is left out, and the last.
+    Of straight lines only: on a curve the position does not separate the deviation
+    across it. The first part, in which the machine settles into its motion, is
+    excluded, and the last.
     """
     if not curve.is_straight:
         return ()
@@ -223,7 +221,7 @@ def _even_feed(
     share: Float64[np.ndarray, " n"],
     pace: Float64[np.ndarray, " n"],
 ) -> tuple[float, float]:
-    """Return the share done a second, and the share at the middle of the time."""
+    """Share per second, and share at the middle of the time."""
     weight = pace**2 / (pace @ pace)
     lag = time_s - weight @ time_s
     rate = float((weight * lag) @ share / ((weight * lag) @ lag))

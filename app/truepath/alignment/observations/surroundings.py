@@ -1,4 +1,4 @@
-"""What a recording adds to the commanded state of the machine in each cell."""
+"""Conditions of each cell from the recording: rates, reversals, temperatures, locks."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def add_surroundings(
     number: int = 0,
     locks_s: Sequence[float] = (),
 ) -> Observations:
-    """Return the observations, their conditions knowing Run and surroundings.
+    """Adds the recorded conditions and the Run's number.
 
     number : which of several Runs it is
-    locks_s : when the beam was found again after it was lost
+    locks_s : times when the beam was found again after it was lost
     """
     tracker = observations.at.machine.tracker
     recorded = RecordedState(
@@ -82,7 +82,7 @@ def _since_reversal(
         travelled[row] = gone
         gone = gone + np.abs(move)
         sign = np.where(now != 0, now, sign)
-    first = np.searchsorted(owner, observations.row)  # of its way
+    first = np.searchsorted(owner, observations.row)  # of its motion
     before = position[np.maximum(first - 1, 0)]
     return travelled[first] + np.abs(observations.at.position_mm - before)
 
@@ -90,7 +90,7 @@ def _since_reversal(
 def _temperatures(
     samples: TemperatureSamples | None, time_s: Float64[np.ndarray, " n"]
 ) -> tuple[tuple[str, ...], Float64[np.ndarray, "n s"] | None]:
-    """Return what sensors showed in each cell; one with a long hole is left out."""
+    """Sensors with a long gap are excluded."""
     if samples is None or not len(samples.time_s) or not len(time_s):
         return (), None
     ends = float(time_s.min()), float(time_s.max())

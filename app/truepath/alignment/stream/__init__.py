@@ -1,6 +1,6 @@
-"""The tracker's stream: cleaned, standstills found, matched to the rows commanded.
+"""The tracker's stream: cleaned, standstills found, matched to the commanded rows.
 
-Here: what is decided sample by sample, and what is left out and why. Not here:
+Here: decisions sample by sample, and exclusions with their causes. Not here:
 observations made of the samples (`alignment.observations`); the stream of a live
 tracker (`measurement.monitors`).
 """

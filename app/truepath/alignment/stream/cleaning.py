@@ -16,28 +16,30 @@ _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _FASTEST_MM_S2 = 5000.0  # acceleration of a machine: no spike, however rare samples are
 _AROUND_S, _FEWEST = 0.042, 5  # of samples: hardly changes the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
-_CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
-_REPEATED = 5  # times in a row the same value, or next to one time: not measured
-STALLED = 0.1  # of the usual time from sample to sample
-_MOSTLY = 0.2  # of the samples: so the stamps are, nothing stalls
+_CLOSED = 0.3  # of the jumps: tolerance of a continuous motion
+_REPEATED = 5  # equal values, or almost equal times, in a row: not measured
+STALLED = 0.1  # of the typical time from sample to sample
+_MOSTLY = 0.2  # of the samples: such time stamps are normal
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _BRIEF_S = 5.0  # a target, if there are several, is measured for longer
-_ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
+_ROUNDS = 3  # a spike next to a spike shows once the larger one is removed
 GoesOn = Callable[
     [Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]], Bool[np.ndarray, " k"]
 ]
-"""Whether the motion goes on without stretches, by their first samples and ends."""
+"""Whether the motion is continuous without stretches, by their first samples and
+ends.
+"""
 
 
 def find_valid_samples(
     samples: TrackerSamples, targets: Sequence[str] = ()
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which samples are measurements: status 0, on a way that goes on.
+    """Mask of samples with status 0 on a continuous motion.
 
-    Not a lone spike, nor a burst that jumps aside and back, nor what is repeated, nor
-    what is stamped in a heap.
+    Excludes lone spikes, bursts that jump aside and back, repeated values, and samples
+    with almost equal time stamps.
 
-    targets : of the rows; from one to another it jumps as well, and maybe back
+    targets : of the rows; a change of target is a jump as well, and may return
     """
     longest_s = _BRIEF_S if len(set(targets)) > 1 else np.inf
     valid = samples.status == 0
@@ -58,7 +60,7 @@ def find_valid_samples(
 
 
 def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Tell which samples repeat one value again and again, where the others do not.
+    """Mask of samples that repeat one value, where the others do not.
 
     No tracker measures the same point to the last digit twice in a row. A stream
     without any noise, as of a calculation, repeats itself at every standstill.
@@ -73,9 +75,10 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 
 
 def _find_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Tell which samples follow one another at next to one time, unlike the others.
+    """Mask of samples with almost equal time stamps, unlike the others.
 
-    They were stamped late, when they arrived, and tell no place at that time.
+    They were stamped late, when they arrived, so their position at that time is
+    unknown.
     """
     if len(time_s) < 4 * _REPEATED:
         return np.zeros(len(time_s), bool)
@@ -85,9 +88,9 @@ def _find_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def _find_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
-    """Tell which samples are the same as their neighbours, several in a row.
+    """Mask of samples equal to their neighbours, several in a row.
 
-    same : whether each but the first is as the one before
+    same : whether each but the first equals the one before
     """
     repeats = np.zeros(len(same) + 1, bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same, [0]])))
@@ -101,10 +104,10 @@ def _aside(
     position_mm: Float64[np.ndarray, "n 3"],
     longest_s: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which samples lie between a jump aside and the jump back, soon after.
+    """Mask of samples between a jump aside and the jump back, soon after.
 
     A jump is a step that no speed nearby explains. The shortest stretches between jumps
-    go first; without them the motion must go on from where it was.
+    go first; without them the motion must continue from where it was.
     """
     aside = np.zeros(len(time_s), bool)
     if len(time_s) < 2 * _FEWEST:
@@ -117,7 +120,7 @@ def _aside(
     usual = _usual(speed, around)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = _limit_mm(off, time_s)
-    # The usual speed is off as well beside a jump, by far less.
+    # The typical speed deviates next to a jump as well, by far less.
     jumps = np.flatnonzero(off > limit)
     nearby = sliding_window_view(np.pad(off, around), 2 * around + 1)[jumps]
     jumps = jumps[off[jumps] > _BESIDE * nearby.max(axis=1, initial=0.0)]
@@ -143,9 +146,9 @@ def _aside(
 def _list_aside(
     begin: Int64[np.ndarray, " s"], end: int, goes_on: GoesOn
 ) -> Iterator[tuple[int, int]]:
-    """Yield the stretches without which the motion goes on, the shortest first.
+    """Stretches without which the motion is continuous, the shortest first.
 
-    What is around a stretch is one from then on. Neither the first nor the last lies
+    The neighbours of a removed stretch are merged. Neither the first nor the last lies
     between two jumps.
     """
     first, last = begin.tolist(), len(begin) - 1
@@ -173,7 +176,6 @@ def _list_aside(
 def _limit_mm(
     off_mm: Float64[np.ndarray, " m"], time_s: Float64[np.ndarray, " n"]
 ) -> float:
-    """Return how far a sample may lie off the motion of its neighbours."""
     bent = 0.5 * _FASTEST_MM_S2 * float(np.median(np.diff(time_s))) ** 2
     return max(_SPIKE_MM, 10.0 * float(np.median(off_mm)), bent)
 
@@ -181,7 +183,7 @@ def _limit_mm(
 def _usual(
     speed: Float64[np.ndarray, "m 3"], around: int
 ) -> Float64[np.ndarray, "m 3"]:
-    """Return the medians of blocks of samples, straight from one to the next."""
+    """Medians of blocks of samples, linearly interpolated."""
     blocks = len(speed) // around
     medians = np.median(speed[: blocks * around].reshape(blocks, around, 3), axis=1)
     middle = around * (np.arange(blocks) + 0.5) - 0.5
@@ -201,7 +203,7 @@ def _later(
 def _spikes(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which samples lie off the straight motion between their two neighbours.
+    """Mask of samples off the straight motion between their two neighbours.
 
     In time, so that a gap in steady motion is none; the largest of three counts, as a
     spike lifts its neighbours half as far.
@@ -218,7 +220,7 @@ def _spikes(
     return spikes
 
 
-_CLOSE = 2.0  # a size within this factor of a unit's is of that unit
+_CLOSE = 2.0  # a size within this factor of a unit's has that unit
 _FAR = 8.0  # no path, hand-carried part or pause changes a size by this factor
 _LENGTHS = {"m": 1e-3, "inch": 1.0 / 25.4, "µm": 1e3}
 _TIMES = {"ms": 1e3, "µs": 1e6, "ns": 1e9}
@@ -229,7 +231,7 @@ def require_mm(
     place_mm: Float64[np.ndarray, "m 3"],
     file: str,
 ) -> None:
-    """Refuse a stream in metres or inches, by its size.
+    """Reject a stream in metres or inches, by its size.
 
     place_mm : nominal target points of the path
     Raises AlignmentError naming the file, the columns and the unit that would fit.
@@ -248,7 +250,7 @@ def require_mm(
 
 
 def require_seconds(time_s: Float64[np.ndarray, " n"], rate_hz: float) -> None:
-    """Refuse a stream in milliseconds or less, by its steps.
+    """Reject a stream in milliseconds or less, by its steps.
 
     Raises AlignmentError naming the column and the unit that would fit.
     """
@@ -266,7 +268,6 @@ def _size(ends: Float64[np.ndarray, "2 3"]) -> float:
 
 
 def _unit(ratio: float, units: dict[str, float]) -> str:
-    """Return the unit that makes a size `ratio` times too large, else nothing."""
     if 1.0 / _FAR < ratio < _FAR:
         return ""
     fitting = (u for u, r in units.items() if 1.0 / _CLOSE < ratio / r < _CLOSE)

@@ -1,8 +1,8 @@
 """Valid samples that are not used: which, how far off, and why.
 
-A measurement may hold samples that the tracker calls valid and that are wrong: the beam
-jumps to another reflection, a sign is lost, the head freezes. They are left out, and
-each time that is said.
+A measurement may contain samples that the tracker calls valid and that are wrong: the
+beam jumps to another reflection, a sign is lost, the head freezes. They are excluded,
+and each exclusion is reported.
 """
 
 from __future__ import annotations
@@ -42,17 +42,18 @@ _FEWEST_OUTLIERS = 5  # of one line; fewer are counted with the spikes
 class LeftOut:
     """Samples that are not used although the tracker calls them valid.
 
-    cause : `spikes` (lone samples, all together), `burst`, `frozen` (one value again
-        and again), `off-line` (beside the commanded line), `outliers` (samples far from
-        their neighbours), `cells` (stretches far from their neighbours, or from what
-        the machine does on all other lines), `line` (all of a line), `no-pass` (a line
-        without a stretch at constant feed), `no-stop` (a point without a standstill),
-        `astray` (a part whose standstills are those of no place, from this row on),
-        `before`, `after` (what is beside the path, `samples` counting its standstills),
-        `again` (beside it as well, but the same program, run once more)
-    row : of the commanded path or points; −1 where it is no one's
+    cause : `spikes` (lone samples, all together), `burst`, `frozen` (one value
+        repeated), `stalled` (almost equal time stamps), `off-line` (beside the
+        commanded line), `outliers` (samples far from their neighbours), `cells`
+        (stretches far from their neighbours, or from the machine's errors on all other
+        lines), `line` (all of a line), `no-pass` (a line without a stretch at constant
+        feed), `no-stop` (a point without a standstill), `astray` (a part whose
+        standstills match no point, from this row on), `before`, `after` (data outside
+        the path, `samples` being its standstills), `again` (also outside, but the same
+        program, run once more)
+    row : of the commanded path or points; −1 where there is none
     begin_s, end_s : on the tracker's clock; NaN where there is no data
-    off_mm : how far off, at the most
+    off_mm : largest deviation
     """
 
     cause: Cause
@@ -66,7 +67,7 @@ class LeftOut:
 def describe_unusable(
     samples: TrackerSamples, usable: Bool[np.ndarray, " n"]
 ) -> list[LeftOut]:
-    """Return what the cleaning of a stream left out of its valid samples."""
+    """Records of the valid samples that cleaning has excluded."""
     valid = samples.status == 0
     lost = np.flatnonzero(valid & ~usable)
     kept = np.flatnonzero(usable)
@@ -104,7 +105,7 @@ def describe_samples(
     time_s: Float64[np.ndarray, " n"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> list[LeftOut]:
-    """Return what is said of samples of one line, if there are any."""
+    """At most one record; fewer than five outliers count as spikes."""
     if not len(time_s):
         return []
     if cause == "outliers" and len(time_s) < _FEWEST_OUTLIERS:
@@ -127,9 +128,9 @@ def gather(
     time_s: Float64[np.ndarray, " n"],
     row: Int64[np.ndarray, " n"],
 ) -> tuple[LeftOut, ...]:
-    """Return records in order of time, lone spikes as one, each with its line.
+    """Records in order of time, lone spikes merged, each with its line.
 
-    time_s, row : of the cells, in order of time, that tell which line a burst is on
+    time_s, row : of the cells, in order of time; they assign a burst to its line
     """
     spikes = [each for each in records if each.cause == "spikes"]
     found = [each for each in records if each.cause != "spikes"]

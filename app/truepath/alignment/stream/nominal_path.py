@@ -1,10 +1,10 @@
-"""The nominal way of the target: where it stands, and its curve on the way to each row.
+"""The nominal path of the target: its points, and its curve on the way to each row.
 
 All axes move together from row to row, so a line in axis positions is a straight line
 of the target only where no rotary axis carries it or the observer; else it is an arc,
-or the curve that a turn and a travel make together. Its place on that curve is told by
-the share of the line that is done, which grows evenly at a constant feed: along a curve
-the target's own speed need not be constant.
+or the curve that a turn and a travel make together. Positions on that curve are given
+by the share of the line that is done, which grows uniformly at a constant feed: along a
+curve the target's own speed need not be constant.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from truepath_drivers.interfaces.records import Path
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
 _STRAIGHT_MM = 1e-6  # off the chord: rounding
-_BRANCH = 0.05  # weight of what was travelled against what is near
+_BRANCH = 0.05  # weight of the path length against the distance
 
 
-MIN_MOTION_MM = 1.0  # a target that moves less far is not looked at on the way
-_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
+MIN_MOTION_MM = 1.0  # smaller motions of a target are not evaluated
+_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, to be distinguished from rest
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The target's nominal way along one line; `share` runs from 0 to 1.
+    """The target's nominal path along one line; `share` runs from 0 to 1.
 
-    node_mm : (k, 3) places at equal shares; both ends alone where the target goes
-        straight at an even speed
-    turn_deg : by how much rotary axes turn, all together
+    node_mm : (k, 3) points at equal shares; both ends alone where the target goes
+        straight at constant speed
+    turn_deg : total turn of the rotary axes
     """
 
     node_mm: Float64[np.ndarray, "k 3"]
@@ -45,7 +45,7 @@ class Curve:
 
     @property
     def is_straight(self) -> bool:
-        """Whether the target goes straight at an even speed."""
+        """True if the target goes straight at constant speed."""
         return len(self.node_mm) == 2
 
     @property
@@ -55,7 +55,7 @@ class Curve:
 
     @cached_property
     def length_mm(self) -> float:
-        """Length of the way: along a curve its mean slope by Simpson's rule."""
+        """Along a curve its mean slope by Simpson's rule."""
         if self.is_straight:
             return float(np.linalg.norm(self.chord_mm))
         finer = np.linspace(0.0, 1.0, 2 * len(self.node_mm) - 1)
@@ -68,30 +68,30 @@ class Curve:
     def move_ends(
         self, begin_mm: Float64[np.ndarray, "3"], end_mm: Float64[np.ndarray, "3"]
     ) -> Curve:
-        """Return the way whose ends are moved so far, and what is between evenly."""
+        """Shifts both ends, and points between them in proportion."""
         moved = begin_mm + _shares(self.node_mm)[:, None] * (end_mm - begin_mm)
         return replace(self, node_mm=self.node_mm + moved)
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return where the target should be."""
+        """Nominal target positions."""
         if self.is_straight:
             return self.node_mm[0] + share[:, None] * self.chord_mm
         return self._spline(share)
 
     def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return its derivative by the share."""
+        """Derivative of the position by the share."""
         if self.is_straight:
             return np.tile(self.chord_mm, (len(share), 1))
         return self._spline(share, 1)
 
     def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return the target's speed in units of its mean speed on the line."""
+        """Target's speed over its mean speed on the line."""
         if self.is_straight:
             return np.ones(len(share))
         return np.linalg.norm(self.slope_mm(share), axis=1) / self.length_mm
 
     def fastest(self) -> float:
-        """Return the highest pace."""
+        """The highest pace at any node."""
         return float(self.pace(_shares(self.node_mm)).max())
 
     def nearest(
@@ -99,10 +99,10 @@ class Curve:
         point_mm: Float64[np.ndarray, "n 3"],
         travelled_mm: Float64[np.ndarray, " n"] | None = None,
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Return the share nearest to each point, and how far in mm the point is off.
+        """Share nearest to each point, and the distance of the point, mm.
 
-        travelled_mm : way since the beginning of the line: a rough one tells the
-            branches apart where the curve comes back to a place
+        travelled_mm : path length since the beginning of the line, roughly: it
+            separates the branches where the curve returns to a point
         """
         if self.is_straight:
             square = max(float(self.chord_mm @ self.chord_mm), 1e-24)
@@ -125,7 +125,7 @@ class Curve:
         point_mm: Float64[np.ndarray, "n 3"],
         travelled_mm: Float64[np.ndarray, " n"] | None,
     ) -> Int64[np.ndarray, " n"]:
-        # Imported where a line is bent, as below: few are, and all would wait for it.
+        # Imported for curved lines only: they are rare, and the import is slow.
         from scipy.spatial import KDTree
 
         step = np.linalg.norm(np.diff(self.node_mm, axis=0), axis=1)
@@ -148,7 +148,6 @@ def _shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
 
 
 def _bends(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
-    """Tell whether the target does not go straight and evenly all the same."""
     begin, end = node_mm[0], node_mm[-1]
     chord = begin + _shares(node_mm)[:, None] * (end - begin)
     return bool(np.abs(node_mm - chord).max() > _STRAIGHT_MM)
@@ -161,9 +160,9 @@ class NominalPath:
     begin_mm, end_mm : (w, 3) ends of the line towards each row, of that row's target
     length_mm, turn_deg : (w,); bends : curves of the rows that are not straight
     speed_mm_s : (w,) mean speed to each row; infinite where the target hardly moves
-    first, last : (p,) rows at each place, in order: on rows between them the target
+    first, last : (p,) rows at each point, in order: on rows between them the target
         hardly moves, so that one standstill is seen
-    arcs : rows that are driven to on an arc; of them the ends alone are told here
+    arcs : rows reached on an arc; only their ends are given here
     """
 
     begin_mm: Float64[np.ndarray, "w 3"]
@@ -183,22 +182,22 @@ class NominalPath:
 
     @property
     def place_mm(self) -> Float64[np.ndarray, "p 3"]:
-        """Where the target should stand, one place after another."""
+        """Nominal standstill positions, one after another."""
         return self.end_mm[self.first]
 
     @property
     def is_polygon(self) -> bool:
-        """Whether the target goes straight from the end of each line to the next."""
+        """True if the target goes straight from the end of each line to the next."""
         return not self.bends and not self.arcs
 
     def lead_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
     ) -> NominalPath:
-        """Return the way that leads through where the target was seen to stand.
+        """Path shifted so that it passes through the observed standstills.
 
-        place : in order; places between them are shifted as their neighbours are
+        place : in order; points between them are shifted as their neighbours are
 
-        Against it a sample lies aside by how much the line is bent, and its share of
+        Relative to it a sample is off by how much the line is bent, and its share of
         the line is that of the command, however far off both ends are.
         """
         off = seen_mm - self.place_mm[place]
@@ -215,7 +214,7 @@ class NominalPath:
         return replace(self, begin_mm=begin_mm, end_mm=end_mm, bends=bends)
 
     def curve(self, row: int) -> Curve:
-        """Return the way towards a row."""
+        """The line towards a row."""
         straight = np.stack([self.begin_mm[row], self.end_mm[row]])
         return self.bends.get(row) or Curve(straight, float(self.turn_deg[row]))
 
@@ -225,9 +224,9 @@ def compute_nominal_path(
     commanded: Path | Configurations,
     first: Int64[np.ndarray, " p"] | None = None,
 ) -> NominalPath:
-    """Return what the tracker should see of a path or of standstill points.
+    """Of a path or of standstill points, as seen from the tracker's frame of reference.
 
-    first : rows of the places, where they are known already
+    first : rows of the points, where they are known already
     """
     n = len(commanded)
     end_mm = _compute_target_mm(machine, commanded, np.arange(n), commanded.position)
@@ -258,7 +257,7 @@ def compute_nominal_path(
 
 
 def require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:
-    """Raise AlignmentError where places do not fix a pose."""
+    """Raise AlignmentError where points do not determine a pose."""
     spread = np.linalg.svd(waypoints - waypoints.mean(axis=0), compute_uv=False)
     if len(waypoints) < 3 or spread[1] < 1.0:
         raise AlignmentError(
@@ -285,7 +284,6 @@ def _find_bends(
     before: Float64[np.ndarray, "w a"],
     turn_deg: Float64[np.ndarray, " w"],
 ) -> dict[int, Curve]:
-    """Return the curves of rows on which the target does not go straight and evenly."""
     rows = np.flatnonzero(turn_deg)
     if not len(rows):
         return {}
@@ -310,7 +308,7 @@ def _speed_mm_s(
     is_rotary: np.ndarray,
     length_mm: Float64[np.ndarray, " w"],
 ) -> Float64[np.ndarray, " w"]:
-    """Return the target's mean speed to each row; infinite where it hardly moves.
+    """Mean speed of the target to each row; infinite where it hardly moves.
 
     The feed is of the linear axes, in deg/min of the rotary ones where none moves.
     """

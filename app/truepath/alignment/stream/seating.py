@@ -1,9 +1,9 @@
-"""Targets that sit off their places: what they may do to standstills, and how far.
+"""Targets off their stated positions: the shift of their standstills.
 
 A nest is where the machine file states it to a millimetre or so. Standstills of a
 target that is off show the same shift, turned with what carries the target. It is
-fitted with the pose, and taken off before lines are cut out where it is large; the rest
-is left to the estimate, which is linear in it.
+fitted with the pose, and subtracted before lines are cut out where it is large; the
+rest is left to the estimate, which is linear in it.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import cross_matrix
 from truepath_drivers.interfaces.records import Path
 
-MOST_SIGMAS = 6.0  # that a target may sit off
-_LARGE_MM = 0.3  # below it levers and curves are as good as stated
+MOST_SIGMAS = 6.0  # largest shift of a target
+_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _SAME_TURN = 1e-9
-_SETTLED = 6  # standstills of a target: then it is known where it sits
-_ROUGH_MM = 0.1  # machine errors, of which nothing is known yet
+_SETTLED = 6  # standstills of a target: then its seat is known
+_ROUGH_MM = 0.1  # machine errors, still unknown
 
 Seats = Mapping[str, Float64[np.ndarray, "3"]]
 
 
 @dataclass(frozen=True)
 class Seating:
-    """Which target is measured at each place, and how a shift of it shows there.
+    """Target measured at each point, and the effect of its shift there.
 
     names : of the targets; sigma_mm : (t,) of each coordinate of their shifts
-    target : (w,) its number; frame : (w, 3, 3) turn of what carries it
+    target : (w,) its number; frame : (w, 3, 3) rotation of what carries it
     """
 
     names: tuple[str, ...]
@@ -44,13 +44,13 @@ class Seating:
 
     @property
     def reach_mm(self) -> Float64[np.ndarray, " w"]:
-        """How far off the target at each place may be."""
+        """Largest possible shift of the target at each point."""
         return MOST_SIGMAS * self.sigma_mm[self.target]
 
     def list_settled(self, seen: Int64[np.ndarray, " k"]) -> frozenset[str]:
-        """Return the targets that have been seen often enough, or for the last time.
+        """Targets observed six times, or at all their points, or never to come again.
 
-        seen : places so far, in order
+        seen : points so far, in order
         """
         count = len(self.names)
         often = np.bincount(self.target[seen], minlength=count)
@@ -64,11 +64,11 @@ class Seating:
         return frozenset(n for n, e in zip(self.names, enough, strict=True) if e)
 
     def select(self, places: slice | Int64[np.ndarray, " k"]) -> Seating:
-        """Return it at some places."""
+        """Restricted to some points."""
         return replace(self, target=self.target[places], frame=self.frame[places])
 
     def slack_mm(self) -> Float64[np.ndarray, "w w"]:
-        """Return by how much shifts may change the distance of two places."""
+        """Largest change of the distance of two points by shifts."""
         flat = self.frame.reshape(len(self.frame), 9)
         turned = np.sqrt(np.maximum(6.0 - 2.0 * flat @ flat.T, 0.0) / 2.0)
         same = self.target[:, None] == self.target
@@ -81,7 +81,7 @@ class Seating:
         place_mm: Float64[np.ndarray, "k 3"],
         rest_mm: Float64[np.ndarray, "k 3"],
     ) -> Float64[np.ndarray, "t 3"]:
-        """Return the shifts that, with a small motion of all, explain what is left.
+        """Shifts that, with a small motion of all, best explain the residuals.
 
         place_mm, rest_mm : nominal, and measured less nominal, in one frame
         """
@@ -102,18 +102,18 @@ class Seating:
     def move(
         self, place_mm: Float64[np.ndarray, "w 3"], seat_mm: Float64[np.ndarray, "t 3"]
     ) -> Float64[np.ndarray, "w 3"]:
-        """Return the places of targets that are shifted."""
+        """Points with the shift of each target added."""
         return place_mm + np.einsum("wij,wj->wi", self.frame, seat_mm[self.target])
 
     def drop_small(
         self, seat_mm: Float64[np.ndarray, "t 3"]
     ) -> Float64[np.ndarray, "t 3"]:
-        """Return the shifts, those that the estimate finds as well left out."""
+        """Zero for shifts below 0.3 mm, which the estimate finds as well."""
         is_large = np.abs(seat_mm).max(axis=1, keepdims=True) > _LARGE_MM
         return np.where(is_large, seat_mm, 0.0)
 
     def name(self, seat_mm: Float64[np.ndarray, "t 3"]) -> Seats:
-        """Return the shifts by target, where there are any."""
+        """By target, without zero shifts."""
         each = zip(self.names, seat_mm, strict=True)
         return {name: shift for name, shift in each if shift.any()}
 
@@ -121,7 +121,7 @@ class Seating:
 def find_seating(
     machine: Machine, commanded: Path | Configurations, rows: Int64[np.ndarray, " w"]
 ) -> Seating | None:
-    """Return the seating at commanded rows, None where the pose has all shifts."""
+    """None where the pose absorbs all shifts."""
     names = [commanded.target[int(r)] if commanded.target else "" for r in rows]
     each = [machine.target(name) for name in names]
     used = [target for target in machine.targets if target in each]
@@ -138,9 +138,9 @@ def find_seating(
 
 
 def refer_to_first(machine: Machine, seats: Seats) -> Seats:
-    """Return the shifts on the tool against that of the first target there.
+    """Shifts on the tool relative to that of the first target there.
 
-    The volumetric error is stated for that one as it sits.
+    The volumetric error refers to that target at its seat.
     """
     tools = [target.name for target in machine.targets if target.on == "tool"]
     if not tools or tools[0] not in seats:
@@ -151,7 +151,7 @@ def refer_to_first(machine: Machine, seats: Seats) -> Seats:
 
 
 def seat_targets(machine: Machine, seats: Seats) -> Machine:
-    """Return the machine with its targets where they sit."""
+    """The machine with target offsets corrected by their shifts."""
     moved = [
         replace(t, offset_mm=(x, y, z))
         for t in machine.targets

@@ -1,8 +1,8 @@
-"""Which standstill is which waypoint: the sequence decides, not the nearest point.
+"""Matching of standstills to waypoints by sequence, not by the nearest point.
 
-Distances between standstills do not depend on where the tracker stands, so the longest
+Distances between standstills do not depend on the tracker's position, so the longest
 chain of standstills whose mutual distances match those of the waypoints, in order,
-tells the correspondence without a first guess of the pose.
+gives the correspondence without a first guess of the pose.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from truepath.errors import AlignmentError
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 
 TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
-_WIDER_MM = 2.5, 5.0  # of a machine that is far off
+_WIDER_MM = 2.5, 5.0  # for a machine with large errors
 _CLEAR = 0.9  # of the standstills: so many in a row are no chance
-_SPREAD = 4.0  # of the median of what the pose leaves
-_BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
+_SPREAD = 4.0  # of the median residual of the pose
+_BESIDE_MM = 10.0  # of another target's position, with the present pose
 _FEW = 3  # lost standstills of a target: by chance
-_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
+_WIDE = 0.1  # of the volume: standstills with this spread determine the pose
 _ROUNDS = 3  # pose and seats of targets in turn
 
 
@@ -34,8 +34,8 @@ _ROUNDS = 3  # pose and seats of targets in turn
 class Matching:
     """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`.
 
-    seats : targets that sit far off their places, and by how much
-    reach_mm : how far off its nominal place the machine may be
+    seats : targets that are far off their stated positions, and their shifts
+    reach_mm : largest deviation of the machine from its nominal point
     """
 
     stop: Int64[np.ndarray, " k"]
@@ -54,9 +54,8 @@ def match_stops(
 ) -> Matching:
     """Match standstills (tracker frame) to nominal waypoints (workpiece frame).
 
-    ordered_by : what the waypoints are called in messages ("path.csv", "points.csv")
-    seating : how targets may sit off their places; as stated if left out
-
+    ordered_by : name of the waypoints in messages ("path.csv", "points.csv")
+    seating : possible shifts of targets; None for none
     Raises AlignmentError if they do not belong together, or only as mirror images.
     """
     places = stops.position_mm
@@ -66,7 +65,7 @@ def match_stops(
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
     seats: Seats = {}
     if seating is not None:
-        # A target of few rows in the chain, or of none, is found by its places.
+        # A target with few rows in the chain, or none, is found by its positions.
         seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
         pose = fit_rigid(seated[waypoint], places[stop])
         near_mm = TOLERANCE_MM + seating.reach_mm
@@ -90,7 +89,7 @@ def seat_places(
     waypoint: Int64[np.ndarray, " k"],
     seating: Seating,
 ) -> tuple[Float64[np.ndarray, "w 3"], Seats]:
-    """Return where targets stand at all waypoints, and their shifts where large.
+    """All waypoints with targets at their seats, and the large shifts.
 
     place_mm : standstills at some of the waypoints
     """
@@ -107,7 +106,7 @@ def seat_places(
 def is_wide(
     points_mm: Float64[np.ndarray, "k 3"], volume_mm: Float64[np.ndarray, "w 3"]
 ) -> bool:
-    """Tell whether points fix a pose for the whole volume, not for a line only."""
+    """True if points determine a pose for the whole volume, not for a line only."""
     spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
     reach = float(np.linalg.norm(np.ptp(volume_mm, axis=0)))
     return bool(spread[1] > _WIDE * reach)
@@ -119,9 +118,9 @@ def _recognise(
     slack_mm: float | Float64[np.ndarray, "w w"],
     ordered_by: str,
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Return the longest chain; of a machine that is far off where it is clear.
+    """The longest chain; a wider tolerance only if it makes it nearly complete.
 
-    slack_mm : by how much more distances may differ; they say nothing of the machine
+    slack_mm : additional tolerance of distances
     """
     m, w = len(places), len(waypoints)
     alike = np.zeros((w, w)) + slack_mm
@@ -155,11 +154,11 @@ def require_targets(
     ordered_by: str,
     places_of: Callable[[str], Float64[np.ndarray, "w 3"]],
 ) -> None:
-    """Refuse a target that stood still, but not where it may sit.
+    """Reject a target that was at rest, but not where it may be.
 
-    Hidden from the tracker, it shows no standstills; then nothing is refused.
+    A target hidden from the tracker has no standstills; then nothing is rejected.
 
-    places_of : nominal places of all waypoints if one target were measured at them
+    places_of : nominal positions of all waypoints if one target were measured at them
     """
     order = np.searchsorted(matching.waypoint, np.arange(len(seating.target)))
     for number, name in enumerate(seating.names):
@@ -194,9 +193,9 @@ def require_targets(
 def _list_unknown(
     matching: Matching, stops: int, gaps: Int64[np.ndarray, " g"]
 ) -> Int64[np.ndarray, " u"]:
-    """Return the standstills of no waypoint that lie in some gaps.
+    """Standstills of no waypoint that lie in some gaps.
 
-    gaps : how many of the matched standstills are before each
+    gaps : number of matched standstills before each
     """
     gap = np.searchsorted(matching.stop, np.arange(stops))
     free = ~np.isin(np.arange(stops), matching.stop)
@@ -208,7 +207,6 @@ def _find_measured(
     expect: Callable[[str], Float64[np.ndarray, "l 3"]],
     places: Float64[np.ndarray, "u 3"],
 ) -> str:
-    """Return words on the target that was measured instead; none where it is none."""
     for name in names:
         expected = expect(name)
         found, _ = match_places(places, expected, _BESIDE_MM)

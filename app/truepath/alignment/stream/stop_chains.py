@@ -1,4 +1,4 @@
-"""Chains of standstills and waypoints in one order, found by dynamic programming."""
+"""Chains of standstills and waypoints in one order, by dynamic programming."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
-FEWEST_ASTRAY = 3  # standstills in a row at no place; fewer a machine makes by itself
+FEWEST_ASTRAY = 3  # standstills in a row off all points; fewer occur on any machine
 
 
 def find_longest_chain(
@@ -14,12 +14,12 @@ def find_longest_chain(
     waypoints: Float64[np.ndarray, "w 3"],
     within: Float64[np.ndarray, "w w"],
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Return the longest chain of pairs (standstill, waypoint) with few skips.
+    """Longest chain of pairs (standstill, waypoint) with few skips.
 
     A link is allowed where the distance to the previous pair fits, and to the pair
     before that one as well; each pair adds one, each skip costs a little.
 
-    within : by how much the distance of two waypoints may differ
+    within : tolerance on the distance of two waypoints
     """
     m, w = len(places), len(waypoints)
     score = np.ones((m, w))
@@ -75,7 +75,7 @@ def match_places(
     expected: Float64[np.ndarray, "w 3"],
     within: float | Float64[np.ndarray, " w"],
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Return standstills and waypoints at one place, the longest common order."""
+    """Pairs within tolerance, as the longest common subsequence of both orders."""
     m, w = len(places), len(expected)
     near = np.linalg.norm(places[:, None] - expected[None], axis=2) < within
     length = np.zeros((m + 1, w + 1), np.int64)

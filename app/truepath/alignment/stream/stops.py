@@ -1,7 +1,7 @@
-"""Standstill recognition: where in the stream the machine stood still.
+"""Detection of standstills in a stream.
 
 The paper's predecessor (Montavon 2019) measures at these; on the fly they are the exact
-stops at the waypoints, whose *sequence* tells which line is which.
+stops at the waypoints, whose *sequence* identifies the lines.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-_BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means tell a speed
+_BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means give a speed
 _QUIET_S = 0.06  # noise of a sample over the speed of rest, that of two means
 SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
@@ -22,7 +22,7 @@ class StopSequence:
     """Standstills in the order of time.
 
     first, last : (m,) indices of the first sample at rest and of the one after the last
-    position_mm : (m, 3) where, in the frame of the stream
+    position_mm : (m, 3), in the frame of the stream
     """
 
     first: Int64[np.ndarray, " m"]
@@ -34,9 +34,9 @@ class StopSequence:
 
 
 def count_block(time_step_s: float) -> int:
-    """Return how many samples on either side tell a speed, at any rate.
+    """Number of samples averaged on either side for a speed, at any rate.
 
-    As many as keep its noise below the speed of rest: rare samples are far apart in
+    Enough to keep its noise below the speed of rest: rare samples are far apart in
     time, so that fewer do, and more would not fit into a standstill.
     """
     step_s = max(time_step_s, 1e-9)
@@ -47,7 +47,7 @@ def count_block(time_step_s: float) -> int:
 def speed_mm_s(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the speed from the block before each sample to the block after it."""
+    """Speed from the block before each sample to the block after it."""
     n = len(time_s)
     block = count_block(float(np.median(np.diff(time_s)))) if n > 1 else 1
     w = min(block, max(1, n // 3))
@@ -64,7 +64,7 @@ def find_stops(
     position_mm: Float64[np.ndarray, "n 3"],
     slowest_mm_s: float,
 ) -> StopSequence:
-    """Find the standstills of a stream whose slowest motion is known.
+    """Standstills of a stream, by a limit from its slowest motion.
 
     time_s, position_mm : valid samples only
     """
@@ -81,14 +81,14 @@ def find_stops(
 
 
 def standstill_speed_mm_s(slowest_mm_s: float) -> float:
-    """Return the speed below which the machine stands, its slowest motion known."""
+    """Limit of rest: a fifth of the slowest motion, from 0.5 to 20."""
     return float(np.clip(0.2 * slowest_mm_s, 0.5, 20.0))
 
 
 def rest_position_mm(
     position_mm: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "3"]:
-    """Return where a standstill was: the median of its middle half."""
+    """Median of the middle half of a standstill."""
     quarter = len(position_mm) // 4
     middle = position_mm[quarter : len(position_mm) - quarter]
     return np.median(middle, axis=0)
@@ -97,7 +97,7 @@ def rest_position_mm(
 def leaves_between(
     between_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "3"]
 ) -> bool:
-    """Tell whether the target was away between two standstills at one place.
+    """True if the target was away between two standstills at one point.
 
     So it is after a full turn of a rotary axis; a spike or a lost frame is no motion.
     """
@@ -113,7 +113,7 @@ def _merge(
     where: Float64[np.ndarray, "m 3"],
     position_mm: Float64[np.ndarray, "n 3"],
 ) -> StopSequence:
-    """Join neighbours at one place: a lost frame does not make two standstills."""
+    """Joins neighbours at one point: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     for k in np.flatnonzero(~moved):
         moved[k] = leaves_between(position_mm[last[k] : first[k + 1]], where[k])
@@ -127,7 +127,7 @@ def _merge(
 
 
 ARRIVED_S = 0.2  # at rest for so long: noted before the next motion
-_ENOUGH = 2000  # samples that tell the place of a standstill
+_ENOUGH = 2000  # enough samples for the position of a standstill
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class Stop:
     """One standstill; `first` and `last` count the samples since the beginning.
 
     last : one after the newest sample at rest; grows until the next motion
-    position_mm : (3,) where, in the frame of the stream
+    position_mm : (3,) in the frame of the stream
     """
 
     first: int
@@ -154,10 +154,10 @@ class StopStream:
         self._threshold_mm_s = standstill_speed_mm_s(slowest_mm_s)
         self._time_s = np.empty(0)
         self._point_mm = np.empty((0, 3))
-        self._dropped = 0  # samples that are forgotten
-        self._judged = 0  # samples of which it is known whether they are at rest
+        self._dropped = 0  # samples that were dropped
+        self._judged = 0  # samples classified as at rest or moving
         self._rest_since: int | None = None
-        self._is_noted = False  # the standstill under way is among the stops
+        self._is_noted = False  # the present standstill is among the stops
         self.stops: list[Stop] = []
 
     def __len__(self) -> int:
@@ -166,19 +166,19 @@ class StopStream:
     def add(
         self, time_s: Float64[np.ndarray, " n"], point_mm: Float64[np.ndarray, "n 3"]
     ) -> None:
-        """Take further samples and note the standstills that show."""
+        """Further samples; updates `stops`."""
         self._time_s = np.concatenate([self._time_s, time_s])
         self._point_mm = np.concatenate([self._point_mm, point_mm])
         self._judge(len(self) - self._block)
 
     def end(self) -> None:
-        """Nothing follows: judge the last samples as well."""
+        """End of data: classifies the last samples as well."""
         self._judge(len(self))
         if self._rest_since is not None:
             self._note(self._rest_since, len(self))
 
     def forget_before(self, index: int) -> None:
-        """Let go of samples that are no longer needed."""
+        """Drops samples that are no longer needed; recent ones stay."""
         gone = min(index, self._judged - self._block) - self._dropped
         if gone > 0:
             self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
@@ -191,13 +191,13 @@ class StopStream:
 
     @property
     def kept(self) -> int:
-        """How many samples are kept."""
+        """Number of samples kept."""
         return len(self._time_s)
 
     def part(
         self, first: int, last: int
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Return time and point of a range of the samples."""
+        """Time and point of a range of the samples."""
         inside = slice(first - self._dropped, last - self._dropped)
         return self._time_s[inside], self._point_mm[inside]
 
@@ -233,7 +233,6 @@ class StopStream:
         self._rest_since = None
 
     def _note(self, first: int, last: int) -> None:
-        """Add a standstill, or prolong the last: a lost frame does not make two."""
         begin = max(first, self._dropped)
         inside = self.part(begin, min(last, begin + _ENOUGH))[1]
         stop = Stop(first, last, rest_position_mm(inside))
@@ -254,7 +253,7 @@ class StopStream:
 
 
 def join_stops(stops: list[Stop], origin: int) -> StopSequence:
-    """Return standstills as one block, counted from `origin`."""
+    """As one block, counted from `origin`."""
     return StopSequence(
         np.array([s.first - origin for s in stops]),
         np.array([s.last - origin for s in stops]),
@@ -265,7 +264,6 @@ def join_stops(stops: list[Stop], origin: int) -> StopSequence:
 def _runs(
     flags: Bool[np.ndarray, " n"], origin: int
 ) -> Iterator[tuple[int, int, bool]]:
-    """Yield (first, last, flag) of stretches of equal flags."""
     edges = np.flatnonzero(np.diff(flags)) + 1
     begins = [0, *edges.tolist()]
     for first, last in zip(begins, [*edges.tolist(), len(flags)], strict=True):

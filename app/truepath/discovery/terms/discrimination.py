@@ -1,14 +1,14 @@
 """The shortest lines that decide between competing hypotheses about a machine.
 
 Each hypothesis is a Gaussian over the machine's parameters, mean + root z with z
-standard normal. Data y of the lines have the log Bayes factor log p(y | a) −
-log p(y | b); its expectation under a is the divergence of both predictions and never
-below 0 (Kullback & Leibler 1951). The tracker's next place and the timing of each line
-are integrated out, as in the decision.
+standard normal. Data y of the lines have the log Bayes factor log p(y | a) − log p(y |
+b); its expectation under a is the divergence of both predictions and never below 0
+(Kullback & Leibler 1951). The tracker's next pose and the timing of each line are
+integrated out, as in the decision.
 
-Lines are chosen one after another, each from the end of the last one, by the log Bayes
-factor that they are expected to add per second (Box & Hill 1967): back, along an axis
-or across, at the feeds of the Runs and slower ones. They end when every question is
+Lines are chosen one after another, each from the end of the last one, by the expected
+gain of the log Bayes factor per second (Box & Hill 1967): back, along an axis or
+across, at the feeds of the Runs and slower ones. They end when every question is
 expected to be decided.
 """
 
@@ -39,21 +39,21 @@ from truepath_drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
 MOST_LINES = 9
-_FEWEST_LINES = 4  # determine the tracker's new place well
+_FEWEST_LINES = 4  # determine the tracker's new pose well
 _DWELL_S = 0.35
 _SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
 _RANDOM_ENDS = 10
 _LEAST_MOTION = 30.0  # mm; less may be lost on the way, so the axis rests instead
 _SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
 _UNKNOWN_POSE = {"mm": 1.0, "rad": 1e-3}
-# The first lines decide nothing while the tracker's place is open. What they will
+# The first lines decide nothing while the tracker's pose is unknown. What they will
 # decide once it is known guides their choice.
 _KNOWN_POSE, _GUIDANCE = {"mm": 0.02, "rad": 2e-5}, 0.2
 _POSE = TrackerPose((0.0, 0.0, 0.0)).parameters
 POSE = len(_POSE)
 
 _Columns = tuple[Int64[np.ndarray, " k"], int]
-"""Where root and mean of a hypothesis are in the normal equations."""
+"""Columns of root and mean of a hypothesis in the normal equations."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Question:
 
     left, right : in words, the right one empty where the question is whether or not
     ranks : number of columns of the root of each hypothesis
-    measure : returns the normal equations of lines of the next Run, their timing
+    measure : gives the normal equations of lines of the next Run, their timing
         integrated out; columns are both roots, both means, the tracker's pose
     """
 
@@ -79,10 +79,10 @@ class Question:
     def expect_log_bayes(
         self, normal: Float64[np.ndarray, "q q"], pose_sigma: Mapping[str, float]
     ) -> float:
-        """Return the expected log Bayes factor for the truth that is harder to confirm.
+        """Expected log Bayes factor for the truth that is harder to confirm.
 
         normal : normal equations of lines; pose_sigma : standard uncertainty of the
-        tracker's next place, mm and rad
+            tracker's next pose, mm and rad
         """
         known = diagonal_precision(_POSE, pose_sigma)
         begin = len(normal) - POSE
@@ -97,9 +97,9 @@ class Question:
 
 @dataclass(frozen=True)
 class DiscriminationDesign:
-    """Lines to drive, and the questions that they are to decide.
+    """Lines to measure, and the questions that they are to decide.
 
-    expected : log Bayes factor that the lines are expected to bring to each question
+    expected : log Bayes factor expected for each question
     """
 
     questions: tuple[Question, ...]
@@ -108,17 +108,17 @@ class DiscriminationDesign:
 
     @property
     def lines(self) -> int:
-        """Number of lines."""
+        """One less than the rows of the path."""
         return len(self.path) - 1
 
     @property
     def duration_s(self) -> float:
-        """Time that they take."""
+        """Travel time with dwells."""
         return travel_time_s(self.path)
 
     @property
     def decides(self) -> bool:
-        """Whether every question is expected to be decided."""
+        """True if every question is expected to be decided."""
         return min(self.expected) >= DECIDED
 
 
@@ -126,7 +126,7 @@ class DiscriminationDesign:
 class _Draft:
     """Lines so far.
 
-    normal : normal equations of each question; merit : what the choice maximises
+    normal : normal equations of each question; merit : objective of the choice
     """
 
     stops: Stops
@@ -136,12 +136,10 @@ class _Draft:
 
     @property
     def lines(self) -> int:
-        """Number of lines."""
         return len(self.stops) - 1
 
     @property
     def is_recognisable(self) -> bool:
-        """Whether its stops differ enough to be matched, and to locate the tracker."""
         if self.lines < _FEWEST_LINES:
             return False
         position = self.stops.position
@@ -151,7 +149,6 @@ class _Draft:
 
     @property
     def is_enough(self) -> bool:
-        """Whether every question is expected to be decided."""
         return self.is_recognisable and min(self.expected) >= DECIDED
 
 
@@ -171,11 +168,11 @@ class LineChoice:
 
     @property
     def drive(self) -> Drive:
-        """How the machine moves."""
+        """Motion limits of the machine, with the dwell of this design."""
         return Drive.of_machine(self.machine, _DWELL_S)
 
     def choose(self) -> DiscriminationDesign:
-        """Return the lines and what each question expects of them."""
+        """At most nine lines, from the lower end of the travel. Checks the travel."""
         low, _ = inner_travel(remove_rotary_axes(self.machine))
         nothing = tuple(np.zeros((q.size, q.size)) for q in self.questions)
         first = Stops(low[None], np.array([self.feed_mm_min]))
@@ -187,7 +184,6 @@ class LineChoice:
         return DiscriminationDesign(tuple(self.questions), path, draft.expected)
 
     def _extend(self, draft: _Draft) -> _Draft:
-        """Return the draft with the further line that promises most per second."""
         drafts = [self._add_line(draft, end, feed) for end, feed in self._ends(draft)]
         usable = [d for d in drafts if d.is_recognisable or d.lines < _FEWEST_LINES]
         return max(usable or drafts, key=lambda d: self._merit_per_s(draft, d))
@@ -222,7 +218,6 @@ class LineChoice:
         return tuple(q.expect_log_bayes(s, pose_sigma) for q, s in pairs)
 
     def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
-        """Yield ends of the next line and feeds: back, along an axis, anywhere."""
         low, high = inner_travel(remove_rotary_axes(self.machine))
         position = draft.stops.position
         here = position[-1]
@@ -253,7 +248,6 @@ class LineChoice:
         )
 
     def _predict_last_line(self, path: Path) -> Observations:
-        """Return the observations that the last line of a path would give."""
         pose = self.base.pose
         station_mm = pose.invert().apply(np.zeros((1, 3)))[0]
         seen = predict_cells(self.machine, path, station_mm)
@@ -265,7 +259,7 @@ class LineChoice:
 def _divergence(
     normal: Float64[np.ndarray, "q q"], truth: _Columns, other: _Columns
 ) -> float:
-    """Return E[log p(y | truth) − log p(y | other)] under the truth."""
+    """E[log p(y | truth) − log p(y | other)] under the truth."""
     own, others = (_expect_log(normal, truth, model) for model in (truth, other))
     return own - others
 
@@ -273,10 +267,10 @@ def _divergence(
 def _expect_log(
     normal: Float64[np.ndarray, "q q"], truth: _Columns, model: _Columns
 ) -> float:
-    """Return E[log p(y | model)] under the truth, up to a constant of all models.
+    """E[log p(y | model)] under the truth, up to a constant of all models.
 
-    With y less the model's mean d + n, and its root's information S,
-    log p = −½ |y − mean|² + ½ rᵀ (I + S)⁻¹ r − ½ log det (I + S).
+    With y less the model's mean d + n, and its root's information S, log p = −½ |y −
+    mean|² + ½ rᵀ (I + S)⁻¹ r − ½ log det (I + S).
     """
     (z, mean), (w, own) = truth, model
     off = normal[mean, mean] - 2.0 * normal[mean, own] + normal[own, own]

@@ -1,7 +1,7 @@
-"""All lines of all Runs with what every fit shares, in folds of whole lines.
+"""All lines of all Runs with the parts common to every fit, in folds of whole lines.
 
-Each line is whitened by itself, its phase and speed integrated out: so sums over some
-lines show what would be known without the others, and no sample is read again.
+Each line is whitened alone, its phase and speed integrated out: so sums over some lines
+give the information without the others, and no sample is read again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
 
 FOLDS = 8  # of lines, each held out once
-_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place
+_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's pose
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 
 
@@ -37,8 +37,8 @@ class FoldedLines:
     in different folds. A further Run of few lines is held out nowhere: without one of
     them the pose of its tracker would be unknown.
 
-    lines, base : fold after fold, what is never held out last; ground : products of
-        the base over each fold; freedom : of each fold that is held out
+    lines, base : fold after fold, those never held out last; ground : products of the
+        base over each fold; freedom : of each fold that is held out
     within : samples within the cells of each Run, and whether they are held out
     """
 
@@ -73,11 +73,11 @@ class FoldedLines:
         return np.pad(poses, (base.machine_model.size, 0))
 
     def of(self, run: int) -> list[Line]:
-        """Return the lines of one Run."""
+        """Lines of one Run, in the order of the folds."""
         return [line for line in self.lines if line.run == run]
 
     def whiten(self, effects: Sequence[Effect]) -> WhitenedBlocks:
-        """Return the columns of effects on all lines, side by side."""
+        """Columns of effects on all lines, side by side."""
         rows = [
             np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
             for data in self.runs
@@ -87,7 +87,7 @@ class FoldedLines:
         )
 
     def about(self, run: int, time_s: float) -> list[int]:
-        """Return the line of a Run at a moment, and its neighbours in time."""
+        """Numbers of the line of a Run at a moment, and of its neighbours in time."""
         clock_s = self.runs[run].observations.at.time_s
         lines = [(n, line) for n, line in enumerate(self.lines) if line.run == run]
         begins = sorted((float(clock_s[line.cells.start]), n) for n, line in lines)
@@ -95,7 +95,7 @@ class FoldedLines:
         return [n for _, n in begins[max(here - 1, 0) : here + 2]]
 
     def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
-        """Return the moments of a line's cells, and of the last one before it."""
+        """Times of a line's cells, and of the last one before it."""
         line = self.lines[number]
         time_s = self.runs[line.run].observations.at.time_s
         return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
@@ -103,7 +103,7 @@ class FoldedLines:
     def multiply(
         self, one: WhitenedBlocks, other: WhitenedBlocks
     ) -> Float64[np.ndarray, "f p q"]:
-        """Return oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
+        """oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
         bounds = zip(self._bounds, self._bounds[1:], strict=False)
         return np.stack(
             [one.between(*ends).multiply(other.between(*ends)) for ends in bounds]
@@ -113,7 +113,7 @@ class FoldedLines:
 def build_lines(
     runs: Sequence[Run], observations: Sequence[Observations], baseline: Baseline
 ) -> FoldedLines:
-    """Return the lines of all Runs with pose and noise of the baseline.
+    """The lines of all Runs with pose and noise of the baseline.
 
     observations : of each Run, in fine cells
     """

@@ -1,8 +1,8 @@
 """The data that terms are fitted to, line by line: whitened, timing eliminated.
 
 With V the covariance of white and Ornstein–Uhlenbeck noise, aᵀ V⁻¹ b is a product of
-two whitened columns, each less what the eliminated parameters take away. They are
-computed once and then give products with any other column.
+two whitened columns, each less its part in the eliminated parameters. They are computed
+once and then give products with any other column.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ class WhitenedBlocks:
 
     @staticmethod
     def of_line(rows: Float64[np.ndarray, "m p"]) -> WhitenedBlocks:
-        """Return the blocks of one line."""
+        """Blocks of a single line."""
         return WhitenedBlocks(rows, np.array([0, len(rows)]))
 
     @staticmethod
     def join(lines: Sequence[WhitenedBlocks]) -> WhitenedBlocks:
-        """Return the blocks of all lines, in their order."""
+        """Concatenates lines, in the order given."""
         rows = [line.rows for line in lines]
         begin = np.cumsum([0, *(len(each) for each in rows)])
         return WhitenedBlocks(np.concatenate(rows), begin)
 
     @staticmethod
     def stack(columns: Sequence[WhitenedBlocks]) -> WhitenedBlocks | None:
-        """Return columns on the same lines side by side; None of no columns."""
+        """Columns on the same lines side by side; None for no columns."""
         if not columns:
             return None
         rows = np.concatenate([one.rows for one in columns], axis=1)
@@ -65,28 +65,28 @@ class WhitenedBlocks:
         return self.rows.shape[1]
 
     def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
-        """Return some of the columns."""
+        """Some of the columns, in Fortran order."""
         return WhitenedBlocks(np.asfortranarray(self.rows[:, own]), self.begin)
 
     def between(self, first: int, last: int) -> WhitenedBlocks:
-        """Return the blocks of some lines that follow one another."""
+        """Consecutive lines from `first` up to `last`, exclusive."""
         begin = self.begin[first : last + 1]
         return WhitenedBlocks(self.rows[begin[0] : begin[-1]], begin - begin[0])
 
     def multiply(self, other: WhitenedBlocks) -> Float64[np.ndarray, "p q"]:
-        """Return the products of these columns with others, on the same lines."""
+        """Products of these columns with others, on the same lines."""
         return self.rows.T @ other.rows
 
     def squares(self) -> Float64[np.ndarray, " p"]:
-        """Return the product of each column with itself."""
+        """Product of each column with itself."""
         return np.einsum("mp,mp->p", self.rows, self.rows)
 
 
 @dataclass(frozen=True)
 class RunData:
-    """Cells of a Run where the baseline places its tracker.
+    """Cells of a Run, with the tracker's pose of the baseline.
 
-    base : machine, poses and noise that all fits share
+    base : machine, poses and noise common to all fits
     within : samples within the cells, where fast effects show
     """
 
@@ -96,7 +96,7 @@ class RunData:
 
 
 def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunData:
-    """Return the data of a Run with its pose and noise in the baseline."""
+    """Pose and noise are those of the baseline."""
     base = baseline.linearise(observations.at.run)
     placed = replace_pose(observations, base.pose)
     return RunData(placed, base, compute_cell_deviations(run, placed, base))
@@ -104,9 +104,9 @@ def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunDa
 
 @dataclass(frozen=True)
 class Line:
-    """One line or standstill, and what whitens its columns.
+    """One line or standstill, with the whitening of its columns.
 
-    run, cells : where its cells are
+    run, cells : number of the Run and its cells
     timing : phase and speed, orthonormal, as far as the data determine them
     freedom : observations less phase and speed
     log_determinant : of its noise, and of its timing
@@ -121,7 +121,7 @@ class Line:
     log_determinant: float
 
     def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
-        """Return columns of this line's cells as they count."""
+        """Whitened columns of this line's cells, timing removed."""
         own = np.matmul(self.design.frame, columns)
         blocks = WhitenedBlocks.of_line(self.whitener.whiten(own))
         return _project_out(blocks, self.timing)
@@ -132,9 +132,9 @@ PlacedLine = tuple[Line, WhitenedBlocks]
 
 
 def build_line(data: RunData, run: int, first: int, last: int) -> PlacedLine:
-    """Return one line or standstill of a Run, and its machine, poses and data.
+    """One line or standstill of a Run, and its machine, poses and data.
 
-    run : which of the Runs; first, last : its first cell, and one past its last
+    run : number of the Run; first, last : its first cell, and one past its last
     """
     design = data.base.build(data.observations.select(np.arange(first, last)))
     whitener = design.whiten(data.base.noise)
@@ -156,9 +156,9 @@ def build_line(data: RunData, run: int, first: int, last: int) -> PlacedLine:
 
 
 def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:
-    """Return the timing of a line with products 0 and 1, and the log determinant.
+    """Orthonormal timing of a line, and the log determinant.
 
-    What the data say nothing of is left out.
+    Undetermined columns are dropped.
     """
     timing = timing.select(find_informative(timing.squares()))
     factor = np.linalg.cholesky(timing.multiply(timing))
@@ -168,19 +168,18 @@ def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:
 
 
 def _project_out(columns: WhitenedBlocks, timing: WhitenedBlocks) -> WhitenedBlocks:
-    """Return the columns of a line less what its orthonormal timing takes away."""
     taken = timing.rows @ timing.multiply(columns)
     return WhitenedBlocks.of_line(columns.rows - taken)
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Residual of a Run, mm, in the frame that the tracker stands on.
+    """Residual of a Run, mm, in the frame that the tracker is mounted on.
 
     residual_mm, weighted : (n, 3) r and V⁻¹ r, phase and speed of each line taken out
     precision : (n, 3, 3) of the white noise
-    ou, ou_time_s : density of the Ornstein–Uhlenbeck noise over that of the white
-        noise at frequency 0, and its correlation time
+    ou, ou_time_s : density of the Ornstein–Uhlenbeck noise over that of the white noise
+        at frequency 0, and its correlation time
     within : samples within their cells, where fast effects show as well
     """
 
@@ -195,7 +194,7 @@ class Residual:
     def ou_density(
         self, frequency_hz: Float64[np.ndarray, " f"]
     ) -> Float64[np.ndarray, " f"]:
-        """Return the density of the Ornstein–Uhlenbeck noise over the white noise's."""
+        """Density of the Ornstein–Uhlenbeck noise over the white noise's."""
         angle = 2.0 * np.pi * frequency_hz * self.ou_time_s
         return self.ou / (1.0 + angle**2)
 
@@ -206,7 +205,7 @@ def weight_residual(
     effects: Sequence[Effect],
     theta: Float64[np.ndarray, " p"],
 ) -> Residual:
-    """Return what machine, pose and effects leave of a Run.
+    """Measured minus machine, pose and effects.
 
     lines : of this Run; theta : of machine and poses, then of the effects
     """

@@ -1,4 +1,4 @@
-"""Sums over lines of everything that may explain them."""
+"""Sums over lines of all candidate effects, cached."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truepath.estimation.problem.information import Information
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect
 
-_KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
+_KEPT = 256  # effects with cached columns: a catalogue, and those on trial
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class FoldedSums:
         return self.fold.sum(axis=0) + self.always
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
-        """Return the information of all lines on some of the columns."""
+        """Of all lines on some of the columns."""
         return Information.from_total(self.total, self.log_determinant, columns)
 
 
 @dataclass(frozen=True)
 class CandidateBlocks:
-    """Sums over all lines of effects on offer, each beside what is known.
+    """Sums over all lines of candidate effects, each with the known columns.
 
     known : (q, q) on machine, poses, known effects, data
     cross : (q, p) of it with the parameters of each effect; own : (p, p) of each
@@ -75,17 +75,15 @@ class _Term:
 
     @cached_property
     def total(self) -> Float64[np.ndarray, "q p"]:
-        """The sums with base and data over all lines."""
         return self.cross.sum(axis=0)
 
     @cached_property
     def own(self) -> Float64[np.ndarray, "p p"]:
-        """The products of its columns over all lines."""
         return self.blocks.multiply(self.blocks)
 
 
 class TermEquations:
-    """What all lines tell of effects that may explain them."""
+    """Normal equations of candidate effects; keeps the latest columns."""
 
     def __init__(self, lines: FoldedLines) -> None:
         self.lines = lines
@@ -93,8 +91,8 @@ class TermEquations:
         self._latest: tuple[tuple[Effect, ...], FoldedSums] | None = None
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
-        """Return the sums of all lines on machine, poses, effects and data."""
-        # Many effects on offer are ranked beside the same ones.
+        """On machine, poses, effects and data; the last result is cached."""
+        # Many candidates are ranked with the same known effects.
         if self._latest is None or self._latest[0] != tuple(effects):
             self._latest = tuple(effects), self._add_up(effects)
         return self._latest[1]
@@ -124,9 +122,9 @@ class TermEquations:
     def collect_blocks(
         self, known: Sequence[Effect], offers: Sequence[Effect], *, keep: bool = True
     ) -> CandidateBlocks:
-        """Return the sums of effects on offer, each for itself beside what is known.
+        """Sums of candidate effects, each alone with the known columns.
 
-        keep : their columns as well, to be asked for again
+        keep : cache their columns
         """
         total = self.sums(known).total
         beside = self._terms_of(known)
@@ -143,10 +141,10 @@ class TermEquations:
         offers: Sequence[Effect],
         moment_s: Float64[np.ndarray, " v"],
     ) -> CandidateBlocks:
-        """Return the sums of effects on offer that differ in their moment alone.
+        """Sums of candidate effects that differ in their moment alone.
 
-        moment_s : of each, increasing; all shifts by it, then and for good, so that a
-            line sees the same of all that come before it, and of all after it
+        moment_s : of each, increasing; each effect is permanent from its moment on, so
+            that a line depends only on whether it comes before or after
         """
         beside, width = self._terms_of(known), len(offers[0].parameters)
         size = int(self._begins(beside)[-1]) + 1
@@ -183,9 +181,9 @@ class TermEquations:
     def _beside(
         self, known: Sequence[_Term], joined: WhitenedBlocks | None, offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
-        """Return the sums of an offer beside what is known, and its own.
+        """Sums of a candidate with the known columns, and with itself.
 
-        joined : the blocks of all that is known, side by side
+        joined : the blocks of all known effects, side by side
         """
         others = [] if joined is None else [joined.multiply(offer.blocks)]
         cross = np.concatenate([offer.total[:-1], *others, offer.total[-1:]])
@@ -208,7 +206,7 @@ class TermEquations:
         begin: Int64[np.ndarray, " e"],
         effects: Sequence[Effect],
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-        """Add what fast effects have within cells; return its squares and freedom."""
+        """Adds fast effects within cells to `total`; their squares and freedom."""
         square, freedom = np.zeros((2, FOLDS))
         for within, is_held in self.lines.within:
             fast, columns = within.sums(effects, FOLDS)
@@ -245,7 +243,6 @@ class TermEquations:
 
 
 def _tell_apart(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:
-    """Return the moments on a line, the last one before it and the first one after."""
     first, last = np.searchsorted(moment_s, at.time_s[[0, -1]], "right").tolist()
     return slice(max(first - 1, 0), min(last + 1, len(moment_s)))
 

@@ -1,11 +1,11 @@
-"""What has changed during a measurement under way, and since which line.
+"""What has changed during a measurement in progress, and since which line.
 
 Each kind of change has a course over the lines: a step from one line on, a growth with
-time, a shift of one line. What a fit would gain by it is a score test (`score`), given
-all that is not known of the machine: where few lines have told of its errors, these can
-explain a change as well, and it is not seen yet. The likelihood ratio over all moments
-is that of Willsky and Jones (1976). The changes found are taken one after the other,
-each beside those before it, which may have come somewhat earlier or later.
+time, a shift of one line. The gain of a fit by it is a score test (`score`) that allows
+for the uncertainty of the machine: while few lines have determined its errors, these
+can explain a change as well, and it is not detected yet. The likelihood ratio over all
+moments is that of Willsky and Jones (1976). Changes are selected one after the other,
+each conditional on those before it, which may have occurred slightly earlier or later.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-
 LOST_MOTION, RANGE = "lost-motion-changed", "range-offset-changed"
 LASTING = (DRIFT, GROWTH)
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
-_MOST = 3  # changes that are told apart
-_OF_LARGEST = 0.03  # of its gain: a smaller change may be its doing, and waits
+_MOST = 3  # changes that are distinguished
+_OF_LARGEST = 0.03  # of its gain: a smaller change may be its effect, and waits
 _NEAR = 3  # lines and standstills: changes as near as that are one
-_NEWEST, _OLDER = 60, 60  # lines since which a change is looked for: all, and some
+_NEWEST, _OLDER = 60, 60  # lines tested as the start of a change: all, and some
 _DRIFT_ONSETS = 4
 _SETTLES = 3.0  # times that a drift which settles falls by e
 _UNSEEN_OFFSET = 1e-8  # of its information: rounding
@@ -39,11 +39,11 @@ _FEW = 2  # lines before a change or after it
 
 @dataclass(frozen=True)
 class Course:
-    """Changes of one kind, at several moments.
+    """Changes of one kind, starting at several moments.
 
-    kind : its name; axis : of which, if of one
-    columns : of those that are watched
-    onset : first line of each; factor : (m, l) of each line
+    axis : empty unless the kind concerns one axis
+    columns : among the watched columns
+    onset : first line of each change; factor : (m, l), weight of each line
     """
 
     kind: str
@@ -58,19 +58,19 @@ class Course:
 
 @dataclass(frozen=True)
 class Trial(ScoredColumns):
-    """Courses beside a fit, and beside changes that are given."""
+    """Courses conditional on a fit and on changes that are given."""
 
     course: Course
 
     @cached_property
     def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
-        """As of others; of an offset the specification knows all but a little."""
+        """A new range offset is nearly determined by the specification."""
         if self.course.kind != RANGE:
             return super().score
         return compute_score(self.left, self.raw, self.pulled, _UNSEEN_OFFSET)
 
     def leave_out(self, onset: int) -> Trial:
-        """Return it without what a change within a line leaves near it."""
+        """Ignores starts within 3 lines of a change found; lasting kinds stay."""
         near = np.abs(np.array(self.course.onset) - onset) <= _NEAR
         if self.course.kind in LASTING:
             return self
@@ -79,12 +79,13 @@ class Trial(ScoredColumns):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A change that the lines ask for.
+    """One change that the data support.
 
-    kind, axis : what explains it best; onset : number of its first line
-    gain : by it; limit : that chance seldom makes
-    margin : by how much the next best kind explains less, each by what chance makes
-    size_mm : root mean square over the lines since, at its largest; sigma_mm : of it
+    kind, axis : of the best explanation; onset : number of its first line
+    gain : of the fit, χ²; limit : rarely exceeded by chance
+    margin : lead over the next best kind, each less its limit
+    size_mm : root mean square over the lines since, at its largest; sigma_mm : its
+        standard uncertainty
     """
 
     kind: str
@@ -98,10 +99,10 @@ class Change:
 
 
 class ChangeSearch:
-    """Looks for changes in the sums of lines, given all else that is known.
+    """Searches sums of lines for changes, given the current knowledge.
 
-    known : of the machine and the pose, beside these lines
-    before : since which lines changes were found before
+    known : information on machine and pose from other sources than these lines
+    before : first lines of the changes found previously
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class ChangeSearch:
         self._rest = sums.pulled - np.einsum("lpc,p->lc", sums.coupling, self._theta)
 
     def find(self) -> list[Change]:
-        """Return the changes that the lines ask for, the plainest first."""
+        """At most three changes, the one with the largest gain first."""
         trials = [self._prepare(course) for course in self._list_courses()]
         found: list[Change] = []
         explained = largest = 0.0
@@ -126,7 +127,7 @@ class ChangeSearch:
             if change.gain < max(change.limit, _OF_LARGEST * largest):
                 break
             found.append(change)
-            for number in (k, k - 1, k + 1):  # it came somewhere between
+            for number in (k, k - 1, k + 1):  # its true start is between
                 if 0 <= number < len(trials[which].course.onset):
                     given = trials[which].select_one(number)
                     explained += float(given.gain[0])
@@ -166,7 +167,6 @@ class ChangeSearch:
         ]
 
     def _list_new_offsets(self) -> Iterator[Course]:
-        """Yield the range offset since lines before which the beam was lost."""
         onset = 1 + np.flatnonzero(np.diff(self._sums.lock))
         if len(onset):
             step = (np.arange(len(self._sums.row)) >= onset[:, None]).astype(np.float64)
@@ -174,7 +174,7 @@ class ChangeSearch:
             yield Course(RANGE, "", column, tuple(onset.tolist()), step)
 
     def _choose_onsets(self, lines: int) -> Int64[np.ndarray, " m"]:
-        """Return the lines since which a step is looked for, never the first."""
+        """Never the first line: all recent ones, a selection of older ones."""
         first_of_newest = max(1, lines - _NEWEST)
         older = np.linspace(1, first_of_newest, _OLDER).round().astype(np.int64)
         stride = 1 + first_of_newest // _OLDER
@@ -194,7 +194,6 @@ class ChangeSearch:
         return Trial(half, raw, left, factor @ self._rest[:, own], course)
 
     def _give(self, given: Trial, trial: Trial) -> Trial:
-        """Return a trial beside a change that is given."""
         factor = given.course.factor * trial.course.factor
         shared = self._sums.own[:, given.course.columns, trial.course.columns]
         return trial.give(given, np.tensordot(factor, shared, axes=1))
@@ -202,7 +201,7 @@ class ChangeSearch:
     def _find_best(
         self, trials: Sequence[Trial], explained: float
     ) -> tuple[int, int, Change]:
-        """Return what explains most, less chance: trial, its number, the change."""
+        """Trial with most gain over its limit, index within it, the change."""
         excess: list[float] = []
         best: list[int] = []
         for trial in trials:
@@ -211,7 +210,7 @@ class ChangeSearch:
             excess.append(float(gain.max()) - self._limit(trial))
         first = int(np.argmax(excess))
         kind = trials[first].course.kind
-        # A drift is growth of size 0: it holds where that of the axes is not asked for.
+        # A drift is growth of size 0: it holds where growth of the axes is not needed.
         rival = max(
             value
             for k, (value, trial) in enumerate(zip(excess, trials, strict=True))
@@ -236,7 +235,7 @@ class ChangeSearch:
         return first, best[first], change
 
     def _limit(self, trial: Trial) -> float:
-        """Return what chance seldom gains; growth has to pay for a drift and itself."""
+        """Growth includes a drift, so it pays for the columns of both."""
         columns, drift = trial.pulled.shape[1], self._sums.columns.growth.start
         parts = [columns]
         if trial.course.kind == GROWTH:
@@ -252,5 +251,5 @@ class ChangeSearch:
         gram = gram / sums.cells[moved].sum()
         size_mm = float(np.sqrt(value @ gram @ value))
         slope = root.T @ gram @ value / max(size_mm, 1e-12)
-        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # it is half a width to each
+        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # half the width to each side
         return ways * size_mm, ways * float(np.linalg.norm(slope))

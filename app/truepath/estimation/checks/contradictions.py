@@ -1,8 +1,8 @@
-"""What of a measurement the rest of it contradicts, by what a fit leaves of each part.
+"""Contradictions within a measurement, by the residuals of each of its parts.
 
-Cells and whole lines that stand out of the others, and steps of the set-up that neither
-noise nor drift explains. Limits are such that a clean measurement of 3 000 cells loses
-none in 99 of 100; what contradicts everywhere is no disturbance, and is left to the
+Cells and whole lines that are outliers, and steps of the set-up that neither noise nor
+drift explains. Limits are such that a clean measurement of 3 000 cells loses none in 99
+of 100; a contradiction that is everywhere is no disturbance, and is left to the
 verdict.
 """
 
@@ -30,9 +30,9 @@ from truepath.estimation.checks.step_kinds import RANGE
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
-_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more beside them
+_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more given them
 MOST = 0.2  # of the cells of a Run; more are no disturbance
-_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
+_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its effect
 
 
 def remove_plainest(
@@ -40,9 +40,9 @@ def remove_plainest(
     fitted: Sequence[Observations],
     misfits: Sequence[Misfit],
 ) -> list[RunPart] | None:
-    """Return the parts without the plainest contradiction; None where there is none.
+    """One round of removal: the strongest contradiction only; None if there is none.
 
-    fitted : what the misfits are of: cells of the parts, some of them joined
+    fitted : the observations of each misfit: cells of the parts, some of them merged
     """
     fewer: list[RunPart] = []
     for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
@@ -67,10 +67,10 @@ def remove_plainest(
 
 
 def find_knocks(misfit: Misfit) -> list[Step]:
-    """Return the steps that neither noise nor drift explains.
+    """Steps of the set-up that neither noise nor drift explains.
 
-    All together explain much of what noise does not; else an effect that the model
-    lacks may look like steps.
+    All together have to explain much of what noise does not; else a missing effect may
+    look like steps.
     """
     limit = compute_step_limit(len(misfit.line)) * misfit.rest
     found = [
@@ -90,7 +90,7 @@ def find_knocks(misfit: Misfit) -> list[Step]:
 
 
 def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
-    """Tell which cells, or else which whole lines, the others contradict."""
+    """Single cells first; whole lines only if no cell is an outlier."""
     bad = stand_out(misfit.cell)
     if not bad.any():
         bad = spread_over_cells(misfit, stand_out(misfit.line))
@@ -100,7 +100,7 @@ def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
 def spread_over_cells(
     misfit: Misfit, lines: Bool[np.ndarray, " l"]
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which cells are on some of the lines."""
+    """Mask of the cells on the marked lines."""
     cells = np.zeros(len(misfit.cell), bool)
     for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
         cells[first:last] = True
@@ -112,10 +112,10 @@ def stand_out(
     usual: Float64[np.ndarray, " m"] | None = None,
     among: int = 0,
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which squares of three components are too large.
+    """Mask of outliers among squares of three components (χ² of 3, robust scale).
 
-    usual : squares whose median is that of noise; these where left out
-    among : how many are tested; these where there are more
+    usual : squares whose median gives the scale; `square` if None
+    among : number of tests, if more than these
     """
     usual = square if usual is None else usual
     if not len(square) or not len(usual):

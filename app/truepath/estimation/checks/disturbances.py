@@ -1,9 +1,9 @@
-"""Estimate although the measurement was disturbed: leave out, or split at a step.
+"""Estimate despite disturbances: exclude outliers, or split a Run at a step.
 
-Solve, look at what is left (`misfit`), act on the plainest contradiction, solve again.
-A step of the tracker's or reflector's place makes two Runs of one, each with a pose of
-its own; a new range offset is one parameter more. Cells and whole lines that the rest
-of the measurement contradicts are left out.
+Solve, examine the residuals (`misfit`), act on the strongest contradiction, solve
+again. A step of the tracker's or reflector's place splits one Run into two, each with a
+separate pose; a new range offset is one more parameter. Cells and whole lines that the
+rest of the measurement contradicts are excluded.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ _ROUNDS, _HIDDEN_ROUNDS = 8, 3
 
 @dataclass(frozen=True, slots=True)
 class CheckedEstimate:
-    """An estimate, what was left out for it, and what contradicts it still.
+    """An estimate, the data excluded from it, and the remaining contradictions.
 
-    given : of each Run of the estimate, the Run given that it is of
-    left_out : of each Run given; misfits : of each Run of the estimate
+    given : for each Run of the estimate, the number of the original Run
+    left_out : for each original Run; misfits : for each Run of the estimate
     """
 
     estimate: Estimate
@@ -69,7 +69,7 @@ class CheckedEstimate:
 
     @property
     def first_parts(self) -> list[RunEstimate]:
-        """What is estimated of each Run given, before its first knock."""
+        """For each original Run, its estimate before the first step."""
         firsts = [self.given.index(number) for number in range(len(self.left_out))]
         return [self.estimate.runs[k] for k in firsts]
 
@@ -82,10 +82,10 @@ def estimate_checked(
     perpendicular_only: bool = False,
     on_progress: ShareProgress = ignore_progress,
 ) -> CheckedEstimate:
-    """Estimate, and again without what the rest of the measurement contradicts.
+    """Estimate repeated without what the rest of the measurement contradicts.
 
-    The estimate keeps what it was solved from. Arguments are those of `estimate`.
-    Raises Unidentifiable if the lines do not determine the error motions.
+    The estimate keeps its fit. Arguments are those of `estimate`. Raises Unidentifiable
+    if the lines do not determine the error motions.
     """
     parts = [RunPart(number, seen) for number, seen in enumerate(observed)]
 
@@ -108,27 +108,23 @@ def estimate_checked(
     return solved.state(len(observed))
 
 
-# Parts of Runs, and the shares of progress from which and to which it goes.
+# Parts of Runs, and the shares of progress at its begin and end.
 _Solve = Callable[[Sequence[RunPart], float, float], Estimate]
 
 
 @dataclass(frozen=True, slots=True)
 class _Solved:
-    """Parts of Runs, their estimate, and what it leaves of each."""
-
     parts: list[RunPart]
     found: Estimate
     misfits: tuple[Misfit, ...]
 
     @classmethod
     def of(cls, parts: list[RunPart], found: Estimate) -> Self:
-        """Return them with what the estimate leaves."""
         fit = _fit_of(found)
         misfits = (assess_misfit(fit, k, names=True) for k in range(len(found.runs)))
         return cls(parts, found, tuple(misfits))
 
     def state(self, runs: int) -> CheckedEstimate:
-        """Return what is told of so many Runs given."""
         left_out = [
             [x for part in self.parts if part.given == k for x in part.seen.left_out]
             for k in range(runs)
@@ -148,11 +144,9 @@ class _Solved:
 def _split_at_hidden_steps(
     solved: _Solved, models: RunModels, solve: _Solve
 ) -> _Solved:
-    """Return the estimate split at steps that only an unusual machine could follow.
-
-    Where points are few, error motions that bend by millimetres follow a step of the
-    set-up, and then nothing contradicts it. A usual machine does not; which of both it
-    was, the evidence says.
+    """Where points are few, error motions that bend by millimetres can follow a step of
+    the set-up, and then nothing contradicts it. A typical machine cannot; the evidence
+    decides between both.
     """
     for turn in range(_HIDDEN_ROUNDS):
         fit = _fit_of(solved.found)
@@ -188,13 +182,12 @@ def _add_range_steps(models: RunModels, parts: Sequence[RunPart]) -> RunModels:
 
 
 def _list_names(models: RunModels, parts: Sequence[RunPart]) -> set[str]:
-    """Return the effects of a machine whose direction of approach does not matter."""
     nested = _add_range_steps(models, parts).nested
     return {effect.name for effect in nested.alone.effects}
 
 
 def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solved:
-    """Return the estimate without stops that a usual machine cannot follow."""
+    """Excludes stops that a machine with a typical prior cannot follow."""
     suspects = _find_shifted(solved, models)
     if not suspects:
         return solved
@@ -207,7 +200,6 @@ def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solve
 
 
 def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
-    """Return the estimate without one contradiction after the other."""
     for turn in range(_ROUNDS):
         fitted = _list_fitted(solved.found)
         fewer = remove_plainest(solved.parts, fitted, solved.misfits)
@@ -216,7 +208,7 @@ def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
         try:
             found = solve(fewer, 0.8 + 0.02 * turn, 0.82 + 0.02 * turn)
         except Unidentifiable:
-            break  # too little is left: the verdict says what contradicts
+            break  # too few data remain: the verdict reports the contradiction
         solved = _Solved.of(fewer, found)
     return solved
 
@@ -231,9 +223,9 @@ def _list_fitted(found: Estimate) -> list[Observations]:
 
 
 def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
-    """Tell whether a step of the set-up explains much more than a shift of any line.
+    """A step counts only if it explains much more than a shift of any line.
 
-    A line alone can pull the fit with it, which leaves less of it to a shift.
+    A line alone can pull the fit with it, which leaves less of the gain to a shift.
     """
     return any(
         step.alone > _OF_SHIFT * float(misfit.line.max(initial=0.0))
@@ -243,10 +235,9 @@ def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
 
 
 def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
-    """Return the stops of each Run that a usual machine cannot follow; or nothing.
-
-    The last points of a target look so after a step of the set-up, if the seats of
-    later targets can follow it: then the step is to be found.
+    """The last points of a target look shifted after a step of the set-up if the seats
+    of later targets can follow it: then the step has to be found, and the list is
+    empty.
     """
     fit = _fit_of(solved.found)
     if not is_doubtful(fit):
@@ -262,7 +253,7 @@ def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, "
 def _confirm(
     suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
 ) -> list[Bool[np.ndarray, " l"]]:
-    """Return the suspects that contradict what is learnt without them."""
+    """Only the suspects that also contradict the estimate made without them."""
     fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
     return [
         lines & find_shifted_stops(fit, k) if lines.any() else lines
@@ -285,7 +276,6 @@ def _leave_out_lines(
 
 
 def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
-    """Return the steps between parts of one Run, as large as the solve finds them."""
     knocks: list[Knock] = []
     for k in range(1, len(parts)):
         before, after = parts[k - 1], parts[k]
@@ -296,5 +286,5 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
         knock = measure_knock((before, after), poses, middle)
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
         if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
-            knocks.append(knock)  # else what was between is left out, and all as before
+            knocks.append(knock)  # a smaller step only excludes the cells between
     return knocks

@@ -1,16 +1,15 @@
-"""What a fit leaves that noise does not explain: of cells, of lines, of time.
+"""Residuals of a fit beyond noise: of cells, of lines, over time.
 
-Everything here is a score test (`score`), of columns B that might be added.
+Everything here is a score test (`score`), of columns B that might be added. A step of
+the set-up has the columns of pose and range offset for all cells after it. Sums over
+lines, accumulated from the end, give B for all moments at once. Steps count only as far
+as slow drift of pose and size does not explain them as well, and as far as they exceed
+the residuals that they do not explain: a machine that warms, or an effect missing in
+the model, is no step.
 
-A step of the set-up has the columns of pose and range offset for all that comes after
-it. Sums over lines, accumulated from the end, give B for all moments
-at once. Steps count only as far as slow drift of pose and size does not explain them as
-well, and as far as they stand out from what they do not explain: a machine that warms,
-or an effect that the model lacks, is no knock.
-
-The noise is at most what is usual here: it must not explain what it should show. And
-the range offset is free: distances that are all off by more than the specification says
-are no step, though one near the begin would explain them.
+The noise is limited to the typical level: otherwise it would absorb what should be
+detected. The range offset is free: distances that are all off by more than the
+specification are no step, though one near the start would explain them.
 """
 
 from __future__ import annotations
@@ -60,14 +59,15 @@ _FREE = 1.0  # precision of a range offset, mm⁻²: nothing is known of it
 
 @dataclass(frozen=True, slots=True)
 class RangeOffsetScore:
-    """What one more parameter of a Run, the range offset, would be.
+    """A range offset as one additional parameter of a Run.
 
     A wrong home distance, or the constant of another reflector, bends the whole volume
     about the tracker. An error of a machine repeats with the position of its axes
-    alone; this one repeats with the distance, and what no machine can do of it stays.
+    alone; this one repeats with the distance, and only the part that no machine error
+    can follow counts.
 
-    gain : of the fit, χ² of one degree of freedom where there is none
-    offset_mm, sigma_mm : its value, and standard uncertainty
+    gain : of the fit, χ² of one degree of freedom if the offset is zero
+    sigma_mm : standard uncertainty
     """
 
     gain: float
@@ -77,17 +77,17 @@ class RangeOffsetScore:
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """What the fit leaves of one Run.
+    """Residuals of one Run, tested for shifts, steps and drift.
 
-    cell : (n,) squares of the cells' residuals, whitened; off_mm : (n,) their size
+    cell : (n,) squares of the cells' whitened residuals; off_mm : (n,) their size
     begin, end : (l,) cells of each line or standstill
-    line : (l,) gain of a shift of each
-    square : of all residuals, whitened; freedom : what noise alone would make of it
-    drift : gain of a drift of pose and size; drift_mm : root mean square of it
-    steps : in the order of time; at least the best, where one can be told
-    explained : gain of steps and drift; drift_left : of a drift beside the steps
-    unseen : rows before which a large step would pass for errors of the machine
-    range_offset : of the whole Run; None where the data cannot tell it
+    line : (l,) gain by a shift of each
+    square : of all residuals, whitened; freedom : its expectation for noise alone
+    drift : gain by a drift of pose and size; drift_mm : its root mean square
+    steps : in order of time; at least the best, if one is determined
+    explained : gain of steps and drift; drift_left : of a drift given the steps
+    unseen : rows before which a large step would be taken for errors of the machine
+    range_offset : of the whole Run; None if the data do not determine it
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -107,24 +107,24 @@ class Misfit:
 
     @property
     def rest(self) -> float:
-        """What neither steps nor drift explain, of what noise alone would leave."""
+        """χ² per degree of freedom left by steps and drift, at least 1."""
         return max(1.0, (self.square - self.explained) / self.freedom)
 
     @property
     def ratio(self) -> float:
-        """Root mean square of the residuals, of what noise alone would leave."""
+        """Root mean square of the whitened residuals; 1 for noise alone."""
         return float(np.sqrt(self.square / self.freedom))
 
 
 def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> Misfit:
-    """Return what the fit leaves of one of its Runs.
+    """Score tests of one Run of the fit, `number`.
 
-    names : say what the steps are as well, and look for new range offsets
+    names : also classify the steps, and test for new range offsets
     """
     examination = _Examination(fit, number)
     lines = examination.seen.lines
     begin = np.array(lines, np.int64)[:, 0]
-    within = np.arange(*lines[0], _STRIDE)  # else looked at from its end
+    within = np.arange(*lines[0], _STRIDE)  # other lines are tested from their end
     found = examination.assess(np.concatenate([within, begin[1:]]), 0)
     limit = 0.7 * compute_step_limit(len(lines))
     limit = max(limit, OF_LINE * float(found.line.max(initial=0.0)))
@@ -135,7 +135,7 @@ def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> Misfit:
 
 
 class _Examination:
-    """One Run about the solution under the usual noise."""
+    """One Run linearised about the solution, its noise limited to typical levels."""
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
@@ -149,10 +149,10 @@ class _Examination:
         self.centre = self.seen.at.point_mm.mean(axis=0)
 
     def _solve(self, known: Information, weak: Float64[np.ndarray, "6"] | None) -> None:
-        """Solve for machine and pose, what else is known of the machine given.
+        """Solve for machine and pose, given the other information on the machine.
 
-        With noise that is correlated within blocks alone, as in all that follows: of
-        large steps each digit counts.
+        Noise is correlated within blocks only, as in all that follows: for large steps
+        each digit counts.
         """
         data = compute_information(self.seen, self.about, apart=True)
         own, matrix, vector = slice(self.machine), data.matrix, data.vector
@@ -164,10 +164,10 @@ class _Examination:
         self.theta = self.factor.solve(vector)
 
     def assess(self, starts: Int64[np.ndarray, " l"], most: int) -> Misfit:
-        """Return what the fit leaves.
+        """Squares, line shifts, drift and steps of the Run.
 
         starts : cells before which a step may be
-        most : steps that are placed to the cell; 0 for the best alone, where it starts
+        most : steps that are located to the cell; 0 for the best alone, at its start
         """
         begin, end = np.array(self.seen.lines, np.int64).T
         blocks, sums, later = self._sum_blocks(starts)
@@ -204,9 +204,10 @@ class _Examination:
         )
 
     def name_steps(self, found: Misfit) -> Misfit:
-        """Return what the fit leaves, its steps with what they are.
+        """Classifies the steps.
 
-        Not where it is unknown how the tracker looks: no offset could be solved for.
+        Skipped where the surroundings were not recorded: no range offset could be
+        solved for.
         """
         if self.seen.at.recorded is None:
             return found
@@ -230,7 +231,6 @@ class _Examination:
         return replace(found, steps=tuple(kinds.name()))
 
     def _score_range_offset(self, sums: StepSums) -> RangeOffsetScore | None:
-        """Return what the range offset is that the fit has been given beside."""
         if self.seen.at.recorded is None:
             return None
         own = self.machine - 1
@@ -244,10 +244,8 @@ class _Examination:
     def _sum_blocks(
         self, starts: Int64[np.ndarray, " l"]
     ) -> tuple[list[BlockMisfit], StepSums, list[StepSums]]:
-        """Return what is left of each block, and steps all over the Run.
-
-        And for each block a step before all that comes later. Nothing else is kept of
-        a block: there are many.
+        """Residuals of each block, steps over the whole Run, and for each block a step
+        before all that comes later. Nothing else is kept of a block: there are many.
         """
         sums = StepSums.of_none(starts, self._width)
         blocks: list[BlockMisfit] = []
@@ -262,13 +260,12 @@ class _Examination:
         return blocks[::-1], sums, later[-2::-1]
 
     def _size_drift(self, blocks: Sequence[BlockMisfit], drift: Drift) -> float:
-        """Return the root mean square of a drift over the cells, in mm."""
         total = np.sum([block.drift_square for block in blocks], axis=0)
         square = drift.size @ total @ drift.size / max(len(self.seen), 1)
         return float(np.sqrt(max(square, 0.0)))
 
     def _list_unseen(self, steps: Candidates, limit: float) -> frozenset[int]:
-        """Return the rows before which a step of `_LARGE_MM` would not show.
+        """Rows before which a step of `_LARGE_MM` would not be detected.
 
         Near both ends of the Run there is too little data for it, and no harm in it.
         """
@@ -299,7 +296,7 @@ class _Examination:
         )
 
     def _drift_columns(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 s"]:
-        """Return pose and strain, each growing with polynomials of time."""
+        """Pose and strain, each times three Legendre polynomials of time."""
         at = design.observations.at
         pose = design.columns[:, :, self.machine :]
         x, y, z = ((at.point_mm - self.centre) / 1e3).T  # µm/mm is 1e-3
@@ -314,10 +311,6 @@ class _Examination:
     def _prepare_steps(
         self, sums: StepSums, later: Sequence[StepSums], drift: Drift
     ) -> tuple[Prospects, Callable[[int], Prospects], Callable[[int], Shared]]:
-        """Return steps all over the Run, those from one to the next, what they share.
-
-        later : a step before all that comes after each block
-        """
         # A step before all cells is a matter of the pose.
         steps = drift.prepare(sums.select(slice(1, None)))
         ends = np.append(sums.cell[1:], len(self.seen))
@@ -349,15 +342,14 @@ class _Examination:
 
 
 def compute_step_limit(lines: int) -> float:
-    """Return the gain of a step that chance seldom makes in so many lines."""
+    """Gain that chance rarely exceeds among steps of so many lines."""
     return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
 
 
 def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information]:
-    """Return the columns of a Run and what else is known of the machine.
+    """Columns of a Run and the other information on the machine.
 
-    A range offset of which nothing is known is one more, where it is known how the
-    tracker looks.
+    A free range offset is added, where the surroundings were recorded.
     """
     about, known = fit.runs[number].linearisation, collect_known(fit, number)
     at = fit.runs[number].observations.at
@@ -371,7 +363,7 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
 
 
 def collect_known(fit: Fit, number: int) -> Information:
-    """Return what is known of the machine without one of the Runs."""
+    """Information on the machine from prior, known effects and all Runs but one."""
     others = [r for k, r in enumerate(fit.runs) if k != number]
     prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
     return add_information(

@@ -1,6 +1,6 @@
-"""Whole lines of a Run, with the columns of a fit and of what may be added to it.
+"""Whole lines of a Run, with the columns of a fit and of possible additions.
 
-What the fit leaves of a block is told by sums that add up over the Run, and by squares
+The residuals of a block are summarised by sums that add up over the Run, and by squares
 of its cells and lines.
 """
 
@@ -21,13 +21,13 @@ from truepath.numerics.correlated_noise import Whitener
 
 @dataclass(frozen=True, slots=True)
 class BlockMisfit:
-    """What the fit leaves of a block.
+    """Residuals of a block.
 
-    cell : squares of the cells' residuals, whitened; off_mm : their size
-    line : gain of a shift of each line
-    square : of all residuals, whitened; freedom : what noise alone would make of it
+    cell : squares of the cells' whitened residuals; off_mm : their size
+    line : gain by a shift of each line
+    square : of all residuals, whitened; freedom : its expectation for noise alone
     drift : products of all columns with the drift's
-    drift_square : of the drift's columns alone, mm
+    drift_square : of the drift's columns alone, mm²
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -43,7 +43,7 @@ class BlockMisfit:
 class MisfitBlock:
     """Some whole lines of a Run, with their columns.
 
-    columns : of the fit, pose last, range offset, drift, residual
+    columns : of the fit (pose last), range offset, drift, residual
     """
 
     cells: slice
@@ -54,21 +54,21 @@ class MisfitBlock:
 
     @property
     def step(self) -> slice:
-        """Where the columns of pose and range offset are."""
+        """Columns of pose and range offset."""
         return slice(self.about.machine_model.size, self.about.size + 1)
 
     @property
     def rest(self) -> Float64[np.ndarray, "n 3"]:
-        """What the fit leaves, phase and speed of the lines still in it."""
+        """Residuals; phase and speed of the lines still in them."""
         return self.columns[:, :, -1]
 
     @property
     def drift(self) -> Float64[np.ndarray, "n 3 s"]:
-        """Columns of the drift."""
+        """Columns of the drift: time polynomials of pose and strain."""
         return self.columns[:, :, self.step.stop : -1]
 
     def assess(self) -> BlockMisfit:
-        """Return what the fit leaves."""
+        """Squares, line shifts and drift products, timing taken out."""
         design, rest, drift = self.design, self.rest, self.drift
         products = self.multiply(self.columns[:, :, self.step.stop :])
         untimed = rest - explain_timing(design, self.whitener, rest)
@@ -85,7 +85,7 @@ class MisfitBlock:
         )
 
     def measure_shift(self, cells: slice) -> float:
-        """Return the gain of a shift of one line, by itself."""
+        """Score gain, χ² of 3, of a shift of one line, tested alone."""
         design = self.design
         own = replace(
             design,
@@ -106,13 +106,13 @@ class MisfitBlock:
     def multiply(
         self, columns: Float64[np.ndarray, "n 3 k"]
     ) -> Float64[np.ndarray, "q k"]:
-        """Return the products of all columns with others."""
+        """All columns times V⁻¹ columns, timing taken out."""
         weighted = weigh(self.design, self.whitener, columns)
         flat = self.columns.reshape(-1, self.columns.shape[2])
         return flat.T @ weighted.reshape(len(flat), -1)
 
     def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
-        """Return the sums of steps before some cells of the Run."""
+        """Products for steps before some cells of the Run."""
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = (inside[:, None] >= cell)[:, None, :, None]
         steps: Float64[np.ndarray, "n 3 l 7"] = (
@@ -132,10 +132,10 @@ class MisfitBlock:
     def sum_kinds(
         self, steps: Sequence[int], locks: Sequence[int]
     ) -> Float64[np.ndarray, "q k"]:
-        """Return the products of all columns with what may be added to the fit.
+        """Products of all columns with the additions.
 
-        That is the drift, steps before some cells of the Run, range offsets before
-        others, and the residual; all columns are those of the fit and these.
+        Additions: the drift, steps before some cells of the Run, range offsets before
+        others, and the residual. All columns: the fit's, then these.
         """
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)[:, None]
         after = (inside >= np.array(steps, np.int64))[:, None, :, None]
@@ -150,7 +150,7 @@ class MisfitBlock:
         return flat.T @ weighted.reshape(len(flat), -1)
 
     def share_step(self, cell: int) -> Float64[np.ndarray, "n 7 7"]:
-        """Return products of a step with steps before each of the block's cells."""
+        """Products of a step with steps before each of the block's cells."""
         step = self.columns[:, :, self.step]
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = inside >= cell
@@ -160,7 +160,7 @@ class MisfitBlock:
 
 
 def count_untimed(design: DesignMatrix, about: Linearisation) -> int:
-    """Return of how many cells only what is across the travel counts."""
+    """Number of cells of which only the components across the travel count."""
     seen = design.observations
     moves = seen.direction.any(axis=1)
     return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
@@ -169,7 +169,7 @@ def count_untimed(design: DesignMatrix, about: Linearisation) -> int:
 def weigh(
     design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
 ) -> Float64[np.ndarray, "n 3 p"]:
-    """Return V⁻¹ columns, the timing of the lines taken out."""
+    """V⁻¹ columns, the timing of the lines taken out."""
     timing, weighted = design.fit_timing(whitener, columns)
     return whitener.apply(columns) - weighted @ timing
 
@@ -177,7 +177,7 @@ def weigh(
 def explain_timing(
     design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what the timing of the lines explains."""
+    """Part of the residuals that phase and speed of the lines explain."""
     timing, _ = design.fit_timing(whitener, rest[:, :, None])
     return (design.timing @ timing)[:, :, 0]
 
@@ -185,6 +185,6 @@ def explain_timing(
 def square_cells(
     design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
 ) -> Float64[np.ndarray, " n"]:
-    """Return the square of each cell by itself, in units of its noise."""
+    """χ² of each cell alone, three components."""
     precision = total_precision(design.observations, noise, design.travel)
     return np.einsum("ni,nij,nj->n", rest, precision, rest)

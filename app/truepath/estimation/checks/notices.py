@@ -1,9 +1,9 @@
-"""What is noticed while a measurement is under way, with a name where one holds.
+"""Changes detected during a measurement, named where one explanation is clear.
 
-A change is noticed as soon as chance seldom makes as much (`change_search`). It has a
-name where every other kind explains it clearly worse; else it is known that something
-changed, and since when. Lines that follow may give it a name or another one, or show
-that it is over. What was noticed stays.
+A change is noticed as soon as it exceeds what chance rarely produces (`change_search`).
+It is named where every other kind explains it clearly worse; else only its start is
+known. Lines that follow may name it, rename it, or show that it is over. A notice is
+never withdrawn.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from truepath.estimation.problem.information import Information
 
 UNNAMED = "something-changed"
 _LIKELY, _CERTAIN = 8.0, 20.0  # by how much the next kind explains less
-_FEWEST, _FEWEST_POINTS = 8, 24  # that tell enough of machine and noise
+_FEWEST, _FEWEST_POINTS = 8, 24  # enough to determine machine and noise
 _NEAR = 2  # rows: changes as near as that are one
 
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """One thing that was noticed.
+    """One change that was detected during a measurement.
 
     number : 1, 2, … of the measurement
-    kind : of the change, `something-changed` without a name; axis : of which, if of one
-    grade : `certain`, `likely` or `possible`, as of what discovery names
-    since_row : first line or point that it shows on; noticed_row : the last one that
-        was finished when it was noticed; noticed_s : when, by the tracker's clock
-    size_mm, sigma_mm : what it moves the measured points by, and of that
-    is_over : whether the newest lines show nothing of it any more
+    kind : of the change, `something-changed` if unnamed; axis : empty unless it
+        concerns one
+    grade : `certain`, `likely` or `possible`, as in discovery
+    since_row : first line or point that shows it; noticed_row : the last one finished
+        when it was noticed; noticed_s : when, on the tracker's clock
+    size_mm : displacement of the measured points; sigma_mm : its standard uncertainty
+    is_over : the newest lines no longer show it
     """
 
     number: int
@@ -49,7 +50,7 @@ class Notice:
 
 
 class ChangeWatch:
-    """Watches the lines, or else the points, of one measurement for changes."""
+    """Monitors the lines (or points) of one measurement for changes."""
 
     def __init__(self, *, has_lines: bool) -> None:
         self._fewest = _FEWEST if has_lines else _FEWEST_POINTS
@@ -57,18 +58,19 @@ class ChangeWatch:
         self._notices: tuple[Notice, ...] = ()
 
     def start_again(self, about: Linearisation, seen: Sequence[Observations]) -> None:
-        """Take all lines so far about another solution."""
+        """Rebuild the sums from all lines so far, linearised about a new solution."""
         self._sums = WatchSums.start(about, seen)
 
     def add(self, line: Observations) -> None:
-        """Take the next line or standstill, as it was measured."""
+        """Next line or standstill, before any exclusion of cells."""
         if self._sums is not None:
             self._sums = self._sums.add([line])
 
     def list_notices(self, known: Information, time_s: float) -> tuple[Notice, ...]:
-        """Return all that has been noticed, by number.
+        """All notices so far, by number.
 
-        known : of the machine and the pose, beside the lines; time_s : now
+        known : information on machine and pose from other sources than the lines;
+            time_s : now
         """
         sums = self._sums
         if sums is None or len(set(sums.row)) < self._fewest:
@@ -83,14 +85,14 @@ class ChangeWatch:
 def revise(
     before: Sequence[Notice], found: Sequence[Change], row: Sequence[int], time_s: float
 ) -> tuple[Notice, ...]:
-    """Return the notices after another look.
+    """Notices updated with the changes of another search.
 
     row : of each line so far
     """
     notices = {each.number: replace(each, is_over=True) for each in before}
     known: set[int] = set()
     told = [_describe(change, len(before) + 1, row, time_s) for change in found]
-    # What had no name yet may turn out to have begun elsewhere.
+    # An unnamed change may turn out to have begun elsewhere.
     vague = [
         n
         for n in before
@@ -109,9 +111,8 @@ def revise(
 
 
 def _describe(change: Change, number: int, row: Sequence[int], time_s: float) -> Notice:
-    """Return a notice of a change.
-
-    On one line alone, a shift of this line and one of all that follows are alike.
+    """A change on the newest line only stays unnamed: a shift of this line and one of
+    all that follows are indistinguishable.
     """
     is_named = change.margin >= _LIKELY and row[change.onset] != row[-1]
     grade = "certain" if change.margin >= _CERTAIN else "likely"

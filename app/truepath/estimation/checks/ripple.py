@@ -1,10 +1,10 @@
-"""What axes do between the knots of their error motions, told by lines that cross.
+"""Short-wave axis errors between the knots of error motions, from lines that cross.
 
 A screw pitch of some millimetres, or a kink of a guide, is too short for the splines
 and for the cells: it stays in the residuals of samples. Noise differs from line to
-line, but what an axis does at a place is there on all lines that pass it. Residuals of
-different lines at one place therefore multiply, in the mean, to the variance of what is
-common to them, whatever its shape:
+line, but an axis error at a position is the same on all lines that pass it. The mean
+product of residuals of different lines at one position is therefore the variance of
+their common part, whatever its shape:
 
     E[rᵢ rⱼ] = h²(x),    lines i ≠ j.
 
@@ -31,22 +31,22 @@ from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import DIRECTION, is_turn
 from truepath.numerics.rigid import RigidTransform
 
-_PLACE_MM = 1.0  # lines meet at one place within this
-_BLOCK = 2.0  # knots: what is longer, the error motions follow
-_FEWEST_CELLS = 4  # of a line, whose fit is followed between cells
+_PLACE_MM = 1.0  # lines meet at one position within this
+_BLOCK = 2.0  # knots: longer waves are followed by the error motions
+_FEWEST_CELLS = 4  # of a line whose fit is interpolated between cells
 _LEAST_SHARE = 0.2  # of a line, along an axis
 _OUTLIER = 5.0  # of the median residual of a line
-_GAP = 1.6  # cells: beyond, cells between were left out
+_GAP = 1.6  # cells: beyond, cells between were excluded
 _SURE = 3.0  # standard deviations of the variance found; less is chance
-_GRID = 101  # places of an axis
+_GRID = 101  # positions of an axis
 
 
 @dataclass(frozen=True, slots=True)
 class _LineRest:
-    """What a fit leaves of the samples of one line.
+    """Residuals of the samples of one line.
 
-    position : (n, axes); rest_mm : (n, 3) where the observer stands
-    sigma_mm : (3,) of one sample
+    position : (n, axes); rest_mm : (n, 3) in the frame that the tracker is mounted on;
+        sigma_mm : (3,) of one sample
     """
 
     position: Float64[np.ndarray, "n a"]
@@ -55,9 +55,9 @@ class _LineRest:
 
 
 def add_ripple(found: Estimate, runs: Sequence[Run]) -> Estimate:
-    """Return the estimate with what its axes do between knots as uncertainty.
+    """Adds short-wave axis errors to the covariance; the fit is kept.
 
-    It keeps what it was solved from. runs : that each Run of it is, or is part, of
+    runs : the Run that each Run of the estimate is, or is part of
     """
     assert found.fit is not None  # noqa: S101 (it was asked to be kept)
     lines = [
@@ -76,7 +76,7 @@ def add_ripple(found: Estimate, runs: Sequence[Run]) -> Estimate:
 def _follow_lines(
     run: Run, seen: Observations, own: RunEstimate
 ) -> Iterator[_LineRest]:
-    """Yield what is left of the samples of each straight line at constant feed."""
+    """Straight lines at constant feed only."""
     machine = seen.at.machine
     turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
     frame = beam_frame(seen.tracker_mm)
@@ -107,7 +107,6 @@ def _follow(
     fitted_mm: Float64[np.ndarray, "c 3"],
     sigma_mm: Float64[np.ndarray, "3"],
 ) -> _LineRest:
-    """Return what is left of the samples of a line, from its first to its last cell."""
     each = line.passes[int(line.at.line[0])]
     time_s, cell_s = run.tracker.device_time_s[each.first : each.last], line.at.time_s
     place_mm = run.tracker.position_mm[each.first : each.last]
@@ -133,7 +132,7 @@ def _follow(
 def _find_variance(
     motion: ErrorMotion, names: Sequence[str], lines: Sequence[_LineRest]
 ) -> float:
-    """Return the variance that lines have in common at places of the motion's axis."""
+    """Common variance of the lines along the axis, mm²; 0 if it may be chance."""
     number, direction = names.index(motion.axis.name), DIRECTION[motion.symbol[1]]
     block_mm = _BLOCK * float(np.diff(motion.spline.knots).mean())
     places = int((motion.axis.high - motion.axis.low) / _PLACE_MM) + 1
@@ -164,7 +163,6 @@ def _take_off_blocks(
     rest_mm: Float64[np.ndarray, "n k"],
     block_mm: float,
 ) -> Float64[np.ndarray, "n k"]:
-    """Return the residuals of a line without mean and slope of each of its blocks."""
     block = (off_mm / block_mm).astype(np.int64)
     block -= block.min()
     count = int(block.max()) + 1
@@ -173,6 +171,6 @@ def _take_off_blocks(
 
 
 def _spread(motion: ErrorMotion, variance: float) -> float:
-    """Return the variance of every parameter that makes it that of every position."""
+    """Variance of each parameter for this mean variance of a position."""
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
     return variance / float((rows**2).sum(axis=1).mean())

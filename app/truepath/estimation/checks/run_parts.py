@@ -1,8 +1,7 @@
-"""Parts of a Run: without some cells, or before and after steps of the set-up's place.
+"""Parts of a Run: without some cells, or before and after steps of the set-up.
 
-A new range offset parts nothing: it is a parameter of all that comes after it.
-
-What goes is said, by line and time.
+A new range offset splits nothing: it is a parameter of all that comes after it. All
+excluded data are listed, by line and time.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
-LEAST_KNOCK_MM = 0.002  # less is the air's
+LEAST_KNOCK_MM = 0.002  # smaller shifts are due to air
 _FEWEST_CELLS = 4  # of a line that was cut
-_LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
+_LEAST_SPREAD_MM = 10.0  # root mean square, of points that determine a pose
 
 
 @dataclass(frozen=True, slots=True)
 class RunPart:
-    """Observations of a Run given, or of its part between two knocks.
+    """Observations of an original Run, or of its part between two steps of the set-up.
 
-    kind : of the knock that it begins with; range_steps : that were found in the Run
+    kind : of the step that it begins with; range_steps : found in the Run
     """
 
     given: int
@@ -44,9 +43,10 @@ class RunPart:
 class Knock:
     """A step of the set-up, both sides of which were solved.
 
-    run : of those given; row : on the way to which, or at which, it happened
+    run : number of the original Run; row : during or before which it happened
     between_s : times of the last cell before it and the first after it
-    moved_mm : of the pose, at the middle of the measured points; turned_rad : likewise
+    moved_mm : shift of the pose at the middle of the measured points; turned_rad : its
+        rotation
     kind : `place` or `tilt` of the tracker, `pose` where it is neither alone, or
         `range`: distances are longer by `moved_mm`
     """
@@ -60,7 +60,7 @@ class Knock:
 
     @property
     def time_s(self) -> float:
-        """The middle of the time in which it happened."""
+        """Middle of the interval in which it happened."""
         return 0.5 * sum(self.between_s)
 
 
@@ -70,9 +70,9 @@ def leave_out(
     off_mm: Float64[np.ndarray, " n"],
     edges: Int64[np.ndarray, " e"],
 ) -> Observations:
-    """Return observations without some cells, and with what is said of these.
+    """Observations without the bad cells, which are listed in `left_out`.
 
-    bad : of those that were fitted; edges : where they begin among those seen
+    bad : mask of the fitted cells; edges : where these begin among those observed
     """
     said: list[LeftOut] = []
     sizes = np.diff(edges)
@@ -93,9 +93,8 @@ def leave_out(
 
 
 def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observations:
-    """Return some of the cells, without lines of which too little is left.
+    """Drops lines of which too little remains: phase and speed take two cells.
 
-    Phase and speed of a line take two cells; what they leave of few tells nothing.
     Cells on ramps are not timed.
     """
     line, timed = seen.at.line[cells], np.where(seen.is_ramp, -1, seen.at.line)
@@ -113,10 +112,10 @@ def _order(each: LeftOut) -> tuple[float, int]:
 def _find_gap(
     seen: Observations, cell: int, edges: Int64[np.ndarray, " e"]
 ) -> tuple[int, int, float]:
-    """Return how many cells are before a step, the first after it, and its time.
+    """Number of cells before a step, first cell after it, and its time. Within a line,
+    the cell that may contain the step belongs to neither.
 
-    Where it is within a line, the cell that it may be in is neither.
-    edges : where the cells that were fitted begin among those seen
+    edges : where the fitted cells begin among those observed
     """
     joined, cell = cell, int(edges[cell])
     within = seen.row[cell] == seen.row[cell - 1] and bool(
@@ -129,9 +128,9 @@ def _find_gap(
 
 
 def add_range_step(part: RunPart, before: int, after: int, time_s: float) -> RunPart:
-    """Return a part with a new range offset since a time.
+    """Adds a range-offset parameter from `time_s` on.
 
-    before : so many cells; after : the first of those after it
+    before : number of cells before it; after : index of the first cell after it
     """
     seen = part.seen
     kept = _drop_remnants(seen, np.r_[:before, after : len(seen)])
@@ -142,9 +141,10 @@ def add_range_step(part: RunPart, before: int, after: int, time_s: float) -> Run
 
 
 def divide(part: RunPart, before: int, after: int, time_s: float) -> list[RunPart]:
-    """Return so many cells before a step, and those after it, as two Runs.
+    """Both sides of a step as separate Runs.
 
-    after : the first of them; time_s : what is left out since then is the second's
+    before : number of cells of the first; after : first cell of the second; time_s :
+        excluded data since then belong to the second
     """
     seen = part.seen
     halves = [np.arange(before), np.arange(after, len(seen))]
@@ -172,13 +172,12 @@ def split_at_all(
     edges: Int64[np.ndarray, " e"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> list[RunPart]:
-    """Return what is before, between and after knocks, as Runs of their own.
+    """Parts before, between and after steps, as separate Runs.
 
-    A new range offset is no end of a Run.
+    A new range offset does not end a Run. A part that does not determine a pose loses
+    all cells, which are listed.
 
-    Of what tells no pose no cell is left, and that is said.
-
-    off_mm : how far the cells that were fitted lie aside
+    off_mm : size of the residuals of the fitted cells
     """
     found = [part]
     for step in reversed(knocks):  # the cells before it keep their numbers
@@ -203,10 +202,6 @@ def _leave_out_all(
     time_s: Float64[np.ndarray, " n"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> RunPart:
-    """Return a part without its cells.
-
-    time_s, off_mm : of these cells and more, how far they lie aside
-    """
     seen = part.seen
     off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
     edges = np.arange(len(seen) + 1, dtype=np.int64)
@@ -215,9 +210,9 @@ def _leave_out_all(
 
 
 def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
-    """Return the parts that have cells; what is said of others goes with the next.
+    """Parts that have cells; excluded data of empty parts go to the neighbour.
 
-    A Run given without any cell stays as one part.
+    A Run without any cell stays as one part.
     """
     found: list[RunPart] = []
     for part in parts:
@@ -230,7 +225,6 @@ def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
 
 
 def _join(first: RunPart, second: RunPart) -> RunPart:
-    """Return two parts as one, of which one at most has cells."""
     kept = max(first, second, key=lambda part: len(part.seen))
     left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
     offered = first.seen.offered + second.seen.offered
@@ -251,7 +245,7 @@ def measure_knock(
     poses: tuple[RigidTransform, RigidTransform],
     middle_mm: Float64[np.ndarray, "3"],
 ) -> Knock:
-    """Return the step between the poses before and after it."""
+    """Shift at `middle_mm` and rotation from the first pose to the second."""
     (before, after), (a, b) = parts, poses
     moved = b.apply(middle_mm[None]) - a.apply(middle_mm[None])
     turned = 0.5 * float(np.linalg.norm(b.rotation @ a.rotation.T - np.eye(3)))
@@ -266,14 +260,14 @@ def measure_knock(
 
 
 def list_range_steps(parts: Sequence[RunPart]) -> tuple[RangeStep, ...]:
-    """Return the new range offsets of parts; those of one Run share them."""
+    """New range offsets without repetition: parts of one Run share them."""
     return tuple(dict.fromkeys(s for part in parts for s in part.range_steps))
 
 
 def list_new_offsets(
     parts: Sequence[RunPart], model: MachineModel, theta: Float64[np.ndarray, " p"]
 ) -> list[Knock]:
-    """Return the steps of the range offset, as large as a solve finds them."""
+    """Steps of the range offset larger than `LEAST_KNOCK_MM`, sized by the solve."""
     knocks: list[Knock] = []
     steps = {step: part.given for part in parts for step in part.range_steps}
     for step, given in steps.items():

@@ -1,8 +1,8 @@
 """Score tests (Rao 1948): what a fit would gain if parameters were added to it.
 
-Told by the residuals of the fit as it is, without another solve. With r = y − Aθ,
-W = V⁻¹ (timing of the lines taken out), H = AᵀWA + prior and columns B of what might
-be added, the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − BᵀWA H⁻¹ AᵀWB.
+Computed from the residuals of the fit, without another solve. With r = y − Aθ, W = V⁻¹
+(timing of the lines taken out), H = AᵀWA + prior and columns B of possible additions,
+the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − BᵀWA H⁻¹ AᵀWB.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ def compute_score(
     pulled: Float64[np.ndarray, "l k"],
     unseen: float = _UNSEEN,
 ) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
-    """Return R and Rᵀ pulled, RRᵀ the inverse of the information that is left.
+    """R and Rᵀ `pulled`, with RRᵀ the inverse of the remaining information `left`.
 
-    raw : that before; directions of which no more than a share `unseen` is left have
-        none: the fit explains all
+    raw : information before elimination; directions that keep no more than a share
+        `unseen` of it are dropped: the fit explains them
     """
     own = np.einsum("lii->li", raw)
     scale = np.where(own > 0.0, own, np.inf) ** -0.5
@@ -40,13 +40,13 @@ def compute_score(
 
 @dataclass(frozen=True)
 class ScoredColumns:
-    """Sets of columns that might be added, each by itself, beside what is given.
+    """Sets of columns that might be added, each alone, conditional on given columns.
 
-    What is given is taken out by elimination: what columns have in common with it, and
-    with the fit, goes with these.
+    Given columns are eliminated, with all that the sets share with them and with the
+    fit.
 
-    known : what they share with the fit and with what is given
-    raw, left : their information, and what of it remains; pulled : what pulls
+    known : products with the fit and the given columns, whitened
+    raw, left : information before and after elimination; pulled : score g = BᵀWr
     """
 
     known: Float64[np.ndarray, "l m k"]
@@ -56,33 +56,33 @@ class ScoredColumns:
 
     @cached_property
     def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
-        """R and Rᵀ pulled, RRᵀ the inverse of the information that is left."""
+        """R and Rᵀ `pulled`, with RRᵀ the inverse of the remaining information."""
         return compute_score(self.left, self.raw, self.pulled)
 
     @property
     def gain(self) -> Float64[np.ndarray, " l"]:
-        """What the fit would gain by each."""
+        """χ² that each set would take off the fit."""
         return np.sum(self.score[1] ** 2, axis=1)
 
     @property
     def value(self) -> Float64[np.ndarray, "l k"]:
-        """The parameters of each."""
+        """Estimated parameters of each set."""
         root, score = self.score
         return np.einsum("lij,lj->li", root, score)
 
     def select(self, part: slice) -> Self:
-        """Return some of them."""
+        """All arrays restricted to some of the sets."""
         parts = {each.name: getattr(self, each.name)[part] for each in fields(self)}
         return replace(self, **parts)
 
     def select_one(self, k: int) -> Self:
-        """Return one of them."""
+        """The leading dimension stays, of length 1."""
         return self.select(slice(k, k + 1))
 
     def give(self, one: ScoredColumns, shared: Float64[np.ndarray, "l j k"]) -> Self:
-        """Return them beside one set of columns more.
+        """Conditional on one more set of columns.
 
-        shared : products with these
+        shared : products of the columns of both
         """
         root, score = one.score
         own = root[0].T @ (shared - one.known[0].T @ self.known)
@@ -94,7 +94,7 @@ class ScoredColumns:
         own: Float64[np.ndarray, "l j k"],
         score: Float64[np.ndarray, " j"],
     ) -> Self:
-        """Return them beside what they share `own` with, and `known` with all."""
+        """Eliminates columns by whitened products `own`, part of `known`."""
         return replace(
             self,
             known=known,

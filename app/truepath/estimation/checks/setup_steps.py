@@ -1,7 +1,7 @@
-"""Steps of the set-up's place that a fit asks for, one beside the other.
+"""Steps of the set-up that a fit supports, conditional on each other.
 
-The best step is taken and placed within its line; each is placed again where the others
-are given, so that no step between two knocks passes for both.
+The best step is selected and located within its line; each is located again with the
+others given, so that no step between two true ones replaces both.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from jaxtyping import Float64, Int64
 
 from truepath.estimation.checks.step_candidates import Prospects, Shared
 
-POSE = "pose"  # of the tracker, at once turned and shifted
+POSE = "pose"  # of the tracker, rotated and shifted at once
 _SWEEPS = 1
-_OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
-_COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to pay for
+_OF_LARGEST = 0.05  # of its gain: smaller ones may be its effect, and wait
+_COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to exceed
 _NO_DRIFT = 1.5  # of the least gain of a step, in 36 parameters
 _APART_S = 5.0  # nearer steps have more in common than is counted
-_ABOUT = 6  # lines and standstills on which each cell is tried
+_ABOUT = 6  # lines and standstills of which each cell is tested
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
     """A step of the pose before one cell.
 
-    cell : the first after it; gain : of −2 log likelihood, beside other steps
-    alone : gain where there is nothing else; moved_mm : by how far, at the middle
-    kind : what it is, where that was asked
+    cell : the first after it; gain : of −2 log likelihood, given the other steps
+    alone : gain without other steps; moved_mm : shift at the middle of the points
+    kind : its classification, where requested
     """
 
     cell: int
@@ -41,12 +41,12 @@ class Step:
 
 @dataclass(frozen=True)
 class StepSearch:
-    """Where steps may be, and what a further one has to gain.
+    """Possible steps of a Run, and the gain required of a further one.
 
-    all_ : steps all over the Run; near : those from one to the next, by number
-    share : what a step before some cell has in common with others
-    line, time_s : of each cell; steps on one line or in one moment are one
-    least_gain : of the next step, where all so far explains so much
+    all_ : coarse steps over the Run; near : those from one to the next, by number
+    share : products of a step before some cell with others
+    line, time_s : of each cell; steps on one line or close in time count as one
+    least_gain : required of the next step, by the gain of all so far
     drift : gain of a drift
     """
 
@@ -61,10 +61,10 @@ class StepSearch:
     def find_best(
         self, others: Sequence[Prospects], *, drifts: bool
     ) -> tuple[Prospects, float]:
-        """Return the best step beside others, and its gain.
+        """Best step given others, and its gain.
 
-        A large step a few cells from its place explains little: each cell is tried on
-        the lines that look best, with a drift and without.
+        A large step a few cells from its true cell explains little: each cell is tried
+        on the most promising lines, with a drift and without.
         """
         line = self.line[self.all_.cell]
         about: set[int] = set()
@@ -82,9 +82,9 @@ class StepSearch:
         return best, most
 
     def find(self, most: int, *, drifts: bool) -> list[Prospects]:
-        """Return the steps that there must be, at least the best.
+        """Steps that exceed the required gain, at least the best.
 
-        drifts : whether a drift may be beside them
+        drifts : whether a drift may coexist with them
         """
         found: list[Prospects] = []
         total, gain = self.drift if drifts else 0.0, np.inf
@@ -103,7 +103,7 @@ class StepSearch:
         return sorted(found, key=lambda one: int(one.cell[0]))
 
     def describe(self, found: Sequence[Prospects], *, drifts: bool) -> list[Step]:
-        """Return steps, each with its gain beside the others."""
+        """Each with its gain given all the others."""
         steps: list[Step] = []
         for k, one in enumerate(found):
             others = [*found[:k], *found[k + 1 :]]
@@ -119,7 +119,7 @@ class StepSearch:
         *,
         drifts: bool,
     ) -> float:
-        """Return the gain of steps together, beside others."""
+        """Total gain of steps, given the steps in `beside`."""
         given = [step.choose(drifts=drifts) for step in beside]
         total = 0.0
         for step in found:
@@ -140,7 +140,7 @@ class StepSearch:
     def _gain(
         self, steps: Prospects, others: Sequence[Prospects], *, drifts: bool
     ) -> Float64[np.ndarray, " l"]:
-        """Return the gain of each step beside others; of what is one with them, 0."""
+        """0 for steps that coincide with one of the others."""
         given = [other.choose(drifts=drifts) for other in others]
         parts = steps.choose(drifts=drifts).cut()
         gain = np.concatenate([p.condition(given, self.share).gain for p in parts])
@@ -154,10 +154,10 @@ class StepSearch:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Steps that a fit asks for, in the order of time; at least the best.
+    """Steps that a fit supports, in order of time; at least the best.
 
     explained : gain of them and of a drift
-    drift_left : what of it is the drift's, beside them
+    drift_left : gain of the drift, given the steps
     """
 
     steps: tuple[Step, ...]
@@ -166,11 +166,11 @@ class Steps:
 
 
 def find_steps(search: StepSearch, most: int) -> Steps:
-    """Return the steps that a fit asks for, without a drift where they say it all.
+    """Steps that a fit supports, without a drift where they suffice.
 
-    Many steps make up for a drift as well: what explains more for its price counts.
+    Many steps can imitate a drift: the explanation with more gain for its cost wins.
 
-    most : how many; 0 for the best alone, roughly where it is
+    most : maximum number; 0 for the best alone, coarsely located
     """
     if not len(search.all_.cell):
         return Steps((), search.drift, search.drift)

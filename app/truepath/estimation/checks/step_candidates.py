@@ -1,6 +1,6 @@
-"""Steps of the set-up before some cells, beside a fit, a drift and each other.
+"""Steps of the set-up before some cells, conditional on fit, drift and each other.
 
-A step has the columns of pose and range offset for all that comes after it.
+A step has the columns of pose and range offset for all cells after it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _AT_ONCE = 256  # steps
 class StepSums:
     """Products of the columns of steps before some cells.
 
-    value : with all columns: of the fit, pose last, range offset, drift, residual
+    value : with all columns: of the fit (pose last), range offset, drift, residual
     own : with the columns of the same step
     """
 
@@ -31,26 +31,26 @@ class StepSums:
     own: Float64[np.ndarray, "l 7 7"]
 
     def select(self, part: slice) -> StepSums:
-        """Return some of the steps."""
+        """A contiguous part of the steps; views of the arrays."""
         return StepSums(self.cell[part], self.value[part], self.own[part])
 
     def put(self, part: slice, steps: StepSums) -> None:
-        """Write what some of the steps are."""
+        """Overwrites some steps in place."""
         self.value[part], self.own[part] = steps.value, steps.own
 
     def go_on(self, later: StepSums) -> StepSums:
-        """Return the sums of steps that go on: with a step before all that is later."""
+        """Steps that continue: adds a step before all that is later."""
         return StepSums(self.cell, self.value + later.value, self.own + later.own)
 
     @staticmethod
     def of_none(cell: Int64[np.ndarray, " l"], width: int) -> StepSums:
-        """Return steps before some cells, with nothing after them yet."""
+        """Zero products for steps before these cells; `width` columns in all."""
         value = np.zeros((len(cell), width, COLUMNS))
         return StepSums(cell, value, np.zeros((len(cell), COLUMNS, COLUMNS)))
 
     @staticmethod
     def join(parts: Sequence[StepSums]) -> StepSums:
-        """Return the steps of several blocks."""
+        """Steps of several blocks, concatenated."""
         return StepSums(
             np.concatenate([part.cell for part in parts]),
             np.concatenate([part.value for part in parts]),
@@ -69,18 +69,18 @@ class Candidates(ScoredColumns):
     whole: Float64[np.ndarray, "l 7 7"]
 
     def cut(self) -> Iterator[Candidates]:
-        """Yield them in parts."""
+        """In batches, to limit memory."""
         return map(self.select, _cut(len(self.cell)))
 
     @property
     def moved_mm(self) -> Float64[np.ndarray, " l"]:
-        """Size of each, at the middle, and of its range offset."""
+        """Norm of shift at the middle of the points and range offset."""
         return np.linalg.norm(self.value[:, [0, 1, 2, 6]], axis=1)
 
     def condition(
         self, steps: Sequence[Candidates], share: Callable[[int], Shared]
     ) -> Candidates:
-        """Return the candidates beside steps, one each."""
+        """Conditional on steps, one candidate each, whose products `share` provides."""
         given: list[tuple[Candidates, Shared]] = []
         for step in steps:
             shared = share(int(step.cell[0]))
@@ -88,7 +88,7 @@ class Candidates(ScoredColumns):
         return self.give_all(given)
 
     def give_all(self, given: Sequence[tuple[Candidates, Shared]]) -> Candidates:
-        """Return the candidates beside steps, each beside those before it."""
+        """Conditional on steps, each of which is conditional on those before it."""
         candidates = self
         for step, shared in given:
             candidates = candidates.give(step, shared.look_up(candidates))
@@ -97,7 +97,7 @@ class Candidates(ScoredColumns):
 
 @dataclass(frozen=True)
 class Shared:
-    """Products of a step's columns with those of steps before the cells of its block.
+    """Products of a step with steps before each cell of its block.
 
     first : cell of the block; value : (n, 7, 7)
     """
@@ -106,7 +106,7 @@ class Shared:
     value: Float64[np.ndarray, "n 7 7"]
 
     def look_up(self, candidates: Candidates) -> Float64[np.ndarray, "l 7 7"]:
-        """Return the products with candidates: those before the block cover it all."""
+        """The first product for candidates before the block, `whole` for later ones."""
         inside = candidates.cell - self.first
         near = self.value[np.clip(inside, 0, len(self.value) - 1)]
         later = (inside >= len(self.value))[:, None, None]
@@ -115,7 +115,7 @@ class Shared:
 
 @dataclass(frozen=True)
 class Prospects:
-    """The same steps beside a drift and without it."""
+    """The same steps with and without a drift given."""
 
     beside: Candidates
     bare: Candidates
@@ -126,20 +126,20 @@ class Prospects:
         return self.beside.cell
 
     def choose(self, *, drifts: bool) -> Candidates:
-        """Return them beside a drift or without one."""
+        """`beside` with a drift, `bare` without."""
         return self.beside if drifts else self.bare
 
     def select_one(self, k: int) -> Prospects:
-        """Return one of them."""
+        """The leading dimension stays, of length 1."""
         return Prospects(self.beside.select_one(k), self.bare.select_one(k))
 
 
 class Drift:
     """A drift of the set-up, given the fit.
 
-    sums : products of its columns with those of fit and range offset, with its own and
-        the residual
-    gain : of −2 log likelihood; size : of its parameters
+    sums : products of its columns with those of fit and range offset, with themselves
+        and with the residual
+    gain : of −2 log likelihood; size : its parameters
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class Drift:
         self.gain = float(self._columns.gain[0])
 
     def prepare(self, steps: StepSums) -> Prospects:
-        """Return steps, beside the drift and without it, in the place of their sums."""
+        """Steps with and without the drift given; overwrites `steps` to save memory."""
         fit = self._fit
         whole = steps.value[:, fit.stop - 6 : fit.stop + 1].copy()
         for column in range(fit.stop, steps.value.shape[1] - 2):  # held once, not twice
@@ -167,7 +167,7 @@ class Drift:
         return Prospects(bare.put_beside(known, own, self._columns.score[1][0]), bare)
 
     def _eliminate(self, sums: Float64[np.ndarray, "l m 7"]) -> None:
-        """Turn products with fit and drift into what is shared with these."""
+        """Replaces products with fit and drift by whitened ones, in place."""
         columns = sums.transpose(1, 0, 2).reshape(sums.shape[1], -1)
         half = self._factor.solve_half(columns[self._fit])
         rest = columns[self._fit.stop :] - self._columns.known[0].T @ half
@@ -177,5 +177,4 @@ class Drift:
 
 
 def _cut(count: int) -> list[slice]:
-    """Return parts of so many steps, each of few enough to be held several times."""
     return [slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)]

@@ -1,9 +1,9 @@
-"""What a step of the set-up is: another place of the tracker, a tilt, a range offset.
+"""Classification of a step of the set-up: tracker moved or tilted, or range offset.
 
-An absolute distance meter has a new offset after every new lock: that is asked for
-wherever the beam was lost. Each kind is a part of what a step may be, of pose and range
-offset together, and what has more parameters has to explain more. What no kind explains
-alone is a step of the pose.
+An absolute distance meter has a new offset after every new lock: that is tested
+wherever the beam was lost. Each kind is a subspace of pose and range offset, and a kind
+with more parameters has to explain more. What no kind explains alone is a step of the
+pose.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from truepath.numerics.rigid import cross_matrix
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 PLACE, TILT, RANGE = "place", "tilt", "range"
-_PRICE = 8.0  # gain that each parameter has to pay for
+_PRICE = 8.0  # gain that each parameter has to exceed
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 
 
 @dataclass(frozen=True)
 class StepPart:
-    """What a step before one cell may be; turned : (q, k) its columns, of all."""
+    """One possible explanation of a step; turned : (q, k) its columns among all."""
 
     cell: int
     kind: str
@@ -36,14 +36,14 @@ class StepPart:
 
 @dataclass(frozen=True)
 class StepKinds:
-    """Steps, and range offsets after new locks of the beam, beside a fit.
+    """Steps, and range offsets after new locks of the beam, given a fit.
 
-    locks : first cells after the beam was lost; what the specification says of another
+    locks : first cells after the beam was lost; the specification's prior of another
         offset is in the fit
     matrix, pulled : information and score, given the fit, of a drift, of the columns of
         each step, of each lock's offset
-    tracker_mm : where it stands, from the centre that the pose turns about
-    rest : what noise leaves of a gain by chance
+    tracker_mm : tracker's position from the centre that the pose turns about
+    rest : factor of noise on gains by chance
     """
 
     steps: Sequence[Step]
@@ -54,7 +54,7 @@ class StepKinds:
     rest: float
 
     def name(self) -> list[Step]:
-        """Return the steps with what they are, and new offsets, in order of time."""
+        """Classified steps and new range offsets, in order of time."""
         offsets = self._list_offsets()
         kinds = [[*self._list_kinds(k), *offsets] for k in range(len(self.steps))]
         parts = [next(p for p in each if p.kind == POSE) for each in kinds]
@@ -95,7 +95,7 @@ class StepKinds:
     def _find_offsets(
         self, parts: Sequence[StepPart], offsets: Sequence[StepPart]
     ) -> Iterator[Step]:
-        """Yield offsets that differ by more than the specification says."""
+        """Only offsets that differ by more than the specification allows."""
         given, left = list(parts), list(offsets)
         limit = _MARGIN * self.rest * float(chdtri(1, _RISK / max(len(left), 1)))
         while left:
@@ -111,7 +111,6 @@ class StepKinds:
     def _solve(
         self, parts: Sequence[StepPart]
     ) -> tuple[float, Float64[np.ndarray, " k"]]:
-        """Return the gain of a drift and parts together, and their parameters."""
         drift = np.eye(len(self.pulled))[:, : self._first]
         turn = np.concatenate([drift, *(part.turned for part in parts)], axis=1)
         # A millimetre, a radian: what the fit explains wholly stays at 0.

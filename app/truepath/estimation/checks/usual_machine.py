@@ -1,14 +1,14 @@
-"""Standstills that a machine of usual errors cannot follow: one wrong point is found.
+"""Standstills that a machine with typical errors cannot follow: single wrong points.
 
 Precisions of the prior, noise and the direction of approach are learnt from all data,
-those that are wrong among them. One standstill that is 20 µm off lets error motions
-bend until it fits, and then nothing contradicts it. A machine that bends as usual, and
-whose direction of approach does not matter, cannot follow it: there the standstill asks
-for a shift of its own (score test, Rao 1948), beside those of others.
+wrong data included. One standstill that is 20 µm off lets error motions bend until it
+fits, and then nothing contradicts it. A machine that bends as typical, and whose
+direction of approach does not matter, cannot follow it: the standstill then shows a
+separate shift (score test, Rao 1948), conditional on those of others.
 
-Whether the machine is usual nobody knows: standstills are left out only if they
-contradict what is learnt without them as well. Lines have many cells, which tell
-themselves where one of them is wrong.
+Whether the machine is typical is unknown: standstills are excluded only if they also
+contradict what is learnt without them. Lines have many cells, which show where one of
+them is wrong.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from truepath.estimation.problem.prior import guess_prior
 from truepath.estimation.problem.runs import RunInput, collect_information
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
-_UNUSUAL = 0.1  # of the usual precision of bending
-_FEW_CELLS = 1000  # that a few wrong ones may lead astray
+_UNUSUAL = 0.1  # of the typical precision of bending
+_FEW_CELLS = 1000  # fewer may be dominated by a few wrong ones
 _RISK, _MARGIN = 0.003, 2.0  # of a clean measurement; noise has longer tails than χ²
 _MOST = 0.1  # of the lines
 _MEDIAN = 2.366  # of χ² of three
 
 
 def is_doubtful(fit: Fit) -> bool:
-    """Tell whether wrong points may have made motions bend, or are too few to show."""
+    """True if wrong points may have bent the motions, or data are too few."""
     return bends_freely(fit) or fit.direction != "none"
 
 
 def bends_freely(fit: Fit) -> bool:
-    """Tell whether error motions bend more than usual, or little data holds them."""
+    """True if error motions bend more than typical, or there are few cells."""
     usual, found = guess_prior(fit.model).precision, fit.prior.precision
     is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
     return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
 
 
 def fit_usual_machine(fit: Fit, effects: Collection[str]) -> Fit:
-    """Return what a usual machine makes of the data of a fit.
+    """Data of a fit, solved again with the typical prior.
 
-    effects : names of those kept, the direction of approach not among them
+    effects : names of those kept, without the direction of approach
     """
     kept = tuple(effect for effect in fit.model.effects if effect.name in effects)
     model = replace(fit.model, effects=kept)
@@ -62,7 +62,7 @@ def fit_usual_machine(fit: Fit, effects: Collection[str]) -> Fit:
 
 
 def fit_as_learnt(fit: Fit, observed: Sequence[Observations]) -> Fit:
-    """Return the fit to more data: prior, noise and model as without these."""
+    """Solved with more data, while prior, noise and model stay as in the fit."""
     inputs = [
         RunInput(each, run.linearisation.pose, run.noise)
         for each, run in zip(observed, fit.runs, strict=True)
@@ -76,9 +76,10 @@ def _solve(fit: Fit) -> Fit:
 
 
 def find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
-    """Tell which standstills of a Run, of all its lines, ask for a shift of their own.
+    """Mask of the standstills, among all lines of a Run, that need a separate shift.
 
-    The plainest first, the others beside it; measured by what most lines ask for.
+    The largest first, the others conditional on it; scaled by the median over the
+    lines.
     """
     seen = fit.runs[number].observations
     moves = np.array([seen.at.line[first] >= 0 for first, _ in seen.lines])
@@ -104,7 +105,6 @@ def find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
 def _give(
     left: Float64[np.ndarray, "l 3 l 3"], pulled: Float64[np.ndarray, "l 3"], one: int
 ) -> tuple[Float64[np.ndarray, "l 3 l 3"], Float64[np.ndarray, "l 3"]]:
-    """Return information and pull of the shifts beside that of one line."""
     shared = left[:, :, one]
     share = shared @ np.linalg.pinv(left[one, :, one], hermitian=True)
     return (
@@ -120,10 +120,8 @@ def _list_shifts(
     Float64[np.ndarray, "l 3 3"],
     Float64[np.ndarray, "l 3"],
 ]:
-    """Return what the fit leaves of information on a shift of each line, and its pull.
-
-    raw : information of each before the fit has taken its share
-    Noise is correlated within lines alone.
+    """Remaining information on a shift of each line, information `raw` before
+    elimination, and score. Noise is correlated within lines only.
     """
     about, known = free_range_offset(fit, number)
     size = about.machine_model.size
@@ -164,10 +162,7 @@ def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
 
 
 def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
-    """Return the products of the columns of a line with themselves, and the residual.
-
-    Its timing is taken out.
-    """
+    """Normal matrix of a line with the residual, its timing taken out."""
     every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
     whitener = line.whiten(noise)
     timing, weighted = line.fit_timing(whitener, every)

@@ -1,8 +1,8 @@
-"""Sums over single lines of a measurement under way, for tests of what changes.
+"""Sums over single lines of a measurement in progress, for tests of changes.
 
-A change that begins at some line, or grows with time, has the columns of something
-constant, times a number for each line. So the sums of each line are kept apart: with
-them, any course over the lines is tested without another look at the cells.
+A change that begins at some line, or grows with time, has constant columns times a
+factor for each line. So the sums of each line are kept separate: with them, any course
+over the lines is tested without returning to the cells.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ _M_PER_MM = 1e-3
 class WatchedColumns:
     """What may change: pose of the set-up, growth and lost motion of axes.
 
-    Their columns come one after the other: six of the pose, one in mm/m a linear axis,
-    half the lost motion of each axis, the range offset.
+    Order of the columns: six of the pose, one in mm/m a linear axis, half the lost
+    motion of each axis, the range offset.
     """
 
     machine: Machine
 
     @property
     def pose(self) -> slice:
-        """Columns of the pose."""
+        """Three shifts, three turns."""
         return slice(0, _POSE)
 
     @property
     def growth(self) -> slice:
-        """Columns of the growth of the linear axes."""
+        """One column for each linear axis, mm/m."""
         return slice(_POSE, _POSE + len(self.machine.linear_axes))
 
     def lost_motion(self, axis: int) -> slice:
-        """Return the column of the lost motion of one axis."""
+        """Column of one axis, by its number; half the width, mm."""
         begin = self.growth.stop + axis
         return slice(begin, begin + 1)
 
     @property
     def range(self) -> slice:
-        """Column of the range offset, the last."""
+        """The last column."""
         begin = self.lost_motion(len(self.machine.axes)).start
         return slice(begin, begin + 1)
 
     def build_extra(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 e"]:
-        """Return the columns beside those of the pose."""
+        """All columns after those of the pose, in the beam frame."""
         at = design.observations.at
         columns = [
             find_arm(f"E{axis.name}{axis.name}", at)
@@ -78,13 +78,15 @@ class WatchedColumns:
 
 @dataclass(frozen=True)
 class WatchSums:
-    """Sums of lines one by one, and of all that a fit of them takes.
+    """Sums of single lines, and of all that a fit of them needs.
 
-    row, time_s : of each line, its middle on the tracker's clock; cells : of each
-    lock : how often the beam was lost before each
+    row, time_s : of each line, its middle on the tracker's clock; cells : number in
+        each
+    lock : number of beam losses before each
     coupling : of the watched columns with those of the fit; own : with each other
-    pulled : with measured minus nominal; gram : of the columns, nothing weighed
-    data : on machine and pose; freedom : of its squares, the fit's own not counted
+    pulled : with measured minus nominal; gram : of the unweighted columns
+    data : on machine and pose; freedom : of its squares, parameters of the fit not
+        deducted
     """
 
     about: Linearisation
@@ -102,9 +104,9 @@ class WatchSums:
 
     @staticmethod
     def start(about: Linearisation, seen: Sequence[Observations] = ()) -> WatchSums:
-        """Return the sums of some lines.
+        """Sums of the first lines.
 
-        Lines by themselves do not tell how loud slow noise is: it is as is usual.
+        Slow noise is at least at its typical level: single lines do not determine it.
         """
         columns, p = WatchedColumns(about.machine_model.machine), about.size
         c = columns.range.stop
@@ -125,9 +127,9 @@ class WatchSums:
         return empty.add(seen)
 
     def add(self, seen: Sequence[Observations]) -> WatchSums:
-        """Return the sums with further lines or standstills.
+        """Sums with further lines or standstills.
 
-        One on which the beam was lost counts as two.
+        A line on which the beam was lost counts as two.
         """
         lines = [
             self._sum_line(each.select(np.arange(first, last)))
@@ -168,7 +170,7 @@ class WatchSums:
 
 
 def _cut_at_locks(seen: Observations) -> Iterator[tuple[int, int]]:
-    """Return first cell and one past the last of lines and standstills."""
+    """First cell and one past the last of lines, also cut at beam losses."""
     ends = np.union1d([last for _, last in seen.lines], seen.new_locks)
     return pairwise([0, *ends.astype(np.int64).tolist()])
 

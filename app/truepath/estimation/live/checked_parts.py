@@ -1,8 +1,9 @@
-"""All lines of a measurement under way looked at together, as after it.
+"""All lines of a measurement in progress examined together, as after it.
 
-Cells and lines that the rest contradicts are left out, and at a step of the set-up the
-Run is split (`contradictions`). Between both sides of a known step nothing is taken:
-where it was is not known to the cell, and one of a large step would bend all the rest.
+Cells and lines that the rest contradicts are excluded, and at a step of the set-up the
+Run is split (`contradictions`). Data between both sides of a known step are not used:
+its moment is not known to the cell, and one wrong cell at a large step would bend all
+the rest.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class CheckedParts:
-    """Parts of a Run between knocks that noise explains, as far as can be seen.
+    """Parts of a Run between steps of the set-up, as far as noise explains them.
 
-    parts, runs : what was kept of each, and what it tells; result : of the machine
+    runs : information from the retained cells of each part; result : of the machine
     """
 
     parts: tuple[RunPart, ...]
@@ -69,15 +70,15 @@ class CheckedParts:
 
     @property
     def main(self) -> int:
-        """The part with most cells."""
+        """Number of the part with most cells."""
         return max(range(len(self.parts)), key=lambda k: len(self.parts[k].seen))
 
     def restore(self, part: int) -> Float64[np.ndarray, " p"]:
-        """Return the parameters of the machine and of the pose of a part."""
+        """Parameters of the machine, then of the pose of a part."""
         return self.runs[part].own.restore(self.result)[0]
 
     def find_pose(self, part: int) -> RigidTransform:
-        """Return the pose of the tracker in a part."""
+        """Pose of the tracker during a part."""
         return self.runs[part].linearisation.correct_pose(self.restore(part))
 
     def _list_knocks(self) -> tuple[Knock, ...]:
@@ -96,7 +97,7 @@ class CheckedParts:
         return tuple(sorted(knocks, key=lambda knock: knock.time_s))
 
     def estimate_noise(self, start: NoiseModel) -> NoiseModel:
-        """Return the noise that the residuals show, where there are most."""
+        """Noise from the residuals of the part with most cells."""
         run = self.runs[self.main]
         about = replace(run.linearisation, noise=start)
         return estimate_residual_noise(run.observations, about, self.restore(self.main))
@@ -104,7 +105,7 @@ class CheckedParts:
     def sum_up_earlier(
         self, model: MachineModel, noise: NoiseModel, weak: Float64[np.ndarray, "6"]
     ) -> Information:
-        """Return what all but the newest part tell of a model, their poses left out."""
+        """Information from all but the newest part, poses integrated out."""
         inputs = [
             RunInput(part.seen, self.find_pose(k), noise)
             for k, part in enumerate(self.parts[:-1])
@@ -114,7 +115,7 @@ class CheckedParts:
         return add_information([nothing, *(run.own.eliminate() for run in runs)])
 
     def state(self, noise: NoiseModel) -> LiveCheck:
-        """Return what the parts say, with their noise as it was found."""
+        """Exclusions, steps and residuals; `noise` is the estimated one."""
         run, misfit = self.runs[self.main], self.misfits[self.main]
         seen = run.observations
         turned = seen.direction @ run.linearisation.pose.rotation.T
@@ -130,9 +131,9 @@ class CheckedParts:
         )
 
     def start_gate(self, given: Observations) -> LineGate:
-        """Return the gate for the next lines.
+        """Gate for the next lines.
 
-        given : all lines; the newest ones of which nothing was kept do not fit
+        given : all lines; the newest ones that were excluded entirely count as held
         """
         kept = {int(row) for part in self.parts for row in part.seen.row}
         rows = [int(given.row[first]) for first, _ in given.lines]
@@ -160,9 +161,9 @@ def check_parts(
     known: KnownEffects,
     weak: Float64[np.ndarray, "6"],
 ) -> CheckedParts:
-    """Return the parts of a Run without what the rest of it contradicts.
+    """Parts of a Run without what the rest of it contradicts.
 
-    knocks : known so far
+    knocks : steps known so far
     prior : proper, of the machine's model; known : effects in it
     weak : precision of the pose that keeps it finite
     """
@@ -194,7 +195,6 @@ def check_parts(
 
 
 def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
-    """Return the prior with that of new range offsets."""
     return replace(
         prior,
         model=prior.model.with_effects(*steps),
@@ -204,7 +204,7 @@ def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
 
 
 def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
-    """Return what was said to be left out at a knock, and now is not looked at."""
+    """Earlier exclusions within a step's interval, not examined again."""
     return [
         each
         for each in said
@@ -214,7 +214,7 @@ def list_at_knocks(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
 
 
 def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:
-    """Return the prior with what keeps all finite, and none of it to be found."""
+    """Prior plus weak precisions, all of them fixed."""
     charges, precision = dict(prior.charges), dict(prior.precision)
     for effect in prior.model.effects:
         form = np.diag(weak[prior.model.slices[effect.name]])
@@ -226,7 +226,7 @@ def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> Bendin
 
 
 def split_at(seen: Observations, knocks: Sequence[Knock]) -> list[RunPart]:
-    """Return the parts of a Run between knocks that are known."""
+    """Parts of a Run between known steps of the set-up."""
     parts = [RunPart(0, seen)]
     for knock in knocks:
         time_s = parts[-1].seen.at.time_s
@@ -245,7 +245,7 @@ def split_at(seen: Observations, knocks: Sequence[Knock]) -> list[RunPart]:
 def collect_parts(
     inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
 ) -> tuple[RunInformation, ...]:
-    """Return what parts of a Run tell, with a weak prior on their poses."""
+    """Information from parts of a Run, with a weak prior on their poses."""
     own = np.concatenate([np.zeros(model.size), weak])
     return tuple(
         replace(

@@ -1,7 +1,7 @@
-"""What Runs before tell a measurement that goes on.
+"""Information from earlier Runs for a measurement that continues them.
 
-Each has a pose of its own, which is integrated out; what is left is knowledge of the
-machine, and adds to what the Run under way tells.
+Each has a separate pose, which is integrated out; the rest is information on the
+machine, and adds to that of the current Run.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from truepath.motion.configurations import Commanded, select_rows
 
 @dataclass(frozen=True, slots=True)
 class EarlierRun:
-    """A Run that was closed, or cut short, before the one under way.
+    """A Run that was closed or interrupted before the current one.
 
-    driven : its rows up to the last that was measured; rows : that were measured
+    driven : its rows up to the last that was measured; rows : those measured
     """
 
     driven: Commanded
@@ -42,7 +42,7 @@ class EarlierRun:
 
 
 def align_earlier(runs: Sequence[Run]) -> tuple[EarlierRun, ...]:
-    """Return Runs with their observations. Raises AlignmentError."""
+    """Aligned together, in the order given. Raises AlignmentError."""
     return tuple(
         EarlierRun(
             select_rows(run.commanded, slice(max(seen.measured_rows) + 1)),
@@ -58,7 +58,7 @@ def align_earlier(runs: Sequence[Run]) -> tuple[EarlierRun, ...]:
 def sum_up_runs(
     inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
 ) -> Information:
-    """Return what Runs tell of a model, their poses left out.
+    """Information on a model, summed over Runs, poses integrated out.
 
     weak : precision of a pose before it is measured
     """
@@ -74,7 +74,7 @@ def refine_run(
     *,
     perpendicular_only: bool,
 ) -> RunInput:
-    """Return a Run in the cells of a model, with its pose and noise."""
+    """Cells merged for the model, with refined pose and noise."""
     (cells,) = join_cells([seen], model)
     guess = guess_noise(cells, perpendicular_only=perpendicular_only)
     start = RunInput(cells, cells.pose, guess)
@@ -82,5 +82,5 @@ def refine_run(
     coarse = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
     try:
         return refine_runs(coarse, (start,), known)[0]
-    except Unidentifiable:  # too few lines to tell: as loud as is usual
+    except Unidentifiable:  # too few lines to determine it: typical noise
         return RunInput(cells, cells.pose, raise_noise(guess))

@@ -1,12 +1,12 @@
-"""The estimate of a measurement that is still under way.
+"""The estimate of a measurement that is still in progress.
 
 Every finished line or standstill is added to the normal equations, which hold for one
-linearisation and one model of the noise. Both are updated whenever the number of lines
-has doubled, and at the end: then all cells are added anew, so that this costs, in the
-mean, no more than a second addition of each.
+linearisation and one noise model. Both are updated whenever the number of lines has
+doubled, and at the end: then all cells are added again, so that the mean cost is at
+most a second addition of each.
 
-What contradicts the rest does not go in (`live_gate`, `checked_parts`). Where the
-set-up has moved, what came before goes on as knowledge of the machine, its own pose
+Lines that contradict the rest are held back (`live_gate`, `checked_parts`). Where the
+set-up has moved, the earlier data remain as information on the machine, their pose
 integrated out.
 
 A weak prior keeps tables finite before the lines determine them.
@@ -63,17 +63,17 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
-_FORETELL = 8  # lines or points; fewer foretell too little of the next
-_HELD = 3  # lines in a row that do not fit, or 6, 12 …: look at all lines together
+_FIRST_LOOK = 4  # stretches before pose and noise are first refined
+_FORETELL = 8  # lines or points; fewer predict the next too poorly
+_HELD = 3  # lines in a row that do not fit, or 6, 12 …: examine all lines together
 
 
 class LiveEstimator:
-    """Takes samples or points in blocks, answers with the estimate so far. One thread.
+    """Consumes samples or points in blocks, gives the estimate so far. One thread.
 
-    known : effects known from an earlier measurement, to be estimated beside; what
-        depends on temperatures waits for the analysis of the Run, which has them
-    earlier : Runs of the measurement that it goes on from
+    known : effects known from an earlier measurement, estimated too; those that depend
+        on temperatures wait for the analysis of the Run, which has them
+    earlier : Runs of the measurement that it continues
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class LiveEstimator:
         self._model = LiveModel.start(machine, commanded, self._known)
         self._prior = self._model.guess_prior()
         self._earlier = self._runs = self._model.nothing
-        self._seats = self._alignment.seats  # that the sums are about
+        self._seats = self._alignment.seats  # of the linearisation
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
@@ -107,22 +107,22 @@ class LiveEstimator:
             for each in earlier
         ]
         self._tail, self._locks_s = TrackerSamples.empty(), list[float]()
-        self._pose: RigidTransform | None = None  # of the tracker, when last looked at
-        self._foretold: Posterior | None = None  # of machine and pose, about the sums
+        self._pose: RigidTransform | None = None  # at the last refinement
+        self._foretold: Posterior | None = None  # from the present sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
-        self._astray_s = -np.inf  # when the last of it came that is at no place
+        self._astray_s = -np.inf  # time of the last standstill off the path
         self._next_look = _FIRST_LOOK  # at so many stretches
 
     def extend(self, commanded: Path | Configurations) -> None:
-        """Know of further rows; the earlier ones are among them as they were."""
+        """Further rows; the earlier ones are among them, unchanged."""
         self._commanded = commanded
         self._alignment.extend(commanded)
 
     def findings(self) -> LiveFindings | None:
-        """Return what a plan of further rows rests on, None before the pose is known.
+        """Inputs of a plan of further rows, None before the pose is known.
 
-        After `estimate`, with the precisions of the prior that it has found.
+        Call `estimate` first: it finds the precisions of the prior.
         """
         if self._sums is None:
             return None
@@ -134,10 +134,10 @@ class LiveEstimator:
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
-        """Return where in the tracker's frame each row of a path should be seen.
+        """Expected position of each row of a path, tracker's frame.
 
-        As the standstills so far say, where the set-up has moved those since then. None
-        of points, and where `place_rows` has none.
+        From the standstills so far; after a step of the set-up, from those since then.
+        None for points, and where `place_rows` has none.
         """
         seen = self._alignment
         if not isinstance(self._commanded, Path):
@@ -148,9 +148,9 @@ class LiveEstimator:
         return seen.place_rows(since_s)
 
     def take(self, block: TrackerSamples | PointBlock) -> bool:
-        """Take the next samples or points; tell whether they have finished anything.
+        """Next samples or points; True if they finished a line or point.
 
-        Or whether the target has stood at a further place that is none of its own. All
+        Also True if the target was at rest at a further point that matches none. All
         blocks of a measurement are of one kind.
         """
         is_stream = isinstance(block, TrackerSamples)
@@ -164,14 +164,16 @@ class LiveEstimator:
         return self._add(self._alignment.add(block)) or self._goes_astray()
 
     def _watch_beam(self, samples: TrackerSamples) -> None:
-        """Note when the beam was found again after it was lost."""
         tail = TrackerSamples.join([self._tail, samples])
         self._locks_s += list_locks_s(tail)
         seen = np.flatnonzero(tail.status == 0)
         self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
 
     def finish(self) -> bool:
-        """Nothing follows: look at pose and noise with all there is."""
+        """End of data: pose and noise are refined with all of it.
+
+        False without any line.
+        """
         self._add(self._alignment.finish())
         if not self._parts:
             return False
@@ -179,7 +181,7 @@ class LiveEstimator:
         return True
 
     def estimate(self) -> LiveEstimate | None:
-        """Return what is known so far, None before the pose is."""
+        """Estimate from the lines so far, None before the pose is known."""
         if self._sums is None:
             return None
         model = self._model.whole
@@ -203,7 +205,6 @@ class LiveEstimator:
         )
 
     def _goes_astray(self) -> bool:
-        """Tell whether what is at no place of the path has become more."""
         before_s = self._astray_s
         for each in self._alignment.list_astray()[-1:]:
             self._astray_s = each.end_s
@@ -214,7 +215,7 @@ class LiveEstimator:
         return replace(self._check, left_out=(*self._check.left_out, *astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
-        """Return what has been noticed to change while it was measured."""
+        """Changes detected during the measurement, by number."""
         if self._sums is None:
             return ()
         model, weak = self._model, self._model.weak
@@ -225,10 +226,7 @@ class LiveEstimator:
         return self._watch.list_notices(known, time_s)
 
     def _find_rows(self, seen: Observations) -> frozenset[int]:
-        """Return the lines, or else points, that were measured.
-
-        The standstill at the end of a line that was lost is no line.
-        """
+        """The standstill at the end of a lost line is no line."""
         is_path = isinstance(self._commanded, Path)
         counted = (seen.at.line >= 0) | (not is_path)
         return frozenset(seen.row[counted].tolist())
@@ -248,7 +246,6 @@ class LiveEstimator:
         return True
 
     def _let_in(self, sums: RecursiveEstimator, seen: Observations) -> None:
-        """Add lines, each as far as it goes on from those before."""
         if self._foretold is None:
             self.estimate()
         assert self._foretold is not None  # noqa: S101 (the estimate has set it)
@@ -282,7 +279,6 @@ class LiveEstimator:
         return cells
 
     def _know(self, *beside: Effect) -> None:
-        """Solve for what the tracker may be off by, too, as it is known now."""
         self._model = self._model.know(*beside)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.nothing
@@ -290,7 +286,6 @@ class LiveEstimator:
         self._runs = sum_up_runs(self._inputs, whole, weak[-6:])
 
     def _add_known(self, data: Information) -> Information:
-        """Return what the newest part tells, and all that is known beside it."""
         size, weak = self._model.whole.size, self._model.weak
         matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
         before = add_information([self._earlier, self._runs])
@@ -301,9 +296,9 @@ class LiveEstimator:
         return self._known.add_to(data, self._model.whole)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
-        """Take the newest pose and noise, and add all cells anew.
+        """Relinearises about the newest pose and noise, and adds all cells again.
 
-        thoroughly : judge the noise as the batch does, which takes its time
+        thoroughly : estimate the noise as the batch does, which is slow
         """
         self._seats, self._pose = self._alignment.seats, self._alignment.pose
         seen = self._observations(self._parts)
@@ -343,7 +338,7 @@ class LiveEstimator:
         watched = about.restrict(model.watched)
         self._watch.start_again(watched, [*(part.seen for part in parts), held_back])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
-        self._foretold = None  # the pose that it was about is another now
+        self._foretold = None  # it referred to the previous pose
         self._check = replace(
             check,
             used_samples=sum(int(part.seen.count.sum()) for part in parts),

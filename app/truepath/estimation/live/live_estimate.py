@@ -1,4 +1,4 @@
-"""What a measurement under way tells: of the machine, and of itself."""
+"""Results of a measurement in progress: the machine, and the state of the data."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from truepath.kinematics.estimated_model import EstimatedModel
 
 @dataclass(frozen=True, slots=True)
 class LiveEstimate(EstimatedModel):
-    """What is known so far.
+    """The estimate from the lines so far.
 
     volumetric_sigma_mm : root mean square over the axis travel of the standard
-        uncertainty (k = 1) of the volumetric error vector of the first target, the
-        rigid motion of the whole volume left out; `volumetric_uncertainty_um` outside
+        uncertainty (k = 1) of the volumetric error vector of the first target, without
+        the rigid motion of the whole volume; `volumetric_uncertainty_um` outside
     done : finished lines or points; cells : of them; time_s : tracker's clock
-    check : what it says of itself
+    check : exclusions, steps and residuals
     """
 
     volumetric_sigma_mm: float
@@ -33,10 +33,10 @@ class LiveEstimate(EstimatedModel):
 
 @dataclass(frozen=True, slots=True)
 class LiveFindings:
-    """What a measurement under way has shown of itself.
+    """What the plan of further rows needs from a measurement in progress.
 
     rows : whose line or standstill has been recognised
-    station_mm : (3,) of the tracker, in the frame that it stands on
+    station_mm : (3,) of the tracker, in the frame that it is mounted on
     prior_precision : by the effect's name
     """
 

@@ -1,13 +1,13 @@
-"""New lines of a measurement under way, compared with what earlier lines predict.
+"""New lines of a measurement in progress, compared with the prediction by earlier ones.
 
-So a burst or a moved reflector does not get into the numbers shown. What does not fit
-is held back until all lines are looked at together (`checked_parts`).
+So a burst or a moved reflector does not affect the numbers shown. Lines that do not fit
+are held back until all lines are examined together (`checked_parts`).
 
-The innovation of a line scatters by its own noise and by what the estimate does not
-know yet: S = V + A P Aᵀ (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to
-Tracking and Navigation, 2001, 5.4). Of each cell by itself, its square shows a burst;
-of a shift of all of the line it shows that tracker or reflector has moved. Limits are
-those of the whole measurement (`disturbances`).
+The innovation of a line scatters by its noise and by the uncertainty of the estimate: S
+= V + A P Aᵀ (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001, 5.4). Its square for a single cell shows a burst; that of a shift of
+the whole line shows that tracker or reflector has moved. Limits are those of the whole
+measurement (`disturbances`).
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ from truepath.estimation.problem.noise import raise_noise, total_precision
 
 @dataclass(frozen=True, slots=True)
 class LiveCheck:
-    """What a measurement under way says of itself.
+    """State of the data of a measurement in progress.
 
     left_out : valid samples that are not used; knocks : at which the Run was split
-    used_samples, cells : that the estimate is made from
-    held : rows of the newest lines, which do not fit what came before; held_mm : by
-        how far at the most
-    residual, white : of the fit and of a sample, over what the tracker states
+    used_samples, cells : used for the estimate
+    held : rows of the newest lines, which do not fit the earlier ones; held_mm : their
+        largest deviation
+    residual, white : of the fit and of a sample, relative to the tracker's
+        specification
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -51,11 +52,11 @@ class LiveCheck:
 
 @dataclass(frozen=True, slots=True)
 class LineGate:
-    """Holds new lines against what is foretold of them.
+    """Innovation gate: compares new lines with their prediction.
 
-    squares : of the shifts of lines that were let in; cells : tested so far
-    held : rows of the newest lines, which were not let in; held_mm : by how far they
-        lie off at the most
+    squares : of the shifts of accepted lines; cells : tested so far
+    held : rows of the newest lines, which were rejected; held_mm : their largest
+        deviation
     """
 
     squares: tuple[float, ...] = ()
@@ -66,7 +67,7 @@ class LineGate:
     def check(
         self, about: Linearisation, foretold: Posterior, line: Observations
     ) -> tuple[LineGate, Observations]:
-        """Return the gate after a line, and what of the line goes in."""
+        """The gate after a line, and the accepted cells of the line."""
         found = compute_innovation(about, foretold, line)
         tested, edges = self.cells + len(line), np.arange(len(line) + 1)
         bad = stand_out(found.cell, among=tested)
@@ -89,10 +90,11 @@ class LineGate:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """What one line or standstill shows beyond what was foretold.
+    """Measured minus predicted of one line or standstill.
 
-    cell : (n,) squares of its cells, in units of their variance; off_mm : their size
-    line : square of a shift of all of it, likewise; moved_mm : its size
+    cell : (n,) squares of its cells, in units of their variance; off_mm : (n,) their
+        size
+    line : square of a shift of the whole line, likewise; moved_mm : its size
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -104,9 +106,9 @@ class Innovation:
 def compute_innovation(
     about: Linearisation, foretold: Posterior, seen: Observations
 ) -> Innovation:
-    """Return what the cells of one line or standstill show beyond what was foretold.
+    """Measured minus predicted of one line or standstill, with S = V + A P Aᵀ.
 
-    foretold : machine and pose by the lines before
+    foretold : machine and pose from the lines before
     """
     noise = raise_noise(about.noise)
     design = about.build(seen)
@@ -122,7 +124,7 @@ def compute_innovation(
     _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
     left = rest - explain_timing(design, whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
-    left -= along[:, None] * design.travel  # a ramp tells nothing along its way
+    left -= along[:, None] * design.travel  # a ramp has no information along the line
     return Innovation(
         _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
         np.linalg.norm(left, axis=1),
@@ -137,7 +139,7 @@ def _measure_cells(
     A: Float64[np.ndarray, "n 3 p"],
     P: Float64[np.ndarray, "p p"],
 ) -> Float64[np.ndarray, " n"]:
-    """Return rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
+    """rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
     spread = (A @ P) @ A.transpose(0, 2, 1)
     pulled = np.einsum("nij,nj->ni", precision, left)
     whitened = np.linalg.inv(np.eye(3) + precision @ spread)

@@ -1,7 +1,7 @@
-"""What a measurement under way is solved for: the machine, the tracker, its pose.
+"""Parameters of a measurement in progress: the machine, the tracker, its pose.
 
-What the tracker may be off by depends on where it looks, how long, and how often its
-beam was lost: it is taken anew whenever all lines are looked at together.
+The instrument errors depend on where the tracker looks, how long, and how often its
+beam was lost: they are listed again whenever all lines are examined together.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _LOCKS_AHEAD = 4  # of the beam, at the least: as many as before where that is m
 
 @dataclass(frozen=True)
 class LiveModel:
-    """The parameters of a measurement under way.
+    """The parameters of a measurement in progress.
 
-    machine : effects that the targets tell; untold : that they do not
+    machine : effects that the targets determine; untold : those that they do not
     gram : of the volumetric error, in both
-    beside : what the tracker may be off by, and new range offsets
+    beside : instrument errors and new range offsets
     """
 
     machine: MachineModel
@@ -58,7 +58,7 @@ class LiveModel:
 
     @staticmethod
     def start(machine: Machine, commanded: Commanded, known: KnownEffects) -> LiveModel:
-        """Return the parameters before anything is measured."""
+        """Parameters before anything is measured."""
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
@@ -72,17 +72,17 @@ class LiveModel:
         return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)), gram)
 
     def know(self, *beside: Effect) -> LiveModel:
-        """Return it with what the tracker may be off by, as it is known now."""
+        """Replaces the instrument errors by those known now."""
         return replace(self, beside=beside)
 
     @cached_property
     def whole(self) -> MachineModel:
-        """All but the pose."""
+        """All effects but the pose."""
         told = self.machine.with_effects(*self.beside)
         return told.with_confounded(self.untold)
 
     def mean_square_mm2(self, covariance: Float64[np.ndarray, "p p"]) -> float:
-        """Return that of the volumetric error over the travel, by a covariance."""
+        """Mean square of the volumetric error over the travel, from a covariance."""
         first = self.machine.size
         beside = sum(len(effect.parameters) for effect in self.beside)
         own = np.delete(np.arange(len(covariance)), np.s_[first : first + beside])
@@ -95,22 +95,22 @@ class LiveModel:
 
     @property
     def nothing(self) -> Information:
-        """Nothing that is known of all but the pose."""
+        """Zero information on all but the pose."""
         return Information.of_matrix(np.zeros((self.whole.size,) * 2))
 
     @property
     def watched(self) -> list[Effect]:
-        """All but what hides a change that was found."""
+        """Without range steps, which would hide a change already found."""
         return [e for e in self.whole.effects if not isinstance(e, RangeStep)]
 
     @property
     def most_locks(self) -> int:
-        """How often the beam may be lost before this has to be made anew."""
+        """Number of beam losses after which the model has to be rebuilt."""
         found = [e.locks for e in self.beside if isinstance(e, SetUpErrors)]
         return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
     def guess_prior(self, before: WholePrior | None = None) -> WholePrior:
-        """Return a prior, as precise as an earlier one has become."""
+        """Initial prior, with the precisions learnt before where there are any."""
         told = self.machine.with_effects(*self.beside)
         prior = WholePrior.guess(told, self.untold)
         if before is None:
@@ -126,9 +126,9 @@ def _learn(prior: BendingPrior, before: BendingPrior) -> BendingPrior:
 
 
 def list_live_errors(at: Conditions, earlier: Sequence[Conditions]) -> Iterator[Effect]:
-    """Yield what trackers may be off by, with range offsets for locks to come.
+    """Instrument errors, with range offsets in reserve for future locks.
 
-    at : of the Run under way; earlier : of others
+    at : of the current Run; earlier : of others
     """
     assert at.recorded is not None  # noqa: S101 (a live Run knows its surroundings)
     own = at.recorded.set_up
@@ -156,7 +156,7 @@ _WEAK_SPEED = 10.0
 
 
 def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
-    """Return the precision of each parameter, in the order of the effects.
+    """Precision of each parameter, in the order of the effects.
 
     1/mm², 1/rad² and so on, in the unit of the parameter.
     """

@@ -1,5 +1,5 @@
-"""How large the errors of observations are, and how long they last.
+"""Size and correlation time of the errors of observations.
 
 Here: noise fitted from residuals and from samples within cells. Not here: the noise
-model itself (`estimation.problem.noise`), its algebra (`numerics`).
+model (`estimation.problem.noise`), its algebra (`numerics`).
 """

@@ -1,8 +1,8 @@
 """The baseline: the model that Runs are compared with, and the noise of each Run.
 
-Either the rigid-body model is fitted to the Runs, its error motions as smooth as the
-data say, or a reference model is given. The noise is estimated beside splines of time:
-what changes slowly is structure to be explained and must not be counted as noise.
+Either the rigid-body model is fitted to the Runs, with error motions as smooth as the
+data require, or a reference model is given. The noise is estimated together with
+splines of time: slow change is structure to be explained and must not count as noise.
 """
 
 from __future__ import annotations
@@ -44,28 +44,28 @@ from truepath.numerics.rigid import RigidTransform
 
 
 class MachinePrior(Protocol):
-    """What is known of the machine before the Runs: `WholePrior`, `KnownMachine`."""
+    """Knowledge of the machine before the Runs: `WholePrior`, `KnownMachine`."""
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the prior precision; parameters after the machine's have none."""
+        """Zero for parameters after the machine's."""
         ...
 
     def widen_tracker(self, times: float) -> MachinePrior:
-        """Return it with a tracker that may be off by so many times as much."""
+        """Multiplies the standard uncertainty of the instrument errors."""
         ...
 
     def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
-        """Return the prior that fits the data, and the posterior under it."""
+        """The prior that fits the data, and the posterior under it."""
         ...
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Return the squared distance from what was measured, in its uncertainty."""
+        """Squared Mahalanobis distance from the reference model."""
         ...
 
 
 @dataclass(frozen=True)
 class KnownMachine:
-    """Parameters of a reference model, as well as it knows them."""
+    """A reference model with its covariance, used as the prior."""
 
     model: MachineModel
     covariance: Float64[np.ndarray, "m m"]
@@ -76,22 +76,22 @@ class KnownMachine:
         return invert_covariance(self.covariance)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the precision; parameters after the machine's have none."""
+        """Zero for parameters after the machine's."""
         return np.pad(self.precision, (0, size - len(self.covariance)))
 
     def widen_tracker(self, times: float) -> KnownMachine:
-        """Return it with a tracker that may be off by so many times as much."""
+        """Multiplies the standard uncertainty of the instrument errors."""
         scale = np.ones(len(self.covariance))
         for effect in filter(is_of_instrument, self.model.effects):
             scale[self.model.slices[effect.name]] = times
         return replace(self, covariance=scale[:, None] * self.covariance * scale)
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
-        """Return itself, which has nothing to fit, and the posterior."""
+        """The prior is fixed: only the posterior is computed."""
         return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Return the squared distance from what was measured, in its uncertainty."""
+        """Squared Mahalanobis distance from the reference model."""
         own = theta[: len(self.covariance)]
         return float(own @ self.precision @ own)
 
@@ -103,7 +103,7 @@ class Baseline:
     theta : (p,) about which the model is linear: 0 where it is fitted to the Runs
     prior : of the machine's parameters
     runs : coarse observations, pose and noise of each Run
-    noise_model : that the noise is estimated with
+    noise_model : used to estimate the noise
     """
 
     model: MachineModel
@@ -113,7 +113,7 @@ class Baseline:
     noise_model: MachineModel
 
     def calm_places(self) -> Baseline:
-        """Itself, with places that differ by no more than is usual."""
+        """With noise between places limited to what is typical."""
         calm = [calm_places(run.noise) for run in self.runs]
         if calm == [run.noise for run in self.runs]:
             return self
@@ -121,7 +121,7 @@ class Baseline:
         return replace(self, runs=tuple(replace(r, noise=n) for r, n in each))
 
     def linearise(self, run: int) -> Linearisation:
-        """Return the problem of a Run, linear about pose and parameters."""
+        """The problem of a Run, linear about pose and `theta`."""
         own = self.runs[run]
         return Linearisation(
             self.model,
@@ -139,11 +139,11 @@ def fit_baseline(
     observations: Sequence[Observations],
     reference: EstimatedModel | None = None,
 ) -> Baseline:
-    """Return prior, poses and noise of Runs of one machine.
+    """Prior, poses and noise of Runs of one machine.
 
     observations : of each Run, in coarse cells with their surroundings
-    reference : what is known of the model; it is fitted to the Runs if None. What the
-        tracker may be off by follows it in the model, known to 1 each
+    reference : fixed model; None fits the model to the Runs. Instrument errors follow
+        it in the model, with unit variance each
 
     Raises Unidentifiable if the lines do not determine the noise.
     """
@@ -174,9 +174,9 @@ def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel
 
 
 def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
-    """Return the baseline with pose and noise of the Runs fitted beside effects.
+    """Pose and noise of the Runs fitted together with effects.
 
-    Where the effects leave nothing to judge the noise by, it stays as it is.
+    Unchanged where the effects leave too little data to determine the noise.
     """
     model = add_effects(baseline.noise_model, effects)
     guessed = [replace(r, noise=_guess_noise(r.observations)) for r in baseline.runs]
@@ -198,7 +198,7 @@ def _fit_noise(model: MachineModel, runs: Sequence[RunInput]) -> tuple[RunInput,
 
 
 def replace_pose(observations: Observations, pose: RigidTransform) -> Observations:
-    """Return observations with another pose of the tracker."""
+    """Also replaces the rotation in the recorded surroundings."""
     recorded = observations.at.recorded
     if recorded is not None:
         recorded = replace(recorded, rotation=pose.rotation)

@@ -1,15 +1,14 @@
-"""How well a noise model explains data, and which way to change it.
+"""Evidence of a noise model, with its slope and curvature.
 
-The evidence is that of restricted maximum likelihood: what the parameters of the
-problem take up of the data is not mistaken for little noise. With V the covariance of
-the data, H = AᵀV⁻¹A + prior and P = V⁻¹ − V⁻¹A H⁻¹AᵀV⁻¹,
+The evidence is that of restricted maximum likelihood: the part of the data absorbed by
+the parameters is not mistaken for low noise. With V the covariance of the data, H =
+AᵀV⁻¹A + prior and P = V⁻¹ − V⁻¹A H⁻¹AᵀV⁻¹,
 
     cost = log|V| + log|H| + yᵀPy,    ∂cost/∂x = tr(P ∂V) − yᵀP ∂V Py,
 
 and its curvature is that of the average information, yᵀP ∂V P ∂V Py, which needs no
 trace (Gilmour, Thompson & Cullis 1995). The traces that the slope needs are second
-moments of the Ornstein–Uhlenbeck part given the data, from neighbour to neighbour in
-time only.
+moments of the Ornstein–Uhlenbeck part given the data, between neighbours in time only.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ _LEAST_LEFT = 1e-3  # of the variance of noise: a fit that takes all leaves roun
 class Slope:
     """Cost (−2 log evidence) with gradient and curvature.
 
-    By the logarithms of the Ornstein–Uhlenbeck part's size along the beam, in azimuth
-    and in elevation, its time and, where they count, the jitter along the travel or
-    what places differ by along the beam, in azimuth and in elevation.
+    With respect to the logarithms of the Ornstein–Uhlenbeck part's size along the beam,
+    in azimuth and in elevation, its time and, if there is one, the jitter along the
+    travel or the noise between places along the beam, in azimuth and in elevation.
     """
 
     cost: float
@@ -50,10 +49,10 @@ class Slope:
 
 @dataclass(frozen=True)
 class NoiseEvidence:
-    """Cells whose noise is to be judged.
+    """Cells whose noise is estimated.
 
-    columns : (n, 3, p) of the parameters, which may be none; residual : (n, 3) the data
-    known : of the first parameters, by the prior and by other data
+    columns : (n, 3, p) of the parameters, p may be 0; residual : (n, 3) the data
+    known : information on the first parameters, from prior and other data
     """
 
     design: DesignMatrix
@@ -62,30 +61,30 @@ class NoiseEvidence:
     known: Information
 
     def evaluate(self, noise: NoiseModel) -> Slope:
-        """Return cost, gradient and curvature.
+        """Cost, gradient and curvature at a noise model.
 
         Raises Unidentifiable if data and prior do not determine the parameters.
         """
         return _Solution(self, noise).slope()
 
     def solve(self, noise: NoiseModel) -> Float64[np.ndarray, " p"]:
-        """Return the parameters under a noise."""
+        """Parameters of greatest posterior probability under a noise model."""
         return _Solution(self, noise).theta
 
     def compare_neighbours(
         self, noise: NoiseModel
     ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
-        """Return squares of what neighbours in time are left apart, and as expected."""
+        """Squared residual differences of neighbours in time, and their expectation."""
         return _Solution(self, noise).compare_neighbours()
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
-        """Columns and data side by side."""
+        """Columns, then data."""
         return np.concatenate([self.columns, self.residual[:, :, None]], axis=2)
 
     @cached_property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
-        """Direction of travel in the beam frame."""
+        """Unit vectors in the beam frame."""
         return self.design.travel
 
 
@@ -111,7 +110,7 @@ class _Solution:
         half = self.factor.solve_half(total[:p, p])
         self.square = float(total[p, p] + of.known.square - half @ half)
         theta = self.theta = self.factor.solve(total[:p, p])
-        # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
+        # V⁻¹A; the residual, and its Ornstein–Uhlenbeck part.
         self.columns = weighted[:, :p]
         self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
         self.ou = ou[:, :p]
@@ -125,7 +124,6 @@ class _Solution:
         )
 
     def slope(self) -> Slope:
-        """Return cost, gradient and curvature."""
         determinants = self.inverse.log_determinant + self.factor.log_determinant
         cost = determinants + self.square
         gradient = self._volume_slope() - self._moments()
@@ -134,7 +132,6 @@ class _Solution:
     def compare_neighbours(
         self,
     ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
-        """Return squares of what neighbours in time are left apart, and as expected."""
         of, noise = self.of, self.noise
         seen, apart = of.design.observations, np.diff(of.columns, axis=0)
         white, ou = split_sigma_mm(seen, noise)
@@ -155,7 +152,7 @@ class _Solution:
         )
 
     def _moments(self) -> Float64[np.ndarray, " k"]:
-        """Return tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
+        """tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
         spread = self.factor.solve_half(self.ou.T)
         now = (spread**2).sum(axis=0) + self.ou_residual**2
         next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
@@ -180,7 +177,6 @@ class _Solution:
 
     @property
     def _place(self) -> Float64[np.ndarray, "n 3"]:
-        """What places differ by, squared."""
         with_, without = (
             split_sigma_mm(self.of.design.observations, each)[0]
             for each in (self.noise, replace(self.noise, place=(0.0, 0.0, 0.0)))
@@ -194,7 +190,7 @@ class _Solution:
         return moved.reshape(weighted.shape).T @ weighted - half.T @ half
 
     def _perturb_data(self) -> Float64[np.ndarray, "n 3 k"]:
-        """Return ∂V P y for each parameter."""
+        """∂V P y for each parameter."""
         n = len(self.of.residual)
         ou = self.ou_residual.reshape(n, 3)
         change = (self.longer.multiply(ou) - self.here.multiply(ou)) / _STEP
@@ -215,7 +211,7 @@ def _by_coordinate(
     now: Float64[np.ndarray, " m"],
     next_: Float64[np.ndarray, " l"],
 ) -> Float64[np.ndarray, "3"]:
-    """Return tr(C⁻¹M) for each coordinate from M's entries beside the diagonal."""
+    """tr(C⁻¹M) for each coordinate, from the diagonals of M and those beside them."""
     square = (ou.diagonal * now.reshape(-1, 3)).sum(axis=0)
     return square + 2.0 * (ou.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
 
@@ -225,7 +221,6 @@ def _lengthen(noise: NoiseModel) -> NoiseModel:
 
 
 def _perturb(noise: NoiseModel) -> list[NoiseModel]:
-    """Return the noise with one parameter a little larger each."""
     (beam, azimuth, elevation), factor = noise.ou, float(np.exp(_STEP))
     moved = [
         replace(noise, ou=(beam * factor, azimuth, elevation)),

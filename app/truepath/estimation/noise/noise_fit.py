@@ -1,10 +1,10 @@
-"""Find the noise of every Run from the Runs themselves.
+"""Estimate the noise of every Run from the Runs themselves.
 
-500 Hz samples are correlated in time; who counts them as independent states intervals
-that hold the truth far too seldom. The white part is what samples scatter about their
-cell. The Ornstein–Uhlenbeck part, its correlation time, the jitter of the feed and what
-one standstill differs from the next by maximise the evidence of the whole problem, so
-that what the error motions take up is accounted for.
+500 Hz samples are correlated in time; treating them as independent gives intervals that
+contain the truth far too rarely. The white part is the scatter of samples about their
+cell. The Ornstein–Uhlenbeck part, its correlation time, the jitter of the feed and the
+scatter between standstills maximise the evidence of the whole problem, so that what the
+error motions absorb is accounted for.
 """
 
 from __future__ import annotations
@@ -40,37 +40,37 @@ from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _FEWEST_OF_LINE = 4  # merged cells
-_CELLS = 1000  # as many tell the noise to a few parts in a hundred
+_CELLS = 1000  # enough for the noise to a few percent
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
 _ROUNDS = 3  # of noise and prior in turn, after the first
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
-# Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
+# Few data hardly determine the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
 _USUAL_SIZE, _USUAL_TIME = np.log([0.15, 1.0])  # of the stated noise; in s
 _USUAL_SPREAD, _USUAL_LEVEL = 1.2, 2.0  # of logarithms: of each, of all together
-_DRIFTING = (5.0, 5.0, 5.0)  # of the stated noise: where a search starts as well
+_DRIFTING = (5.0, 5.0, 5.0)  # of the specified noise: a second start of the search
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
-_STIFFEST = 4.0  # times as curved as the average information says
+_STIFFEST = 4.0  # times as curved as the average information
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
-_LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
+_LEAST = 1e-3  # curvature of undetermined parameters, such as zero jitter
 _LONGEST_S = 60.0
 _FEWEST_TRIPLES = 100
 _MEDIAN = 0.455  # of χ² of one
-_FAST = 1.2  # times what samples scatter, of their means
+_FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
-_FEW_DIFFER = 0.3  # of the variance: less is most places', the rest a few's
-_OF_APART = 2.0  # times from place to place, for correlated noise to last
+_FEW_DIFFER = 0.3  # of the variance: below, a few places cause the rest
+_OF_APART = 2.0  # least correlation time over the time between places
 _SIZES = np.log([[1e-3, 30.0]] * 3)
-_PLACES = np.log([[0.15, 30.0]] * 3)  # few places show less than is usual by chance
+_PLACES = np.log([[0.15, 30.0]] * 3)  # few places show less than is typical by chance
 _TIME, _JITTER = np.log([[0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
-    """Return the tracker's noise: this Run's scatter, a usual correlated part."""
+    """Starting values: scatter of this Run, a typical correlated part."""
     along, across = np.nan_to_num(observations.scatter, nan=1.0).tolist()
     is_timed = any(p.is_steady for p in observations.passes)
     jitter = 2e-4 if is_timed and not perpendicular_only else np.inf
@@ -78,7 +78,7 @@ def guess_noise(observations: Observations, *, perpendicular_only: bool) -> Nois
     if (observations.at.line >= 0).any():
         return noise
     if np.isnan(observations.scatter).any():
-        # Nothing tells what samples scatter: all of it is how places differ.
+        # Single shots: all their noise counts as noise between places.
         return replace(noise, white=(0.0, 0.0), place=(1.0, 1.0, 1.0))
     return replace(noise, place=(0.1, 0.1, 0.1))
 
@@ -90,15 +90,17 @@ def refine_runs(
     *,
     longest_s: float = _LONGEST_S,
 ) -> tuple[RunInput, ...]:
-    """Return the Runs with a better pose and the noise of greatest evidence.
+    """Runs with a refined pose and the noise of greatest evidence.
 
-    model : coarse, with all that must not pass for Ornstein–Uhlenbeck noise
+    model : coarse, with everything that must not be absorbed by Ornstein–Uhlenbeck
+        noise
     known : effects of the machine known from an earlier measurement
-    longest_s : correlation time; what is slower is structure, not noise
+    longest_s : correlation time; slower changes are structure, not noise
 
-    The rough pose is off by the machine's errors. Every Run has a noise of its own;
-    what the error motions are, all Runs tell. Some lines and coarse splines tell both
-    well, at a fraction of the cost.
+    The initial pose includes the machine's errors. Every Run has separate noise; all
+    Runs determine the error motions. A selection of lines and coarse splines determine
+    both well, at a fraction of the cost.
+
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or KnownEffects()
@@ -108,8 +110,8 @@ def refine_runs(
     ]
     found = _Together.of(few, model, known, longest_s)
     if any(any(run.noise.place) for run in runs):
-        # What differs between places may be noise, or a machine that bends from one to
-        # the next: from either end the other is found seldom.
+        # Differences between places are noise, or a machine that bends from one to the
+        # next: a search that starts at one of them rarely finds the other.
         usual = replace(found, prior=guess_whole_prior(model))
         found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
     else:
@@ -126,7 +128,7 @@ def refine_runs(
 
 @dataclass(frozen=True)
 class _Together:
-    """Runs under a noise each, and a machine whose errors are as large as they say.
+    """Runs with a noise each, and a prior of the machine scaled to their data.
 
     cost : −2 log evidence of all of them
     """
@@ -156,9 +158,9 @@ class _Together:
         return compute_evidence_cost(data, self.prior, self.result) + charged
 
     def find_noise(self) -> _Together:
-        """Return the Runs with the noise of greatest evidence beside this prior."""
+        """With the noise of greatest evidence under this prior."""
         found = list(self.runs)
-        # The noise of one Run shifts what the others hold for the error motions.
+        # The noise of one Run shifts the error motions that the others determine.
         for k in [*range(len(found))] * min(len(found), _SWEEPS):
             others = found[:k] + found[k + 1 :]
             noise = _fit_noise(found[k], self.prior, others, self.known, self.longest_s)
@@ -167,7 +169,7 @@ class _Together:
             else:
                 about = replace(found[k].linearisation, noise=noise)
                 found[k] = replace(found[k], linearisation=about)
-        # Parts of one Run have one air; few places do not tell how much they differ.
+        # Parts of one Run share the air; a few places hardly determine their noise.
         for k, one in enumerate(found):
             own = [r for r in found if r.observations.at.run == one.observations.at.run]
             longest = max(own, key=lambda r: len(r.observations))
@@ -176,7 +178,7 @@ class _Together:
         return replace(self, runs=tuple(found))
 
     def settle(self) -> _Together:
-        """Return them with prior, knots and noise found in turn."""
+        """With prior, knots and noise estimated in turn."""
         found = self.find_noise().refit()
         for _ in range(_ROUNDS):
             better = found.find_noise().refit()
@@ -186,7 +188,7 @@ class _Together:
         return found
 
     def refit(self) -> _Together:
-        """Return them with the prior under their noise, knots as close as it needs."""
+        """With the prior under this noise, and knots as close as needed."""
         inputs = [
             RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
         ]
@@ -225,13 +227,11 @@ def _fit_noise(
 
 
 def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
-    """Return the noise with what is fast in its cells; None where that is known.
+    """Noise with another fast part; None if it stays.
 
-    Samples scatter less than their means where noise lasts for some samples: a swing of
-    some hertz. Second differences of neighbours show it, which slow noise leaves small.
-    In each direction by lines of which the jitter of the feed shows little there.
-
-    left : its residual is what a fit leaves
+    Samples scatter less than their means where noise lasts for some samples: a
+    vibration of some hertz. Second differences of neighbours show it; slow noise hardly
+    affects them. Each direction by the cells where the jitter of the feed is small.
     """
     seen, rest = left.observations, left.residual
     time_s = seen.at.time_s
@@ -257,9 +257,9 @@ def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
 
 
 def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
-    """Return the noise, places as different as most are from the one before.
+    """Noise between places limited to that of most pairs of neighbours in time.
 
-    A few that are wrong, or a step, make all look so.
+    A few wrong places, or a step, would inflate it for all.
     """
     square, expected = evidence.compare_neighbours(noise)
     times = np.median(square / expected, axis=0) / _MEDIAN
@@ -271,7 +271,6 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
 def _split_jitter(
     design: DesignMatrix, noise: NoiseModel
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what the feed's jitter is of cells in each direction, 1 σ."""
     jitter_mm = noise.along_sigma_mm if np.isfinite(noise.along_sigma_mm) else 0.0
     return np.abs(design.travel) * jitter_mm
 
@@ -279,11 +278,10 @@ def _split_jitter(
 def _find_shown(
     design: DesignMatrix, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
-    """Return how large the correlated part is, by neighbours in space of other lines.
-
-    Where machine errors are alike, approached alike, but the time is another; in each
-    direction by lines of which the jitter of the feed shows little there. By the
-    smaller of the differences: a step of the set-up is in many of the others.
+    """Size of the correlated part, from pairs of neighbours in space on different
+    lines: machine errors and approach are alike there, but the time differs. Each
+    direction by the cells where the jitter of the feed is small. A low quantile of the
+    differences: a step of the set-up is in many of the others.
     """
     seen = design.observations
     white, ou = split_sigma_mm(seen, noise)
@@ -331,9 +329,9 @@ def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
 def estimate_residual_noise(
     observations: Observations, about: Linearisation, theta: Float64[np.ndarray, " p"]
 ) -> NoiseModel:
-    """Return the noise that the residuals of an estimate show.
+    """Noise from the residuals of an estimate.
 
-    Quick, for the live estimate: what the estimate has taken up of it is not counted.
+    Fast, for the live estimate: the share absorbed by the estimate is not corrected.
     """
     design = _merge_design(observations, about)
     timing = _select_independent(design)[:, :, design.fixed :]
@@ -348,7 +346,6 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
 
 
 def _leave_out_ramps(observations: Observations) -> Observations:
-    """Return the cells where nothing swings, if these are enough."""
     others = observations.leave_out_ramps()
     return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
 
@@ -364,9 +361,9 @@ def _select_lines(observations: Observations) -> Observations:
 
 
 def _count_to_merge(observations: Observations) -> int:
-    """Return how many cells are still short against the correlation time.
+    """Number of cells still short against the correlation time.
 
-    A line has phase and speed of its own: of few cells it tells hardly more than these.
+    A line has separate phase and speed: few cells determine hardly more than these.
     """
     length = (
         float(np.median(observations.count)) / observations.at.machine.tracker.rate_hz
@@ -379,10 +376,7 @@ def _count_to_merge(observations: Observations) -> int:
 def _maximise_from_both(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    """Return the noise model of least cost, from a quiet tracker and one that drifts.
-
-    On the fly there are cells enough to lead from one to the other.
-    """
+    # On the fly the many cells lead from either start to the same noise.
     quiet = _maximise(evidence, noise, longest_s)
     if not any(noise.place):
         return quiet
@@ -395,7 +389,6 @@ def _maximise_from_both(
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    """Return the noise model of least cost: Newton's steps, halved where too long."""
     low, high = np.array(_list_bounds(noise)).T
     high[3] = min(high[3], np.log(longest_s))
     if any(noise.place):  # what is faster than places follow differs between them
@@ -424,9 +417,9 @@ def _maximise(
 def _compare_curvature(
     here: Slope, there: Slope, step: Float64[np.ndarray, " k"]
 ) -> float:
-    """Return how much more the cost curves along a step than its slope here says.
+    """Ratio of observed to predicted curvature along a step.
 
-    The average information may be too small: steps would go beyond their aim each time.
+    The average information may be too small: every step would overshoot.
     """
     expected = float(step @ here.curvature @ step)
     found = float((there.gradient - here.gradient) @ step)
@@ -436,7 +429,6 @@ def _compare_curvature(
 def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
-    """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.evaluate(_unpack(x, noise))
     cost, gradient, curvature = _charge(x, noise)
     return Slope(
@@ -449,9 +441,9 @@ def _slope(
 def _charge(
     x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
-    """Return what a noise that is not usual costs, with gradient and curvature.
+    """Cost of an atypical noise, with gradient and curvature.
 
-    A hall that is louder than usual is so in all: sizes scatter about a common level.
+    A hall that is noisier than typical is so in all: sizes scatter about a common level.
     """
     sizes = np.array(
         [0, 1, 2, *(range(len(x) - 3, len(x)) if any(noise.place) else ())]
@@ -473,7 +465,6 @@ def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
 
 
 def _list_bounds(noise: NoiseModel) -> list[Float64[np.ndarray, "2"]]:
-    """Return the least and the most of each logarithm that is packed."""
     jitter = [_JITTER] if np.isfinite(noise.along_sigma_mm) else []
     return [*_SIZES, _TIME, *jitter, *(_PLACES if any(noise.place) else [])]
 
@@ -490,10 +481,7 @@ def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:
-    """Return columns of all parameters, but of timing only what is independent.
-
-    A line of one cell has a phase, but no speed beside it.
-    """
+    """A line of one cell has a phase, but no separate speed."""
     n, count = len(design.rows), max(len(design.lines), 1)
     timing = design.timing.reshape(n, 3, count, -1)
     gram = np.einsum("nilj,nilk->ljk", timing, timing)

@@ -1,8 +1,9 @@
-"""What samples tell within their cells: motion faster than cells can follow.
+"""Information in samples within their cells: motion faster than cells can follow.
 
 The mean of a cell and the deviations of its samples from a straight line in time are
-independent where the noise is white, so what both tell of an effect adds up. Machine
-errors are as good as straight within a cell; only what is fast in time shows here.
+independent where the noise is white, so their information on an effect adds up. Machine
+errors are practically straight within a cell; only motion that is fast in time shows
+here.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from truepath.kinematics.effects.family import Wave
 from truepath.numerics.spectrum import transform
 
 _OUTLIER = 5.0
-_KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial
+_KEPT = 8  # fast effects with cached columns: those chosen, and one on trial
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class _Fast:
 class CellDeviations:
     """Deviations of all samples on lines from their cells' straight lines.
 
-    time_s : (n,); deviation_mm : (n, 3) where the tracker stands; cell : (n,)
+    time_s : (n,); deviation_mm : (n, 3) in the frame that the tracker is mounted on;
+        cell : (n,)
     lag : (n,) time from the middle of the cell, its sum of squares 1 in each cell
     precision : (c, 3, 3) of one sample, for each cell; line : (c,) number of the line
     """
@@ -57,13 +59,13 @@ class CellDeviations:
 
     @cached_property
     def weighted(self) -> Float64[np.ndarray, "n 3"]:
-        """Return precision times deviation."""
+        """Precision times deviation."""
         return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
 
     def sums(
         self, effects: Sequence[Effect], folds: int
     ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
-        """Return the sums on fast effects and data last, in folds of lines.
+        """Normal sums of fast effects, data last, in folds of lines.
 
         And their columns: number of the effect, number of its parameter.
         """
@@ -83,7 +85,7 @@ class CellDeviations:
 
     @cached_property
     def _lines(self) -> list[tuple[int, int, int]]:
-        """Return number, first sample and one past the last of each line."""
+        """Number, first sample and one past the last of each line."""
         line = self.line[self.cell]
         begin = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
         end = np.append(begin[1:], len(line))
@@ -115,7 +117,7 @@ class CellDeviations:
         return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
 
     def shows(self, effect: Effect) -> bool:
-        """Tell whether an effect is fast, and of this Run."""
+        """True if the effect is fast and belongs to this Run."""
         return (
             self._is_here(effect)
             and effect.jacobian_in_time(self.time_s[:1]) is not None
@@ -127,10 +129,10 @@ class CellDeviations:
     def wave(
         self, wave: Wave
     ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
-        """Return data and weight of a wave in time.
+        """Complex amplitudes of the data and weights at the wave's frequencies.
 
-        Mean and slope of each cell are taken off the wave: of a long cell they hold
-        little.
+        Mean and slope of each cell are removed from the wave: it keeps little in a long
+        cell.
         """
         arm = wave.arm[0]
         count = np.bincount(self.cell)
@@ -143,12 +145,12 @@ class CellDeviations:
         return found, 0.5 * left * float(weight.sum())
 
     def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return the weighted squares of the deviations of each fold."""
+        """Weighted squares of the deviations, by fold."""
         square = np.einsum("ni,ni->n", self.deviation_mm, self.weighted)
         return np.bincount(self.line[self.cell] % folds, square, folds)
 
     def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return the degrees of freedom of each fold."""
+        """Degrees of freedom by fold: 3 (samples − 2) a cell."""
         count = np.bincount(self.cell, minlength=len(self.line))
         free = 3.0 * np.maximum(count - 2, 0)
         return np.bincount(self.line % folds, free, folds)
@@ -157,7 +159,7 @@ class CellDeviations:
 def compute_cell_deviations(
     run: Run, seen: Observations, base: Linearisation
 ) -> CellDeviations | None:
-    """Return the deviations of a Run's samples on lines; None where there are none."""
+    """Straight lines only; None if there are too few samples on them."""
     valid = np.zeros(len(run.tracker), bool)
     valid[find_valid_samples(run.tracker, run.commanded.target)] = True
     parts: list[CellDeviations] = []
@@ -175,7 +177,7 @@ def compute_cell_deviations(
 
 
 def _find_bends(seen: Observations, cell: int) -> bool:
-    """Tell whether a line is an arc, which is straight in no cell."""
+    """True for an arc, which is straight in no cell."""
     around, machine = seen.at.recorded, seen.at.machine
     turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
     return around is not None and bool(around.rate[cell, turning].any())
@@ -225,7 +227,7 @@ def _join(blocks: list[CellDeviations]) -> CellDeviations:
 def measure_lag(
     time_s: Float64[np.ndarray, " n"], cell: Int64[np.ndarray, " n"], count: int
 ) -> Float64[np.ndarray, " n"]:
-    """Return the lag from the middle of each cell, its sum of squares 1 there."""
+    """Time from the middle of each cell, its sum of squares 1 there."""
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     origin = time_s - time_s[0]
     lag = origin - (np.bincount(cell, origin, count) / number)[cell]
@@ -239,7 +241,7 @@ def straighten(
     lag: Float64[np.ndarray, " n"],
     count: int,
 ) -> Float64[np.ndarray, "n p"]:
-    """Return columns without mean and slope of each cell."""
+    """Columns without mean and slope of each cell."""
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     left = np.zeros_like(columns)
     for k, column in enumerate(columns.T):

@@ -1,18 +1,18 @@
-"""Error parameters over time, from what each of several Runs tells.
+"""Error parameters over time, from the information of each of several Runs.
 
-The parameters at Run k are θ + B dₖ: θ stays, B are the shapes in which they change,
-and the course of each shape is a Gaussian process (`drift_course`) of independent
-shapes. All information is on (θ, d₁ … d_K) and adds as that of cells does; θ is
-integrated out once, so that trying other sizes of the process costs little. This is the
-smoother of Rauch, Tung and Striebel over the states of the process, in information form
-and for all Runs at once.
+The parameters at Run k are θ + B dₖ: θ is constant, B are the shapes of change, and the
+course of each shape is an independent Gaussian process (`drift_course`). All
+information is on (θ, d₁ … d_K) and adds as that of cells does; θ is integrated out
+once, so that other sizes of the process are cheap to try. This is the smoother of
+Rauch, Tung and Striebel over the states of the process, in information form and for all
+Runs at once.
 
-Sizes and time constants are not known either. Some shapes change much and others not at
-all, so each has a size of its own beside, which the data find about a common centre, as
-they find the precisions of the prior of an estimate (`prior`). Sizes of the states are
-drawn in proportion to their prior and to the likelihood of all Runs, by population
-Monte Carlo (Cappé et al. 2004), and whatever is stated is the mixture over the draws.
-Few Runs leave them wide.
+Sizes and time constants are unknown too. Some shapes change much and others not at all,
+so each has a separate size, which the data determine about a common centre, as they
+determine the precisions of the prior of an estimate (`prior`). Sizes of the states are
+sampled in proportion to their prior and to the likelihood of all Runs, by population
+Monte Carlo (Cappé et al. 2004), and all results are the mixture over the samples. Few
+Runs leave them wide.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ from truepath.numerics.scaled_cholesky import ScaledCholesky
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}
 _FIRST_ROUNDS, _ROUNDS, _POPULATION = 5, 3, 7  # 2^7 draws a round
-_WIDER = 1.3  # than the last population: tails are not to be missed
+_WIDER = 1.3  # than the last population, so that tails are sampled
 _RESIZINGS = 6
 _SCATTER = 2.5  # of the log of the precisions of shapes
-_DRAWS = 64  # that answer stands for
+_DRAWS = 64  # in the mixture
 _ROUNDING = 1e-9  # of the variance of a course
 
 
@@ -56,8 +56,8 @@ _ROUNDING = 1e-9  # of the variance of a course
 class DriftData:
     """Runs of one machine at their times, θ integrated out.
 
-    shapes : B; static : of the posterior precision of θ at given d; mean : (p,) of θ
-        where d is 0; follow : (p, K m), θ falls by it times d
+    shapes : B; static : posterior precision of θ at given d; mean : (p,) of θ where d
+        is 0; follow : (p, K m), θ decreases by it times d
     matrix, vector : information on d, Run by Run
     """
 
@@ -74,7 +74,7 @@ class DriftData:
     def of(
         basis: CommonBasis, at: Course, shapes: Float64[np.ndarray, "p m"]
     ) -> DriftData:
-        """Integrate θ out."""
+        """Integrates θ out."""
         B, told = shapes, basis.told
         wide = np.array([_WIDE.get(p.unit, 1.0) for p in basis.model.parameters])
         precision = basis.precision + np.diag(wide**-2.0)
@@ -99,7 +99,7 @@ class DriftData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftPosterior:
-    """d of all Runs where the sizes of the process are given.
+    """d of all Runs for given sizes of the process.
 
     d = (L ⊗ 1) z; z has `mean` and precision M = U Uᵀ, `factor` being U
     log_likelihood : of all Runs, up to a constant
@@ -114,7 +114,7 @@ class DriftPosterior:
 
     @staticmethod
     def of(data: DriftData, sizes: DriftSizes) -> DriftPosterior:
-        """Condition the process on the data."""
+        """Conditions the process on the data."""
         L = _find_root(sizes.compute_covariance(data.at, data.at))
         runs, size = len(L), data.shapes.shape[1]
         A = data.matrix.reshape(runs, size, runs, size)
@@ -134,7 +134,7 @@ class DriftPosterior:
         count: int,
         rng: np.random.Generator,
     ) -> Float64[np.ndarray, "c t r"]:
-        """Draw courses of the parameters times columns, at any times."""
+        """Random courses of the parameters times `columns`: (count, times, columns)."""
         data, size = self.data, self.data.shapes.shape[1]
         z = rng.standard_normal((len(self.mean), count))
         z = self.mean[:, None] + solve_triangular(self.factor, z, lower=True, trans=1)
@@ -150,7 +150,7 @@ class DriftPosterior:
     def _continue(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, "t k"], Float64[np.ndarray, "t t"]]:
-        """Return what z makes of the process at times, and a root of the rest."""
+        """Weights of z in the process at these times, and a root of the rest."""
         across = self.sizes.compute_covariance(self.data.at, at)
         half = solve_triangular(self.root, across, lower=True, check_finite=False)
         own = self.sizes.compute_covariance(at, at)
@@ -159,7 +159,7 @@ class DriftPosterior:
     def predict(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Return mean and covariance of the parameters at one time."""
+        """Mean and covariance of the parameters at one time."""
         data, size = self.data, self.data.shapes.shape[1]
         weights, spread = self._continue(at)
         static = -data.follow.reshape(-1, len(self.root), size)
@@ -174,7 +174,7 @@ class DriftPosterior:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Error parameters over time, as a mixture of equal shares."""
+    """Error parameters over time, as a mixture with equal weights."""
 
     data: DriftData
     shares: tuple[DriftPosterior, ...]
@@ -182,7 +182,7 @@ class Drift:
     def predict(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Return mean and covariance of the parameters at one time, from all Runs."""
+        """Mean and covariance of the parameters at one time, from all Runs."""
         means: list[Float64[np.ndarray, " p"]] = []
         within = np.zeros(2 * (len(self.data.mean),))
         for share, count in Counter(self.shares).items():
@@ -194,19 +194,19 @@ class Drift:
     def draw(
         self, at: Course, columns: Float64[np.ndarray, "p r"], count: int
     ) -> Float64[np.ndarray, "c t r"]:
-        """Draw courses of the parameters times columns, so many of each share."""
+        """Random courses of the parameters times `columns`, `count` a component."""
         rng = np.random.default_rng(1)
         return np.concatenate(
             [share.draw(at, columns, count, rng) for share in self.shares]
         )
 
     def list_sizes(self) -> list[DriftSizes]:
-        """Return the sizes of the shares."""
+        """One for each component of the mixture, with repetitions."""
         return [share.sizes for share in self.shares]
 
 
 def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
-    """Estimate how the parameters change; at : the Runs, the first at time 0."""
+    """Mixture over 64 samples of the sizes; at : the Runs, the first at time 0."""
     shapes = build_drift_shapes(basis.model)
     data = DriftData.of(basis, at, shapes)
     sizes, _ = _draw_populations(data, _Normal.usual(), _FIRST_ROUNDS)
@@ -215,7 +215,7 @@ def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
         data = DriftData.of(basis, at, shapes * _size_shapes(found, shapes))
     sizes, unit = _draw_populations(data, sizes, _ROUNDS)
     weight = sizes.weight
-    # Systematic resampling: each draw as often as its weight says.
+    # Systematic resampling: each sample in proportion to its weight.
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.searchsorted(np.cumsum(weight), places).clip(max=len(unit) - 1)
     known = {k: DriftPosterior.of(data, make_sizes(unit[k])) for k in set(chosen)}
@@ -225,10 +225,7 @@ def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
 def _size_shapes(
     found: DriftPosterior, shapes: Float64[np.ndarray, "p m"]
 ) -> Float64[np.ndarray, " m"]:
-    """Return how large each shape is against what is usual.
-
-    shapes : of usual size
-    """
+    """Size of each shape relative to the typical one. shapes : of typical size"""
     runs, count = len(found.root), shapes.shape[1]
     inverse = solve_triangular(found.factor, np.eye(len(found.mean)), lower=True)
     variance = np.sum(inverse**2, axis=0).reshape(runs, count)
@@ -242,7 +239,7 @@ def _size_shapes(
 
 @dataclass(frozen=True, slots=True)
 class _Normal:
-    """What a population says of the logarithms of the sizes, and its weights."""
+    """Proposal for the logarithms of the sizes, with the weights of its samples."""
 
     centre: Float64[np.ndarray, " s"]
     root: Float64[np.ndarray, "s s"]
@@ -250,12 +247,11 @@ class _Normal:
 
     @staticmethod
     def usual() -> _Normal:
-        """Return what is known before any data."""
         return _Normal(np.zeros(SIZES), np.eye(SIZES), np.zeros(0))
 
     @staticmethod
     def of(unit: Float64[np.ndarray, "n s"], log: Float64[np.ndarray, " n"]) -> _Normal:
-        """Return that of draws with the logarithms of their weights."""
+        """Weighted moments of the samples; `log` : logarithms of the weights."""
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         centre = weight @ unit
@@ -268,7 +264,6 @@ class _Normal:
 def _draw_populations(
     data: DriftData, known: _Normal, rounds: int
 ) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
-    """Return the last of some populations, and its draws; each is about the last."""
     unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
     for number in range(rounds):
         z = _draw_normal(number)
@@ -296,7 +291,7 @@ def _find_root(
     covariance: Float64[np.ndarray, "n n"],
     scale: Float64[np.ndarray, "n n"] | None = None,
 ) -> Float64[np.ndarray, "n n"]:
-    """Return a lower root of a covariance, which may be singular to rounding."""
+    """The covariance may be singular to rounding."""
     scale = covariance if scale is None else scale
     floor = _ROUNDING * (np.diag(scale) + float(np.diag(scale).max()))
     return np.linalg.cholesky(covariance + np.diag(floor))
@@ -312,10 +307,10 @@ _PLACES = 33
 
 
 def build_drift_shapes(model: MachineModel) -> Float64[np.ndarray, "p m"]:
-    """Return the shapes in which the parameters of a model change, one a column.
+    """Shapes in which the parameters of a model change, one a column.
 
-    Each changes its error motion by 10 µm or 20 µrad at most over the travel, or by the
-    share of it that is usual.
+    Each changes its error motion by at most 10 µm or 20 µrad over the travel, times the
+    typical share of its form.
     """
     columns: list[Float64[np.ndarray, " p"]] = []
     for effect in model.effects:

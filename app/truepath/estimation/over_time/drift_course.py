@@ -1,13 +1,15 @@
-"""How a machine's errors change with time and temperature, as a Gaussian process.
+"""Change of a machine's errors with time and temperature, as a Gaussian process.
 
 Each shape is a sum of states that start at the first Run: two that settle, each with a
-time constant, a walk, what the hall does in a day, and a part linear in temperatures:
+time constant, a random walk, the daily cycle of the hall, and a part linear in
+temperatures:
 
     d(t) = a exp(−t/τ₁) + b exp(−t/τ₂) + w(t) + h(t) − h(0) + Σ c_s T_s(t) / √n.
 
-a, b and c are drawn once, w is a Wiener process, h one of Matérn's of order 3/2 (Särkkä
-& Solin 2019, section 12.3). Runs of a few hours do not show the day that follows, and
-what it does to all shapes has one cause: it is taken as a usual share of what settles.
+a, b and c are random constants, w is a Wiener process, h one of Matérn's of order 3/2
+(Särkkä & Solin 2019, section 12.3). Runs of a few hours do not show the day that
+follows, and its effect on all shapes has one cause: it is set to a typical share of the
+settling parts.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import norm
 
-# Logarithms: median and standard deviation of what surprises nobody. A size of 1 is
+# Logarithms: median and standard deviation of plausible sizes. A size of 1 is
 # 10 µm or 20 µrad over the travel.
 _USUAL = (
     (1.0, 1.2),  # size of the quick part
@@ -26,7 +28,7 @@ _USUAL = (
     (0.5, 1.0),  # quick time constant, h
     (3.0, 0.7),  # how many times slower the slow one is, beyond 1.5
     (0.03, 1.2),  # walk in one hour
-    (0.5, 0.3),  # what a day of the hall does, of what settles
+    (0.5, 0.3),  # daily cycle of the hall, of the settling parts
     (0.2, 1.0),  # for one K
 )
 SIZES = len(_USUAL)
@@ -44,7 +46,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class DriftSizes:
-    """How large the states are, in usual sizes, and how fast they settle.
+    """Sizes of the states, relative to typical ones, and their time constants.
 
     walk : in one hour; per_kelvin : of all sensors together
     """
@@ -60,7 +62,7 @@ class DriftSizes:
     def compute_covariance(
         self, one: Course, other: Course
     ) -> Float64[np.ndarray, "n m"]:
-        """Return the covariance of a shape between times."""
+        """Covariance of one shape between the times of both."""
         t, u = one.time_s[:, None], other.time_s[None, :]
         quick = self.quick**2 * np.exp(-(t + u) / self.quick_s)
         slow = self.slow**2 * np.exp(-(t + u) / self.slow_s)
@@ -74,7 +76,7 @@ class DriftSizes:
 
 
 def make_sizes(unit: Float64[np.ndarray, " s"]) -> DriftSizes:
-    """Return sizes from standard normal numbers."""
+    """From standard normal numbers to log-normal sizes."""
     quick, slow, hours, ratio, walk, day, warm = (
         median * float(np.exp(spread * z))
         for z, (median, spread) in zip(unit, _USUAL, strict=True)
@@ -86,11 +88,11 @@ def make_sizes(unit: Float64[np.ndarray, " s"]) -> DriftSizes:
 
 
 def compute_prior_log(unit: Float64[np.ndarray, "n s"]) -> Float64[np.ndarray, " n"]:
-    """Return the log density of the standard normal numbers."""
+    """Log density of the standard normal numbers, one for each row."""
     return norm.logpdf(unit).sum(axis=1)
 
 
 def _smooth(apart_s: Float64[np.ndarray, "n m"]) -> Float64[np.ndarray, "n m"]:
-    """Return the correlation of a smooth process at times so far apart."""
+    """Matérn 3/2."""
     share = np.sqrt(3.0) * np.abs(apart_s) / _DAY_S
     return (1.0 + share) * np.exp(-share)

@@ -1,17 +1,17 @@
 """Error parameters as a straight line in temperature, from several results.
 
-Result k states θₖ with its covariance Cₖ at a temperature that is t_k from the
+Result k gives θₖ with its covariance Cₖ at a temperature that is t_k from the
 reference, known to u_k:
 
     θₖ = a + b tₖ + eₖ,   cov eₖ = D Cₖ D + b bᵀ uₖ²
 
-a and b follow by generalised least squares over all parameters at once; b bᵀ uₖ² is
-what the thermometer does to a machine that depends on temperature (effective variance,
-Orear 1982), found in a few rounds. D widens each effect by what results scatter about
-the line beyond what they state: set-ups, and whatever else is not temperature. Its
-square is the ratio of Birge (1932), here the mean over an effect's table of
-Σₖ rₖ² / var rₖ; it is never below 1. That it is known from n − 2 results only enters by
-the effective degrees of freedom ν of Welch and Satterthwaite (GUM, G.4.1).
+a and b follow by generalised least squares over all parameters at once; b bᵀ uₖ² is the
+effect of the thermometer's error on a machine that depends on temperature (effective
+variance, Orear 1982), found by a few iterations. D widens each effect by the scatter of
+results about the line beyond their uncertainties: set-ups, and everything else that is
+not temperature. Its square is the ratio of Birge (1932), here the mean over an effect's
+table of Σₖ rₖ² / var rₖ; it is never below 1. That it is known from n − 2 results only
+enters by the effective degrees of freedom ν of Welch and Satterthwaite (GUM, G.4.1).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _NORMAL = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class TableRows:
-    """The entries of one effect's table: rows times its own parameters.
+    """Entries of one effect's table: rows times its parameters.
 
-    part : of the parameters
+    part : slice of the parameters
     """
 
     name: str
@@ -45,10 +45,10 @@ class TableRows:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How far results lie from a course, in what they state themselves.
+    """Scatter of results about a course, relative to their uncertainties.
 
-    ratio : mean square over a table of residuals by their standard uncertainty;
-        `constant_ratio` about a mean in place of the line
+    ratio : mean square over a table of residuals over their standard uncertainty;
+        `constant_ratio` about a mean instead of the line
     freedom : effective degrees of freedom ν of the widened uncertainty
     """
 
@@ -58,12 +58,12 @@ class Scatter:
 
     @property
     def widening(self) -> float:
-        """By which standard uncertainties grow; 1 where nothing scatters."""
+        """Factor on standard uncertainties; at least 1."""
         return float(np.sqrt(max(self.ratio, 1.0)))
 
     @property
     def coverage(self) -> float:
-        """By which they grow further, so that k = 2 still holds 95 %."""
+        """Further factor, so that k = 2 still covers 95 %."""
         if not np.isfinite(self.freedom):
             return 1.0
         return float(student.ppf(_COVERAGE, self.freedom)) / _NORMAL
@@ -73,7 +73,8 @@ class Scatter:
 class TemperatureLine:
     """Value at the reference and change per kelvin, of all parameters.
 
-    covariance : of both, the values first; scatter is in it, its coverage is not
+    covariance : of both, the values first; includes the scatter, not its coverage
+        factor
     scatter : of each effect by name
     """
 
@@ -90,12 +91,12 @@ def fit_temperature_line(
     sigma_k: Float64[np.ndarray, " n"],
     tables: Sequence[TableRows],
 ) -> TemperatureLine:
-    """Fit the line.
+    """Generalised least squares over all results.
 
     theta, covariance : of each result, n >= 3
     offset_k : temperature less the reference; sigma_k : its standard uncertainty
 
-    Raises LinAlgError where a covariance is singular, or all temperatures are one.
+    Raises LinAlgError where a covariance is singular, or all temperatures are equal.
     """
     ridge = np.einsum("npp->np", covariance) * _ROUNDING
     regular = covariance + ridge[:, :, None] * np.eye(theta.shape[1])
@@ -119,7 +120,7 @@ def _solve(
 ) -> tuple[
     Float64[np.ndarray, " p"], Float64[np.ndarray, " p"], Float64[np.ndarray, "q q"]
 ]:
-    """Return a, b and their covariance."""
+    """a, b and their joint covariance."""
     count = theta.shape[1]
     b = np.zeros(count)
     solved, inverse = np.zeros(2 * count), np.zeros((2 * count, 2 * count))
@@ -144,7 +145,6 @@ def _measure_scatter(
     sigma_k: Float64[np.ndarray, " n"],
     per_kelvin: Float64[np.ndarray, " p"],
 ) -> Scatter:
-    """Compare entries of a table with a line and with a mean, each by its variance."""
     rows, part = table.rows, table.part
     value = theta[:, part] @ rows.T
     slope = rows @ per_kelvin[part]
@@ -166,7 +166,7 @@ def _find_ratio(
     variance: Float64[np.ndarray, "n m"],
     form: Float64[np.ndarray, "n f"],
 ) -> float:
-    """Return the mean over entries of Σ r² / var by the degrees of freedom."""
+    """Mean over entries of Σ r² / var per degree of freedom."""
     freedom = len(value) - form.shape[1]
     if not value.size:
         return 0.0

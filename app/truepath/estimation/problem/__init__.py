@@ -1,5 +1,5 @@
 """The linear problem: design matrix, information, prior, knots, observability.
 
-Here: what is estimated from what, and what cannot be. Not here: its solution
+Here: unknowns, data, and what these do not determine. Not here: the solution
 (`estimation.solve`), partial derivatives of effects (`kinematics`).
 """

@@ -1,24 +1,24 @@
-"""The prior of effects that the measured targets do not tell from others.
+"""The prior of effects that the measured targets do not distinguish from others.
 
-The data fix what such effects do at the measured targets together with others: of a
-turn and a displacement that it is confounded with, the sum E + L ω. How the sum is
-split, and so what another target or another tool does, is for the prior to say; its
-width is in the covariance, and there it cancels wherever the sum alone counts.
+The data determine only the joint effect at the measured targets: for a turn and a
+displacement that it is confounded with, the sum E + L ω. The split of the sum, and so
+the error at another target or tool, follows from the prior; its width is in the
+covariance, and there it cancels wherever the sum alone counts.
 
-So this prior has to be proper, and of the size that errors of this machine have. The
-bending precision is that of motions of its kind which are told, as guides of one
-machine are alike: of their smoothest shapes, for these are what is large. The evidence
-counts all that the data show, and where errors have no fine shapes it takes the
-smoothest for smaller than they are. Turns of a rotary axis that share in a split have
-one precision: the evidence would take one of them for large and the others for small,
-which nobody can tell. Straight shapes, squarenesses and locations, which
-bending leaves free, are drawn from those of their kind, told to better than usual,
+So this prior has to be proper, and of the size of this machine's errors. The bending
+precision is that of determined motions of the same kind, as guides of one machine are
+alike: of their smoothest shapes, for these are the large ones. The evidence counts all
+that the data show, and where errors have no fine shapes it takes the smoothest for
+smaller than they are. Turns of a rotary axis that share in a split have one precision:
+the evidence would take one of them for large and the others for small, which nothing
+supports. Straight shapes, squarenesses and locations, which bending leaves free, are
+distributed as those of their kind that are determined to better than typical size,
 about 0 with
 
     σ² = (w σ₀² + Σ sᵢ²) / (w + n):
 
-σ₀ is a usual size and counts as much as w of them. Where nothing of a kind is told, it
-is all there is.
+σ₀ is a typical size and has the weight of w of them. Where nothing of a kind is
+determined, σ₀ stands alone.
 """
 
 from __future__ import annotations
@@ -46,26 +46,25 @@ from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.kinematics.model import MachineModel
 
-_WEIGHT = 2.0  # w: a usual size counts as much as two that are told
-# σ₀ of what a motion changes by from end to end, and of a number: a location, an angle.
+_WEIGHT = 2.0  # w: a typical size counts as much as two determined ones
+# σ₀ of a motion's change from end to end, and of a number: a location, an angle.
 _USUAL_CHANGE = {"mm": 0.02, "rad": 4e-5}
 _USUAL_NUMBER = {"mm": 0.05, "rad": 5e-5}
 _FREE = 1e-9  # of the largest bending: none
 _ROUNDS = 4  # in which precisions of the smoothest shapes settle
-_COUNTED = 1  # shape that tells how large a motion is: the smoothest is what is large
+_COUNTED = 1  # shape that gives the size of a motion: the smoothest is the largest
 _SMOOTH = 4  # shapes of a motion: two waves around, or two over the travel
 
 
 def guess_whole_prior(model: MachineModel) -> BendingPrior:
-    """Return a prior for effects of usual size, proper for what is confounded."""
+    """Prior of typical size, proper for confounded effects."""
     confounded = _list_confounded(model)
     return guess_prior(model, {e.name: straight_precision(e) for e in confounded})
 
 
 def _list_confounded(model: MachineModel) -> Iterator[Effect]:
-    """Yield what is confounded, and where the axes of such motions are.
-
-    The mean of a motion across an axis is location: as little told as the motion.
+    """Confounded effects, and the axis locations of such motions: the mean of a motion
+    across an axis is location, and as undetermined as the motion.
     """
     axes = {m.axis for m in model.error_motions if m.name in model.confounded}
     for effect in model.effects:
@@ -76,10 +75,10 @@ def _list_confounded(model: MachineModel) -> Iterator[Effect]:
 
 @dataclass(frozen=True)
 class WholePrior:
-    """A prior found from what the targets tell, for all that the machine has.
+    """Prior of all effects, with precisions from the determined ones.
 
     told : of the effects that the fit needs; they come first in the model
-    whole : of all, those as well that the targets do not tell
+    whole : of all effects, including those that the targets do not determine
     """
 
     told: BendingPrior
@@ -87,17 +86,17 @@ class WholePrior:
 
     @staticmethod
     def guess(told: MachineModel, untold: Sequence[Effect]) -> WholePrior:
-        """Return a prior for effects of usual size."""
+        """Prior of typical size."""
         prior = guess_whole_prior(told)
         whole = add_confounded(prior, None, told.with_confounded(untold))
         return WholePrior(prior, whole)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the prior precision; parameters after the machine's have none."""
+        """Zero for parameters after the machine's."""
         return self.whole.precision_matrix(size)
 
     def fit(self, data: Information) -> tuple[WholePrior, Posterior]:
-        """Return the prior whose precisions fit the data, and the posterior."""
+        """The prior whose precisions maximise the evidence, and the posterior."""
         size, first = len(data.vector), self.told.model.size
         untold = np.s_[first : self.whole.model.size]
         told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
@@ -105,13 +104,13 @@ class WholePrior:
         return WholePrior(told, whole), result
 
     def widen_tracker(self, times: float) -> WholePrior:
-        """Return it with a tracker that may be off by so many times as much."""
+        """Multiplies the standard uncertainty of the instrument errors."""
         return WholePrior(
             self.told.widen_tracker(times), self.whole.widen_tracker(times)
         )
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Return 0: nothing was measured before."""
+        """Always 0: there is no reference."""
         del theta
         return 0.0
 
@@ -119,9 +118,9 @@ class WholePrior:
 def fit_confounded(
     prior: BendingPrior, result: Posterior, model: MachineModel, data: Information
 ) -> tuple[BendingPrior, Posterior]:
-    """Return prior and posterior of a model with all that is confounded.
+    """Prior and posterior of a model with all confounded effects.
 
-    prior, result : of the effects that are told; they come first in the model
+    prior, result : of the determined effects; they come first in the model
     """
     turns = any(isinstance(m.axis, RotaryAxis) for m in _list_beside(model))
     for _ in range(_ROUNDS if turns else len(model.confounded) > 0):
@@ -133,10 +132,10 @@ def fit_confounded(
 def add_confounded(
     prior: BendingPrior, result: Posterior | None, model: MachineModel
 ) -> BendingPrior:
-    """Return the prior with that of the model's confounded effects.
+    """Extends the prior to the model's confounded effects.
 
-    prior, result : of the effects that are told; they come first in the model; usual
-        sizes are taken where there is no result
+    prior, result : of the determined effects, which come first in the model; without a
+        result, typical sizes
     """
     sizes = _pool_sizes(prior.model, result) if result else {}
     found = _pool_precisions(prior.model, result) if result else {}
@@ -162,7 +161,7 @@ def add_confounded(
 
 
 def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
-    """Yield confounded motions, and of a rotary axis all that share in their split."""
+    """Confounded motions, and of a rotary axis all that share in their split."""
     axes = {m.axis for m in model.error_motions if m.name in model.confounded}
     for motion in model.error_motions:
         shares = isinstance(motion.axis, RotaryAxis) and motion.axis in axes
@@ -171,10 +170,7 @@ def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
 
 
 def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]:
-    """Return the precision of kinds by smooth shapes, for one of usual 1.
-
-    Of each kind, and of each kind on each axis.
-    """
+    """Precisions by smooth shapes at typical size 1: by kind, and by kind and axis."""
     energies: dict[str, list[float]] = {}
     for motion in model.error_motions:
         part, charge = model.slices[motion.name], motion.prior()
@@ -193,16 +189,15 @@ def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]
 def straight_precision(
     effect: Effect, sizes: Mapping[str, float] | None = None
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the precision of what bending leaves free.
+    """Precision of the shapes that bending leaves free.
 
-    sizes : σ by kind; usual ones where left out
+    sizes : σ by kind; typical ones for kinds that it lacks
     """
     kind, usual, rows = _find_free(effect)
     return np.diag((rows / (sizes or {}).get(kind, usual)) ** 2)
 
 
 def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
-    """Return σ of each kind that something is told of."""
     told: dict[str, list[float]] = {}
     usual_size: dict[str, float] = {}
     for kind, usual, value in _list_told(model, result):
@@ -222,7 +217,7 @@ def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
 def _list_told(
     model: MachineModel, result: Posterior
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield kind, usual size and value of all that is told to better than usual."""
+    """Kind, typical size and value of all effects determined to better."""
     for effect in model.effects:
         if not effect.iso_symbol or effect.name in model.confounded:
             continue
@@ -234,7 +229,7 @@ def _list_told(
 
 
 def _find_free(effect: Effect) -> tuple[str, float, Float64[np.ndarray, " p"]]:
-    """Return kind, usual size and rows of what bending leaves free of an effect."""
+    """Kind, typical size and rows of the shapes that bending leaves free."""
     unit = effect.parameters[0].unit
     if not isinstance(effect, ErrorMotion):
         return f"number in {unit}", _USUAL_NUMBER[unit], np.ones(1)

@@ -1,10 +1,10 @@
-"""The design matrix: what each parameter does to measured minus nominal.
+"""The design matrix: partial derivatives of measured minus nominal.
 
-Every estimate, live or afterwards, every plan and every discovery takes its rows from
-here: the Jacobian of the machine's effects, the pose of the tracker and the timing of
-the lines, turned into the beam frame. The pose is linearised about its latest value and
+Every estimate, live or batch, every plan and every discovery takes its rows from here:
+the Jacobian of the machine's effects, the pose of the tracker and the timing of the
+lines, rotated into the beam frame. The pose is linearised about its latest value and
 solved jointly with the errors, never by fitting points to the closest point of the
-path, which drags errors into the pose.
+path, which would absorb errors into the pose.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class DesignMatrix:
     frame : (n, 3, 3) workpiece to beam frame
     rows : (n, 3, p + 1 + t) over machine and poses, then the residual, then phase and
         speed of each line
-    fixed : p, columns of machine and poses; lines : that have columns of timing
+    fixed : p, columns of machine and poses; lines : those with columns of timing
     """
 
     observations: Observations
@@ -45,26 +45,26 @@ class DesignMatrix:
 
     @property
     def columns(self) -> Float64[np.ndarray, "n 3 p"]:
-        """Columns of machine and poses."""
+        """Machine first, then poses."""
         return self.rows[:, :, : self.fixed]
 
     @property
     def residual(self) -> Float64[np.ndarray, "n 3"]:
-        """Measured minus nominal."""
+        """Measured minus nominal, mm."""
         return self.rows[:, :, self.fixed]
 
     @property
     def timing(self) -> Float64[np.ndarray, "n 3 t"]:
-        """Columns of the timing of the lines."""
+        """Phase and speed of each line."""
         return self.rows[:, :, self.fixed + 1 :]
 
     @property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
-        """Direction of travel, 0 at a standstill."""
+        """Unit vector in the beam frame, 0 at a standstill."""
         return np.einsum("nij,nj->ni", self.frame, self.observations.direction)
 
     def whiten(self, noise: NoiseModel) -> Whitener:
-        """Return V⁻¹ of the cells, in the beam frame."""
+        """V⁻¹ of the cells, in the beam frame."""
         precision, ou_sigma = cell_noise(self.observations, noise, self.travel)
         time_s = self.observations.at.time_s
         return factorise(time_s, precision, ou_sigma, noise.ou_time_s)
@@ -72,7 +72,7 @@ class DesignMatrix:
     def fit_timing(
         self, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
     ) -> tuple[Float64[np.ndarray, "t p"], Float64[np.ndarray, "n 3 t"]]:
-        """Return phase and speed that explain columns best, and V⁻¹ timing."""
+        """Least-squares phase and speed for columns, and V⁻¹ timing."""
         timing = self.timing
         weighted = whitener.apply(timing)
         if not timing.size:
@@ -84,14 +84,14 @@ class DesignMatrix:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What must stay the same while rows are made: where the problem is linear.
+    """The point about which the problem is linear; constant while rows are built.
 
     machine_model : effects of the machine, whose parameters come first
     tracker : the correction of the pose
     pose : workpiece to tracker, about which the pose is linear
-    theta : (m,) of the machine, about which it is linear; 0 if left out
-    runs : how many Runs share the machine's parameters here, each with a pose of its
-        own; 0 for one Run alone
+    theta : (m,) of the machine, about which it is linear; None for 0
+    runs : number of Runs that share the machine's parameters here, each with a separate
+        pose; 0 for a single Run
     """
 
     machine_model: MachineModel
@@ -116,17 +116,17 @@ class Linearisation:
 
     @property
     def about(self) -> Float64[np.ndarray, " k"]:
-        """Parameters of the machine about which it is linear; none where 0."""
+        """Linearisation point of the machine's parameters; empty for 0."""
         return np.zeros(0) if self.theta is None else self.theta
 
     @property
     def pose_parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the poses."""
+        """Those after the machine's."""
         return self.model.parameters[self.machine_model.size :]
 
     @property
     def has_timing(self) -> bool:
-        """Whether timing is a parameter: not where only deviations across count."""
+        """False where only deviations across the travel count."""
         return bool(np.isfinite(self.noise.along_sigma_mm))
 
     def build(
@@ -135,16 +135,16 @@ class Linearisation:
         *,
         solved: Float64[np.ndarray, " p"] | None = None,
     ) -> DesignMatrix:
-        """Return the rows of cells that make up whole lines or standstills.
+        """Rows of cells that form whole lines or standstills.
 
-        solved : all parameters, where these are known: no columns of them, and the
-            residual is what they leave
+        solved : all parameters, if known: their columns are omitted, and the residual
+            is measured minus modelled
         """
         p, local, lines = self._build_local(observations, solved)
         return self._turn(observations, p, local, lines)
 
     def build_merged(self, observations: Observations, merge: int) -> DesignMatrix:
-        """Return the rows of all cells, up to `merge` neighbours of a line as one."""
+        """Rows of all cells, up to `merge` neighbours of a line averaged to one."""
         merged, p = _merge_cells(observations, merge), self.size
         lines = self._list_lines(observations)
         local = np.zeros((len(merged), 3, p + 1 + len(TimingLaw(lines).parameters)))
@@ -171,7 +171,6 @@ class Linearisation:
     def _build_local(
         self, observations: Observations, solved: Float64[np.ndarray, " p"] | None
     ) -> tuple[int, Float64[np.ndarray, "n 3 q"], tuple[int, ...]]:
-        """Return the rows in the workpiece frame, and which lines are timed."""
         p, at = self.size if solved is None else 0, observations.at
         lines = self._list_lines(observations)
         timing = TimingLaw(lines)
@@ -199,25 +198,25 @@ class Linearisation:
         observations: Observations,
         solved: Float64[np.ndarray, " p"] | None = None,
     ) -> Iterator[DesignMatrix]:
-        """Yield the rows of all cells in their order, some whole lines at a time.
+        """Rows of all cells in their order, some whole lines at a time.
 
-        solved : all parameters, where these are known: as in `build`
+        solved : as in `build`
         """
         for cells in cut_into_blocks(observations):
             yield self.build(observations.select(np.r_[cells]), solved=solved)
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
-        """Return the pose with its estimated correction."""
+        """The pose with its estimated correction."""
         own = theta[self.model.slices[self.tracker.name]]
         return self.tracker.correct(self.pose, own)
 
     def restrict(self, effects: Sequence[Effect]) -> Linearisation:
-        """Return it with some of the machine's effects only."""
+        """Keeps only these effects of the machine."""
         model = replace(self.machine_model, effects=tuple(effects))
         return replace(self, machine_model=model)
 
     def select_columns(self, effects: Sequence[Effect]) -> Bool[np.ndarray, " p"]:
-        """Tell which columns remain where only some of the machine's effects do."""
+        """Mask of the columns that remain if only these effects of the machine do."""
         names = {effect.name for effect in effects}
         keep = np.ones(self.size, bool)
         for effect in self.machine_model.effects:
@@ -226,7 +225,7 @@ class Linearisation:
 
 
 def cut_into_blocks(observations: Observations) -> Iterator[slice]:
-    """Yield the cells of blocks of whole lines, in their order."""
+    """Whole lines, at least 500 cells a block where possible."""
     first = 0
     for _, last in observations.lines:
         if last - first >= _CELLS or last == len(observations):
@@ -240,13 +239,13 @@ def linearise(
     pose: RigidTransform,
     noise: NoiseModel,
 ) -> Linearisation:
-    """Return the problem of one Run about a pose that turns about its middle."""
+    """The problem of one Run; its pose turns about the middle of the points."""
     tracker = TrackerPose(middle_of(observations))
     return Linearisation(machine_model, tracker, pose, noise)
 
 
 def middle_of(observations: Observations) -> tuple[float, float, float]:
-    """Return the mean of the nominal points, in mm."""
+    """Mean of the nominal points, mm."""
     x, y, z = observations.at.point_mm.mean(axis=0)
     return float(x), float(y), float(z)
 
@@ -257,10 +256,7 @@ def _find_means(observations: Observations, merge: int) -> CellMeans:
 
 
 def _merge_cells(observations: Observations, merge: int) -> Observations:
-    """Return up to `merge` neighbouring cells of a line as one.
-
-    Averaged in the workpiece frame, where a line keeps its direction.
-    """
+    """Averages in the workpiece frame, where a line keeps its direction."""
     means = _find_means(observations, merge)
     at, firsts = observations.at, observations.select(means.starts)
     travel = means.of(observations.direction)  # on an arc it turns on the way

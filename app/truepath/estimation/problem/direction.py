@@ -1,7 +1,7 @@
 """Does the direction of approach matter? Decided by the evidence of the data.
 
 Three models are nested: errors alone; errors and a half width each; errors and tables
-of both directions. A larger one is taken only if its evidence pays for its choice of
+of both directions. A larger one is selected only if its evidence pays for its choice of
 precisions, so that a machine without backlash is not given one.
 """
 
@@ -33,14 +33,15 @@ _PRICE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """One model and what it makes of the data.
+    """One model fitted to the data.
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
-    found : information of each Run on the model, and on what its targets do not tell
+    found : information of each Run on the model, and on effects that its targets do not
+        determine
     runs : the same on the model alone
     known : effects in it that an earlier measurement knows
     result : of the machine's parameters
-    cost : −2 log evidence, with the price of its precisions
+    cost : −2 log evidence, with the penalty of its precisions
     """
 
     direction: str
@@ -54,7 +55,7 @@ class Fit:
 
     @property
     def data(self) -> Information:
-        """What all Runs, and what was known before them, tell of the machine."""
+        """Information of all Runs and of known effects on the machine."""
         return self.known.add_to(combine_runs(self.runs), self.model)
 
 
@@ -63,11 +64,11 @@ def select_fit(
     models: NestedModels,
     known: KnownEffects | None = None,
 ) -> Fit:
-    """Return the fit of greatest evidence, the direction of approach left to it.
+    """The fit of greatest evidence among the models of the direction of approach.
 
     known : effects of the models that an earlier measurement knows
 
-    Effects that the targets do not tell play no part in the choice.
+    Effects that the targets do not determine play no part in the choice.
     """
     known = known or KnownEffects()
     found = _collect(runs, models, models.constant)
@@ -87,7 +88,7 @@ def _collect(
 
 
 def include_confounded(fit: Fit, effects: Sequence[Effect]) -> Fit:
-    """Return the fit with the effects of which a prior alone says what they are."""
+    """Adds the effects that the prior alone determines."""
     model = fit.model.with_confounded(effects)
     runs = tuple(run.restrict(model.effects) for run in fit.found)
     wider = replace(fit, model=model, runs=runs)

@@ -1,10 +1,10 @@
 """The information form of a linear Gaussian problem (brunn-hanebeck-2005, eq. 31–33).
 
 Information adds: that of all cells is the sum over cells, and the prior is one more
-term. Parameters that one Run or one line has for itself have no prior: integrating them
-out loses nothing for the others (a Schur complement; Golub & Van Loan, Matrix
-Computations, 3.2.11), and the problem grows neither with the lines nor with the Runs.
-A parameter without information keeps its value.
+term. Parameters of a single Run or line have no prior: integrating them out loses
+nothing for the others (a Schur complement; Golub & Van Loan, Matrix Computations,
+3.2.11), and the problem grows neither with the lines nor with the Runs. A parameter
+without information keeps its value.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Information:
         log_determinant: float = 0.0,
         columns: Int64[np.ndarray, " p"] | slice = slice(-1),
     ) -> Information:
-        """Return what products of columns and data, the last, say of some columns."""
+        """From products of columns and data, the data last; on selected columns."""
         return Information(
             total[columns][:, columns],
             total[columns, -1],
@@ -49,7 +49,7 @@ class Information:
     def select(
         self, columns: Int64[np.ndarray, " p"] | Bool[np.ndarray, " q"]
     ) -> Information:
-        """Return what is told of some parameters where all others are 0."""
+        """Information on some parameters if all others are 0."""
         return Information(
             self.matrix[columns][:, columns],
             self.vector[columns],
@@ -59,13 +59,13 @@ class Information:
 
     @staticmethod
     def of_matrix(matrix: Float64[np.ndarray, "p p"]) -> Information:
-        """Return information whose mean is 0, as of a prior."""
+        """Information with mean 0, as of a prior."""
         return Information(matrix, np.zeros(len(matrix)), 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Mean and covariance of θ, with what the evidence needs.
+    """Mean and covariance of θ, with the terms of the evidence.
 
     misfit : (y − Aθ)ᵀV⁻¹(y − Aθ) + θᵀPθ; log_determinant : of the posterior precision
     """
@@ -77,7 +77,7 @@ class Posterior:
 
 
 def add_information(parts: Sequence[Information]) -> Information:
-    """Return the information of independent data on the same parameters."""
+    """Sum over independent data on the same parameters."""
     return Information(
         np.sum([part.matrix for part in parts], axis=0),
         np.sum([part.vector for part in parts], axis=0),
@@ -89,7 +89,7 @@ def add_information(parts: Sequence[Information]) -> Information:
 def compute_posterior(
     data: Information, prior_precision: Float64[np.ndarray, "p p"]
 ) -> Posterior:
-    """Combine data and prior.
+    """Posterior from data and prior.
 
     Raises Unidentifiable if neither determines some direction of θ.
     """
@@ -115,9 +115,9 @@ def compute_posterior(
 def invert_covariance(
     covariance: Float64[np.ndarray, "p p"],
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the precision of parameters of unlike units.
+    """Precision of parameters of different units.
 
-    What is known exactly, alone or together with others, is known to rounding.
+    Combinations known exactly are taken as known to `EXACTLY`.
     """
     own = np.sqrt(np.maximum(np.diag(covariance), 0.0) + EXACTLY**2)
     value, vector = np.linalg.eigh(covariance / own[:, None] / own)
@@ -127,7 +127,7 @@ def invert_covariance(
 
 
 def find_informative(square: Float64[np.ndarray, " r"]) -> Int64[np.ndarray, " k"]:
-    """Return the parameters of which the data say anything at all."""
+    """Indices of the parameters with information above rounding."""
     return np.flatnonzero(square > _NEGLIGIBLE * square.max(initial=0.0))
 
 
@@ -136,7 +136,7 @@ class OwnParameters:
     """The last parameters of an information, to be eliminated: those of one Run.
 
     coupling : (r, k) B, with the parameters before them; vector : (r,)
-    factor : of D, their own information
+    factor : of D, their information
     """
 
     data: Information
@@ -146,7 +146,7 @@ class OwnParameters:
 
     @staticmethod
     def of(data: Information, kept: int) -> OwnParameters:
-        """Split off all but the first parameters.
+        """Splits off all but the first `kept` parameters.
 
         Raises Unidentifiable if the data do not determine them.
         """
@@ -165,7 +165,7 @@ class OwnParameters:
             ) from error
 
     def eliminate(self) -> Information:
-        """Return the information on the parameters before, these integrated out."""
+        """Information on the parameters before, these integrated out."""
         data, kept = self.data, self.coupling.shape[1]
         half = self.factor.solve_half(self.coupling)
         right = self.factor.solve_half(self.vector)
@@ -177,15 +177,15 @@ class OwnParameters:
         )
 
     def follow(self) -> Float64[np.ndarray, "r k"]:
-        """Return D⁻¹B: how far they go against those before, to follow the data."""
+        """D⁻¹B: decrease of these parameters for a unit increase of those before."""
         return self.factor.solve(self.coupling)
 
     def restore(
         self, known: Posterior
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
-        """Return all parameters where those before are known.
+        """All parameters, with the covariance of these, from those before.
 
-        And the covariance of these. The reverse of `eliminate`.
+        The reverse of `eliminate`.
         """
         follow = self.follow()
         theta = self.factor.solve(self.vector) - follow @ known.theta

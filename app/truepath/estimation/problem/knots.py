@@ -1,15 +1,15 @@
-"""Knots by need: as close as an error motion bends, not as its axis is long.
+"""Knots by need: spaced by how much an error motion bends, not by the axis length.
 
-Under the bending prior of precision λ a motion varies between knots that are h apart
+Under the bending prior of precision λ a motion varies between knots at a distance h
 with the variance
 
     v ≈ h³ / (3 π⁴ λ),
 
-the sum over all waves shorter than those that the knots can follow. λ is found from
-the data, so a motion with local structure (a rack of several pieces, say) shows in v.
-Where v is not small against the variance of the motion itself, its knots come closer,
-and the cells of the data with them, until they are as close as any machine needs. What
-is hidden between knots at the end counts as uncertainty.
+the sum over all waves shorter than those that the knots can follow. λ is estimated from
+the data, so a motion with local structure (a rack of several pieces, say) has a large
+v. Where v is not small against the variance of the motion, its knots are refined, and
+the cells of the data with them, up to the density that any machine needs. The final
+variance between knots counts as uncertainty.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _HIDDEN = 0.01  # of a motion's variance, between its knots
 _CLOSEST_MM = 1.05 * KNOT_SPACING_MM
 _FASTEST = 5.0  # times as many knots in one step
 _MOST = 1500  # parameters of all error motions: time grows with their cube
-_GRID = 101  # places of an axis
+_GRID = 101  # positions of an axis
 
 
 def join_cells(
     observed: Sequence[Observations], model: MachineModel
 ) -> list[Observations]:
-    """Return observations in cells as long as the model's knots are far apart.
+    """Observations in cells matched to the model's knot spacing.
 
-    Effects of the catalogue may change faster: beside them, cells stay as they are.
+    Effects of the catalogue may change faster: with them, cells are not merged.
     """
     if model.catalogue_effects:
         return list(observed)
@@ -61,11 +61,11 @@ def _find_cell_mm(model: MachineModel) -> dict[str, float]:
 def find_intervals(
     model: MachineModel, precision: Mapping[str, float], result: Posterior
 ) -> dict[str, int]:
-    """Return how many intervals motions need whose knots are too far apart.
+    """Number of intervals needed by motions whose knots are too coarse.
 
     precision : of the prior, by motion; result : of the model
 
-    Those that hide most first, as long as the problem does not grow too large.
+    Largest hidden share first, within a limit on the size of the problem.
     """
     share = {
         m.name: compute_hidden_variance(m, precision[m.name])
@@ -91,7 +91,7 @@ def find_intervals(
 def add_hidden_variance(
     result: Posterior, model: MachineModel, precision: Mapping[str, float]
 ) -> Posterior:
-    """Return the posterior with what motions may do between knots that are far.
+    """Adds the variance between coarse knots to the covariance.
 
     precision : of the prior, by motion
     """
@@ -103,7 +103,7 @@ def add_hidden_variance(
 def compute_hidden_variances(
     model: MachineModel, precision: Mapping[str, float]
 ) -> Float64[np.ndarray, " p"]:
-    """Return of every parameter the variance between knots that are far."""
+    """Variance between coarse knots, of each parameter; 0 elsewhere."""
     hidden = np.zeros(model.size)
     for motion in model.identifiable_motions:
         if can_refine(motion):
@@ -114,12 +114,12 @@ def compute_hidden_variances(
 
 
 def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:
-    """Return the variance that a motion of a linear axis has between its knots."""
+    """h³ / (3 π⁴ λ), for a motion of a linear axis."""
     return _spacing(motion) ** 3 / (3.0 * np.pi**4 * precision)
 
 
 def can_refine(motion: ErrorMotion) -> bool:
-    """Tell whether a motion of a linear axis may get closer knots."""
+    """True for motions of linear axes with knots coarser than the standard spacing."""
     is_linear = not isinstance(motion.axis, RotaryAxis)
     return is_linear and _spacing(motion) > _CLOSEST_MM
 
@@ -137,7 +137,7 @@ def _mean_variance(
 
 
 def refine_motions(model: MachineModel, intervals: Mapping[str, int]) -> MachineModel:
-    """Return the model with closer knots of some motions."""
+    """Number of intervals by name of the motion; other effects stay."""
     effects = [
         effect.coarsen(intervals[effect.name])
         if isinstance(effect, ErrorMotion) and effect.name in intervals

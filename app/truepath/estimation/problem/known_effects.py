@@ -1,10 +1,10 @@
 """Effects of the machine known from an earlier measurement.
 
-They are there beside the error motions, their parameters free, and what is known of
-them is one measurement more: information adds. So a Run corrects what it can see, what
-it cannot stays as it was, and the uncertainty of the tables has that of the effects in
-it. Of the earlier model nothing else is taken: the error motions are measured anew, for
-a table that leans on the past would hide that the machine has changed.
+They are estimated together with the error motions, and the earlier knowledge of their
+parameters is one more measurement: information adds. So a Run corrects what it
+determines, the rest stays as it was, and the uncertainty of the tables includes that of
+the effects. Nothing else of the earlier model is used: the error motions are measured
+again, for a table that leans on the past would hide that the machine has changed.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ class KnownEffects:
     )
 
     def locate(self, model: MachineModel) -> slice:
-        """Return where the effects lie in a model that has them, one after another."""
+        """Columns of the effects in a model, where they are contiguous."""
         if not self.effects:
             return slice(0, 0)
         slices = [model.slices[effect.name] for effect in self.effects]
         return slice(slices[0].start, slices[-1].stop)
 
     def precision_matrix(self) -> Float64[np.ndarray, "k k"]:
-        """Return the inverse of the covariance."""
+        """Singular covariances are regularised, see `invert_covariance`."""
         return invert_covariance(self.covariance)
 
     def add_to(self, data: Information, model: MachineModel) -> Information:
-        """Return what data and the earlier measurement tell of a model together.
+        """Adds the earlier measurement to the information on a model.
 
         data : on the model's parameters, which may be followed by others
         """
@@ -67,7 +67,7 @@ class KnownEffects:
         return replace(data, matrix=matrix, vector=vector, square=square)
 
     def loosen(self) -> KnownEffects:
-        """Return the same effects with all but nothing known of their parameters.
+        """The same effects with covariances of 100² times the size.
 
         For a Run that they were found in: it must not count twice.
         """
@@ -76,9 +76,10 @@ class KnownEffects:
     def compute_chances(
         self, model: MachineModel, result: Posterior
     ) -> tuple[float | None, ...]:
-        """Return how likely each effect moves so far if nothing has changed.
+        """Probability of at least this change if nothing has changed, by effect.
 
-        result : of the model, with the Run. None where the Run does not tell.
+        result : of the model, with the Run. None where the Run does not determine the
+            effect.
         """
         found: list[float | None] = []
         begin = 0
@@ -96,7 +97,7 @@ def _compute_chance(
     after: Float64[np.ndarray, "k k"],
     moved: Float64[np.ndarray, " k"],
 ) -> float | None:
-    """Return the chance of a move: its covariance is what the Run has removed."""
+    """The covariance of the change is what the Run has removed."""
     scale = np.sqrt(np.diag(before) + EXACTLY**2)
     value, vector = np.linalg.eigh((before - after) / scale[:, None] / scale)
     is_measured = value > _MEASURED_SHARE
@@ -112,7 +113,7 @@ def extract_known_effects(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> KnownEffects:
-    """Return the effects of the catalogue that a model has, all else integrated out."""
+    """The catalogue effects of a model, all else integrated out."""
     effects = model.catalogue_effects
     numbers = np.arange(model.size)
     kept = np.concatenate(

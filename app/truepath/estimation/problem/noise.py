@@ -1,4 +1,4 @@
-"""The noise of one Run: what the tracker states, corrected by what the data show."""
+"""The noise of one Run: the tracker's specification, corrected by the data."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
 
 _OF_SHOWN = 1.15
-_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
+_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the specified noise: tests detect more
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
     """White and Ornstein–Uhlenbeck noise along and across the beam, and feed jitter.
 
-    white : (2,) standard deviation of a sample, in units of the tracker's stated one
+    white : (2,) standard deviation of a sample, in units of the tracker's specified one
     ou : (3,) standard deviation of the Ornstein–Uhlenbeck part along the beam, in
         azimuth and in elevation, in the same units
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
         speed; infinite where only deviations across the path are used, as on ramps
-    fast : (2,) how much more the mean of a cell scatters than its samples tell
-    shown : (3,) how large the Ornstein–Uhlenbeck part is by most neighbours in space
+    fast : (2,) ratio of the scatter of cell means to that expected from their samples
+    shown : (3,) Ornstein–Uhlenbeck part by neighbours in space on different lines
     ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
-    place : (3,) how much more what is said of a standstill differs from the next, along
-        the beam, in azimuth and in elevation, in units of the stated noise
+    place : (3,) further standard deviation between standstills along the beam, in
+        azimuth and in elevation, in units of the specified noise
     """
 
     white: tuple[float, float]
@@ -42,13 +42,13 @@ class NoiseModel:
 
     @property
     def ou_along_and_across(self) -> tuple[float, float]:
-        """The Ornstein–Uhlenbeck part along and across the beam, root mean square."""
+        """Ornstein–Uhlenbeck part along and across the beam, root mean square."""
         along, azimuth, elevation = self.ou
         return along, float(np.hypot(azimuth, elevation)) / 2.0**0.5
 
     @property
     def usual(self) -> NoiseModel:
-        """The noise as the tracker states it, with the jitter of the feed."""
+        """Specified white and typical correlated noise, with this feed jitter."""
         ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
         return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
@@ -58,7 +58,7 @@ def cell_noise(
     noise: NoiseModel,
     travel: Float64[np.ndarray, "n 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
-    """Return precision of the cells' white noise, and the correlated noise's sigma.
+    """Precision of the cells' white noise, and sigma of the correlated noise.
 
     travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
     """
@@ -71,7 +71,7 @@ def total_precision(
     noise: NoiseModel,
     travel: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """Return the precision of each cell by itself, correlated noise included.
+    """Precision of each cell alone, correlated noise included.
 
     travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
     """
@@ -89,7 +89,7 @@ def _along_mm(
 def split_sigma_mm(
     observations: Observations, noise: NoiseModel
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Return standard deviations of a cell: white and correlated, in the beam frame."""
+    """Standard deviations of a cell, white and correlated, in the beam frame."""
     tracker = observations.at.machine.tracker
     distance = np.linalg.norm(observations.tracker_mm, axis=1)
     stated = tracker.sigma_mm(distance)[:, [0, 1, 1]]
@@ -106,7 +106,7 @@ def _add_jitter(
     travel: Float64[np.ndarray, "n 3"],
     sigma_mm: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """Return (D + σ² u uᵀ)⁻¹ by Sherman and Morrison; σ = ∞ removes the direction u."""
+    """(D + σ² u uᵀ)⁻¹ by Sherman and Morrison; σ = ∞ removes the direction u."""
     matrices = precision[:, :, None] * np.eye(3)
     pulled = precision * travel
     total = np.einsum("ni,ni->n", travel, pulled)
@@ -120,7 +120,7 @@ def floor_mm(
     noise: NoiseModel,
     travel: Float64[np.ndarray, "n 3"],
 ) -> float:
-    """Return the root mean square of one residual component that noise alone makes.
+    """Root mean square of one residual component expected from noise alone.
 
     travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
     """
@@ -137,9 +137,10 @@ def floor_mm(
 
 
 def limit_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise, of which more than is usual is for a test to show.
+    """Correlated noise limited to the typical level, so that tests can find the rest.
 
-    Unless neighbours in space show it, where the machine errs alike.
+    A higher level is kept where neighbours in space show it: machine errors are alike
+    there.
     """
     most = np.maximum(_MOST_OU, _OF_SHOWN * np.array(noise.shown))
     along, azimuth, elevation = np.minimum(noise.ou, most).tolist()
@@ -152,9 +153,9 @@ def limit_noise(noise: NoiseModel) -> NoiseModel:
 
 
 def calm_places(noise: NoiseModel) -> NoiseModel:
-    """The noise, with places that differ by no more than is usual.
+    """Noise between places limited to what is typical.
 
-    Where nothing tells what samples scatter, they differ by the stated noise.
+    Single shots, whose samples show no scatter, keep the specified noise.
     """
     most = _MOST_OU if any(noise.white) else 1.0
     x, y, z = np.minimum(noise.place, most).tolist()
@@ -162,5 +163,5 @@ def calm_places(noise: NoiseModel) -> NoiseModel:
 
 
 def raise_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise as loud as is usual: few lines do not tell how loud it is."""
+    """Correlated noise at its typical limit: few lines do not determine it."""
     return replace(noise, ou=(_MOST_OU, _MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

@@ -1,11 +1,11 @@
-"""Normal equations of cells that come in the order of time, all at once or one by one.
+"""Normal equations of cells in time order, all at once or one by one.
 
 Information adds (brunn-hanebeck-2005, eq. 31–33 in information form), but two things
-reach beyond a cell. The Ornstein–Uhlenbeck noise ties every cell to the next: the state
-of the last cell's noise therefore stays in the sums as three unknowns until the next
-cell is added. The timing of a line belongs to its cells alone: once the line
-is finished, phase and speed are integrated out, given that state. Both are exact, in
-any order of elimination, so the sums do not depend on how the cells were split.
+reach beyond a cell. The Ornstein–Uhlenbeck noise couples every cell to the next: the
+state of the last cell's noise therefore stays in the sums as three unknowns until the
+next cell is added. The timing of a line belongs to its cells alone: once the line is
+finished, phase and speed are integrated out, given that state. Both are exact, in any
+order of elimination, so the sums do not depend on how the cells were split.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from truepath.numerics.correlated_noise import (
 class NormalEquations:
     """Products of all columns over the cells so far.
 
-    total : (q, q) over fixed parameters, data, and the timing of lines under way
-    fixed : number of parameters of machine and poses; lines : under way
+    total : (q, q) over fixed parameters, data, and the timing of unfinished lines
+    fixed : number of parameters of machine and poses; lines : unfinished ones
     state : of the last cell's Ornstein–Uhlenbeck noise
     """
 
@@ -45,11 +45,11 @@ class NormalEquations:
 
     @staticmethod
     def empty(fixed: int) -> NormalEquations:
-        """Return the normal equations of no cells."""
+        """Sums over no cells; `fixed` parameters of machine and poses."""
         return NormalEquations(np.zeros((fixed + 1, fixed + 1)), fixed)
 
     def add(self, design: DesignMatrix, noise: NoiseModel) -> NormalEquations:
-        """Return them with further cells, later than all before.
+        """Adds cells later than all before.
 
         Raises Unidentifiable if the timing of a finished line is not determined.
         """
@@ -70,7 +70,7 @@ class NormalEquations:
         )
 
     def finish_lines(self) -> NormalEquations:
-        """Integrate the timing of the lines under way out."""
+        """Integrates out the timing of unfinished lines."""
         if not self.lines:
             return self
         total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
@@ -78,12 +78,12 @@ class NormalEquations:
         return NormalEquations(total, self.fixed, log_determinant, state)
 
     def information(self) -> Information:
-        """Return the information on machine and poses, all else integrated out."""
+        """On machine and poses, all else integrated out."""
         done = self.finish()
         return Information.from_total(done.total, done.log_determinant)
 
     def finish(self) -> NormalEquations:
-        """Integrate out what could tie later cells to those so far."""
+        """Integrates out all coupling to later cells."""
         done = self.finish_lines()
         if done.state is None:
             return done
@@ -108,10 +108,10 @@ class NormalEquations:
 def compute_information(
     observations: Observations, linearisation: Linearisation, *, apart: bool = False
 ) -> Information:
-    """Return the information of all cells on machine and poses.
+    """Information of all cells on machine and poses.
 
-    apart : noise is correlated within each block of cells alone, not from one to the
-        next
+    apart : correlate noise within each block of cells only, not between blocks
+
     Raises Unidentifiable if the timing of a line is not determined.
     """
     noises = [linearisation.noise]
@@ -125,7 +125,7 @@ def compute_under(
     *,
     apart: bool = False,
 ) -> list[Information]:
-    """Return the information of all cells under each noise, from one pass over them.
+    """Information of all cells under each noise, from one pass over them.
 
     As `compute_information`.
     """
@@ -151,13 +151,13 @@ class RecursiveEstimator:
 
     @staticmethod
     def start(linearisation: Linearisation) -> RecursiveEstimator:
-        """Return the estimator before its first cell."""
+        """The estimator before its first cell."""
         return RecursiveEstimator(
             linearisation, NormalEquations.empty(linearisation.size)
         )
 
     def add(self, observations: Observations) -> RecursiveEstimator:
-        """Return it with further cells, which are later than all before.
+        """Adds cells later than all before.
 
         Raises EstimationError if they are not in order of time.
         """
@@ -177,17 +177,15 @@ class RecursiveEstimator:
         )
 
     def information(self) -> Information:
-        """Return the information on machine and pose, all else integrated out."""
+        """On machine and pose, all else integrated out."""
         return self.sums.information()
 
 
 def _eliminate_timing(
     total: Float64[np.ndarray, "q q"], state: OrnsteinUhlenbeckState | None, fixed: int
 ) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
-    """Integrate the timing out of products over fixed parameters, data, timing.
-
-    Returns them, what the log determinant gains, and the state of the correlated noise.
-    Raises Unidentifiable if the timing of a line is not determined.
+    """Products without the timing, gain of the log determinant, state of the correlated
+    noise. Raises Unidentifiable if the timing of a line is not determined.
     """
     kept = fixed + 1
     timing = kept + find_informative(np.diag(total)[kept:])

@@ -1,9 +1,10 @@
-"""What a measurement determines poorly or not at all, by name.
+"""Shapes that a measurement determines poorly or not at all, by name.
 
-The exact null space are the singular vectors of the whitened problem. A shape outside
-it is judged by the generalised eigenvalues of posterior against prior covariance of a
-usual machine: 0 where the data determine it, 1 where they say nothing. Tables state
-such shapes with an uncertainty that is the prior's more than the measurement's.
+The exact null space is spanned by singular vectors of the whitened problem. A shape
+outside it is rated by the generalised eigenvalues of posterior against prior covariance
+of a typical machine: 0 where the data determine it, 1 where they contain nothing on it.
+Tables contain such shapes with an uncertainty that comes more from the prior than from
+the measurement.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from truepath.kinematics.machine.symbols import SQUARENESS, is_turn
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
 
-USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
-_POOR = 0.5  # standard deviation of a usual machine that the data leave, at least
-_RELEVANT_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+USUAL = {"mm": 0.1, "rad": 1e-3}  # of shapes without bending: slopes, squarenesses
+_POOR = 0.5  # remaining share of a typical machine's standard deviation
+_RELEVANT_MM = 1e-3  # at the tool; smaller shapes are harmless
 _BLIND = 0.9999  # remaining: all but rounding
 _TAKES_PART = 0.25  # of the largest part, at the tool
 _MOST = 3  # shapes that are named
@@ -36,17 +37,17 @@ _MOST_PARTNERS = 3  # more motions than these are not named
 _STRAIGHT = 0.05  # of a slope's square: below it a motion is straight
 _BLIND_SHARE = 1e-10  # of the best determined straight shape: rounding
 _STILL = 0.02  # of its travel: an axis that rests
-_GRID = 41  # places of an axis at which its form is looked at
+_GRID = 41  # positions of an axis at which its form is evaluated
 
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """What the measurement determines, and what it does not.
+    """Shapes that the measurement determines, and those that it does not.
 
     parameters : shapes of all error motions and squarenesses in the gauge of the tables
-    rank : how many of them the data determine
-    unobservable : in words, one for each thing that they do not determine
-    poorly_observable : the same of shapes that are hardly determined
+    rank : number of them that the data determine
+    unobservable : one sentence for each that they do not determine
+    poorly_observable : one sentence for each that is hardly determined
     """
 
     parameters: int
@@ -60,9 +61,9 @@ class PoorlyObservableShape:
     """A combination of error motions that the data hardly determine.
 
     symbols : motions that take part, the largest first
-    remaining : standard deviation that the data leave, of that of a usual machine
-    sigma_mm : what stays unknown, as root mean square at the tool over the travel
-    form : what the first of them looks like along its axis
+    remaining : posterior standard deviation over that of a typical machine
+    sigma_mm : the undetermined part, root mean square at the tool over the travel
+    form : form of the first motion along its axis
     """
 
     symbols: tuple[str, ...]
@@ -71,7 +72,6 @@ class PoorlyObservableShape:
     form: str
 
     def __str__(self) -> str:
-        """Return the statement for reports."""
         who = self.symbols[0]
         others = self.symbols[1 : 1 + _MOST_PARTNERS]
         if others:
@@ -87,7 +87,7 @@ class PoorlyObservableShape:
 def usual_precision_matrix(
     model: MachineModel, prior_precision: Mapping[str, float] | None = None
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision of a usual machine, proper in every direction.
+    """Prior precision of a typical machine, proper in every direction.
 
     prior_precision : of effects, by name, where it is known better
     """
@@ -111,14 +111,14 @@ def find_poorly_observable(
     *,
     blind: bool = True,
 ) -> tuple[PoorlyObservableShape, ...]:
-    """Return the poorly observable shapes that matter, the worst first.
+    """Poorly observable shapes that matter, the worst first.
 
     information : of the data on the model, everything else integrated out
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
-    blind : those that the data do not determine at all, too
+    blind : include shapes that the data do not determine at all
     """
     prior = usual_precision_matrix(model)
-    # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
+    # Vᵀ P V = 1: each shape is one standard deviation of a typical machine.
     value, vector = eigh(information, prior)
     remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
     size = remaining * np.sqrt(
@@ -157,7 +157,7 @@ def _name_shape(
 
 
 def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
-    """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
+    """Form of a motion along its axis in words: a slope, a bow, an S, a wave."""
     axis = motion.axis
     at = np.linspace(axis.low, axis.high, _GRID)
     value = motion.rows(at) @ theta
@@ -180,12 +180,12 @@ def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) ->
 
 
 def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> str:
-    """Say which straight shapes the data do not determine, and which lines would.
+    """Sentence on undetermined straight shapes, and lines that would determine them.
 
-    Empty if they determine all.
-    A prior that charges bending alone says nothing of straight shapes: errors that grow
-    along an axis, squarenesses. So all is determined where the data determine those,
-    and only there. Raises Unidentifiable if not even the set-up is.
+    Empty if all are determined. A prior on bending alone contains nothing on straight
+    shapes: errors that grow along an axis, squarenesses. So all is determined where the
+    data determine those, and only there. Raises Unidentifiable if not even the set-up
+    is determined.
     """
     model, gram = shapes.model, shapes.gram
     found = combine_runs(collect_information(runs, model)).matrix
@@ -217,7 +217,6 @@ def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> str:
 def _find_mending_lines(
     symbols: Sequence[str], machine: Machine, runs: Sequence[RunInput]
 ) -> str:
-    """Say which lines show straight shapes of motions that those of the Runs do not."""
     position = np.concatenate([run.observations.at.position_mm for run in runs])
     pairs = zip(machine.axes, np.ptp(position, axis=0), strict=True)
     still = [a.name for a, moved in pairs if moved < _STILL * (a.high - a.low)]
@@ -228,7 +227,6 @@ def _find_mending_lines(
 
 
 def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
-    """Return the shapes of an effect that its prior does not charge."""
     charge, size = effect.prior(), len(effect.parameters)
     if charge is None:
         return np.eye(size)
@@ -240,7 +238,7 @@ _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to 
 
 
 def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observability:
-    """Return rank, the named null space, and poorly observable shapes."""
+    """Rank, the named null space, and poorly observable shapes."""
     model, confounded = shapes.model, shapes.confounded
     found = collect_information(runs, model)
     information = combine_runs(found).matrix
@@ -264,7 +262,6 @@ def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observ
 def _blind_shapes(
     model: MachineModel, shapes: Float64[np.ndarray, "p b"]
 ) -> tuple[str, ...]:
-    """Say which motions take part in shapes that the measured places do not show."""
     count = shapes.shape[1]
     if not count:
         return ()
@@ -282,7 +279,7 @@ def _blind_shapes(
 
 
 def _shapes(symbol: str, machine: Machine) -> int:
-    """Count the shapes that the gauge leaves to an error motion, or one of an angle."""
+    """Number of shapes that the gauge leaves to an error motion; 1 for an angle."""
     if not symbol.startswith("E"):
         return 1
     axis = machine.axes[machine.axis_names.index(symbol[2])]

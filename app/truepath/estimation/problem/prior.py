@@ -1,14 +1,14 @@
 """The prior, its precisions found from the data.
 
-Each error motion is charged for its bending energy, as the elastic beam of
-brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The precisions
-maximise the evidence: MacKay's fixed point, precision = γ / (θᵀKθ), where γ counts the
-shapes that the data rather than the prior determine.
+Each error motion is penalised by its bending energy, as the elastic beam of
+brunn-hanebeck-2005 (eq. 12–13); straight lines are free. The precisions maximise the
+evidence: MacKay's fixed point, precision = γ / (θᵀKθ), where γ counts the shapes that
+the data rather than the prior determine.
 
-Few data would let a motion pass for perfectly straight, with far too small an
+With few data a motion would pass for perfectly straight, with far too small an
 uncertainty. The log precisions of motions of a kind therefore scatter about a common
-centre, as guides of one machine are alike, and what the precisions themselves are not
-known to widens the covariance (Kass & Steffey 1989).
+centre, as guides of one machine are alike, and the uncertainty of the precisions widens
+the covariance (Kass & Steffey 1989).
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from truepath.kinematics.effects.base import Parameter, QuadraticPrior
 from truepath.kinematics.effects.instrument import is_of_instrument
 from truepath.kinematics.model import MachineModel
 
-USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
+USUAL_PRECISION = 8.0  # of an effect of typical size 1, before any data
 _ROUNDS = 40  # at most
 _SETTLED = 0.15  # change of a log precision that no table shows
 _SPREAD = 1.2  # τ: standard deviation of log precision within a kind
-_STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
+_STRAIGHT = 1e-5  # of the typical size, squared: below it an error counts as 0
 
 
 @dataclass(frozen=True)
 class BendingPrior:
-    """What each effect of the machine proper is charged for, and how strongly.
+    """Quadratic penalty of each effect of the machine, and its strength.
 
-    log_forms : log determinant at precisions 1, over the shapes that are charged
+    log_forms : log determinant at precisions 1, over the penalised shapes
     """
 
     model: MachineModel
@@ -50,7 +50,7 @@ class BendingPrior:
     log_forms: float
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the prior precision of θ; what follows the machine's has none."""
+        """Prior precision of θ; zero for parameters after the machine's."""
         total = np.zeros((size, size))
         for name, charge in self.charges.items():
             part = self.model.slices[name]
@@ -58,14 +58,14 @@ class BendingPrior:
         return total
 
     def log_determinant(self) -> float:
-        """Return the log determinant over the shapes that are charged."""
+        """Over the penalised shapes only."""
         return self.log_forms + sum(
             charge.rank * float(np.log(self.precision[name]))
             for name, charge in self.charges.items()
         )
 
     def widen_tracker(self, times: float) -> BendingPrior:
-        """Return it with a tracker that may be off by so many times as much."""
+        """Multiplies the standard uncertainty of the instrument errors."""
         tracker = {e.name for e in self.model.effects if is_of_instrument(e)}
         wider = {
             name: value / times**2 if name in tracker else value
@@ -74,7 +74,7 @@ class BendingPrior:
         return replace(self, precision=wider)
 
     def fit(self, data: Information) -> tuple[BendingPrior, Posterior]:
-        """Return the prior whose precisions fit the data, and the posterior."""
+        """The prior whose precisions maximise the evidence, and the posterior."""
         prior, size = self, self.model.size
         machine = OwnParameters.of(data, size).eliminate()
         for _ in range(_ROUNDS):
@@ -94,10 +94,10 @@ def guess_prior(
     model: MachineModel,
     straight: Mapping[str, Float64[np.ndarray, "_ _"]] | None = None,
 ) -> BendingPrior:
-    """Return a prior for effects of usual size.
+    """Prior for effects of typical size.
 
-    straight : precision of what bending leaves free, by the effect's name; all there
-        is of effects that do not bend
+    straight : precision of the shapes that bending leaves free, by the effect's name;
+        the whole prior of effects that do not bend
     """
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
@@ -121,7 +121,7 @@ def _log_determinant(charge: QuadraticPrior) -> float:
 def diagonal_precision(
     parameters: Sequence[Parameter], sigma: Mapping[str, float], other: float = 1.0
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the precision of parameters known to a standard deviation by their unit.
+    """Precision of parameters from a standard deviation by unit.
 
     other : standard deviation in units that `sigma` does not name
     """
@@ -131,7 +131,7 @@ def diagonal_precision(
 def compute_evidence_cost(
     data: Information, prior: BendingPrior, result: Posterior
 ) -> float:
-    """Return −2 log p(data | noise, prior), up to a constant."""
+    """−2 log p(data | noise, prior), up to a constant."""
     return (
         data.log_determinant
         + result.log_determinant
@@ -141,7 +141,7 @@ def compute_evidence_cost(
 
 
 def widen_by_unknown_precision(prior: BendingPrior, result: Posterior) -> Posterior:
-    """Return the posterior with what is not known of the precisions themselves.
+    """Adds the uncertainty of the precisions to the covariance.
 
     Over log precisions of variance v the mean moves by ∂θ/∂l = −C P θ, and the expected
     covariance is C + v/2 ∂²C/∂l² = C + v (C P C P C − C P C / 2), to second order.
@@ -159,7 +159,7 @@ def widen_by_unknown_precision(prior: BendingPrior, result: Posterior) -> Poster
 
 
 def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    """Return the variance that is left of the log of each precision.
+    """Posterior variance of the log of each precision.
 
     Half the shapes that the data determine count as measurements of it, and its kind as
     one more.
@@ -181,7 +181,7 @@ def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, 
 
 
 def find_kind_precisions(prior: BendingPrior) -> dict[str, float]:
-    """Return the geometric mean precision of a kind, for an effect of usual 1."""
+    """Geometric mean precision of each kind, scaled to a typical size of 1."""
     found: dict[str, list[float]] = {}
     for name, charge in prior.charges.items():
         relative = np.log(prior.precision[name] * charge.usual)
@@ -199,7 +199,7 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
             continue
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
-        # An effect that is nothing within the noise, or not seen yet, keeps a finite
+        # An effect that is zero within the noise, or not observed yet, keeps a finite
         # precision.
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:

@@ -38,12 +38,12 @@ class PriorModel:
 
     @property
     def version(self) -> int:
-        """Version of the model."""
+        """Version number of the result's model."""
         return self.result.version
 
     @property
     def runs(self) -> tuple[dict[str, Any], ...]:
-        """The Runs that its numbers come from, each with its name and digest."""
+        """Source Runs of the result, each with its name and digest."""
         provenance = self.result.provenance
         own = {
             "name": provenance.get("run", ""),
@@ -52,7 +52,7 @@ class PriorModel:
         return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
 
     def is_of(self, runs: Sequence[RunSummary]) -> bool:
-        """Tell whether it was made from one of some Runs, or from a part of one."""
+        """True if one of these Runs, or a part of one, was a source of the result."""
         return any(
             own["input_sha256"] == run.digest
             or share_samples(own.get("sketch", ""), run.sketch)
@@ -63,10 +63,10 @@ class PriorModel:
     def select_effects(
         self, machine: Machine, runs: Sequence[RunSummary] = ()
     ) -> KnownEffects:
-        """Return what it knows of the effects of a machine.
+        """Known effects for the analysis of a machine.
 
-        runs : that are to be analysed; where it was made from one of them its numbers
-            are as good as unknown, for no Run counts twice
+        runs : to be analysed; if one of them is a source of the result, its numbers
+            count as unknown, for no Run counts twice
 
         Raises BundleError if it is of another machine or of another target, NotUsable
         if its numbers are not to be used.
@@ -80,16 +80,16 @@ class PriorModel:
         return known
 
     def require_fit(self, machine: Machine) -> None:
-        """Raise unless its numbers may be held against a measurement of a machine.
+        """Raise unless the result may be compared with a measurement of a machine.
 
-        BundleError if it is of another machine or of another target, NotUsable if it
-        is not to be used.
+        BundleError if it is of another machine or of another target, NotUsable if it is
+        not to be used.
         """
         self._require_same(machine)
         self.result.verdict.require_usable(self.source)
 
     def judge_use(self) -> Verdict:
-        """Return what to know of whatever rests on it."""
+        """Verdict for results that use this model: doubtful unless it is usable."""
         if self.result.verdict.state == "usable":
             return Verdict()
         return Verdict((Reason("model-in-use", "doubtful", {"model": self.source}),))
@@ -120,7 +120,7 @@ class PriorModel:
 def read_prior_model(file: str | Path, source: str = "") -> PriorModel:
     """Read a model or result file. Raises BundleError.
 
-    source : what the model is called in what comes of it; its file if left out
+    source : name of the model in results; its file if left out
     """
     data = read_whole(file, largest_bytes=LARGEST_BYTES)
     result = decode_result(data, file=str(file))

@@ -1,10 +1,10 @@
-"""Several Runs in one estimate: what each tells of the machine, and all together.
+"""Several Runs in one estimate: the information of each on the machine, and the sum.
 
-The machine is the same in all; where the tracker stands, when the machine was where on
-a line and how loud the air is belong to one Run. So pose and timing are integrated out
-of the information of each Run, which loses nothing (they have no prior), and what is
-left on the machine's parameters adds. Time and memory grow with the number of Runs, the
-solve does not.
+The machine is common to all; the tracker's position, the timing on each line and the
+noise of the air belong to one Run. So pose and timing are integrated out of the
+information of each Run, which loses nothing (they have no prior), and the rest, on the
+machine's parameters, adds. Time and memory grow with the number of Runs, the solve does
+not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from truepath.numerics.rigid import RigidTransform
 
 @dataclass(frozen=True, slots=True)
 class RunInput:
-    """One Run as the solve takes it.
+    """Inputs of the solve from one Run.
 
     pose : workpiece to tracker, about which the problem is linear
     """
@@ -44,10 +44,10 @@ class RunInput:
 
 @dataclass(frozen=True, slots=True)
 class RunInformation:
-    """What one Run tells, of its own pose as well.
+    """Information of one Run, on its pose as well.
 
     data : over all parameters of the linearisation
-    weak : precision of its pose that is in the data beside what the cells tell
+    weak : precision of its pose that is in the data in addition to the cells
     """
 
     observations: Observations
@@ -57,7 +57,7 @@ class RunInformation:
 
     @property
     def noise(self) -> NoiseModel:
-        """The Run's noise."""
+        """That of the linearisation."""
         return self.linearisation.noise
 
     @property
@@ -66,13 +66,13 @@ class RunInformation:
         return OwnParameters.of(self.data, self.linearisation.machine_model.size)
 
     def replace_noise(self, noise: NoiseModel) -> RunInformation:
-        """Return what the Run tells under another noise model."""
+        """Recomputed from the observations, which takes as long as the first time."""
         linearisation = replace(self.linearisation, noise=noise)
         data = compute_information(self.observations, linearisation)
         return RunInformation(self.observations, linearisation, data)
 
     def restrict(self, effects: Sequence[Effect]) -> RunInformation:
-        """Return what the Run tells where only some of the machine's effects are."""
+        """Information if only these effects of the machine exist."""
         keep = self.linearisation.select_columns(effects)
         return RunInformation(
             self.observations,
@@ -84,7 +84,7 @@ class RunInformation:
 def collect_information(
     runs: Sequence[RunInput], model: MachineModel
 ) -> tuple[RunInformation, ...]:
-    """Return what each Run tells of a model's parameters."""
+    """Linearised about the pose of each Run; one item for each."""
     found: list[RunInformation] = []
     for run in runs:
         about = linearise(run.observations, model, run.pose, run.noise)
@@ -94,7 +94,7 @@ def collect_information(
 
 
 def combine_runs(runs: Sequence[RunInformation]) -> Information:
-    """Return what all Runs tell of the machine.
+    """Information of all Runs on the machine, poses integrated out.
 
     Raises Unidentifiable, with the number of the Run where there are several.
     """

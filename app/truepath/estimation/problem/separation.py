@@ -1,14 +1,14 @@
-"""What would tell merged error motions apart: a longer tool, or a target to the side.
+"""What would separate confounded error motions: a longer tool, or a target to the side.
 
 A turn of an axis that carries the target at a constant arm moves it like a displacement
-of the same axis. Two arms tell them apart: the turn is the difference of both
+of the same axis. Two arms separate them: the turn is the difference of both
 displacements over the difference of the arms, so its standard uncertainty is √2 u / ΔL,
-u that of the displacement found with one tool. Wanted is a turn known as well as the
-turns that one tool tells already, and ΔL follows; where no tool is long enough for
-that, a turn known to half of a usual one (k = 2).
+u that of the displacement found with one tool. ΔL follows from the requirement that the
+turn is known as well as the turns that one tool determines; where no tool is long
+enough for that, to half of a typical one (k = 2).
 
 Arms of a rotary axis turn with it, and such a length means nothing: there a trial
-target tells whether one more is enough, by the rank that it brings, and which.
+target shows whether one more is enough, by the rank that it adds, and which.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from truepath.kinematics.machine.machine import Machine, Target
 from truepath.kinematics.machine.symbols import DIRECTION, describe_symbol, is_turn
 from truepath.kinematics.model import MachineModel
 
-_ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
-_STEP_MM = 10.0  # in which lengths are stated
+_ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a typical turn at k = 2
+_STEP_MM = 10.0  # resolution of lengths in sentences
 _TRIAL_MM = 93.7  # by which a trial target is farther: no target is likely there
-_SHAPES = 4  # intervals of the knots: few do, as what merges does not depend on them
-_GRID = 25  # places of an axis, to average over
-# What is tried, in this order: the first that separates is asked for.
+_SHAPES = 4  # intervals of the knots: confounding does not depend on them
+_GRID = 25  # positions of an axis, to average over
+# Trials in this order: the first that separates is proposed.
 _TRIALS = {
     "tool{} longer or shorter": (0.0, 0.0, 1.0),
     "target{} to the side, in X or Y,": (0.6, 0.8, 0.0),
 }
-_LONGEST_MM = 500.0  # that is asked for
+_LONGEST_MM = 500.0  # longest proposal
 
 
 def describe_confounded(
@@ -44,10 +44,10 @@ def describe_confounded(
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[str, ...]:
-    """Say of each merged motion what it merges with and what tells them apart.
+    """One sentence for each confounded motion: its partners and what separates them.
 
     offsets_mm : of the measured targets
-    model, covariance : of what the targets do tell, to find the length that is needed
+    model, covariance : of the determined effects, to find the required length
     """
     measured = np.unique(offsets_mm, axis=0)
     still = {
@@ -62,7 +62,6 @@ def _find_still_merged(
     measured: Float64[np.ndarray, "t 3"],
     way: Float64[np.ndarray, "3"],
 ) -> set[str]:
-    """Return the symbols that stay merged with one more target on the tool."""
     on_tool = next((t for t in machine.targets if t.on == "tool"), None)
     added = np.array(on_tool.offset_mm if on_tool else (0.0, 0.0, 0.0))
     added = added + _TRIAL_MM * way
@@ -110,7 +109,7 @@ def _statement(
 
 
 def _asks_for_the_table(symbol: str, machine: Machine) -> bool:
-    """Tell whether an axis moves the workpiece, which no target sits on yet.
+    """True if the axis moves the workpiece, which carries no target yet.
 
     A tracker on the base sees such an axis by targets on the workpiece alone.
     """
@@ -131,7 +130,7 @@ def _length_mm(
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> float:
-    """Return how much longer, rounded up so that it serves.
+    """Required additional length, rounded up.
 
     Along each direction the turn is known to √2 u / ΔL; directions add information.
     """

@@ -57,14 +57,14 @@ class Estimate(EstimatedModel):
     theta : (p,), covariance : (p, p), of those effects alone; poses and timing laws are
         integrated out
     prior_precision : of each error motion's bending, found from the data
-    direction : `none`, `constant` or `tables`: what the direction of approach does
-    runs : the Runs that it was made from, in the order given
-    measured : by axis, lowest and highest position that was measured, mm or deg; what
-        lies beyond is extrapolated
+    direction : `none`, `constant` or `tables`: model of the direction of approach
+    runs : source Runs, in the order given
+    measured : by axis, lowest and highest position that was measured, mm or deg; beyond
+        it the tables are extrapolated
     known : effects known from an earlier measurement, which are in the model
-    chances : of each, that it moves so far with the Runs if nothing has changed; None
-        where they do not tell
-    fit : what it was solved from, if that was to be kept
+    chances : of each, probability of its change with the Runs if nothing has changed;
+        None where they do not determine it
+    fit : the fit, if it was to be kept
     """
 
     prior_precision: dict[str, float]
@@ -79,7 +79,7 @@ class Estimate(EstimatedModel):
 
     @property
     def main(self) -> int:
-        """The Run that most used samples come from."""
+        """Number of the Run with most used samples."""
         return int(np.argmax([run.used_samples for run in self.runs]))
 
     @property
@@ -89,7 +89,7 @@ class Estimate(EstimatedModel):
 
     @property
     def floor_mm(self) -> float:
-        """What of it the noise alone would leave."""
+        """The part of `rms_mm` expected from noise alone."""
         return self._over_cells([run.residuals.floor_mm for run in self.runs])
 
     def _over_cells(self, values: list[float]) -> float:
@@ -107,14 +107,14 @@ def estimate(
     given: Sequence[int] | None = None,
     on_progress: ShareProgress = ignore_progress,
 ) -> Estimate:
-    """Estimate all error motions that the observations can tell.
+    """Estimate all error motions that the observations determine.
 
     models : of the machine, for the targets of all Runs
-    observed : of one Run each, in either mode; with surroundings where effects are
-        known that depend on them
-    known : effects known from an earlier measurement, to be estimated beside
-    perpendicular_only : leave out what is measured along the travel (sanders-2023)
-    keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
+    observed : of one Run each, in either mode; with surroundings where known effects
+        depend on them
+    known : effects known from an earlier measurement, estimated too
+    perpendicular_only : ignore deviations along the travel (sanders-2023)
+    keep_fit : keep the fit, for trials by Monte Carlo
     given : the Run of the models that each is a part of; else each is one
     on_progress : receives the share done, 0 to 1
 
@@ -153,10 +153,7 @@ def _state(
     known: KnownEffects,
     perpendicular_only: bool,
 ) -> Estimate:
-    """Return what a fit says, the uncertainty as wide as its prior is uncertain.
-
-    shapes : for what the inputs determine
-    """
+    """The covariance includes the uncertainty of the prior's precisions."""
     tracker = {e.name for e in fit.model.effects if is_of_instrument(e)}
     found = fit.prior.precision.items()
     result = widen_by_unknown_precision(fit.prior, fit.result)
@@ -180,7 +177,6 @@ def _state(
 def _guess_inputs(
     seen: Sequence[Observations], models: RunModels, *, perpendicular_only: bool
 ) -> tuple[RunInput, ...]:
-    """Return the Runs in cells as long as the model allows, with a guess of noise."""
     return tuple(
         RunInput(
             each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
@@ -195,10 +191,7 @@ def _fit_linear(
     models: RunModels,
     known: KnownEffects,
 ) -> tuple[tuple[RunInput, ...], Fit]:
-    """Return the Runs and the fit of all, about a machine that is near enough.
-
-    One that errs far is linearised again about what a first fit has found.
-    """
+    """A machine with large errors is linearised again about the first fit."""
     fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     if all(is_linear(each, fit.model, fit.result) for each in seen):
         return inputs, fit
@@ -213,7 +206,6 @@ def _linearise_again(
     fit: Fit,
     alone: MachineModel,
 ) -> tuple[list[Observations], tuple[RunInput, ...]]:
-    """Return the Runs about the machine that a fit has found, and in its cells."""
     seen = [
         linearise_about(each, run, fit.model, fit.result)
         for each, run in zip(seen, fit.runs, strict=True)
@@ -251,10 +243,7 @@ def _fit(
     nested: NestedModels,
     known: KnownEffects,
 ) -> Fit:
-    """Return the fit whose knots are as close as the error motions need.
-
-    seen : of each Run, in the shortest cells
-    """
+    """Refines the knots as needed. `seen` has the shortest cells of each Run."""
     fit = select_fit(inputs, nested, known)
     while intervals := find_intervals(fit.model, fit.prior.precision, fit.result):
         nested = replace(nested, alone=refine_motions(nested.alone, intervals))
@@ -267,27 +256,26 @@ def _fit(
 
 
 def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
-    """Return the direction of travel of each cell in the beam frame."""
     seen = run.observations
     turned = seen.direction @ run.linearisation.pose.rotation.T
     return np.einsum("nij,nj->ni", seen.beam_frame, turned)
 
 
 # A Run of a machine with large errors as one whose small errors add. The estimate takes
-# error motions where the command was, and adds their displacements: of a machine that
-# errs by a millimetre neither holds to micrometres. A first estimate shows both: where
-# on its line the machine was, and what its motions do to one another.
+# error motions at the commanded position, and adds their displacements: for a machine
+# with errors of a millimetre neither holds to micrometres. A first estimate gives both:
+# the actual position on the line, and the effect of error motions on each other.
 def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
-    """Tell whether the errors of the machine are small enough to add."""
+    """True if the errors of the machine are small enough to superpose."""
     return adds_up(model, seen.at, machine.theta)
 
 
 def linearise_about(
     seen: Observations, run: RunInformation, model: MachineModel, machine: Posterior
 ) -> Observations:
-    """Return the Run with its cells at their places, and second order taken off.
+    """The Run with cells at their actual positions, second-order terms removed.
 
-    run : a first estimate of its own pose; machine : of the machine
+    run : a first estimate of its pose; machine : of the machine
     """
     theta = machine.theta
     pose = run.linearisation.correct_pose(run.own.restore(machine)[0])
@@ -306,10 +294,10 @@ def linearise_about(
 def _find_lead(
     seen: Observations, rest_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n a"]:
-    """Return how far the axes were beyond where cells on straight lines were placed.
+    """Lead of the axes over the commanded positions of cells on straight lines. At
+    constant feed a constant and a rate for each line; on ramps one value for each cell.
 
-    rest_mm : measured less modelled. At constant feed a cell is ahead by a constant and
-        by another every second; on ramps each by its own.
+    rest_mm : measured less modelled
     """
     at, lead = seen.at, np.zeros_like(seen.at.position_mm)
     ahead = np.einsum("ni,ni->n", rest_mm, seen.direction)
@@ -329,9 +317,9 @@ def _find_lead(
     return lead
 
 
-# How far ramps scatter beyond the noise: a machine that swings after each jerk, say.
-# What is in proportion to the acceleration is solved for beside the error motions. What
-# else acceleration does has no model: data of ramps then count by how far they are off.
+# Scatter of ramps beyond the noise: a machine that vibrates after each jerk, say.
+# The part in proportion to the acceleration is solved for with the error motions. The
+# rest has no model: data of ramps are then weighted by their scatter.
 _TOLERATED = 0.3  # of the variance of noise: less is chance
 _CLOSE = 0.1  # of the variance that ramps have already
 
@@ -342,9 +330,9 @@ def widen_ramps(
     across_mm: Sequence[Float64[np.ndarray, " _n"]],
     travel: Sequence[Float64[np.ndarray, "_n 3"]],
 ) -> tuple[RunInput, ...] | None:
-    """Return the Runs with the scatter of their ramps; None where it is known already.
+    """The Runs with the scatter of their ramps; None if it has hardly changed.
 
-    runs : as they were solved; across_mm : what that leaves across the travel of cells
+    runs : as solved; across_mm : residual of each cell across the travel
     """
     found: list[RunInput] = []
     for given, run, across, along in zip(inputs, runs, across_mm, travel, strict=True):
@@ -364,9 +352,9 @@ def _find_scatter_mm(
     across_mm: Float64[np.ndarray, " n"],
     travel: Float64[np.ndarray, "n 3"],
 ) -> float:
-    """Return the standard deviation of a ramp's cell beyond the noise.
+    """Standard deviation of a ramp's cell beyond the noise.
 
-    All cells of a ramp may be off together, and so each counts for less.
+    All cells of a ramp may be off together, so each counts for less.
     """
     seen = run.observations
     ramp = seen.is_ramp

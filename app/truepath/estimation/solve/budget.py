@@ -1,7 +1,8 @@
-"""The uncertainty budget of an estimate: what each source brings, adding up exactly.
+"""The uncertainty budget of an estimate: variance by source, adding up exactly.
 
-With the pose held, the posterior precision of θ is A + K + P: what the cells tell, what
-an earlier measurement knew of effects, and the prior. Its covariance C splits into
+With the pose held, the posterior precision of θ is A + K + P: information of the cells,
+of an earlier measurement on known effects, and of the prior. Its covariance C splits
+into
 
     C = C A C + C K C + C P C,
 
@@ -11,11 +12,10 @@ estimator G = C JᵀV⁻¹ (JCGM 100, 5.1.2):
     G Vₛ Gᵀ = −C (∂A/∂s) C,    V(s) = V + s Vₛ.
 
 A is homogeneous of degree −1 in all noise variances together, so the parts of white
-noise, of correlated noise and of what moves along the travel add up to C A C. That the
-pose is solved from the same data brings the rest of the covariance of a perfect
-tracker, and that it may be off what is more than that. What the prior itself is not
-known to, with all that hides between knots, brings what the estimate states beyond its
-posterior.
+noise, of correlated noise and of motion along the travel add up to C A C. Solving the
+pose from the same data adds the rest of the covariance of a perfect tracker, and its
+systematic errors add what exceeds that. The uncertainty of the prior, with all that
+hides between knots, adds the estimate's uncertainty beyond its posterior.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ thermal effects, and others, known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
 _KNOWN = 1e9  # precision of a parameter of size 1: as good as fixed
-_STEP = 1e-3  # of a variance: small beside it, large beside rounding
+_STEP = 1e-3  # of a variance: small against it, large against rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +68,9 @@ class UncertaintyBudget:
 def split_uncertainty(
     estimate: Estimate, settled: EstimatedModel | None = None
 ) -> UncertaintyBudget:
-    """Return the budget of an estimate that has kept what it was solved from.
+    """Budget of an estimate that has kept its fit.
 
-    settled : the same with the scale that all lengths have in common
-
+    settled : the same estimate with the common scale of all lengths
     Raises Unidentifiable if the data do not determine the machine.
     """
     fit = estimate.fit
@@ -113,7 +112,6 @@ def _split_noise(
     C: Float64[np.ndarray, "p p"],
     total: Float64[np.ndarray, "p p"],
 ) -> list[Float64[np.ndarray, "p p"]]:
-    """Return what white, correlated noise and all others bring of their total."""
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
         (white,) = _propagate(runs, C, [_scale_white])
@@ -123,7 +121,7 @@ def _split_noise(
 
 
 def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
-    """Return what was known before of thermal effects, and of all others."""
+    """Prior information on thermal effects, and on all others."""
     size, known = fit.model.size, fit.known
     whole = np.zeros((size, size))
     part = known.locate(fit.model)
@@ -153,7 +151,7 @@ def _propagate(
     C: Float64[np.ndarray, "p p"],
     scales: Sequence[Callable[[NoiseModel, float], NoiseModel]],
 ) -> list[Float64[np.ndarray, "p p"]]:
-    """Return −C (∂A/∂s) C of each source; 1 + s makes it exact where it is alone."""
+    """−C (∂A/∂s) C of each source; 1 + s makes it exact for a single source."""
     size = len(C)
     change = np.zeros((len(scales), size, size))
     for run in runs:

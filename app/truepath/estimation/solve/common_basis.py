@@ -1,10 +1,10 @@
-"""What each of several Runs tells of one set of parameters, each Run for itself.
+"""Information of each of several Runs on one common set of parameters.
 
-Each Run was estimated alone, with knots, direction of approach and noise of its own, so
-that a machine which has changed between them spoils none. Here all of them speak of one
-model, which has each effect as fine as any Run has it. Where the tracker stands and how
-targets sit belongs to one Run and is integrated out: a rigid motion of the whole volume
-between two Runs is not told.
+Each Run was estimated alone, with separate knots, direction of approach and noise, so
+that a machine which has changed between them affects none. Here all refer to one model,
+which has each effect as fine as any Run has it. The tracker's position and the seats of
+targets belong to one Run and are integrated out: a rigid motion of the whole volume
+between two Runs is not determined.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from truepath.kinematics.model import MachineModel
 
 @dataclass(frozen=True, slots=True)
 class CommonBasis:
-    """What Runs of one machine tell of the parameters of one model.
+    """Information of Runs of one machine on the parameters of one model.
 
-    precision : of the prior of what does not change, as the Runs have found it
-    told : by each Run, its own pose and seats integrated out
+    precision : of the prior of the constant part, as the Runs have found it
+    told : by each Run, its pose and seats integrated out
     """
 
     model: MachineModel
@@ -38,10 +38,9 @@ class CommonBasis:
 
 
 def find_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
-    """Return what estimates of single Runs tell in common terms.
+    """Information of single-Run estimates in a common basis.
 
-    estimates : of one machine, with what each was solved from
-
+    estimates : of one machine, each with its fit
     Raises BadInput if the Runs do not measure the same targets.
     """
     fits = [_require_fit(one) for one in estimates]
@@ -69,7 +68,7 @@ def _require_fit(estimate: Estimate) -> Fit:
 
 
 def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
-    """Return each effect of any model once, with the most parameters that it has.
+    """Each effect of any model once, with the most parameters that it has.
 
     Without confounded turns that others make up for: the model fits as well.
     """
@@ -86,7 +85,6 @@ def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
 def _find_precision(
     model: MachineModel, fits: Sequence[Fit]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision: the geometric mean of those of the Runs."""
     total = np.zeros((model.size, model.size))
     for effect in model.effects:
         name, part = effect.name, model.slices[effect.name]
@@ -104,7 +102,6 @@ def _collect(
     kept: int,
     precision: Float64[np.ndarray, "p p"],
 ) -> Information:
-    """Return what one Run, or its parts, tell of the first parameters."""
     parts = [
         RunInput(run.observations, run.linearisation.pose, run.noise)
         for run in fit.runs

@@ -1,6 +1,6 @@
-"""What each of several Runs brought: the uncertainty with it, and without it.
+"""Contribution of each of several Runs: the uncertainty with it, and without it.
 
-Information adds, so that of a Run is taken off again under the same prior and noise.
+Information adds, so that of a Run is subtracted under the same prior and noise.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from truepath.kinematics.volumetric_map import compute_volumetric_gram
 class Contributions:
     """Uncertainties of the volumetric error, root mean square over the travel, k = 1.
 
-    sigma_mm : of the estimate; without_mm : of each Run given, without it; infinite
-        where the others do not determine the machine, empty of a single Run
+    sigma_mm : of the estimate; without_mm : without each original Run; infinite where
+        the others do not determine the machine, empty for a single Run
     """
 
     sigma_mm: float
@@ -34,10 +34,10 @@ class Contributions:
 def find_contributions(
     estimate: Estimate, given: Sequence[int], settled: EstimatedModel | None = None
 ) -> Contributions:
-    """Return what Runs brought to an estimate that has kept what it was solved from.
+    """Contribution of each Run to an estimate that has kept its fit.
 
-    given : of each Run of the estimate, the Run given that it is of
-    settled : the same with the scale that all lengths have in common
+    given : for each Run of the estimate, the number of the original Run
+    settled : the same estimate with the common scale of all lengths
     """
     fit = estimate.fit
     assert fit is not None  # noqa: S101 (it was asked to be kept)

@@ -1,4 +1,4 @@
-"""What goes on beyond the measured range of an axis, and how little is known of it.
+"""Softer prior beyond the measured range of an axis, for honest extrapolation.
 
 The prior takes the curvature of every error motion as white. Beyond the measurements
 that is not good enough: the curvature of a guide or a scale persists over a good part
@@ -9,9 +9,9 @@ simulated cases.
 Beyond the last measured position of an axis the beam therefore softens with the
 distance d: curvature of variance κ² that persists leaves the line by κ d²/2, which
 white curvature of density 3 κ² d does as well. And the slope is bounded: from the edge
-to the end of the travel its mean differs from the mean slope of what was measured by no
-more than the motion's steepest slope allows. κ² and the steepest slope are those of the
-motion itself, half and half with what motions of its kind do on this machine.
+to the end of the travel its mean differs from the mean measured slope by no more than
+the motion's steepest slope allows. κ² and the steepest slope are the mean of the
+motion's and of those of its kind on this machine.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from truepath.kinematics.model import MachineModel
 # An estimate shows about half of the curvature that is there: twice 3 κ² d.
 _DENSITY = 6.0
 _STEEPER = 2.0  # one standard deviation of the slope, in steepest slopes observed
-_OWN = 0.5  # weight of the motion's own variation against that of its kind
+_OWN = 0.5  # weight of the motion's variation against that of its kind
 _FEWEST_INTERVALS = 2  # of the knots; a shorter end is known by its neighbourhood
-_GRID = 60  # places at which a slope is averaged
+_GRID = 60  # positions at which a slope is averaged
 
 Ranges = dict[str, tuple[float, float]]
 """By axis, the lowest and the highest position that was measured, mm or deg."""
@@ -45,7 +45,7 @@ Ranges = dict[str, tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """How a motion varies over what was measured of its axis.
+    """Variation of a motion over the measured part of its axis.
 
     curvature_square : mean square of S''; slope_square : steepest departure from the
         mean slope, squared, with its variance. In mm or rad, per mm or deg of the axis.
@@ -56,7 +56,7 @@ class Variation:
 
 
 def find_measured_ranges(*observed: Observations) -> Ranges:
-    """Return the range of every axis that the observations of all Runs cover."""
+    """Lowest and highest position of every axis over all Runs."""
     position = np.concatenate(
         [observations.at.position_mm for observations in observed]
     )
@@ -66,7 +66,7 @@ def find_measured_ranges(*observed: Observations) -> Ranges:
 
 
 def soften_ends(fit: Fit) -> Fit:
-    """Return the fit with its prior softened beyond the measured ranges.
+    """The fit with its prior softened beyond the measured ranges.
 
     Precisions and noise stay; ends up to two intervals of the knots stay as they are.
     """
@@ -92,7 +92,7 @@ def estimate_variations(
     ranges: Ranges,
     covariance: Float64[np.ndarray, "p p"],
 ) -> dict[str, Variation]:
-    """Return how each motion varies, half of it as motions of its kind do."""
+    """Variation of each motion, averaged half and half with its kind."""
     own = {
         m.name: _variation(
             m,
@@ -108,7 +108,7 @@ def estimate_variations(
 def beyond_travel_variance_mm2(
     at: Conditions, model: MachineModel, known: dict[str, Variation]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return the variance that bends beyond the travel add to the volumetric error.
+    """Variance of the volumetric error due to bends beyond the travel.
 
     The covariance there includes the slope at the end of the travel, but not that the
     motion may bend away from it: by κ d²/2, and with a bounded slope.
@@ -129,7 +129,7 @@ def beyond_travel_variance_mm2(
 
 
 def full_travel(machine: Machine) -> Ranges:
-    """Return the ranges of a measurement that covers the travel of every axis."""
+    """As if a measurement had covered the travel of every axis."""
     return {axis.name: (axis.low, axis.high) for axis in machine.axes}
 
 
@@ -148,7 +148,6 @@ def _interval(motion: ErrorMotion) -> float:
 def _away(
     position: Float64[np.ndarray, " n"], measured: tuple[float, float]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the distance to a range, 0 inside it."""
     low, high = measured
     return np.maximum(np.maximum(low - position, position - high), 0.0)
 
@@ -189,7 +188,7 @@ def _mean_slope(
 def _share_with_kind(
     motion: ErrorMotion, model: MachineModel, own: dict[str, Variation]
 ) -> Variation:
-    """Return half of the motion's own, half of its kind's, scaled to its travel."""
+    """Mean of the motion's variation and its kind's, scaled to its travel."""
     kind = [m for m in model.error_motions if _kind(m) == _kind(motion)]
     travel = _travel(motion)
     curvature = np.mean([own[m.name].curvature_square * _travel(m) ** 4 for m in kind])
@@ -215,7 +214,6 @@ def _soften(
     varies: Variation,
     measured: tuple[float, float],
 ) -> QuadraticPrior:
-    """Return the charge of a beam that softens beyond the measured range."""
     precision, charge = prior.precision[motion.name], prior.charges[motion.name]
     density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)
     form = motion.spline.bending(1.0 / np.maximum(1.0, precision * density))

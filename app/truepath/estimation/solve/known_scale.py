@@ -1,14 +1,14 @@
-"""The scale of all lengths: what the air leaves of it, and what known lengths tell.
+"""The scale of all lengths: its uncertainty by the air, and evidence of known lengths.
 
 No residual shows a wrong scale of the tracker, s: it looks like a machine whose axes
-are all too long. So s stands beside the estimate with its own variance, and a known
-length L that was measured as m is an observation of it,
+are all too long. So s is kept apart from the estimate with a separate variance, and a
+known length L that was measured as m is an observation of it,
 
     m / L - 1 = s + H θ + ε,
 
-H being what the tracker's other errors make of that length, by the same terms as in the
-estimate. Updated by it (Kalman), the estimate loses s times the stretch that it looks
-like, and its covariance has what is still unknown of s.
+H being the effect of the tracker's other errors on that length, by the same terms as in
+the estimate. Updated by it (Kalman), the estimate loses s times the stretch that it
+looks like, and its covariance includes the remaining uncertainty of s.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.model import MachineModel
 
 _CONTRADICTED = 3.0  # standard uncertainties
-_ANY = 300e-6  # a hall from vacuum: what was taken for the air is not what it was
+_ANY = 300e-6  # a hall from vacuum: the assumed air was wrong
 
 
 @dataclass(frozen=True, slots=True)
 class KnownScale:
-    """What known lengths say of the scale of the tracker's ranges.
+    """The scale of the tracker's ranges by known lengths.
 
-    lengths : how many there are
-    off, sigma : by how much of 1 ranges were too long, with its standard uncertainty
+    lengths : their number
+    off, sigma : relative excess of ranges, with its standard uncertainty
     is_expected : air and tracker explain it
     """
 
@@ -52,9 +52,9 @@ class KnownScale:
 def settle_scale(
     estimate: Estimate, scale: float, known: Sequence[Sequence[KnownLength]]
 ) -> tuple[Estimate, float, KnownScale | None]:
-    """Return the estimate with the scale of all lengths in it, and its uncertainty.
+    """The estimate with the scale of all lengths in it, and its uncertainty.
 
-    scale : standard uncertainty of air and tracker, of 1
+    scale : relative standard uncertainty by air and tracker
     known : lengths measured in each Run of the estimate
     """
     count = sum(map(len, known))
@@ -67,7 +67,7 @@ def settle_scale(
     ]
     H = np.vstack([one.rows for one in told])
     off = np.concatenate([one.off for one in told]) - H @ estimate.theta
-    # One bar, most often: what its best length is uncertain by, all have in common.
+    # One bar, most often: all share the uncertainty of its best length.
     common = np.concatenate([one.common for one in told])
     noise = np.concatenate([one.noise for one in told])
     least = float(common.min()) ** 2
@@ -97,7 +97,7 @@ def settle_scale(
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """How much too long known lengths of one Run were measured, of 1.
+    """Relative excess of the measured known lengths of one Run.
 
     off : (n,), rows : (n, p) of the model
     common : (n,) standard uncertainty of the length; noise : (n,) variance of the
@@ -124,7 +124,7 @@ class _Told:
         noise_mm = run.tracker.sigma_mm(distance_mm.ravel()).reshape(-1, 2, 2)
         square = (noise_mm[..., 0] * cosine) ** 2
         square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
-        # Before or after the measurement, whose mean scale the estimate has.
+        # Before or after the measurement, which determines the mean scale.
         drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
         return _Told(
             measured / length - 1.0,
@@ -140,7 +140,7 @@ def _trace_errors(
     run: RunEstimate,
     model: MachineModel,
 ) -> Float64[np.ndarray, "n p"]:
-    """Return what errors of the tracker add to distances of ends, in mm."""
+    """Effect of tracker errors on distances between ends, mm per parameter."""
     rows = np.zeros((len(ends_mm), model.size))
     if run.rotation is None:
         return rows
@@ -173,6 +173,5 @@ def _trace_errors(
 def _find_common(
     off: Float64[np.ndarray, " n"], covariance: Float64[np.ndarray, "n n"]
 ) -> tuple[float, float]:
-    """Return what all have in common, by least squares, and its uncertainty."""
     weight = np.linalg.solve(covariance, np.ones(len(off)))
     return float(weight @ off / weight.sum()), float(weight.sum() ** -0.5)

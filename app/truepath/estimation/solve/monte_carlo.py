@@ -1,19 +1,19 @@
-"""Trials of the measurement: what it could have been, solved again (GUM Supplement 1).
+"""Simulated repetitions of the measurement, solved again (GUM Supplement 1).
 
-A trial draws white and Ornstein–Uhlenbeck noise of every cell, jitter along the travel,
-how strongly the prior charges each error motion, the shapes that only the prior knows,
-and what error motions do between knots that are far. It solves again, and keeps what
-the outputs do. The noise is made from its description alone, cell by cell in time, and
-not by the algebra that weighs it; precisions act in full, where the linear law takes
-them to second order: so trials and linear law can contradict each other.
+A trial samples white and Ornstein–Uhlenbeck noise of every cell, jitter along the
+travel, the precision of each error motion's prior, the shapes that only the prior
+knows, and error motions between coarse knots. It solves again, and records the outputs.
+The noise is made from its description alone, cell by cell in time, and not by the
+algebra that weights it; precisions act in full, where the linear law takes them to
+second order: so trials and linear law can contradict each other.
 
 With H = D + Σ λₖKₖ, D the data's information on the machine's parameters, a trial is
 
     d = H(λ)⁻¹ (Qᵀε + Σ √(λₖKₖ) z − Σ (λₖ − λ̂ₖ) Kₖ θ̂),  θ = θ̂ + d:
 
-a draw of the posterior where noise and prior are what they are said to be.
+a sample of the posterior if noise and prior are as specified.
 
-Every block of trials has a seed of its own: the answer depends neither on how many
+Every block of trials has a separate seed: the answer depends neither on how many
 workers share the blocks nor on where they are.
 """
 
@@ -46,7 +46,7 @@ _SAME_PRECISION = 10  # trials that share a draw of precisions, and so one facto
 
 @dataclass(frozen=True, slots=True)
 class PriorBlock:
-    """What the prior charges one error motion, or knows of effects together.
+    """Prior of one error motion, or of known effects together.
 
     precision : (k, k) λ̂K of its parameters; root : (k, k) with root rootᵀ = precision
     log_sigma : standard deviation of log λ
@@ -59,13 +59,13 @@ class PriorBlock:
 
     @property
     def part(self) -> slice:
-        """Where its parameters are."""
+        """Slice of its parameters."""
         return slice(self.first, self.first + len(self.precision))
 
 
 @dataclass(frozen=True, slots=True)
 class TrialRun:
-    """What trials need of one Run.
+    """Inputs of trials from one Run.
 
     travel : (n, 3) its direction in the beam frame; weighted : (n, 3, m), Q
     """
@@ -78,10 +78,10 @@ class TrialRun:
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Everything that a block of trials needs; may be sent to another process.
+    """All inputs of a block of trials; may be sent to another process.
 
     data : (m, m), D; theta : (m,), θ̂; outputs : (o, m)
-    hidden_sigma : (m,) of what error motions do between knots that are far
+    hidden_sigma : (m,) of error motions between coarse knots
     """
 
     runs: tuple[TrialRun, ...]
@@ -97,7 +97,7 @@ class Trials:
 def prepare_trials(
     fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan
 ) -> Trials:
-    """Return the trials of an estimate.
+    """Inputs of the trials of an estimate.
 
     outputs : (o, m), linear outputs of the machine's parameters
     """
@@ -125,19 +125,19 @@ def _trial_run(run: RunInformation) -> TrialRun:
 
 
 def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
-    """Return V⁻¹A of machine and pose, less what the timing of the lines takes up."""
+    """V⁻¹A of machine and pose, timing of the lines taken out."""
     V = design.whiten(noise)
     timing, weighted = design.fit_timing(V, design.columns)
     return V.apply(design.columns) - weighted @ timing
 
 
 def run_block(trials: Trials, number: int) -> TrialBlock:
-    """Draw one block of trials: how far each output moves from its estimate."""
+    """Summary of one block of trials: deviations of each output from its estimate."""
     return summarise(draw_outputs(trials, number, BLOCK), trials.interval)
 
 
 def draw_outputs(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]:
-    """Return how far the outputs move in the first trials of a block."""
+    """Deviations of the outputs in the first `count` trials of a block."""
     seed = np.random.SeedSequence(trials.seed, spawn_key=(number,))
     rng = np.random.default_rng(seed)
     parts = [_draw_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
@@ -202,7 +202,6 @@ def _draw_white(
 
 
 def _draw_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
-    """Draw the Ornstein–Uhlenbeck noise step by step, from cell to cell."""
     _, sigma = split_sigma_mm(run.observations, run.noise)
     step = np.diff(run.observations.at.time_s, prepend=-np.inf)
     keep = np.exp(-step / run.noise.ou_time_s)

@@ -1,4 +1,4 @@
-"""What an estimate says of one Run: noise, pose, seats of targets, and what is left."""
+"""The part of an estimate on one Run: noise, pose, seats of targets, residuals."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from truepath.numerics.rigid import RigidTransform
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """What the model leaves of the cells.
+    """Residuals of the cells of one Run.
 
     residual_mm : (n, 3) measured minus modelled, along beam, azimuth, elevation; only
-        what is across the travel, where only that counts
+        the part across the travel, where only that counts
     across_mm : (n,) size of the residual across the travel
     row : (n,) row of the path or points; position_mm : (n, axes)
-    rms_mm : over all; floor_mm : what the noise alone would leave
+    rms_mm : over all; floor_mm : expected from noise alone
     """
 
     residual_mm: Float64[np.ndarray, "n 3"]
@@ -40,9 +40,9 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True)
 class SeatEstimate:
-    """How far a target sits off where the machine file states it, in mm.
+    """Offset of a target from its position in the machine file, mm.
 
-    On the tool: against the first target there, for which the errors are stated.
+    On the tool: against the first target there, to which the errors refer.
     """
 
     target: Target
@@ -52,14 +52,14 @@ class SeatEstimate:
 
 @dataclass(frozen=True, slots=True)
 class RunEstimate:
-    """What belongs to one Run of an estimate.
+    """The part of an estimate that belongs to one Run.
 
     pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
         about `centre_mm`
-    tracker : as the Run's own machine file states it
+    tracker : as in the Run's machine file
     distance_mm : mean distance of the measured points from the tracker
     measured_rows : lines of the path, or points, that it has data of
-    seats : of its targets, those that are a matter of the pose left out
+    seats : of its targets, without those that the pose absorbs
     rotation, set_up : of the tracker, as recorded
     """
 
@@ -86,12 +86,12 @@ class RunEstimate:
 
     @property
     def lines(self) -> int:
-        """How many lines or points it has data of."""
+        """Number of lines or points with data."""
         return len(self.measured_rows)
 
 
 def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
-    """Return what belongs to one Run. machine : what all of them tell."""
+    """Pose, seats and residuals of one Run. machine : posterior from all Runs"""
     theta, pose_covariance = run.own.restore(machine)
     observations, residuals = run.observations, compute_residuals(run, theta)
     recorded = observations.at.recorded
@@ -114,7 +114,7 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
 
 
 def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimate]:
-    """Yield how its targets sit: what was found before lines were cut, and the rest."""
+    """Total of the shift found before lines were cut, and the remainder."""
     at, model = run.observations.at, run.linearisation.machine_model
     for effect in model.effects:
         if isinstance(effect, TargetSeat) and effect.run == at.run:
@@ -131,7 +131,7 @@ def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimat
 def compute_residuals(
     run: RunInformation, theta: Float64[np.ndarray, " p"]
 ) -> Residuals:
-    """Return what errors of the machine and pose leave of the cells."""
+    """Residuals from all parameters of machine and pose, timing at its best fit."""
     parts = [
         (_fit_lines(design, run.noise), design.travel)
         for design in run.linearisation.split(run.observations, theta)
@@ -151,7 +151,6 @@ def compute_residuals(
 
 
 def _fit_lines(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3"]:
-    """Return the residual, the timing of each line at its best."""
     rest = design.residual[:, :, None]
     timing, _ = design.fit_timing(design.whiten(noise), rest)
     return (rest - design.timing @ timing)[:, :, 0]

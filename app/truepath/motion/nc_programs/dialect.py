@@ -19,11 +19,11 @@ class ProgramRow:
     """One motion: to a row of the path, or on the way to the first.
 
     number : of the row, from 1; 0 on the way to the first
-    axes, position : that the block states, rounded to what is printed, mm and deg
+    axes, position : in the block, rounded as printed, mm and deg
     rotary_only : only rotary axes move
     feed : of the linear axes, mm/min; of the rotary axes, deg/min, where only they move
     path_feed : of all axes together, a degree counted as a millimetre
-    target_change : what the operator does before the motion, empty for nothing
+    target_change : action of the operator before the motion, empty for nothing
     """
 
     number: int
@@ -37,7 +37,7 @@ class ProgramRow:
 
     @property
     def label(self) -> str:
-        """What the comment of the block says."""
+        """Comment of the block."""
         return f"ROW {self.number}" if self.number else "APPROACH"
 
 
@@ -82,7 +82,7 @@ class Dialect(ABC):
     frame: ClassVar[str]
 
     def program_name(self, wanted: str, checksum: str) -> str:
-        """Return a name that the control accepts: the wanted one unless overridden.
+        """A name that the control accepts: the wanted one unless overridden.
 
         wanted : in letters, digits and underscores, at most 16, a letter first
         checksum : of the path, as `compute_checksum`
@@ -91,11 +91,11 @@ class Dialect(ABC):
 
     @abstractmethod
     def write(self, content: ProgramContent) -> str:
-        """Return the program in ASCII, every line ended by a line feed."""
+        """The program in ASCII, every line ended by a line feed."""
 
     @abstractmethod
     def read(self, text: str) -> ProgrammedMotion:
-        """Return the motion of the control. Raises PlanningError naming the line.
+        """The motion of the control. Raises PlanningError naming the line.
 
         A motion that is not in machine coordinates is an error, and so is one that
         depends on a mode that this program did not set.
@@ -126,7 +126,7 @@ class BlockForms:
         content: ProgramContent,
         write_before: Callable[[ProgramRow], Iterable[str]] = _write_nothing,
     ) -> Iterator[str]:
-        """Yield the blocks of all rows, with the stops at which the operator acts.
+        """Blocks of all rows, with the stops at which the operator acts.
 
         write_before : blocks before the motion of a row
         """
@@ -149,5 +149,5 @@ class BlockForms:
 
 
 def number_blocks(blocks: Iterable[str]) -> Iterator[str]:
-    """Yield blocks of G-code with their numbers, from 1."""
+    """G-code block numbers, from 1."""
     return (f"N{number} {block}" for number, block in enumerate(blocks, 1))

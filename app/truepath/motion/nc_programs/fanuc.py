@@ -2,15 +2,16 @@
 
 Every number of a position, feed or dwell has a decimal point: without one a control of
 this make counts in its least increment, so that `X10` is 0.010 mm. Three decimals are
-what increment system IS-B takes. `G53` moves at rapid traverse only, so positions are
-in `G54`, and the control itself checks before it moves that no work offset is in the
-way: it compares the machine position (#5021 …) of each axis with the work position
-(#5041 …) and raises an alarm where they differ; this takes custom macro B. `G61` stops
-exactly. `G5.1 Q0` switches AI contour control off; a control without that option skips
-the block by its switch for `/`. F is the feed of all axes together, a degree counted as
-a millimetre.
-Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61;
-feed per minute with rotary axes; system variables of the current position).
+the resolution of increment system IS-B. `G53` moves at rapid traverse only, so
+positions are in `G54`, and the control itself checks before it moves that no work
+offset is in the way: it compares the machine position (#5021 …) of each axis with the
+work position (#5041 …) and raises an alarm where they differ; this takes custom macro
+B. `G61` stops exactly. `G5.1 Q0` switches AI contour control off; a control without
+that option skips the block by its switch for `/`. F is the feed of all axes together, a
+degree counted as a millimetre.
+
+Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61; feed
+per minute with rotary axes; system variables of the current position).
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ class Fanuc(Dialect):
     frame = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
 
     def program_name(self, wanted: str, checksum: str) -> str:
-        """Return an O-number from the checksum: other paths have other numbers."""
+        """An O-number from the checksum: other paths have other numbers."""
         return f"O{1 + int(checksum, 16) % _LARGEST_NUMBER:04d}"
 
     def write(self, content: ProgramContent) -> str:
-        """Return the program from `%` to `%`."""
+        """From `%` to `%`, with a guard against work offsets before row 1."""
         check_way, stop, *rows = _FORMS.write_rows(content)
         guards = [_write_guard(*axis) for axis in enumerate(content.axes)]
         head = ["%", f"{content.name} (TRUEPATH)", *(f"({s})" for s in content.header)]
@@ -66,7 +67,7 @@ class Fanuc(Dialect):
         return "\n".join([*head, *number_blocks(blocks), "%", ""])
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return the motion of the control."""
+        """Requires the guards on all axes that move."""
         lines = text.rstrip().split("\n")
         if len(lines) < 3 or lines[0].strip() != "%" or lines[-1].strip() != "%":
             raise line_error(1, "a program stands between two lines of %")
@@ -81,7 +82,6 @@ class Fanuc(Dialect):
 
 
 def _write_guard(index: int, name: str) -> str:
-    """Return the alarm where work and machine position of an axis differ."""
     machine, work = _MACHINE + index, _WORK + index
     return (
         f"IF [ABS[#{machine}-#{work}] GT 0.001] "
@@ -135,7 +135,7 @@ class _Reader(GCodeReader):
         )
 
     def read_end(self, word: Word) -> float:
-        """Return a length; without a decimal point it counts least increments."""
+        """Without a decimal point it counts least increments."""
         return word.value * (1.0 if "." in word.digits else _INCREMENT)
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:

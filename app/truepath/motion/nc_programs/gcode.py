@@ -1,4 +1,4 @@
-"""What the readers of G-code (ISO 6983) share: words, modal groups, motions."""
+"""Common parts of the readers of G-code (ISO 6983): words, modal groups, motions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Word:
 
     @property
     def value(self) -> float:
-        """The number."""
+        """The number without regard to a missing decimal point."""
         return float(self.digits)
 
     @property
@@ -40,7 +40,7 @@ class Word:
 
 
 def split_words(line: int, text: str) -> list[Word]:
-    """Split a block without comments into its words."""
+    """Words of a block without comments. Raises PlanningError at unreadable text."""
     words: list[Word] = []
     at = 0
     block = text.strip().upper()
@@ -56,13 +56,13 @@ def split_words(line: int, text: str) -> list[Word]:
 class GCodeReader:
     """Runs a program block by block.
 
-    groups : modal groups; no code is active until the program states it
+    groups : modal groups; no code is active until the program sets it
     path_modes : codes of one more group, which no motion needs, the exact stop first
-    frame : codes that make a position one of the machine, the usual first; each motion
-        needs one of them, unless there are none
+    frame : codes that make a position one of the machine, the default first; each
+        motion needs one of them, unless there are none
     passive : codes that change no mode
     dwell_letter : of the seconds of a dwell
-    end : the code that ends the program, where it may stand in any block
+    end : the code that ends the program, where it may be in any block
     modal, keywords : letters and words of codes
     """
 
@@ -102,19 +102,19 @@ class GCodeReader:
             self.control.move(line, ends, self.feed, exact_stop=exact_stop)
 
     def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
-        """Take the word of a dwell from the words of its block."""
+        """Removes the word of a dwell from its block; s, −1 without one."""
         word = words.pop(self.dwell_letter, None)
         return -1.0 if word is None else word.value
 
     def read_end(self, word: Word) -> float:
-        """Return the position that an axis word states, mm or deg."""
+        """Position in an axis word, mm or deg."""
         return word.value
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
-        """Refuse a motion that this control does not drive as the path says."""
+        """Hook: reject motions that this control would execute differently."""
 
     def apply_codes(self, line: int, codes: set[str]) -> None:
-        """Stop, end or change modes, as the codes of a block say."""
+        """Stop, end or change modes by the codes of a block."""
         for code in codes.difference(self.passive, self.frame):
             if code == self.end:
                 self.ended = True
@@ -126,7 +126,7 @@ class GCodeReader:
                 raise line_error(line, f"{code} has no place in a measuring path")
 
     def check_motion(self, line: int, codes: set[str]) -> None:
-        """Refuse a motion that is not straight, or in another frame or mode."""
+        """Reject a motion that is not straight, or in another frame or mode."""
         if "G1" not in codes:
             raise line_error(line, "a motion without G1")
         if self.frame and codes.isdisjoint(self.frame):
@@ -141,13 +141,13 @@ class GCodeReader:
                 )
 
     def finish(self) -> ProgrammedMotion:
-        """Return what was driven. Raises PlanningError if the program has no end."""
+        """The whole motion. Raises PlanningError if the program has no end."""
         if not self.ended:
             raise line_error(0, f"it has no {self.end} at its end")
         return self.control.finish()
 
 
 def find_name(text: str, comment: re.Pattern[str]) -> str:
-    """Return the name that a comment of the program states, empty without one."""
+    """Program name from a comment, empty without one."""
     stated = comment.search(text)
     return stated.group(1) if stated else ""

@@ -1,11 +1,12 @@
 """Heidenhain TNC, Klartext.
 
-`M91` holds in its block: positions count from the machine datum, and the tool's length
-is left out; `R0` leaves its radius out. A TNC has no exact-stop mode, and it smooths
+`M91` holds in its block: positions count from the machine datum, without the tool's
+length; `R0` disables its radius. A TNC has no exact-stop mode, and it smooths
 transitions between lines, so each row has a dwell (cycle 9), a short one where the path
-has none: a dwell makes the axes stand. Cycle 32 bounds the smoothing; without a value
-it is again that of the machine. Rotary axes move at deg/min; on a line with both
-kinds a degree counts as a millimetre.
+has none: a dwell makes the axes stop. Cycle 32 bounds the smoothing; without a value it
+is again that of the machine. Rotary axes move at deg/min; on a line with both kinds a
+degree counts as a millimetre.
+
 Source: iTNC 530 and TNC 640 user's manuals (M91; cycles 9 and 32; M116 for the feed).
 """
 
@@ -42,7 +43,7 @@ class Heidenhain(Dialect):
     frame = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
 
     def write(self, content: ProgramContent) -> str:
-        """Return the program; blocks are numbered without a gap."""
+        """Blocks are numbered without a gap."""
         blocks = [
             f"BEGIN PGM {content.name} MM",
             *(f"; {line}" for line in content.header),
@@ -55,7 +56,7 @@ class Heidenhain(Dialect):
         return "".join(f"{number} {block}\n" for number, block in enumerate(blocks))
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return the motion of the control."""
+        """Raises PlanningError at a gap in the block numbers."""
         return _Reader(text).finish()
 
 

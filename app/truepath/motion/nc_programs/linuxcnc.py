@@ -1,4 +1,4 @@
-"""LinuxCNC (RS-274/NGC); `drivers.interfaces.rs274` says how it drives."""
+"""LinuxCNC (RS-274/NGC); its motion rules are in `drivers.interfaces.rs274`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class LinuxCnc(Dialect):
     frame = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
 
     def write(self, content: ProgramContent) -> str:
-        """Return the program; its name is that of its file and stands in a comment."""
+        """The program's name is that of its file and in a comment."""
         lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
         rows = _FORMS.write_rows(content)
         blocks = [_KEEP_MODES, *rs274.SAFE_START, *rows, _RESTORE_MODES, rs274.END]
         return "\n".join([*lines, *number_blocks(blocks), ""])
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return the motion of the control."""
+        """Blocks after the end of the program are ignored."""
         reader = _Reader(text, find_name(text, _NAME))
         for number, line in enumerate(text.splitlines(), 1):
             if not reader.ended:

@@ -1,4 +1,4 @@
-"""What a program makes the axes do: a simulated control runs it row by row."""
+"""Axis motion of a program: a simulated control runs it row by row."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DIGITS = 12  # of a checksum: short enough to compare by eye
 
 @dataclass(frozen=True, slots=True)
 class ApproachMotion:
-    """A motion of the axes that it names, on the way to the first row."""
+    """A motion of the named axes only, on the way to the first row."""
 
     ends: Mapping[str, float]
     feed_mm_min: float
@@ -34,16 +34,16 @@ class ApproachMotion:
 
 @dataclass(frozen=True, slots=True)
 class ProgrammedMotion:
-    """Straight motions of a program, as a control would drive them.
+    """Straight motions of a program, as a control would execute them.
 
     name : of the program, as the control lists it
     position : (n, axes) ends of the motions in machine coordinates, mm and deg
     feed_mm_min : (n,) of the linear axes; deg/min where rotary axes move alone
-    dwell_s : (n,) standing after each motion
-    exact_stop : (n,) whether the axes come to a stand at the end of the motion
-    row : (n,) row of the path, from 1; 0 where the program states none
-    stated_checksum : of the path that the program was made from, empty if unstated
-    approach : motions before the first row that is stated
+    dwell_s : (n,) after each motion
+    exact_stop : (n,) True if the axes stop at the end of the motion
+    row : (n,) row of the path, from 1; 0 where the program gives none
+    stated_checksum : of the original path, empty if not given
+    approach : motions before the first numbered row
     """
 
     name: str
@@ -71,10 +71,10 @@ class ProgrammedMotion:
 
 
 def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) -> str:
-    """Return twelve hexadecimal digits of positions, to 0.1 µm, in order.
+    """Twelve hexadecimal digits of positions, to 0.1 µm, in order.
 
-    Feeds and dwells do not count: the analysis does not use them, and an operator
-    may change them at the control.
+    Feeds and dwells do not count: the analysis does not use them, and an operator may
+    change them at the control.
     """
     rows = [",".join(f"{v:.4f}" for v in row) for row in np.round(position, 4) + 0.0]
     text = "\n".join([",".join(axes), *rows])
@@ -84,7 +84,7 @@ def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) 
 class SimulatedControl:
     """Records motions and dwells in order. The first row names every axis.
 
-    The comment of a motion states its row. Where some do, motions before the first of
+    The comment of a motion gives its row. Where some do, motions before the first of
     them are the approach.
 
     counts_degrees : the rule of the control for the feed of all axes together
@@ -116,7 +116,7 @@ class SimulatedControl:
         *,
         exact_stop: bool,
     ) -> None:
-        """Drive to `words`; axes that are not named stand still."""
+        """Move to `words`; axes that are not named stay. Raises PlanningError."""
         if feed is None or not feed > 0:
             raise line_error(line, "a motion without a feed; state F")
         self._here |= words
@@ -153,7 +153,7 @@ class SimulatedControl:
             self._exact[-1] = True
 
     def finish(self) -> ProgrammedMotion:
-        """Return what was driven. Raises PlanningError if no axis moved."""
+        """The recorded motion. Raises PlanningError if no axis moved."""
         if not self._rows:
             raise PlanningError("the program moves no axis")
         return ProgrammedMotion(
@@ -169,14 +169,13 @@ class SimulatedControl:
         )
 
     def moves_rotary_only(self, words: Mapping[str, float]) -> bool:
-        """Return whether a motion to `words` leaves every linear axis in place."""
+        """True if a motion to `words` leaves every linear axis in place."""
         moving = {n for n, v in words.items() if self._here.get(n) != v}
         return bool(moving) and not any(n in _LINEAR for n in moving)
 
     def _divide_linear_by_whole(
         self, before: tuple[float, ...] | None, end: tuple[float, ...]
     ) -> float:
-        """Return the share of the linear axes in the stated feed."""
         if before is None or not self._counts_degrees:
             return 1.0
         step = [(n, b - a) for n, a, b in zip(self._axes, before, end, strict=True)]
@@ -186,5 +185,5 @@ class SimulatedControl:
 
 
 def line_error(line: int, problem: str) -> PlanningError:
-    """Return the error for a line of a program, counted from 1."""
+    """Lines of a program count from 1; 0 for the whole program."""
     return PlanningError(f"line {line} of the program: {problem}")

@@ -1,4 +1,4 @@
-"""A path or points as a control's program, and back."""
+"""Conversion of a path or points to a control's program, and back."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 
 def list_dialects() -> tuple[str, ...]:
-    """Return the controls that programs can be written for."""
+    """Names of the installed dialects, third parties' included."""
     return tuple(name_controls())
 
 
 def name_controls() -> dict[str, str]:
-    """Return the names of the controls for people, by dialect."""
+    """Display names of the controls, by dialect."""
     return gather(GROUP, lambda _, make: _require_text(make().control))
 
 
@@ -68,14 +68,14 @@ def write_program(
     *,
     feed_mm_min: float = DEFAULT_FEED_MM_MIN,
 ) -> str:
-    """Return the program of a path or of standstill points for a control.
+    """Program of a path or of standstill points, verified by reading it back.
 
     dialect : one of `list_dialects`
     name : of the program, adapted to the control; the machine's if empty
     feed_mm_min : between standstill points, which have no feed of their own
 
-    Before it is returned, the text is read back by the dialect's own reader and
-    compared with the path, row by row, and with the travel of the axes.
+    The text is read back by the dialect's own reader and compared with the path, row by
+    row, and with the travel of the axes.
 
     Raises OutOfTravel naming row, axis, value and remedy; PlanningError where a feed, a
     dwell or the number of rows is beyond the control; BadInput for an unknown dialect.
@@ -93,7 +93,7 @@ def write_program(
 
 
 def read_program(text: str, dialect: str) -> ProgrammedMotion:
-    """Return the motion of a control that runs a measuring program.
+    """Motion of a control that runs a measuring program.
 
     Raises PlanningError naming the line that a measuring path must not have: a position
     that is not in machine coordinates, a mode that was not set, a word unknown here.
@@ -102,7 +102,7 @@ def read_program(text: str, dialect: str) -> ProgrammedMotion:
 
 
 def name_file(text: str, dialect: str) -> str:
-    """Return the file name of a program on its control."""
+    """File name of a program on its control: program name and suffix."""
     kind = _load_dialect(dialect)
     name = f"{kind.read(text).name}{kind.suffix}"
     if PLAIN_NAME.fullmatch(name) is None:
@@ -202,7 +202,6 @@ def _compare(
 
 
 def _round_path(path: Path, kind: Dialect) -> Path:
-    """Return a path with positions, feeds and dwells as a program states them."""
     position = np.round(path.position, kind.decimals) + 0.0  # no negative zero
     dwell_s: Float64[np.ndarray, " n"] = np.maximum(path.dwell_s, kind.least_dwell_s)
     rounded = replace(path, position=position, dwell_s=np.round(dwell_s, 3))
@@ -235,10 +234,6 @@ def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
 def _write_header(
     kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
 ) -> tuple[str, ...]:
-    """Return what the operator needs to know, in lines that fit every screen.
-
-    planned : the path before it was rounded
-    """
     feeds = f"{path.feed_mm_min.min():.0f} TO {path.feed_mm_min.max():.0f} MM/MIN"
     minutes, seconds = divmod(round(travel_time_s(path, machine.motion)), 60)
     rounded = float(np.abs(path.position - planned.position).max())
@@ -265,7 +260,7 @@ def _write_header(
 def _list_approach(
     kind: Dialect, path: Path, machine: Machine
 ) -> tuple[ProgramRow, ...]:
-    """Return the motions to row 1, one axis each: to clearance, then to the row."""
+    """Motions to row 1, one axis each: to clearance, then to the row."""
     stated, rotary = machine.approach, {axis.name for axis in machine.rotary_axes}
     feed = min(stated.feed_mm_min, machine.motion.max_feed_mm_min)
     clearance = stated.clearance_mm
@@ -322,7 +317,6 @@ def _clean_comment(text: str) -> str:
 
 
 def _clean_name(text: str) -> str:
-    """Return a program name of letters, digits and underscores, a letter first."""
     kept = re.sub(r"[^A-Z0-9]+", "_", text.upper()).strip("_")
     # Two letters first: a Siemens control takes no other names.
     named = kept if re.match(r"[A-Z]{2}", kept) else f"TP_{kept}"
@@ -332,7 +326,7 @@ def _clean_name(text: str) -> str:
 def _measure_lines(
     path: Path,
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Return the length of each line: of its linear part, and with degrees as mm."""
+    """Length of each line: of its linear part, and with degrees as mm."""
     linear = np.array([name in "XYZ" for name in path.axes])
     move = np.diff(path.position, axis=0)
     straight = np.linalg.norm(move[:, linear], axis=1)
@@ -340,9 +334,9 @@ def _measure_lines(
 
 
 def _divide_whole_by_straight(path: Path) -> Float64[np.ndarray, " n"]:
-    """Return the feed of all axes divided by that of the linear axes, a row each.
+    """Feed of all axes divided by that of the linear axes, for each row.
 
-    The way to the first row is not known: 1 there.
+    The motion to the first row is unknown: 1 there.
     """
     straight, whole = _measure_lines(path)
     share = np.where(straight > 0, whole / np.where(straight, straight, 1.0), 1.0)
@@ -365,7 +359,6 @@ def _format_number(value: Float64[np.ndarray, ""] | float) -> str:
 
 
 def _word_target_change(path: Path, index: int) -> str:
-    """Return the target to mount before a row if it differs from the row before."""
     if not path.target or index == 0 or path.target[index] == path.target[index - 1]:
         return ""
     return _clean_comment(

@@ -1,11 +1,12 @@
 """Siemens SINUMERIK 840D (powerline, sl, ONE).
 
 `SUPA` suppresses every frame in its block, so positions are machine coordinates
-whatever work offset is set; `D0` takes the tool away. `G60 G601` stops exactly, in the
-fine window, and `COMPOF` joins no lines; after the last row `G64` is set, and `M30`
-sets what the machine begins with. `FGROUP` says whose feed F is: of the linear axes, or
-of the rotary axes where they turn alone; a degree counts as a millimetre (`FGREF` as it
-is by default).
+whatever work offset is set; `D0` deselects the tool. `G60 G601` stops exactly, in the
+fine window, and `COMPOF` switches off the block compressor; after the last row `G64` is
+set, and `M30` restores the machine's initial modes. `FGROUP` selects the axes of the
+feed F: the linear axes, or the rotary axes where they turn alone; a degree counts as a
+millimetre (`FGREF` at its default).
+
 Source: SINUMERIK 840D sl programming manual, fundamentals (frames; feed control).
 """
 
@@ -53,12 +54,12 @@ class Siemens(Dialect):
     frame = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
 
     def write(self, content: ProgramContent) -> str:
-        """Return the program; its name is that of its file and stands in a comment."""
+        """The program's name is that of its file and in a comment."""
         header = [f"; {s}" for s in (f"PROGRAM {content.name}", *content.header)]
         return "\n".join([*header, *number_blocks(_write_blocks(content)), ""])
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return the motion of the control."""
+        """Raises PlanningError at a block after M30."""
         reader = _Reader(text, find_name(text, _NAME))
         for number, line in enumerate(text.upper().splitlines(), 1):
             block = _MESSAGE.sub("", line).partition(";")[0].strip()
@@ -123,7 +124,6 @@ class _Reader(GCodeReader):
         super().read_block(line, block)
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
-        """Refuse a motion whose feed is that of axes that stand still."""
         has_linear = any(name in "XYZ" for name in self.feed_group)
         rotary_only = self.control.moves_rotary_only(ends)
         if not self.feed_group or rotary_only == has_linear:

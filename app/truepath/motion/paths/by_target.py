@@ -12,14 +12,14 @@ from truepath_drivers.interfaces.records import Path
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Rows of a path that measure one target, from a row of the whole path on."""
+    """Rows of one target, starting at `row` of the whole path."""
 
     row: int
     path: Path
 
 
 def cut_by_target(path: Path) -> list[Stretch]:
-    """Return the stretches; each begins at the row where the one before has ended."""
+    """Each stretch begins at the row where the one before has ended."""
     name = np.array(path.target or ("",) * len(path))
     changes = (np.flatnonzero(name[1:] != name[:-1]) + 1).tolist()
     bounds = [0, *changes, len(path)]

@@ -2,7 +2,7 @@
 
 In each plane of two linear axes one circle in both senses: half a turn and a little to
 run in, the turn that counts, and as much to run out. Straight lines through corners of
-the travel lead from one to the next; they tell where the tracker stands.
+the travel lead from one to the next; they determine the tracker's pose.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ TURN_DEG = 732.0  # 186 to run in, 360, 186 to run out
 FEED_MM_MIN = 3000.0
 DWELL_S = 1.0
 _RADIUS = 0.4  # of the shorter travel of a plane
-_MOST_ACCELERATION = 0.1  # of what the machine can
+_MOST_ACCELERATION = 0.1  # of the machine's limit
 _SMALLEST_MM = 10.0
 
 Row = Float64[np.ndarray, " a"]
 
 
 def make_circle_path(machine: Machine) -> Path:
-    """Return a path of a circle in each plane in which the tracker sees both axes move.
+    """A circle in each plane in which the tracker sees both axes move.
 
     Raises PlanningError where there is none.
     """
@@ -96,7 +96,7 @@ def _list_circle(
 
 
 def _feed(machine: Machine, radius_mm: float) -> float:
-    """Return the feed along a circle; on a straight line where the radius is 0."""
+    """Limited by the centripetal acceleration; a radius of 0 is a straight line."""
     limits = machine.motion
     feed = min(FEED_MM_MIN, limits.max_feed_mm_min)
     if radius_mm:

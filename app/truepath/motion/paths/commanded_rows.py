@@ -1,4 +1,4 @@
-"""What rows command, made and checked before anything moves."""
+"""Commanded rows, made and checked before anything moves."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def command_rows(
     *,
     is_path: bool,
 ) -> Commanded:
-    """Return what the machine will do, checked; PlanningError names the row.
+    """The checked path or points; PlanningError names the row.
 
-    feed_mm_min : of rows that state none
+    feed_mm_min : of rows that have none
     """
     axes, position = machine.axis_names, _positions(machine, rows)
     dwell_s = np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)

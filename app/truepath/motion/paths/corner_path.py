@@ -1,6 +1,6 @@
-"""The path of the 2023 paper, to compare with: lines between corners, and the middle.
+"""The path of the 2023 paper, for comparison: lines between corners, and the middle.
 
-Sanders (2023) drives face and space diagonals of the volume, and straight lines at the
+Sanders (2023) uses face and space diagonals of the volume, and straight lines at the
 start, middle and end of the axes. On lines from corner to corner all axes move in
 proportion, so positioning shapes that they share displace the target along the line
 only; lines along one axis do not show them across either.
@@ -34,10 +34,10 @@ _MIDDLE = np.array(
 
 
 def corner_path(machine: Machine, feed_mm_min: float, dwell_s: float) -> Path:
-    """Return all 28 lines between corners, then the three through the middle.
+    """All 28 lines between corners, then the three through the middle.
 
-    Rotary axes stand at 0, or at the near end of their travel. Seven lines meet in each
-    corner, an odd number, so some are driven twice.
+    Rotary axes are at 0, or at the near end of their travel. Seven lines meet in each
+    corner, an odd number, so some are repeated.
     """
     low, high = inner_travel(machine)
     unit = np.vstack([_tour(), _MIDDLE])
@@ -54,14 +54,13 @@ def corner_path(machine: Machine, feed_mm_min: float, dwell_s: float) -> Path:
 
 
 def _tour() -> Float64[np.ndarray, "s 3"]:
-    """Return corners of the unit cube in an order that drives all 28 lines."""
     left = set(combinations(range(8), 2))
     tour = [0]
     while left:
         here = tour[-1]
         ahead = [c for c in range(8) if tuple(sorted((here, c))) in left]
         if ahead:
-            # Where most lines are left to drive, so that the tour rarely gets stuck.
+            # To the corner with most lines left, so that the tour rarely gets stuck.
             corner = max(ahead, key=lambda c: sum(c in pair for pair in left))
         else:
             corner = min(left)[0]

@@ -1,4 +1,4 @@
-"""Standstill points when nobody has planned better ones.
+"""Standstill points used without a plan.
 
 They need no estimator and no time: the service makes them while it answers.
 """
@@ -23,13 +23,13 @@ _REPEATED = 4  # points, from the same side but the first: the pose of a rigid b
 
 
 def default_points(machine: Machine, *, count: int | None = None) -> Configurations:
-    """Return standstill points: the eight corners, the rest spread evenly inside.
+    """Standstill points: the eight corners, the rest spread evenly inside.
 
-    They stand in an order of short moves, and are always the same. Where there are
-    rotary axes, the points are spread over all axes and over the targets. Of several,
-    the first is measured again at the end, at its first points among others.
+    They are in an order of short moves, and are always the same. Where there are rotary
+    axes, the points are spread over all axes and over the targets. Of several, the
+    first is measured again at the end, partly at its first points.
 
-    count : 60 where it is left out, 180 with rotary axes
+    count : None for 60, or 180 with rotary axes
     """
     turning = bool(machine.rotary_axes)
     count = count or (POINTS_WITH_ROTARY_AXES if turning else DEFAULT_POINTS)
@@ -41,7 +41,7 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
         again = _REPEATED if len(names) > 1 else 0
         position = _turn_all_axes(machine, count, rng, again)
         if any(names):
-            # Half of the first target's points at the end: a knock in between shows.
+            # Half of the first target's points at the end: a shift in between shows.
             own = np.arange(count) * len(names) // count
             target = tuple(names[k] for k in np.roll(own, -np.sum(own == 0) // 2))
     else:
@@ -54,7 +54,7 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
 def _spread(
     machine: Machine, count: int, rng: np.random.Generator
 ) -> Float64[np.ndarray, "n a"]:
-    """Return corners, then a Latin hypercube: a point in each slice of each axis."""
+    """Corners, then a Latin hypercube: a point in each slice of each axis."""
     low, high = inner_travel(machine)
     inside = count - 8
     slices = np.stack([rng.permutation(inside) for _ in range(3)], axis=1)
@@ -69,10 +69,10 @@ def _spread(
 def _turn_all_axes(
     machine: Machine, count: int, rng: np.random.Generator, again: int
 ) -> Float64[np.ndarray, "n a"]:
-    """Return random points inside the travel, some first ones again at the end.
+    """Random points inside the travel, some first ones again at the end.
 
     From one to the next every rotary axis turns, so that a target on the table moves
-    and its standstills are told apart.
+    and its standstills are distinguishable.
     """
     low, high = inner_travel(machine)
     travel = min(axis.high - axis.low for axis in machine.rotary_axes)
@@ -89,5 +89,5 @@ def _turn_all_axes(
 
 
 def unit_corners() -> Float64[np.ndarray, "8 3"]:
-    """Return the corners of the unit cube."""
+    """X changes fastest."""
     return np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)

@@ -1,7 +1,7 @@
-"""Rows that are driven again: back along what was driven, and forth to where it ended.
+"""Repetition of rows: back along the executed path, and forth to where it ended.
 
-What was driven once is free to be driven again, wherever keep-out boxes are. Points are
-gone back to straight where that way is free.
+A motion executed once is free to be repeated, wherever keep-out boxes are. Points are
+returned to in a straight line where that is free.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from truepath_drivers.interfaces.records import Arc, Path
 _SAME = 1e-6  # mm or deg
 
 IsFree = Callable[[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]], bool]
-"""Tells whether a machine may go straight from one position to another."""
+"""True if a machine may go straight from one position to another."""
 
 
 def drive_again(
     driven: Commanded, first: int, is_free: IsFree | None = None
 ) -> Commanded:
-    """Return a part that measures the last rows again.
+    """A part that measures the last rows again.
 
     Points come in their order, or, where the straight way back is not free, back in
     turn and forth again.
 
-    driven : all rows so far, at the last of which the machine stands
+    driven : all rows so far, at the last of which the machine is
     first : row of the first line, or point, to be measured again
-    is_free : whether a straight way is free; where absent, all of them are
+    is_free : True if a straight way is free; None for all of them
     """
     again = select_rows(driven, slice(first, None))
     if not isinstance(driven, Path) or not isinstance(again, Path):
@@ -51,12 +51,12 @@ def drive_again(
 
 
 def drive_arcs_again(driven: Path, rows: Collection[int]) -> Path:
-    """Return a part that measures some arcs again, each of them whole.
+    """A part that measures some arcs again, each of them whole.
 
-    It goes back along what was driven, and forth to the last of them. Where it comes to
-    a position again, the way between is left out unless an arc of it is to be measured.
+    It goes back along the executed rows, and forth to the last of these arcs. Where it
+    returns to a position, the loop is dropped unless an arc of it is to be measured.
 
-    driven : all rows so far, at the last of which the machine stands
+    driven : all rows so far, at the last of which the machine is
     rows : of the arcs, counted in `driven`
     """
     first, last = min(rows), max(rows)
@@ -85,7 +85,6 @@ class _Step:
     is_back: bool = False
 
     def find_arc(self, driven: Path) -> Arc | None:
-        """Return the arc of the line, in the sense of the step."""
         arc = driven.arc[self.line]
         return _turn_back(arc) if self.is_back else arc
 
@@ -93,10 +92,7 @@ class _Step:
 def _leave_out_loops(
     driven: Path, steps: Iterable[_Step], wanted: Collection[int]
 ) -> list[_Step]:
-    """Return the steps without those that only lead back to a position.
-
-    wanted : lines that stay
-    """
+    """Drops steps that only lead back to a position. wanted : lines that stay"""
     kept: list[_Step] = []
     fixed = 0  # the last one that has to stay
     for step in steps:
@@ -110,7 +106,6 @@ def _leave_out_loops(
 
 
 def _find_place(driven: Path, steps: Sequence[_Step], step: _Step) -> int | None:
-    """Return which of the steps leads to the same position of the same target."""
     here = driven.position[step.place]
     for k, each in enumerate(steps):
         is_same = np.abs(driven.position[each.place] - here).max() < _SAME

@@ -1,4 +1,4 @@
-"""Feeds that a machine can drive, checked before there is anything to drive."""
+"""Feeds that a machine can reach, checked before motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LEAST_FEED_MM_MIN = 1.0
 
 
 def check_feeds(machine: Machine, feed_mm_min: Float64[np.ndarray, " n"]) -> None:
-    """Raise PlanningError for the first feed of the rows that cannot be driven."""
+    """Raise PlanningError for the first row with an impossible feed."""
     possible = _find_possible(machine, feed_mm_min)
     if not possible.all():
         row = int(np.argmin(possible))
@@ -21,7 +21,7 @@ def check_feeds(machine: Machine, feed_mm_min: Float64[np.ndarray, " n"]) -> Non
 
 
 def check_feed(machine: Machine, feed_mm_min: float | None) -> None:
-    """Raise PlanningError for a feed of the whole order that cannot be driven."""
+    """Raise PlanningError for an impossible feed of the whole request."""
     if feed_mm_min is None:
         return
     if not _find_possible(machine, np.array([feed_mm_min])).all():
@@ -36,7 +36,6 @@ def _find_possible(
 
 
 def _find_highest(machine: Machine) -> float:
-    """Return what the machine file states, else what any control reads, mm/min."""
     if "max_feed_mm_min" in machine.motion.assumed:
         return LARGEST_FEED_MM_MIN
     return machine.motion.max_feed_mm_min

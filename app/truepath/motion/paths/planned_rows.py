@@ -1,4 +1,4 @@
-"""The rows of a plan that are driven part by part, so that others can come between."""
+"""The rows of a plan, executed part by part, so that others can be inserted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from truepath.motion.paths.driven_again import IsFree, drive_again
 from truepath_drivers.interfaces.records import Path
 
 _PART = 2  # lines or points
-_FARTHEST = 6  # lines or points that are driven again
+_FARTHEST = 6  # lines or points that are repeated
 _OFTEN = 3  # times in a measurement: it has to end
 
 
@@ -21,12 +21,11 @@ def _is_always_free(*_: object) -> bool:
 
 
 class PlannedRows:
-    """A plan, driven from its first row on.
+    """A plan, executed from its first row on.
 
-    driven : rows so far, those driven again among them; total : lines or points in all
-    rows : these, then those of the plan that are left
-
-    is_free : tells it of the straight ways back to points that are driven again
+    driven : rows so far, repetitions included; total : lines or points in all
+    rows : these, then the remaining ones of the plan
+    is_free : for the straight ways back to points that are repeated
     """
 
     def __init__(self, plan: Commanded, is_free: IsFree = _is_always_free) -> None:
@@ -39,20 +38,20 @@ class PlannedRows:
 
     @property
     def rows(self) -> Commanded:
-        """All rows, as they are driven where nothing more is to be driven again."""
+        """All rows, if nothing more is repeated."""
         left = select_rows(self._plan, slice(self._next, None))
         return join_rows([self.driven, left])
 
     def repeat(self, first: int) -> None:
-        """Measure again from a row on, before anything else is driven.
+        """Measure again from a row on, before anything else.
 
-        What has been asked for often enough changes nothing.
+        Ignored after three repetitions.
         """
         if self._times < _OFTEN:
             self._first = first if self._first is None else min(self._first, first)
 
     def next(self) -> Commanded | None:
-        """Return what comes next, None after the last row."""
+        """The next part, None after the last row."""
         part = self._take_again() or self._take_planned()
         if part is not None:
             self.driven = append_part(self.driven, part)

@@ -1,4 +1,4 @@
-"""What the points of a verification lie on."""
+"""Kinds of verification points."""
 
 from __future__ import annotations
 

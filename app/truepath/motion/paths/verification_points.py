@@ -1,8 +1,8 @@
-"""Standstill points that prove a calibration: those that it has not measured.
+"""Standstill points that verify a calibration: points not used for it.
 
-Body and face diagonals (ISO 230-6), points drawn at random in the travel, axes driven
-alone to targets from both sides (ISO 230-2), and circles as polygons (ISO 230-4). What
-is drawn follows from a seed, so that a plan can be made again.
+Body and face diagonals (ISO 230-6), random points in the travel, axes moved alone to
+targets from both sides (ISO 230-2), and circles as polygons (ISO 230-4). Random numbers
+follow from a seed, so that a plan can be reproduced.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _FEWEST_TARGETS, _TARGETS_PER_M = 5, 5.0
 _OVERRUN = 0.02  # of the travel, beyond the outer targets
 _VERTICES = 24
 _RADIUS = 0.4  # of the shorter travel of a plane
-_DRAWS = 1_000  # until a place is taken for full
+_DRAWS = 1_000  # until the workspace counts as full
 _FORBIDDEN_MM = 1e9
 _ANYWHERE = Workspace()
 
@@ -45,11 +45,10 @@ def make_verification_rows(
     seed: int,
     workspace: Workspace = _ANYWHERE,
 ) -> Commanded:
-    """Return the points of the kinds, or the path of circles in motion.
+    """The points of the kinds, or the path of circles in motion.
 
-    workspace : which only random points keep to
-
-    Raises BadInput where a path is asked for together with points, PlanningError where
+    workspace : limits random points only
+    Raises BadInput where a path is requested together with points, PlanningError where
     the workspace leaves no room for random points.
     """
     if VerificationKind.CIRCLES_IN_MOTION not in kinds:
@@ -68,11 +67,11 @@ def make_verification_points(
     seed: int,
     workspace: Workspace = _ANYWHERE,
 ) -> Configurations:
-    """Return points of the kinds, one kind after another.
+    """Points of the kinds, one kind after another.
 
-    Rotary axes stand, but at random points. Of several targets the first that moves is
-    measured. Random points keep to the workspace, and their order to it as far as one
-    is found; all other points lie where their standard wants them.
+    Rotary axes are at rest, but at random points. Of several targets the first that
+    moves is measured. Random points are inside the workspace, and so is their order as
+    far as one is found; all other points are where their standard requires them.
 
     Raises PlanningError where the workspace leaves no room for random points.
     """
@@ -129,7 +128,6 @@ def _draw_points(
     high: Limits,
     rng: np.random.Generator,
 ) -> Rows:
-    """Return random points of all axes, in an order of short moves that are allowed."""
     points = np.empty((0, len(low)))
     for _ in range(_DRAWS):
         drawn = rng.uniform(low, high, (RANDOM_POINTS, len(low)))
@@ -154,10 +152,10 @@ def _draw_points(
 def _run_axes(
     machine: Machine, low: Limits, high: Limits, rng: np.random.Generator
 ) -> Rows:
-    """Return five runs of each linear axis alone, to and fro, beyond the outer targets.
+    """Five runs of each linear axis alone, to and fro, beyond the outer targets.
 
-    Targets are spread evenly and moved a little at random, so that no period of a screw
-    or scale hides between them.
+    Targets are spread evenly and shifted a little at random, so that no period of a
+    screw or scale hides between them.
     """
     n = len(machine.linear_axes)
     middle = 0.5 * (low[:n] + high[:n])
@@ -194,7 +192,6 @@ def _list_circles(
 
 
 def _pass(count: int, runs: int) -> list[int]:
-    """Return the order of so many places that are passed to and fro."""
     order = [0]
     for _ in range(runs):
         order += [*range(1, count), *range(count - 2, -1, -1)]

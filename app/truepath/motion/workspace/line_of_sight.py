@@ -1,9 +1,8 @@
 """Whether straight lines touch boxes, and the tracker sees its target on all of them.
 
-A straight line in axis positions is held against boxes, the triangle that the beam
-sweeps against what blocks it. That is exact where the box stands still or is carried by
-the tool; a box carried by another axis counts as larger by what it moves in a sixteenth
-of the line.
+A straight line in axis positions is compared with boxes, the triangle that the beam
+sweeps with obstacles. That is exact where the box is at rest or is carried by the tool;
+a box carried by another axis is enlarged by its motion in a sixteenth of the line.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ class Box:
     """A closed box.
 
     low_mm, high_mm : in X, Y, Z; name : for people
-    carried_by : axis whose carriage it moves with, or `base`, stated at the axis zeros;
-        where left out, it stands where the tracker stands
+    carried_by : axis whose carriage it moves with, or `base`, given at the axis zeros;
+        if empty, it is at rest relative to the tracker
     """
 
     low_mm: tuple[float, float, float]
@@ -36,7 +35,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Reflector:
-    """Where a reflector looks, in the frame of the tool, and how far to the side."""
+    """Direction of a reflector in the tool frame, and its acceptance angle."""
 
     direction: tuple[float, float, float]
     half_angle_deg: float
@@ -45,7 +44,7 @@ class Reflector:
 def angles_deg(
     reflector: Reflector, at: Conditions, tracker_mm: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the angles between where the reflector looks and the tracker."""
+    """Angles between the reflector's direction and the tracker."""
     frame = at.chain.tool_frame + at.chain.workpiece_frame
     looks = frame @ np.array(reflector.direction)
     beam = tracker_mm - at.point_mm
@@ -55,9 +54,9 @@ def angles_deg(
 
 
 def compute_share(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
-    """Return how far a body moves where the tracker stands, by the axes' positions.
+    """Displacement of a body in the tracker's frame, per unit of each axis.
 
-    carrier : axis whose carriage carries it, or `base`; it stands where left out
+    carrier : axis whose carriage carries it, or `base`; empty for a body at rest
     """
     before, after = machine.workpiece_side, machine.tool_side
     if carrier in before:
@@ -80,7 +79,7 @@ def compute_share(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
 def cross_box(
     begin: Float64[np.ndarray, "n 3"], end: Float64[np.ndarray, "n 3"], box: Box
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which segments touch a box: slabs, one coordinate after another."""
+    """Mask of the segments that touch a box: slabs, one coordinate after another."""
     low, high = np.array(box.low_mm), np.array(box.high_mm)
     step = end - begin
     still = step == 0.0
@@ -99,7 +98,7 @@ def measure_distances(
     begin: Float64[np.ndarray, "n 3"],
     end: Float64[np.ndarray, "n 3"],
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return the least and the largest distance of each segment from a place."""
+    """Least and largest distance of each segment from a point."""
     step, off = end - begin, place - begin
     square = np.maximum(np.einsum("ni,ni->n", step, step), 1e-12)
     share = np.clip(np.einsum("ni,ni->n", off, step) / square, 0.0, 1.0)
@@ -113,10 +112,10 @@ def touch_beam(
     target: tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]],
     box: Box,
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which beams touch a box on the way from begin to end, seen from the box.
+    """Mask of the beams that touch a box on the way, seen from the box.
 
-    Of tracker and target the one that moves less is taken to stand in the middle of its
-    way, and the box to be larger by half of that way.
+    Of tracker and target the one that moves less is taken as fixed in the middle of its
+    motion, and the box as larger by half of that motion.
     """
     ends = [np.stack(pair) for pair in (tracker, target)]
     ways = [np.linalg.norm(end[1] - end[0], axis=1) for end in ends]
@@ -139,10 +138,7 @@ def _triangle_touches(
     box: Box,
     margin_mm: Float64[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which triangles touch a box (separating axes, Akenine-Möller 2001).
-
-    margin_mm : by which the box is larger
-    """
+    """Separating axes, Akenine-Möller 2001. margin_mm : enlargement of the box"""
     low, high = np.array(box.low_mm), np.array(box.high_mm)
     half = (high - low) / 2.0
     corners = np.stack([a, b, c], axis=1) - (low + high) / 2.0

@@ -1,7 +1,7 @@
 """Keeps commanded positions inside the travel of the axes.
 
 Straight lines in axis positions never leave a box that holds both of their ends, so
-checking the rows checks the whole swept path; arcs are checked where they reach.
+checking the rows checks the whole swept path; arcs are checked at their extreme points.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Breach:
 
 
 def first_breach(machine: Machine, commanded: Commanded) -> Breach | None:
-    """Return the first row beyond the travel, or None. Every axis must be known."""
+    """The first row beyond the travel, or None. Every axis must be known."""
     by_name = {axis.name: axis for axis in machine.axes}
     axes = [by_name[name] for name in commanded.axes]
     low, high = np.array([(axis.low, axis.high) for axis in axes]).T
@@ -59,9 +59,9 @@ def first_breach(machine: Machine, commanded: Commanded) -> Breach | None:
 def inner_travel(
     machine: Machine,
 ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
-    """Return the travel of all axes less a margin at both ends, mm or deg.
+    """Travel of all axes less a margin at both ends, mm or deg.
 
-    It is rounded as rows are written. A full turn has no ends, and so no margin.
+    Rounded as rows are written. A full turn has no ends, and so no margin.
     """
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
@@ -76,9 +76,9 @@ def inner_travel(
 def add_resting_axes(
     machine: Machine, moved: Float64[np.ndarray, "n a"]
 ) -> Float64[np.ndarray, "n b"]:
-    """Return positions with columns for the last axes, which are not moved.
+    """Adds columns for the last axes, which do not move.
 
-    They stand at 0, or at the near end of their travel.
+    They are at 0, or at the near end of their travel.
     """
     resting = machine.axes[moved.shape[1] :]
     stand = [min(max(0.0, axis.low), axis.high) for axis in resting]
@@ -86,7 +86,7 @@ def add_resting_axes(
 
 
 def check_travel(machine: Machine, commanded: Commanded) -> None:
-    """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
+    """Raise OutOfTravel if a row is beyond the travel or moves an unknown axis.
 
     Rows are counted from 1. To be called before a plan reaches the machine.
     """

@@ -1,8 +1,8 @@
-"""Where the machine may go and what the tracker must see while it does.
+"""Where the machine may go, with the tracker's view of the target on the way.
 
-Keep-out boxes are stated in axis positions, like the protection zones of a control.
-Range and line of sight are those of the measured target where the tracker stands. All
-are checked over the whole swept line (`line_of_sight`).
+Keep-out boxes are in axis positions, like the protection zones of a control. Range and
+line of sight are those of the measured target in the tracker's frame. All are checked
+over the whole swept line (`line_of_sight`).
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ REPLAN = "plan other lines, or correct the workspace"
 
 @dataclass(frozen=True, slots=True)
 class StationAreas:
-    """Where the tracker may stand, in the frame that it stands on.
+    """Allowed stations of the tracker, in the frame that it is mounted on.
 
-    keep_out : boxes in which it must not stand
-    move_s : what another station costs
-    specification : of the tracker's systematic errors; None where it is not stated
+    keep_out : boxes without stations
+    move_s : time of a move to another station
+    specification : of the tracker's systematic errors; None if unknown
     """
 
     areas: tuple[Box, ...]
@@ -49,12 +49,12 @@ class StationAreas:
     specification: TrackerSpecification | None = None
 
     def find_specification(self, machine: Machine) -> TrackerSpecification:
-        """Return what the machine file states of the tracker, else this, else usual."""
+        """Specification of the machine file, else this one, else a typical one."""
         stated = machine.tracker.specification
         return stated or self.specification or machine.tracker.systematic
 
     def allow(self, place_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Tell at which places the tracker may stand."""
+        """Mask of the allowed stations."""
         inside = [cross_box(place_mm, place_mm, box) for box in self.areas]
         out = [cross_box(place_mm, place_mm, box) for box in self.keep_out]
         return np.any(inside, axis=0) & ~np.any([*out, np.zeros(len(place_mm))], axis=0)
@@ -62,14 +62,14 @@ class StationAreas:
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """What limits a plan beside the travel.
+    """Limits of a plan in addition to the travel.
 
     keep_out : boxes of axis positions X, Y, Z that no motion may touch
-    tracker_mm : place of the tracker in the frame that it stands on; None if unknown
+    tracker_mm : tracker's position in the frame that it is mounted on; None if unknown
     nearest_mm, farthest_mm : range of the tracker
     blocks_sight : boxes in the same frame that the beam must not touch
-    reflector : of the measured target; None where it looks everywhere
-    stations : where the tracker may stand; None where nobody has said so
+    reflector : of the measured target; None for one that accepts every direction
+    stations : allowed stations of the tracker; None if not given
     """
 
     keep_out: tuple[Box, ...] = ()
@@ -81,7 +81,7 @@ class Workspace:
     stations: StationAreas | None = None
 
     def place_tracker(self, place_mm: Float64[np.ndarray, "3"]) -> Workspace:
-        """Return it with the tracker at a place."""
+        """Sets the tracker's position."""
         x, y, z = (float(v) for v in place_mm)
         return replace(self, tracker_mm=(x, y, z))
 
@@ -91,7 +91,10 @@ class Workspace:
         begin: Float64[np.ndarray, "n a"],
         end: Float64[np.ndarray, "n a"],
     ) -> Bool[np.ndarray, " n"]:
-        """Tell which straight lines keep to it from begin to end. Linear axes only."""
+        """Mask of the straight lines inside the workspace from begin to end.
+
+        Linear axes only.
+        """
         ok = np.ones(len(begin), bool)
         for breaks, _ in self._check_rules(machine, begin, end):
             ok &= ~breaks
@@ -100,9 +103,9 @@ class Workspace:
     def refuse(
         self, machine: Machine, commanded: Commanded, remedy: str = REPLAN
     ) -> None:
-        """Raise PlanningError if a motion of the plan breaks it; names row and reason.
+        """Raise PlanningError if a motion is not allowed; names row and reason.
 
-        Rows are counted from 1; a single row is a place to stand at.
+        Rows are counted from 1; a single row is a standstill.
         """
         position, row = commanded.position, np.arange(len(commanded))
         if isinstance(commanded, Path):
@@ -123,14 +126,14 @@ class Workspace:
         name: str,
         remedy: str,
     ) -> None:
-        """Raise PlanningError if one straight motion breaks it; says which and why."""
+        """Raise PlanningError if a straight motion is not allowed, with reason."""
         for breaks, reason in self._check_rules(machine, begin[None], end[None]):
             if breaks[0]:
                 raise PlanningError(f"{name} {reason}; {remedy}")
 
     @property
     def without_sight(self) -> Workspace:
-        """Only what no motion may touch: the beam may be lost on the way."""
+        """Only the keep-out boxes: the beam may be lost on the way."""
         return replace(self, tracker_mm=None)
 
     def _check_rules(
@@ -182,7 +185,7 @@ class Workspace:
 
 
 def moves_where_seen(machine: Machine, target: Target) -> bool:
-    """Tell whether a target moves where the tracker stands."""
+    """True if a target moves relative to the tracker."""
     from_base = machine.tracker.stands_on == "base"
     if target.on == "workpiece":
         return from_base and bool(machine.workpiece_side)
@@ -190,7 +193,7 @@ def moves_where_seen(machine: Machine, target: Target) -> bool:
 
 
 def moving_targets(machine: Machine) -> tuple[Target, ...]:
-    """Return the targets that move where the tracker stands.
+    """Targets that move relative to the tracker, in the machine's order.
 
     Raises PlanningError if there is none.
     """
@@ -208,5 +211,4 @@ def _name_box(box: Box) -> str:
 
 
 def _observe(machine: Machine, position: Float64[np.ndarray, "n a"]) -> Conditions:
-    """Return conditions of the first target where the tracker stands."""
     return observe_targets(machine, position, [machine.target()])

@@ -1,4 +1,4 @@
-"""Which lines to drive, by what they determine per second.
+"""Which lines to measure, by their information per second.
 
 Not here: motion times (`motion`), the criterion (`numerics.design_criteria`).
 """

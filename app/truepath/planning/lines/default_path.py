@@ -1,10 +1,10 @@
-"""The path that is driven when nobody has planned a better one.
+"""The path used without a plan.
 
-It is the planner's, by legs instead of time: as many long lines as tell the machine
-well. Where there are rotary axes, lines go straight, turn, or do both, and every target
-that moves is measured in a block of lines of its own, the first one again at the end.
-What a target does not show is shown by another: tool targets tell the axes of the tool
-side and, seen from the workpiece, all others; targets on the table tell, seen from the
+It is the planner's, by legs instead of time: as many long lines as determine the
+machine well. Where there are rotary axes, lines go straight, turn, or do both, and
+every target that moves is measured in a separate block of lines, the first one again at
+the end. Targets complement each other: tool targets determine the axes of the tool side
+and, seen from the workpiece, all others; targets on the table determine, seen from the
 base, the axes that carry it.
 """
 
@@ -45,17 +45,16 @@ def default_path(
     lines: int | None = None,
     seed: int = 0,
 ) -> Path:
-    """Return a path of long lines through the travel, of all axes.
+    """A path of long lines through the travel, of all axes.
 
     Each line starts where the last one stopped. The same seed gives the same path. The
     feed is lower where a rotary axis would turn faster than FASTEST_DEG_MIN; where no
     linear axis moves it is in deg/min.
 
-    feed_mm_min : where left out the usual one, or the highest of the machine
-    lines : 22 where it is left out, 72 with rotary axes
-
-    Raises PlanningError if a feed or a number of lines cannot be driven, or if
-    no target moves where the tracker stands.
+    feed_mm_min : None for the default, or the highest of the machine
+    lines : None for 22, or 72 with rotary axes
+    Raises PlanningError if a feed or a number of lines is impossible, or if no target
+    moves where the tracker stands.
     """
     targets = moving_targets(machine) if machine.rotary_axes else machine.targets[:1]
     if lines is None:
@@ -66,7 +65,7 @@ def default_path(
         raise PlanningError(
             f"feed {feed_mm_min:g} mm/min, {lines} lines: both must be above 0"
         )
-    # Where stops were moved all axes would go on every line.
+    # If stops were moved, all axes would move on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
     shares = [

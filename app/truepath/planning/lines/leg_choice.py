@@ -1,4 +1,4 @@
-"""Stops whose legs tell most per second: greedy choice, then exchange.
+"""Stops whose legs have most information per second: greedy choice, then exchange.
 
 Each leg begins where the last one ended, so no time is lost on the way. The next stop
 is the one of many candidates whose leg lowers J most for the time it takes. A greedy
@@ -21,16 +21,16 @@ from truepath.motion.workspace.travel import DECIMALS
 from truepath.numerics.design_criteria import IntegratedVariance
 from truepath.planning.design_state import DesignState, inverse
 
-_MOVES = 24  # places that are judged for each stop, half of them near it
+_MOVES = 24  # positions evaluated for each stop, half of them near it
 _NEAR = 0.15  # of the travel
 _PINNED = 0.55  # share of coordinates at an end of their travel
-_FORBIDDEN_S = 1e6  # that a leg which is not allowed is taken to last
-_WORTH = 2e-3  # of J · T that a round of moves must bring
+_FORBIDDEN_S = 1e6  # assumed time of a leg that is not allowed
+_WORTH = 2e-3  # of J · T that a round of moves must gain
 
 
 @dataclass(frozen=True, slots=True)
 class SearchRegion:
-    """Where stops may lie: a box in axis positions, and legs that are allowed."""
+    """Allowed stops, a box in axis positions, and allowed legs."""
 
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
@@ -39,9 +39,9 @@ class SearchRegion:
 
 @dataclass(frozen=True, slots=True)
 class SearchEffort:
-    """How hard stops are searched.
+    """Effort of the search for stops.
 
-    candidates : ends that are judged for the next leg
+    candidates : ends evaluated for the next leg
     rounds : of moving stops after the greedy choice, at most
     """
 
@@ -51,9 +51,9 @@ class SearchEffort:
 
 @dataclass(frozen=True)
 class LegChoice:
-    """Chooses stops for a design; draws candidates from one seeded generator.
+    """Chooses stops for a design; samples candidates from one seeded generator.
 
-    feeds_mm_min : driven in turn, so that each has its share of the legs; or, where the
+    feeds_mm_min : used in turn, so that each has its share of the legs; or, where the
         choice is free, the first, and others where they lower J · T
     """
 
@@ -70,10 +70,9 @@ class LegChoice:
         budget_s: float,
         legs: int | None = None,
     ) -> Stops:
-        """Return stops whose legs take no longer than the budget.
+        """Stops whose legs take no longer than the budget.
 
         legs : at most
-
         Raises PlanningError if not even one allowed leg fits in.
         """
         first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
@@ -89,14 +88,13 @@ class LegChoice:
             if self.design.order_is_free:
                 stops = self._reorder(stops)
             stops = self._fill(stops, budget_s, legs)
-            # Legs that no longer fit are gone: what is left may tell less.
+            # Legs that no longer fit are gone: the rest may have less information.
             best = min(best, stops, key=self._predict_left)
             if gained < _WORTH:
                 break
         return best
 
     def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
-        """Return the stops with more of them while time is left, or with fewer."""
         times = self.design.drive.times_s(stops.legs)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.select(slice(fits + 1))
@@ -125,9 +123,9 @@ class LegChoice:
         tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
         | None
     ):
-        """Return end and feed of the leg that gains most a second, its rows and time.
+        """End and feed of the leg with most gain per second, its rows and time.
 
-        At the first feed at which there is one.
+        At the first feed that has an allowed leg.
         """
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
         known = IntegratedVariance(inverse(precision), self.design.gram)
@@ -148,7 +146,6 @@ class LegChoice:
         tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
         | None
     ):
-        """Return the best of some legs from here, None where none is allowed."""
         legs = _join_legs(here, ends, feed_mm_min)
         times = self.design.drive.times_s(legs)
         ok = (times <= left_s) & self.region.allows(legs)
@@ -160,9 +157,8 @@ class LegChoice:
         return ends[best], feed_mm_min, rows[best], float(times[best])
 
     def _exchange(self, stops: Stops) -> tuple[Stops, float]:
-        """Move each stop but the first to where J · T is least; tell the gain.
-
-        Where the choice is free, the feed towards it changes as well.
+        """Moves each stop but the first to where J · T is least; relative gain as
+        second value. Where the choice is free, the feed towards it changes as well.
         """
         total = self.design.precision + self._inform(stops)
         before = cost = self._cost(stops)
@@ -177,7 +173,6 @@ class LegChoice:
         total: Float64[np.ndarray, "p p"],
         cost: float,
     ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
-        """Return the stops with one moved, their information, and J · T."""
         old = stops.select(slice(k - 1, k + 2))
         others = total - self._inform(old)
         rest_s = self._duration_s(stops) - self._duration_s(old)
@@ -208,7 +203,6 @@ class LegChoice:
         return Stops(position, feed), total, float(costs[best])
 
     def _reorder(self, stops: Stops) -> Stops:
-        """Return the stops in an order of short moves, unless they tell less so."""
         n = len(stops)
         legs = Legs(
             np.repeat(stops.position, n, 0),
@@ -230,10 +224,6 @@ class LegChoice:
         places: Float64[np.ndarray, "n a"],
         feeds_mm_min: Float64[np.ndarray, " n"],
     ) -> list[Legs]:
-        """Return the legs before a stop, and those after it, for places of it.
-
-        feeds_mm_min : towards the stop
-        """
         position, feed = stops.position, stops.feed_mm_min
         found = [_join_legs(position[k - 1], places, feeds_mm_min)]
         if k + 1 < len(stops):
@@ -241,7 +231,6 @@ class LegChoice:
         return found
 
     def _draw_places(self, count: int) -> Float64[np.ndarray, "n a"]:
-        """Draw places on faces, edges and corners of the region, and inside it."""
         low, high = self.region.low, self.region.high
         share = self.rng.random((count, len(low)))
         pinned = self.rng.random(share.shape) < _PINNED
@@ -251,7 +240,6 @@ class LegChoice:
     def _places_for(
         self, here: Float64[np.ndarray, " a"], C: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n a"]:
-        """Return places near a stop and anywhere, and better ones where known."""
         low, high = self.region.low, self.region.high
         step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
         better = self.design.better_places(C, here)
@@ -259,11 +247,11 @@ class LegChoice:
         return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
 
     def _cost(self, stops: Stops) -> float:
-        """Return J · T."""
+        """J · T, mm² s."""
         return self._predict_left(stops) * self._duration_s(stops)
 
     def _predict_left(self, stops: Stops) -> float:
-        """Return J."""
+        """J, mm²."""
         return self.design.add(self._inform(stops)).integrated_variance
 
     def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
@@ -278,6 +266,5 @@ def _join_legs(
     end: Float64[np.ndarray, "*n a"],
     feed: float | Float64[np.ndarray, " n"],
 ) -> Legs:
-    """Return legs from one place to each of several, or from each to one."""
     begin, end = np.broadcast_arrays(begin, end)
     return Legs(begin, end, np.broadcast_to(np.float64(feed), len(begin)).copy())

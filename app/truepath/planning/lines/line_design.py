@@ -1,4 +1,4 @@
-"""Lines as legs: what is known of a machine, and what driving one would add."""
+"""Lines as legs: the information of a line that is measured in motion."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from truepath.planning.design_state import DesignState
 from truepath.planning.predicted_cells import find_slopes_mm
 from truepath_drivers.interfaces.records import Path
 
-_STEADY = 10  # places along a line: error motions of few knots bend less often
+_STEADY = 10  # positions along a line: error motions of few knots bend less often
 _MIDDLES = (np.arange(_STEADY) + 0.5) / _STEADY - 0.5  # of the steady part
-# The mean place on a ramp and what settles after it, in shares of its length, and how
+# The mean position on a ramp and settling after it, in shares of its length, and how
 # fast the machine is there.
 _ON_RAMP, _PACE = 0.35, 0.7
 _PLACES = _STEADY + 3  # two ramps, and the standstill at the end
@@ -28,15 +28,16 @@ _LEAST_S, _SAMPLES = 0.1, 30  # at a steady feed: less is not taken for a line
 
 @dataclass(frozen=True)
 class LineDesignState(DesignState):
-    """What is known so far; a line is measured while the machine drives it.
+    """Present information; a line is measured while the machine moves.
 
     Along the travel a phase and a speed of its steady part are unknown, as no clock is
     shared, and are projected out; on ramps, and where only deviations across the path
-    are used, that direction tells nothing. The standstill at its end tells all three.
+    are used, that direction has no information. The standstill at its end has all
+    three.
     """
 
     def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
-        """Return rows H of each line with HᵀH its information, timing left out."""
+        """Rows H of each line with HᵀH its information, timing projected out."""
         n, step = len(legs), np.repeat(legs.step, _PLACES, axis=0)
         lost, seconds = self.drive.steady(legs)
         on_ramp = _ON_RAMP * lost[:, None]
@@ -63,18 +64,17 @@ class LineDesignState(DesignState):
     def _share_time(
         self, legs: Legs, steady_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n k"]:
-        """Return the time that each place stands for."""
         moving_s = self.drive.times_s(legs) - self.drive.dwell_s
         ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
-        ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp tells nothing
+        ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp has no information
         dwell_s = max(self.drive.dwell_s - 2.0 * STANDSTILL_SETTLE_S, 0.0)
         each = [steady_s / _STEADY, ramp_s, np.full(len(legs), dwell_s)]
         return np.repeat(np.stack(each, axis=1), [_STEADY, 2, 1], axis=1)
 
     def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
-        """Tell which lines are driven at a steady feed for most of their length.
+        """Mask of the lines at a steady feed for most of their length.
 
-        And long enough for the tracker's rate. The way of the target counts: an axis
+        And long enough for the tracker's rate. The path of the target counts: an axis
         that turns may hardly move it.
         """
         shortest_mm = self.drive.shortest_mm(legs.feed_mm_min)
@@ -91,7 +91,7 @@ class LineDesignState(DesignState):
     def hold(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
     ) -> Float64[np.ndarray, "n a"]:
-        """Let linear axes move alone, rotary axes turn together or one, or all go."""
+        """Linear axes alone, rotary axes together or one, or all, in turn."""
         machine, number = self.model.machine, np.arange(len(ends))
         if not machine.rotary_axes:
             return ends
@@ -107,7 +107,7 @@ class LineDesignState(DesignState):
         return np.where(moves, ends, here)
 
     def command(self, machine: Machine, stops: Stops) -> Path:
-        """Return the path through the stops."""
+        """A path through the stops, with the feeds that the machine reaches."""
         position = add_resting_axes(machine, stops.position)
         feed = np.append(stops.feed_mm_min[:1], self.drive.driven_feed(stops.legs))
         dwell_s = np.full(len(stops), self.drive.dwell_s)
@@ -117,7 +117,7 @@ class LineDesignState(DesignState):
         return Path(machine.axis_names, position, feed, dwell_s, names)
 
     def _record(self, at: Conditions, legs: Legs) -> RecordedState:
-        """Return how fast each axis moves, for effects that depend on it.
+        """Rates of the axes, for effects that depend on them.
 
         Every axis is taken to have reversed where its line begins.
         """
@@ -138,6 +138,5 @@ class LineDesignState(DesignState):
 def _place(
     legs: Legs, share: Float64[np.ndarray, "n k"]
 ) -> Float64[np.ndarray, "n*k a"]:
-    """Return the positions at shares of each leg."""
     places = legs.begin[:, None] + share[:, :, None] * legs.step[:, None]
     return places.reshape(-1, places.shape[2])

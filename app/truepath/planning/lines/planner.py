@@ -1,8 +1,8 @@
-"""Plans measurements: within a time, in what is allowed, from where the machine is.
+"""Plans measurements: within a time and workspace, from where the machine is.
 
-A planner is a value. After some of its legs are measured, `update` returns one that
-knows them; after the noise, the prior or the model turned out otherwise, `replace` its
-design; then plan again from the present position.
+A planner is a value. After some of its legs are measured, `update` gives one with their
+information; after a change of noise, prior or model, `replace` its design; then plan
+again from the present position.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from truepath.planning.design_state import DesignState
 from truepath.planning.lines.leg_choice import LegChoice, SearchEffort, SearchRegion
 from truepath_drivers.interfaces.records import Path
 
-_STARTS = 400  # places that are tried where no corner is allowed
+_STARTS = 400  # positions tried where no corner is allowed
 
 
 @dataclass(frozen=True)
 class Planner:
-    """What a plan rests on.
+    """Inputs of a plan.
 
     design : of lines or of standstills; its machine may lack the rotary axes of
-        `machine`, which then stand at 0, or at the near end of their travel
-    feeds_mm_min : several where dynamic effects are to be told from static ones, driven
-        in turn; or those among which each line has its own, where the choice is free
+        `machine`, which then stay at 0, or at the near end of their travel
+    feeds_mm_min : several to distinguish dynamic effects from static ones, used in
+        turn; or those to choose from for each line, where the choice is free
     """
 
     machine: Machine
@@ -52,14 +52,13 @@ class Planner:
         seed: int = 0,
         effort: SearchEffort | None = None,
     ) -> Commanded:
-        """Return what tells most of all that takes no longer than the budget.
+        """The plan with most information that takes no longer than the budget.
 
-        A path for a design of lines, points for one of standstills. It starts and
-        ends at different places. The same seed gives the same plan.
+        A path for a design of lines, points for one of standstills. It starts and ends
+        at different points. The same seed gives the same plan.
 
         legs : at most
-        start : positions of the design's axes; a corner where it is left out
-
+        start : positions of the design's axes; None for a corner
         Raises PlanningError if no motion fits in, or none is allowed.
         """
         rng = np.random.default_rng(seed)
@@ -84,23 +83,23 @@ class Planner:
         return plan
 
     def update(self, done: Commanded) -> Planner:
-        """Return the planner that knows these legs to be measured.
+        """Adds the information of measured legs.
 
         done : rows of a plan that follow each other, from where the first leg began
         """
         return replace(self, design=self.design.add(self.inform(done)))
 
     def inform(self, done: Commanded) -> Float64[np.ndarray, "p p"]:
-        """Return the precision that legs bring, as for `update`."""
+        """Information of legs, as for `update`."""
         return self.design.information(self._find_legs(done))
 
     def expect(self, precision: float | Float64[np.ndarray, "p p"]) -> Planner:
-        """Return the planner that knows or expects more, as `inform` tells it."""
+        """Adds information from elsewhere, as `inform` gives it."""
         known = self.design.precision + precision
         return replace(self, design=replace(self.design, precision=known))
 
     def duration_s(self, done: Commanded) -> float:
-        """Return how long legs take with their dwells."""
+        """Time of legs with their dwells."""
         return float(self.design.drive.times_s(self._find_legs(done)).sum())
 
     def _find_legs(self, done: Commanded) -> Legs:
@@ -111,7 +110,7 @@ class Planner:
         return Stops(done.position[:, :columns], feed).legs
 
     def check(self, plan: Commanded) -> None:
-        """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
+        """Raise PlanningError if a plan leaves the travel or the workspace."""
         check_travel(self.machine, plan)
         self.workspace.refuse(self.machine, plan)
 
@@ -122,7 +121,6 @@ class Planner:
         return bool(design.fits(Stops(ends, np.full(2, feed)).legs)[0])
 
     def _hindrance(self) -> str:
-        """Return why not even the diagonal of the travel can be measured."""
         if self.design.model.machine.rotary_axes:
             return (
                 f"target {self.design.target.name} hardly moves where the tracker "
@@ -134,7 +132,7 @@ class Planner:
         )
 
     def region(self) -> SearchRegion:
-        """Return where stops may lie, and which lines are allowed between them."""
+        """Allowed stops, and allowed lines between them."""
         machine = self.design.model.machine
         low, high = inner_travel(machine)
 
@@ -147,7 +145,6 @@ class Planner:
     def _first_stop(
         self, region: SearchRegion, rng: np.random.Generator
     ) -> Float64[np.ndarray, " a"]:
-        """Return the first corner that may be stood at, or else any place."""
         low, high = region.low, region.high
         corners = np.array(list(product(*zip(low, high, strict=True))))
         anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)
@@ -164,7 +161,7 @@ class Planner:
 def inform(
     planners: Sequence[Planner], blocks: Sequence[Commanded]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the precision that blocks bring, each of its own planner's target."""
+    """Total information of blocks, each with its planner's target."""
     pairs = zip(planners, blocks, strict=True)
     return np.sum([planner.inform(block) for planner, block in pairs], axis=0)
 
@@ -172,11 +169,11 @@ def inform(
 def judge_feeds(
     planners: Sequence[Planner], blocks: Sequence[Path]
 ) -> dict[float, float]:
-    """Return what a second tells at each feed, relative to the paths' own feeds.
+    """Information per second at each feed, relative to the paths' own feeds.
 
-    All lines are driven at that feed, as far as the feed is reached.
+    All lines are at that feed, as far as it is reached.
 
-    planners : of one model; blocks : what each of them planned
+    planners : of one model; blocks : the plan of each
     """
 
     def worth(driven: Sequence[Path]) -> float:

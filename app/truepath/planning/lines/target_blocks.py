@@ -1,9 +1,9 @@
 """Blocks of legs of several targets, one after another, and the first target again.
 
-Where targets sit is estimated. A knock of the set-up while the tracker turns to the
-next target would pass for the seat of that one, so half of what is measured of the
-first target comes at the end. It ends with the first legs of all, driven once more:
-these show a knock whatever the errors of the machine are.
+The seats of targets are estimated. A shift of the set-up while the tracker turns to the
+next target would pass for the seat of that one, so half of the first target's
+measurement comes at the end. It ends with the first legs of all, repeated: these show a
+shift whatever the errors of the machine are.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from truepath.planning.lines.leg_choice import SearchEffort
 from truepath.planning.lines.planner import Planner
 
 CHANGE_S = 5.0  # for the tracker to turn to another target
-_REPEATED = 3  # legs, which tell the pose of a rigid body
+_REPEATED = 3  # legs, which determine the pose of a rigid body
 
 
 @dataclass(frozen=True, slots=True)
 class PlanShare:
-    """What one of several planners has: a time, or a number of legs.
+    """Share of one of several planners: a time, or a number of legs.
 
-    expected : precision that its legs are expected to bring
+    expected : information expected of its legs
     """
 
     planner: Planner
@@ -37,7 +37,7 @@ class PlanShare:
     expected: float | Float64[np.ndarray, "p p"] = 0.0
 
     def halve(self) -> tuple[PlanShare, PlanShare]:
-        """Return it in two, the larger half first."""
+        """Two halves, the larger first."""
         half = replace(self, budget_s=0.5 * self.budget_s, expected=0.5 * self.expected)
         if self.legs is None:
             return half, half
@@ -48,13 +48,12 @@ class PlanShare:
 def plan_in_turn(
     shares: Sequence[PlanShare], *, seed: int, effort: SearchEffort | None = None
 ) -> list[Commanded]:
-    """Return the plans of planners of one model, each from where the last one ends.
+    """Plans of planners of one model, each from where the last one ends.
 
-    Each knows what those before it measure, and expects what those after it bring. Of
-    several, the first one's comes in two parts, the second one last.
+    Each includes the information of those before it, and expects that of those after
+    it. Of several, the first one's comes in two parts, the second one last.
 
     shares : of one target each
-
     Raises PlanningError if a share is too small for any motion.
     """
     turns = list(shares)
@@ -94,9 +93,8 @@ def _return_to(
     seed: int,
     effort: SearchEffort | None,
 ) -> Commanded:
-    """Return what comes last: new legs, and the first ones again as far as they fit.
-
-    first : block of the same target; start : where the machine stands
+    """The last block: new legs, and the first ones again as far as they fit. first :
+    block of the same target; start : position of the machine
     """
     again = _choose_repeated(first, share)
     here = select_rows(first, slice(1))
@@ -118,7 +116,6 @@ def _return_to(
 
 
 def _choose_repeated(first: Commanded, share: PlanShare) -> Commanded:
-    """Return the rows of as many first legs as there is time for; maybe none."""
     for legs in range(min(_REPEATED, len(first) - 1), 0, -1):
         rows = select_rows(first, slice(legs + 1))
         in_time = _duration_s(share.planner, rows) <= share.budget_s
@@ -128,7 +125,7 @@ def _choose_repeated(first: Commanded, share: PlanShare) -> Commanded:
 
 
 def _duration_s(planner: Planner, again: Commanded) -> float:
-    """Return how long rows take, with a way to the first of them from anywhere."""
+    """Includes a move to the first row from the far end of the travel."""
     if not len(again):
         return 0.0
     region, feed = planner.region(), np.array([max(planner.feeds_mm_min)])
@@ -142,7 +139,6 @@ def _leads_to(
     here: Float64[np.ndarray, " a"],
     there: Float64[np.ndarray, " a"],
 ) -> bool:
-    """Tell whether the machine may go straight from one place to another."""
     machine = planner.design.model.machine
     columns = len(machine.axes)
     begin, end = here[None, :columns], there[None, :columns]
@@ -151,6 +147,6 @@ def _leads_to(
 
 
 def wait_for_tracker(blocks: Sequence[Commanded]) -> None:
-    """Let the machine stand where the tracker has to turn to another target."""
+    """Sets the first dwell of each block but the first to `CHANGE_S`, in place."""
     for block in blocks[1:]:
         block.dwell_s[0] = CHANGE_S

@@ -1,10 +1,10 @@
-"""How the time of a plan is shared among targets: by what each tells a second.
+"""Shares of a plan's time among targets, by their information per second.
 
-Some legs of each target, drawn at random, show what a second of it tells. The time is
-then shared so that all together leave the least integrated variance, which is convex in
-the shares (the multiplicative algorithm of Silvey, Titterington and Torsney, 1978). A
-target whose share is not worth turning the tracker to is left out. Of several, the
-first is measured again at the end.
+Some legs of each target, chosen at random, give its information per second. The time is
+then shared for the least integrated variance, which is convex in the shares (the
+multiplicative algorithm of Silvey, Titterington and Torsney, 1978). A target whose
+share is not worth turning the tracker to is dropped. Of several, the first is measured
+again at the end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from truepath.planning.design_state import inverse
 from truepath.planning.lines.planner import Planner
 from truepath.planning.lines.target_blocks import PlanShare
 
-_LEGS = 40  # of each target, before those are left out that cannot be measured
+_LEGS = 40  # of each target, before those that cannot be measured are dropped
 _LEAST_S = 10.0  # of a block of legs of one target: a few
 _ROUNDS = 20
 
@@ -28,7 +28,7 @@ _ROUNDS = 20
 def share_among_targets(
     planners: Sequence[Planner], budget_s: float, change_s: float, seed: int
 ) -> list[PlanShare]:
-    """Return the time of each target that is worth it, in their order.
+    """Time of each target that is worth it, in their order.
 
     planners : of one model, each of one target; change_s : from a target to the next
     """
@@ -58,9 +58,9 @@ def share_among_targets(
 
 @dataclass(frozen=True, slots=True)
 class ExpectedLegs:
-    """Some legs anywhere of one target.
+    """Random legs of one target, as a sample of its information.
 
-    rows : of each leg, as the design has them; leg_s : how long one takes
+    rows : of each leg, as the design has them; leg_s : mean time of one
     """
 
     rows: Float64[np.ndarray, "n r p"]
@@ -68,7 +68,7 @@ class ExpectedLegs:
 
     @classmethod
     def draw(cls, planner: Planner, seed: int) -> ExpectedLegs:
-        """Return legs drawn at random, less those that cannot be measured."""
+        """Random legs, without those that cannot be measured."""
         rng, region = np.random.default_rng(seed), planner.region()
         design, feed = planner.design, np.full(_LEGS, planner.feeds_mm_min[0])
         begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
@@ -81,12 +81,12 @@ class ExpectedLegs:
 
     @property
     def rate(self) -> Float64[np.ndarray, "p p"]:
-        """Precision that a second brings."""
+        """Information per second."""
         count = len(self.rows)
         return self.inform(count) / (count * self.leg_s)
 
     def inform(self, count: float) -> Float64[np.ndarray, "p p"]:
-        """Return the precision of so many of them; few leave much unseen."""
+        """Information of a number of them; few leave many directions undetermined."""
         some = max(1, min(round(count), len(self.rows)))
         flat = self.rows[:some].reshape(-1, self.rows.shape[2])
         return count / some * (flat.T @ flat)
@@ -95,7 +95,6 @@ class ExpectedLegs:
 def _share(
     planner: Planner, rates: Sequence[Float64[np.ndarray, "p p"]], time_s: float
 ) -> Float64[np.ndarray, " t"]:
-    """Return the shares of a time, which sum to 1, that leave least."""
     design = planner.design
     share = np.full(len(rates), 1.0 / len(rates))
     for _ in range(_ROUNDS):

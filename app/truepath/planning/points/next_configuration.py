@@ -1,10 +1,10 @@
 """The configuration to measure next: where one measurement lowers J most.
 
 On one axis the optimum is exact (`find_best_place`). On several, one axis after another
-is set to its optimum while the others stand, until nothing rises any more; from several
-starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37). Starts are
-the best of a dense search, which also certifies the answer: nothing that it looked at
-is better.
+is set to its optimum while the others are fixed, until nothing rises any more; from
+several starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37).
+Starts are the best of a dense search, which also certifies the answer: none of its
+configurations is better.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from truepath.planning.design_state import DesignState
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 
-_DRAWS = 80  # places judged for each that climbs
+_DRAWS = 80  # positions evaluated for each that climbs
 _CLIMB_ON = 0.4  # of those that have climbed each axis once
 _ROUNDS = 30  # of all axes, at most
 _RISEN = 1e-4  # relative rise of a round that is worth another
@@ -49,7 +49,7 @@ class SearchSpace:
     degrees: tuple[int, ...]
 
     def draw(self, count: int, seed: int) -> Float64[np.ndarray, "n a"]:
-        """Return random positions, the same for the same seed."""
+        """Uniform random positions, reproducible by the seed."""
         low = np.array([b[0] for b in self.borders])
         high = np.array([b[-1] for b in self.borders])
         rng = np.random.default_rng(seed)
@@ -58,9 +58,9 @@ class SearchSpace:
 
 @dataclass(frozen=True, slots=True)
 class NextConfiguration:
-    """Axis positions, and by how much a measurement there lowers J.
+    """Axis positions, and the decrease of J by a measurement there.
 
-    searched : the best that the dense search over all axes came upon
+    searched : the best of the dense search over all axes
     """
 
     position: Float64[np.ndarray, " a"]
@@ -77,7 +77,7 @@ def next_configuration(
     starts: int = 5,
     seed: int = 0,
 ) -> NextConfiguration:
-    """Return the best configuration found; the same seed gives the same.
+    """The best configuration found; reproducible by the seed.
 
     rows : (n, p), or (n, r, p) for r values at once, at axis positions; along each axis
         polynomials between its borders
@@ -93,7 +93,7 @@ def next_configuration(
 
 
 def search_space(model: MachineModel) -> SearchSpace:
-    """Return the axes of a machine, the knots of their error motions between ends."""
+    """The axes of a machine, with the knots of their error motions between the ends."""
     borders: list[Float64[np.ndarray, " b"]] = []
     for axis in model.machine.axes:
         knots = [
@@ -112,7 +112,7 @@ def search_space(model: MachineModel) -> SearchSpace:
 
 @dataclass(frozen=True, slots=True)
 class _ClimbState:
-    """A configuration on the way up; `idle` turns in a row have not raised it."""
+    """A configuration on the way up; `idle` consecutive turns have not raised it."""
 
     position: Float64[np.ndarray, " a"]
     drop: float
@@ -122,7 +122,7 @@ class _ClimbState:
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """Sets one axis after another to its optimum while the others stand."""
+    """Sets one axis after another to its optimum while the others are fixed."""
 
     known: IntegratedVariance
     rows: PositionRows
@@ -130,14 +130,14 @@ class Climb:
     noise_variance: float
 
     def climb_once(self, start: Float64[np.ndarray, " a"]) -> _ClimbState:
-        """Return what is reached from a start when each axis had its turn."""
+        """After one turn of each axis."""
         here = _ClimbState(start, 0.0)
         for _ in self.axes.borders:
             here = self._optimise_axis(here)
         return here
 
     def climb_to_top(self, here: _ClimbState) -> _ClimbState:
-        """Return the summit: every axis stands at its optimum."""
+        """The summit: every axis is at its optimum, or 30 rounds are over."""
         count = len(self.axes.borders)
         while here.idle < count - 1 and here.turn < _ROUNDS * count:
             here = self._optimise_axis(here)
@@ -170,19 +170,19 @@ _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 @dataclass(frozen=True)
 class PointDesignState(DesignState):
-    """What is known so far; a standstill measures a target's three coordinates."""
+    """Present information; a standstill measures a target's three coordinates."""
 
     order_is_free = True
 
     def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
-        """Return rows H of the standstill at each end, approached from the begin."""
+        """Rows H of the standstill at each end, approached from the begin."""
         at = self.conditions(legs.end, np.sign(legs.step))
         return np.sqrt(self.drive.dwell_s) * (self.roots(at) @ self.model.jacobian(at))
 
     def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
-        """Tell which moves can be recognised.
+        """Mask of the moves that can be recognised.
 
-        Every rotary axis turns: a target on a table that does not would not move.
+        Every rotary axis has to turn: a target on a table that does not would not move.
         """
         turning = self.model.machine.rotary_axes
         if not turning:
@@ -192,7 +192,7 @@ class PointDesignState(DesignState):
         return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
 
     def command(self, machine: Machine, stops: Stops) -> Configurations:
-        """Return the stops as points."""
+        """One point for each stop."""
         position = add_resting_axes(machine, stops.position)
         dwell_s = np.full(len(stops), self.drive.dwell_s)
         names = self._name_target(len(stops))
@@ -203,7 +203,7 @@ class PointDesignState(DesignState):
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],
     ) -> Float64[np.ndarray, "n a"]:
-        """Return the summit of the exact criterion above a stop, of straight axes.
+        """The summit of the exact criterion above a stop, for straight axes.
 
         There the noise is taken to be the same everywhere and in all directions, and
         the direction of approach to be none, which leaves rows that are polynomials.

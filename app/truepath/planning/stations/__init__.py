@@ -1,4 +1,4 @@
-"""Where to put the tracker, and what a further station would add.
+"""Choice of the tracker's station, and the benefit of further stations.
 
 Not here: the job that leads from one to the next (`jobs.kinds.station_steps`).
 """

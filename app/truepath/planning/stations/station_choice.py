@@ -1,12 +1,12 @@
-"""Where the tracker stands, and whether further stations are worth their time.
+"""Choice of the tracker's station, and whether further stations are worth their time.
 
-The place is the one of many from which the same time of measuring leaves least: the
-uncertainty that time averages and, together with it, what the tracker's own causes put
-into the map. Further stations share that time and cost a move each; they are held
-against the one place measuring as long as they take in all. On lines through the volume
-one place sees every point under many directions already, so that more places pay where
-one does not see enough, where the tracker's own causes dominate, or where one leaves a
-motion weak.
+The station is the one of many with the least uncertainty after the same measuring time:
+the part that time averages and, together with it, the part of the tracker's own errors
+in the map. Further stations share that time and cost a move each; they are compared
+with the single station that measures for the total time. On lines through the volume
+one station sees every point under many directions already, so that more stations pay
+where one does not see enough, where the tracker's own errors dominate, or where one
+leaves a motion weak.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from truepath.planning.stations.station_information import (
     StationVariance,
 )
 
-_PLACES = 64  # judged first; those that climb are judged beside
+_PLACES = 64  # evaluated first; those of the climb come in addition
 _WIDER = 1.2  # than the areas: so much of it comes to lie on their borders
 _CLIMBERS, _HALVINGS = 2, 3
 MOST_STATIONS = 3
-_WORTH = 0.9  # of what one place leaves, or below: further stations pay
+_WORTH = 0.9  # of the sigma of one station, or below: further stations pay
 APART_MM = 300.0  # of stations: nearer ones see much the same
 _UNSEEN = 0.02  # share of the travel that is worth a station
 
 
 @dataclass(frozen=True)
 class StationOption:
-    """A number of stations, and what they leave.
+    """A number of stations, and their predicted variance.
 
-    stay : what the first of them leaves that measures alone as long as all take, moves
+    stay : variance of the first alone that measures for their total time, moves
         included; both are of like time
     weakest : error motion that gains most
     """
@@ -52,12 +52,12 @@ class StationOption:
 
     @property
     def ratio(self) -> float:
-        """What they leave over what staying leaves."""
+        """Their sigma over that of staying."""
         return self.left.sigma_mm / self.stay.sigma_mm
 
     @property
     def pays(self) -> bool:
-        """Whether they leave less than staying does."""
+        """True if they give at least a tenth less than staying does."""
         return self.ratio < _WORTH
 
     @property
@@ -72,12 +72,12 @@ class StationOption:
 
 @dataclass(frozen=True)
 class StationAdvice:
-    """What is said of the tracker's place with a plan.
+    """Advice on the tracker's station with a plan.
 
     options : one, two, three stations
-    chosen : nobody has stated the place; judged : how many places were
-    best_mm : the best of them; best, worst : what the best and the worst leave
-    move_s : what another station costs
+    chosen : True if the station was not given; judged : number of stations evaluated
+    best_mm : the best of them; best, worst : variance of the best and the worst
+    move_s : time of a move to another station
     """
 
     options: tuple[StationOption, ...]
@@ -90,17 +90,17 @@ class StationAdvice:
 
     @property
     def recommended(self) -> StationOption:
-        """The number of stations that leaves least for its time."""
+        """The number of stations with the least variance for its time."""
         paying = [option for option in self.options if option.pays]
         return min(paying, key=lambda option: option.ratio, default=self.options[0])
 
 
 @dataclass(frozen=True)
 class StationChoice:
-    """Places as judged, the best first.
+    """Evaluated stations, the best first.
 
-    stated : the place that was given; it stays, whatever others would leave
-    time_s : of measuring, for which places were judged
+    stated : the given station; it is kept, whatever others would give
+    time_s : of measuring, for which stations were evaluated
     """
 
     judge: StationJudge
@@ -111,13 +111,13 @@ class StationChoice:
 
     @property
     def first(self) -> StationInformation:
-        """Where the tracker stands."""
+        """The given station, else the best."""
         return self.stated or self.judged[0]
 
     def choose_stations(self, count: int) -> list[StationInformation]:
-        """Return so many stations, the first first.
+        """Stations as many as `count`, `first` at the head.
 
-        Raises PlanningError if the areas have not so many apart from each other.
+        Raises PlanningError if the areas do not have as many with enough distance.
         """
         chosen = [self.first]
         while len(chosen) < count:
@@ -125,17 +125,18 @@ class StationChoice:
         return chosen
 
     def compare(self, count: int, time_s: float, random_mm: float) -> float:
-        """Return what a plan leaves over what the survey says of the same time.
+        """Ratio of a plan's uncertainty to the survey's for the same time.
 
-        count : of its stations; random_mm : what time averages of it, by its forecast
+        count : of its stations; random_mm : the part that time averages, by its
+            forecast
         """
         same = self.judge.evaluate(self.choose_stations(count), time_s)
         return random_mm / same.random_mm
 
     def advise(self, time_s: float, scale: float) -> StationAdvice:
-        """Return what to say of stations that measure for a time in all.
+        """Options for a total measuring time.
 
-        scale : by which the uncertainty of the survey is corrected
+        scale : correction of the survey's uncertainty
         """
 
         def predict_left(
@@ -167,12 +168,11 @@ class StationChoice:
         )
 
     def _find_weakest(self, one: StationVariance, several: StationVariance) -> str:
-        """Return the error motion that gains most from several stations."""
         before, after = map(self.judge.motion_sigmas_mm, (one, several))
         return max(before, key=lambda name: before[name] ** 2 - after[name] ** 2)
 
     def _add(self, chosen: Sequence[StationInformation]) -> list[StationInformation]:
-        """Return one station more; the first stays, the others may change places."""
+        """One station more; the first stays, the others may move."""
         found = [*chosen, self._best_beside(chosen)]
         for k in range(1, len(found)):
             found[k] = self._best_beside([*found[:k], *found[k + 1 :]])
@@ -191,7 +191,6 @@ class StationChoice:
         return min(free, key=predict_left_mm)
 
     def _beside(self, others: Sequence[StationInformation]) -> list[StationInformation]:
-        """Return the places that are apart from others."""
         taken = np.stack([one.place_mm for one in others])
         return [
             one
@@ -206,11 +205,10 @@ def choose_place(
     time_s: float,
     stated_mm: Float64[np.ndarray, "3"] | None = None,
 ) -> StationChoice:
-    """Judge places in the areas for a time of measuring.
+    """Evaluate stations in the areas for a measuring time.
 
-    stated_mm : where the tracker stands already
-
-    Raises PlanningError if from no place anything could be measured.
+    stated_mm : station of the tracker, if given
+    Raises PlanningError if nothing could be measured from any station.
     """
     search = _StationSearch(judge, areas, time_s)
     first = search.judge_places(_draw_places(areas))
@@ -239,7 +237,6 @@ class _StationSearch:
     def judge_places(
         self, place_mm: Float64[np.ndarray, "n 3"]
     ) -> list[StationInformation]:
-        """Return what places tell, those left out that are not allowed."""
         found = map(self.judge.judge, place_mm[self.areas.allow(place_mm)])
         return [one for one in found if one is not None]
 
@@ -247,7 +244,6 @@ class _StationSearch:
         return sorted(judged, key=self._predict_left_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
-        """Return what is judged on the way from a place to better ones near it."""
         low, high = _hull(self.areas)
         best, found = start, list[StationInformation]()
         step = 0.25 * (high - low)
@@ -266,7 +262,7 @@ class _StationSearch:
 
 
 def _draw_places(areas: StationAreas) -> Float64[np.ndarray, "n 3"]:
-    """Return places spread evenly in each area and on its borders (Roberts 2018)."""
+    """Evenly in each area and on its borders (Roberts 2018)."""
     count = -(-_PLACES // len(areas.areas))
     golden = 1.2207440846057596  # the positive root of g⁴ = g + 1
     unit = np.outer(np.arange(1, count + 1), golden ** -np.arange(1.0, 4.0)) % 1.0

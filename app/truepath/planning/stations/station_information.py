@@ -1,11 +1,12 @@
-"""What a measurement from a place of the tracker tells, before the lines are chosen.
+"""Information of a measurement from a station, before the lines are chosen.
 
 The same survey of the travel is put through the estimator's own equations from every
-place: what the place does not see is left out, as a plan's lines would leave it out,
-the tracker's pose and the timing of the lines are integrated out, and what remains is
-stated per second of measuring. So places compare at equal time, whatever each sees.
-Beside the machine's parameters stand the errors of a tracker within its specification,
-as in every estimate: what all stations share, and what each has for itself.
+station: the part that the station does not see is dropped, as a plan's lines would
+avoid it, the tracker's pose and the timing of the lines are integrated out, and the
+rest is scaled to one second of measuring. So stations compare at equal time, whatever
+each sees. In addition to the machine's parameters there are the tracker's errors within
+its specification, as in every estimate: those common to all stations, and those of
+each.
 """
 
 from __future__ import annotations
@@ -38,16 +39,17 @@ from truepath.planning.predicted_cells import predict_cells
 from truepath_drivers.interfaces.records import Path
 
 INTERVALS = 6  # of the knots, as lines are chosen by
-_CELLS_ACROSS = 16  # of the longest diagonal: as many as knots tell apart
-_GRID = 6  # places an axis at which it is asked what is seen
+_CELLS_ACROSS = 16  # of the longest diagonal: as many as knots resolve
+_GRID = 6  # positions of each axis at which visibility is checked
 
 
 @dataclass(frozen=True)
 class StationInformation:
-    """What a second of measuring from one place tells.
+    """Information of one second of measuring from one station.
 
-    matrix : (q, q) on the machine, the tracker wherever it stands, and this set-up
-    sees : (v,) which places of the travel
+    matrix : (q, q) on the machine, the common tracker errors and this set-up, pose
+        integrated out
+    sees : (v,) visible points of the travel
     """
 
     place_mm: Float64[np.ndarray, "3"]
@@ -57,11 +59,11 @@ class StationInformation:
 
 @dataclass(frozen=True)
 class StationVariance:
-    """What measuring from places leaves, root mean square over the travel.
+    """Variance after measuring from stations, root mean square over the travel.
 
-    random_mm : uncertainty that time averages; systematic_mm : what the tracker's own
-        errors add to it
-    covariance : (p, p) of both; seen : share of the travel
+    random_mm : uncertainty that time averages; systematic_mm : addition by the
+        tracker's own errors
+    covariance : (p, p) of both; seen : visible share of the travel
     """
 
     random_mm: float
@@ -75,7 +77,7 @@ class StationVariance:
         return float(np.hypot(self.random_mm, self.systematic_mm))
 
     def scale_random(self, factor: float) -> StationVariance:
-        """Return it with another uncertainty that time averages."""
+        """Scales the part that time averages."""
         return replace(
             self,
             random_mm=factor * self.random_mm,
@@ -85,7 +87,7 @@ class StationVariance:
 
 @dataclass(frozen=True)
 class Survey:
-    """The lines or points that places are judged by.
+    """Lines or points for the evaluation of stations.
 
     machine : with all its axes; measured : as it moves while it is measured
     feed_mm_min : between points
@@ -100,10 +102,11 @@ class Survey:
 
 @dataclass(frozen=True)
 class StationJudge:
-    """Judges places by a survey.
+    """Evaluates stations by a survey.
 
     model : of the machine, then the tracker's errors, those of a set-up last
-    prior, gram : of the machine; shared : parameters of the tracker at every station
+    prior, gram : of the machine; shared : number of tracker parameters common to all
+        stations
     """
 
     survey: Survey
@@ -117,7 +120,7 @@ class StationJudge:
     def of(
         survey: Survey, assumed: Assumptions, specification: TrackerSpecification
     ) -> StationJudge:
-        """Return the judge of a survey."""
+        """For the survey's targets and the tracker's specification."""
         targets = survey.measured.targets
         names = set(survey.commanded.target) or {targets[0].name}
         offsets_mm = np.array([t.offset_mm for t in targets if t.name in names], float)
@@ -143,7 +146,7 @@ class StationJudge:
         )
 
     def judge(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
-        """Return what a place tells; None where it does not even show its own pose."""
+        """None where the station does not even determine its own pose."""
         survey = self.survey
         workspace = survey.workspace.place_tracker(place_mm)
         cells = predict_cells(
@@ -171,7 +174,7 @@ class StationJudge:
     def evaluate(
         self, stations: Sequence[StationInformation], time_s: float
     ) -> StationVariance:
-        """Return what stations leave that share a time equally."""
+        """Predicted variance for stations that share a time equally."""
         p, each_s = len(self.prior), time_s / len(stations)
         common = p + self.shared
         own = self.model.size - common
@@ -192,7 +195,7 @@ class StationJudge:
         )
 
     def motion_sigmas_mm(self, found: StationVariance) -> dict[str, float]:
-        """Return what each error motion alone leaves at the tool, by its symbol."""
+        """Uncertainty at the tool by each error motion alone, by its symbol."""
         return {
             motion.name: float(np.sum(self.gram[p, p] * found.covariance[p, p])) ** 0.5
             for motion in self.model.error_motions
@@ -207,7 +210,6 @@ class StationJudge:
 
     @property
     def _grid(self) -> Float64[np.ndarray, "v a"]:
-        """Return places of the whole travel; rotary axes stand at their zero."""
         machine = self.survey.machine
         ticks = [np.linspace(a.low, a.high, _GRID) for a in machine.linear_axes]
         places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
