@@ -443,7 +443,7 @@ def _charge(
 ) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
     """Cost of an atypical noise, with gradient and curvature.
 
-    A hall that is noisier than typical is so in all: sizes scatter about a common level.
+    A hall noisier than typical is so in all: sizes scatter about a common level.
     """
     sizes = np.array(
         [0, 1, 2, *(range(len(x) - 3, len(x)) if any(noise.place) else ())]
