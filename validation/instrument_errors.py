@@ -34,7 +34,7 @@ from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 
-MACHINES, POINTS, GANTRY = 30, 80, WORLDS[1]
+MACHINES, GANTRIES, POINTS, GANTRY = 36, 10, 80, WORLDS[1]
 UNCERTAINTY = DOCUMENT.with_name("uncertainty.md")
 ROTARY = [kind for kind in KINDS if kind != "three axes"]
 
@@ -157,14 +157,19 @@ def main() -> None:
     """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
+    parser.add_argument("--gantries", type=int, default=GANTRIES)
     options, _ = parser.parse_known_args()
     rows: list[list[str]] = []
+    every: list[Outcome] = []
     for way, judge in WAYS.items():
         found: list[Outcome] = []
-        for seed in range(1, options.machines + 1):
+        count = options.gantries if "gantry" in way else options.machines
+        for seed in range(1, count + 1):
             found.append(judge(seed))
             print(way, seed, found[-1], flush=True)
         rows.append(_row(way, found))
+        every += found
+    rows.append(_row("all", every))
     head = [
         "measured",
         "machines",

@@ -170,14 +170,17 @@ def discover(
     )
     baseline = fit_baseline(nested, noise_model, coarse, reference)
     on_progress(0.35)
-    lines = build_lines(runs, fine, baseline)
-    fitter = TermFitter(lines, baseline.prior, terms)
+    # An effect that the model lacks makes places differ: it is looked for beside less.
+    quiet = baseline.calm_places()
+    lines = build_lines(runs, fine, quiet)
+    fitter = TermFitter(lines, quiet.prior, terms)
     search = TermSearch(fitter)
     best = search.find_largest()
     on_progress(0.6)
-    if best.terms:
+    if best.terms or quiet is not baseline:
         # What the effects caused is no longer counted as noise.
-        baseline = refit_noise(baseline, [t.effect for t in best.terms])
+        if best.terms:
+            baseline = refit_noise(baseline, [t.effect for t in best.terms])
         lines = build_lines(runs, fine, baseline)
         fitter = fitter.use_lines(lines, baseline.prior)
         search = TermSearch(fitter)

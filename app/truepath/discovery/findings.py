@@ -20,6 +20,8 @@ from truepath.kinematics.effects.family import (
     Quantity,
 )
 
+_LEAST_MM = 5e-4  # half of what most controls correct by
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -41,6 +43,7 @@ class Finding:
 
     rivals : terms that would explain the Runs as well
     is_imitated : the tracker could produce it if it exceeds its specification
+    largest_mm : displacement of the target over the whole measurement
     grade : `certain`, `likely`, or `possible` where free forms do as well
     """
 
@@ -51,7 +54,13 @@ class Finding:
     evidence: Evidence
     rivals: tuple[CandidateTerm, ...]
     grade: str
+    largest_mm: float
     is_imitated: bool = False
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it moves the target by less than a control corrects."""
+        return self.largest_mm < _LEAST_MM
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
@@ -123,8 +132,21 @@ def _state(
         Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
         rivals,
         tried.grade(term, log_bayes, rivals),
+        max(_find_largest_mm(term, theta, data) for data in fitter.run_data),
         tried.is_imitated(term),
     )
+
+
+def _find_largest_mm(
+    term: CandidateTerm, theta: Float64[np.ndarray, " p"], data: RunData
+) -> float:
+    at = data.observations.at
+    # What swings within a cell is more than its mean.
+    begin_s = float(at.time_s[0])
+    columns = term.effect.jacobian_in_time(np.linspace(begin_s, begin_s + 1.0, 2000))
+    if columns is None:
+        columns = term.effect.jacobian(at)
+    return float(np.linalg.norm(columns @ theta, axis=1).max())
 
 
 def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:

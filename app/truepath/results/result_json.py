@@ -326,6 +326,7 @@ def _noise_json(run: RunFindings) -> dict[str, Any]:
         "white_um": dict(zip(known, noise.white_um.tolist(), strict=True)),
         "slow_um": dict(zip(known, noise.ou_um.tolist(), strict=True)),
         "slow_time_s": noise.ou_time_s,
+        "between_places_um": dict(zip(_BEAM_FRAME, run.estimate.place_um, strict=True)),
         "along_travel_um": noise.along_travel_um,
     }
 

@@ -52,7 +52,8 @@ _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
 _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
 _FIT = 1.25, 4.0  # root of χ² over its freedom
 _RAMP_MM = 0.002  # less is no matter
-_WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
+_WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncertainty
+_PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _MATERIAL = 2.0 * 11.5e-6  # of a typical machine: 2 K of steel
@@ -91,6 +92,7 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
                 max(max(runs[k].noise.white) for k in own),
                 _FIT,
             ),
+            *_judge_places([runs[k] for k in own]),
             *_judge_ramps([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
             *_judge_unseen(checked.left_out[number], [checked.misfits[k] for k in own]),
@@ -457,6 +459,16 @@ def _judge_noise(
             yield Reason(kind, _grade(float(ratio), limits), values)
 
 
+def _judge_places(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
+    worst = max(runs, key=lambda run: max(run.noise.place))
+    ratio = max(worst.noise.place)
+    if ratio > _PLACES[0]:
+        distances = zip(("range", "azimuth", "elevation"), worst.place_um, strict=True)
+        values: dict[str, Value] = {f"{name}_um": um for name, um in distances}
+        state = "doubtful" if ratio > _PLACES[1] else "usable"
+        yield Reason("places-differ", state, values | {"ratio": ratio})
+
+
 def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
     worst = max(misfits, key=lambda misfit: misfit.drift_mm)
     if worst.drift > _DRIFT_GAIN and worst.drift_mm > _DRIFT_MM[0]:
@@ -526,7 +538,7 @@ def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> floa
             at=replace(seen.at, machine=machine),
             tracker_mm=seen.tracker_mm * (1.0 - offset_mm / range_mm),
         )
-        noise = replace(run.noise, white=white, ou=ou)
+        noise = replace(run.noise, white=white, ou=ou, place=(0.0, 0.0, 0.0))
         inputs.append(RunInput(seen, run.linearisation.pose, noise))
     offsets_mm = [each.observations.at.offset_mm for each in inputs]
     model, _ = build_identifiable_model(machine, *offsets_mm)

@@ -1,8 +1,11 @@
 """What a Run's model lacks is named, and nothing where nothing is missing."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.answers.discovery.discovery_json import discovery_json, effect_json
 from truepath.discovery.discover import discover
 from truepath.discovery.findings import find_share
 from truepath.discovery.name_trial import CERTAIN
@@ -47,6 +50,17 @@ def test_nothing_is_found_where_nothing_is_missing(clean):
     assert clean.findings == ()
     assert clean.gap.after_um == pytest.approx(clean.gap.before_um)
     assert clean.gap.after_um < 1.05 * clean.gap.noise_floor_um
+
+
+def test_an_effect_below_what_a_control_corrects_needs_nothing_done(knocked):
+    (found,) = knocked.findings
+    stated = effect_json(found)
+    # The mean place of the tracker takes half of a step in the middle.
+    assert stated["largest_um"] == pytest.approx(np.linalg.norm(STEP_UM) / 2, rel=0.1)
+    assert not stated["is_small"]
+    stated = effect_json(replace(found, largest_mm=2e-4))
+    assert stated["is_small"]
+    assert stated["remedy"] == "Nothing: it moves the target by 0.20 µm at most."
 
 
 def test_a_knock_is_named_with_its_moment_and_size(knocked):

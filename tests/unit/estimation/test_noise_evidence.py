@@ -27,6 +27,10 @@ def seen(record_small):
 
 @pytest.fixture(scope="module")
 def rough(seen):
+    return solve(seen)
+
+
+def solve(seen):
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
     about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
     run = RunInformation(seen, about, compute_information(seen, about))
@@ -34,10 +38,13 @@ def rough(seen):
     return run, prior
 
 
-@pytest.fixture(scope="module", params=[2e-4, np.inf], ids=["timed", "across"])
-def judged(request, rough):
+@pytest.fixture(scope="module", params=["timed", "across", "places"])
+def judged(request, rough, record_small):
     run, prior = rough
-    noise = replace(NOISE, along_sigma_mm=request.param)
+    noise = NOISE if request.param == "timed" else replace(NOISE, along_sigma_mm=np.inf)
+    if request.param == "places":
+        run, prior = solve(align(record_small(3, "standstill")[0]))
+        noise = replace(noise, place=(0.4, 0.3, 0.5))
     return evidence_of(run, prior, noise), noise
 
 
@@ -50,10 +57,12 @@ def evidence_of(run, prior, noise=NOISE):
 
 def moved(noise, x):
     *sizes, time = np.exp(x[:4])
-    jitter = np.exp(x[4:])
-    along = noise.along_sigma_mm * jitter[0] if len(jitter) else noise.along_sigma_mm
+    more = np.exp(x[4:])
     ou = tuple(np.multiply(noise.ou, sizes))
-    return NoiseModel(noise.white, ou, noise.ou_time_s * time, along)
+    noise = replace(noise, ou=ou, ou_time_s=noise.ou_time_s * time)
+    if len(more) == 1:
+        return replace(noise, along_sigma_mm=noise.along_sigma_mm * more[0])
+    return replace(noise, place=tuple(noise.place * more)) if len(more) else noise
 
 
 def test_the_gradient_is_the_slope_of_the_cost(judged):
@@ -69,7 +78,7 @@ def test_the_curvature_leads_downhill(judged):
     evidence, noise = judged
     here = evidence.evaluate(noise)
     assert np.linalg.eigvalsh(here.curvature).min() > 0.0
-    step = -np.linalg.solve(here.curvature, here.gradient)
+    step = np.clip(-np.linalg.solve(here.curvature, here.gradient), -1.0, 1.0)
     there = evidence.evaluate(moved(noise, 0.1 * step))
     assert there.cost < here.cost
 
@@ -102,3 +111,10 @@ def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
     )
     assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)
     assert np.log(again.ou_time_s) == pytest.approx(np.log(best.ou_time_s), abs=0.3)
+
+
+def test_what_was_taken_for_fast_is_lowered_where_nothing_shows_it(seen):
+    start = replace(guess_noise(seen, perpendicular_only=False), fast=(2.0, 2.0))
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
+    (found,) = refine_runs(model, [RunInput(seen, seen.pose, start)])
+    assert found.noise.fast == (1.0, 1.0)

@@ -114,7 +114,7 @@ def test_the_batch_made_part_by_part_is_one_dense_problem(
 def test_standstills_add_up_to_the_batch(record):
     seen = align(record(4, "standstill", rows=30)[0])
     about = about_of(seen)
-    sums = added_in_parts(about, seen, [3, 4, 50])
+    sums = added_in_parts(about, seen, [3, 4, 20])
     assert_same(sums.information(), compute_information(seen, about))
 
 

@@ -108,11 +108,15 @@ def still():
 
 def disturb(recorded, across_mm):
     """Return findings, and the share inside two sigma, of directions that are off."""
-    run, made = recorded
-    points = run.tracker.position_mm
+    points = recorded[0].tracker.position_mm
     side = np.cross([0.0, 0.0, 1.0], points)
     side /= np.linalg.norm(side, axis=1)[:, None]
-    moved = replace(run.tracker, position_mm=points + across_mm[:, None] * side)
+    return analyse_moved(recorded, across_mm[:, None] * side)
+
+
+def analyse_moved(recorded, moved_mm):
+    run, made = recorded
+    moved = replace(run.tracker, position_mm=run.tracker.position_mm + moved_mm)
     found = analyse(replace(run, tracker=moved))
     return found, judge_map(found.estimate, made.truth.deviation_mm).inside
 
@@ -134,4 +138,17 @@ def test_a_swing_of_some_hertz_is_no_scatter_of_samples(still):
     noise = found.estimate.runs[0].noise
     assert noise.fast[1] > 1.2
     assert max(noise.white) < 1.6
+    assert inside > 0.85
+
+
+def test_jitter_of_the_feed_is_no_noise_across_it(still, rng):
+    points = still[0].tracker.position_mm
+    way = np.gradient(points, axis=0)
+    way /= np.maximum(np.linalg.norm(way, axis=1)[:, None], 0.01)  # mm: it drives
+    jitter_mm = np.repeat(0.008 * rng.standard_normal(len(points) // 12 + 1), 12)
+    found, inside = analyse_moved(still, jitter_mm[: len(points), None] * way)
+    noise = found.estimate.runs[0].noise
+    assert noise.along_sigma_mm > 0.003
+    assert noise.fast == (1.0, 1.0)
+    assert max(noise.shown) < 0.4
     assert inside > 0.85

@@ -39,7 +39,7 @@ def join_blocks(
     at = _collect_conditions(run, parts, own, seats)
     row = np.array([p.row for p in parts])[own]
     count = np.concatenate([p.cells.count for p in parts])
-    return Observations(
+    seen = Observations(
         at,
         np.concatenate([p.cells.tracker_mm for p in parts]),
         count,
@@ -53,6 +53,10 @@ def join_blocks(
         gather(said, at.time_s, row),
         np.array([p.is_ramp for p in parts])[own],
     )
+    if run.mode != "standstill" or len(parts) == len(seen):
+        return seen
+    # Samples of a place are off together: it is one cell, however long it took.
+    return seen.join(np.searchsorted(own, np.arange(len(parts))))
 
 
 def _collect_conditions(
@@ -103,8 +107,7 @@ def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | 
 def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
     square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
     freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
-    # Single shots do not scatter: then the tracker's own figures hold.
-    return np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), 1.0)
+    return np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), np.nan)
 
 
 def _find_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:

@@ -101,7 +101,7 @@ class Observations:
     direction : (n, 3) unit direction of travel, 0 at a standstill
     row : (n,) row of the commanded path or points
     scatter : (2,) standard deviation of samples about their cell along and across the
-        beam, in units of the tracker's specified noise
+        beam, in units of the tracker's specified noise; NaN for single shots
     pose : rough pose, workpiece to tracker; estimation refines it
     used, offered : samples that went into cells, samples of the stream
     left_out : valid samples that were not used, and why

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from truepath.alignment.observations.observations import Observations
+from truepath.answers.shown.number_format import format_number
 from truepath.discovery.discover import Discovery
 from truepath.discovery.findings import Finding
 from truepath.discovery.residual_location import RunResidual, Segment
@@ -135,8 +136,18 @@ def effect_json(finding: Finding) -> dict[str, Any]:
         ],
         "cause": words.cause,
         "looks_like": words.looks_like,
-        "remedy": words.remedy,
+        "largest_um": 1e3 * finding.largest_mm,
+        "is_small": finding.is_small,
+        "remedy": state_remedy(finding),
     }
+
+
+def state_remedy(finding: Finding) -> str:
+    """Say what to do about an effect; nothing about one too small to matter."""
+    if not finding.is_small:
+        return finding.family.words["en"].remedy
+    largest = format_number(1e3 * finding.largest_mm, 2)
+    return f"Nothing: it moves the target by {largest} µm at most."
 
 
 def _encode_unnamed(family: Family, finding: Finding) -> dict[str, Any]:

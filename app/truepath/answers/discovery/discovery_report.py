@@ -24,6 +24,7 @@ from truepath.answers.discovery.discovery_json import (
     describe_alternatives,
     explain,
     list_unexplained,
+    state_remedy,
     write_title,
 )
 from truepath.answers.discovery.model_file import NextModel
@@ -147,6 +148,7 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
             for name, number in finding.parameters.items()
         ),
         "words": finding.family.words["en"],
+        "remedy": state_remedy(finding),
         "share": format_number(100 * evidence.share, 0),
         "log_bayes": format_number(evidence.log_bayes),
         "held_out": format_number(evidence.held_out),

@@ -28,7 +28,7 @@ from truepath.estimation.problem.information import (
     invert_covariance,
 )
 from truepath.estimation.problem.knots import can_refine, find_intervals, refine_motions
-from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.noise import NoiseModel, calm_places
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.kinematics.coarse_model import (
     LONGEST_NOISE_S,
@@ -111,6 +111,14 @@ class Baseline:
     prior: MachinePrior
     runs: tuple[RunInput, ...]
     noise_model: MachineModel
+
+    def calm_places(self) -> Baseline:
+        """With noise between places limited to what is typical."""
+        calm = [calm_places(run.noise) for run in self.runs]
+        if calm == [run.noise for run in self.runs]:
+            return self
+        each = zip(self.runs, calm, strict=True)
+        return replace(self, runs=tuple(replace(r, noise=n) for r, n in each))
 
     def linearise(self, run: int) -> Linearisation:
         """The problem of a Run, linear about pose and `theta`."""

@@ -30,6 +30,7 @@ from truepath.numerics.ornstein_uhlenbeck import (
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
+_LEAST_LEFT = 1e-3  # of the variance of noise: a fit that takes all leaves rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,8 @@ class Slope:
     """Cost (−2 log evidence) with gradient and curvature.
 
     With respect to the logarithms of the Ornstein–Uhlenbeck part's size along the beam,
-    in azimuth and in elevation, its time and, if finite, the jitter along the travel.
+    in azimuth and in elevation, its time and, if there is one, the jitter along the
+    travel or the noise between places along the beam, in azimuth and in elevation.
     """
 
     cost: float
@@ -68,6 +70,12 @@ class NoiseEvidence:
     def solve(self, noise: NoiseModel) -> Float64[np.ndarray, " p"]:
         """Parameters of greatest posterior probability under a noise model."""
         return _Solution(self, noise).theta
+
+    def compare_neighbours(
+        self, noise: NoiseModel
+    ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
+        """Squared residual differences of neighbours in time, and their expectation."""
+        return _Solution(self, noise).compare_neighbours()
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
@@ -121,6 +129,19 @@ class _Solution:
         gradient = self._volume_slope() - self._moments()
         return Slope(cost, gradient, self._curvature())
 
+    def compare_neighbours(
+        self,
+    ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
+        of, noise = self.of, self.noise
+        seen, apart = of.design.observations, np.diff(of.columns, axis=0)
+        white, ou = split_sigma_mm(seen, noise)
+        fresh = -np.expm1(-np.diff(seen.at.time_s) / noise.ou_time_s)[:, None]
+        sigma = white[1:] ** 2 + white[:-1] ** 2 + 2.0 * fresh * ou[1:] ** 2
+        taken = self.factor.solve_half(apart.reshape(-1, apart.shape[2]).T)
+        rest = of.residual - of.columns @ self.theta
+        expected = sigma - (taken**2).sum(axis=0).reshape(-1, 3)
+        return np.diff(rest, axis=0) ** 2, np.maximum(expected, _LEAST_LEFT * sigma)
+
     def _volume_slope(self) -> Float64[np.ndarray, " k"]:
         here = self.inverse.log_determinant
         return np.array(
@@ -148,7 +169,19 @@ class _Solution:
                 (self.factor.solve_half(pulled) ** 2).sum() + (rest**2).sum()
             )
             found.append(2.0 * self.noise.along_sigma_mm**2 * square)
+        if any(self.noise.place):
+            spread = self.factor.solve_half(self.columns.T) ** 2
+            square = spread.sum(axis=0) + self.residual.ravel() ** 2
+            found += (2.0 * self._place * square.reshape(-1, 3)).sum(axis=0).tolist()
         return np.array(found)
+
+    @property
+    def _place(self) -> Float64[np.ndarray, "n 3"]:
+        with_, without = (
+            split_sigma_mm(self.of.design.observations, each)[0]
+            for each in (self.noise, replace(self.noise, place=(0.0, 0.0, 0.0)))
+        )
+        return with_**2 - without**2
 
     def _curvature(self) -> Float64[np.ndarray, "k k"]:
         moved = self._perturb_data()
@@ -167,6 +200,9 @@ class _Solution:
             along = self.of.travel
             rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
             columns.append(2.0 * self.noise.along_sigma_mm**2 * along * rest)
+        if any(self.noise.place):
+            own = 2.0 * self._place * self.residual
+            columns += [own * axis for axis in np.eye(3)]
         return np.stack(columns, axis=2)
 
 
@@ -194,4 +230,11 @@ def _perturb(noise: NoiseModel) -> list[NoiseModel]:
     ]
     if np.isfinite(noise.along_sigma_mm):
         moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))
+    if any(noise.place):
+        beam, azimuth, elevation = noise.place
+        moved += [
+            replace(noise, place=(beam * factor, azimuth, elevation)),
+            replace(noise, place=(beam, azimuth * factor, elevation)),
+            replace(noise, place=(beam, azimuth, elevation * factor)),
+        ]
     return moved

@@ -2,15 +2,15 @@
 
 500 Hz samples are correlated in time; treating them as independent gives intervals that
 contain the truth far too rarely. The white part is the scatter of samples about their
-cell. The Ornstein–Uhlenbeck part, its correlation time and the jitter of the feed
-maximise the evidence of the whole problem, so that what the error motions absorb is
-accounted for.
+cell. The Ornstein–Uhlenbeck part, its correlation time, the jitter of the feed and the
+scatter between standstills maximise the evidence of the whole problem, so that what the
+error motions absorb is accounted for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -21,10 +21,15 @@ from truepath.alignment.observations.observations import Observations
 from truepath.estimation.noise.noise_evidence import NoiseEvidence, Slope
 from truepath.estimation.problem.confounded_prior import guess_whole_prior
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
-from truepath.estimation.problem.information import Information, add_information
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    add_information,
+)
+from truepath.estimation.problem.knots import find_intervals, refine_motions
 from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
 from truepath.estimation.problem.runs import (
     RunInformation,
     RunInput,
@@ -38,11 +43,13 @@ _FEWEST_OF_LINE = 4  # merged cells
 _CELLS = 1000  # enough for the noise to a few percent
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
+_ROUNDS = 3  # of noise and prior in turn, after the first
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data hardly determine the Ornstein–Uhlenbeck part; most trackers in most halls are
 # like this.
-_USUAL = np.log([0.15, 0.15, 0.15, 1.0])  # three relative sizes, time in s
-_USUAL_SPREAD = 1.2
+_USUAL_SIZE, _USUAL_TIME = np.log([0.15, 1.0])  # of the stated noise; in s
+_USUAL_SPREAD, _USUAL_LEVEL = 1.2, 2.0  # of logarithms: of each, of all together
+_DRIFTING = (5.0, 5.0, 5.0)  # of the specified noise: a second start of the search
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _STIFFEST = 4.0  # times as curved as the average information
@@ -55,15 +62,25 @@ _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
-_BOUNDS = np.log([*[[1e-3, 30.0]] * 3, [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
+_FEW_DIFFER = 0.3  # of the variance: below, a few places cause the rest
+_OF_APART = 2.0  # least correlation time over the time between places
+_SIZES = np.log([[1e-3, 30.0]] * 3)
+_PLACES = np.log([[0.15, 30.0]] * 3)  # few places show less than is typical by chance
+_TIME, _JITTER = np.log([[0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
     """Starting values: scatter of this Run, a typical correlated part."""
-    white = (float(observations.scatter[0]), float(observations.scatter[1]))
+    along, across = np.nan_to_num(observations.scatter, nan=1.0).tolist()
     is_timed = any(p.is_steady for p in observations.passes)
-    along = 2e-4 if is_timed and not perpendicular_only else np.inf
-    return NoiseModel(white, (0.1, 0.1, 0.1), 1.0, along)
+    jitter = 2e-4 if is_timed and not perpendicular_only else np.inf
+    noise = NoiseModel((along, across), (0.1, 0.1, 0.1), 1.0, jitter)
+    if (observations.at.line >= 0).any():
+        return noise
+    if np.isnan(observations.scatter).any():
+        # Single shots: all their noise counts as noise between places.
+        return replace(noise, white=(0.0, 0.0), place=(1.0, 1.0, 1.0))
+    return replace(noise, place=(0.1, 0.1, 0.1))
 
 
 def refine_runs(
@@ -91,26 +108,97 @@ def refine_runs(
         replace(r, observations=_select_lines(_leave_out_ramps(r.observations)))
         for r in runs
     ]
-    found = list(collect_information(few, model))
-    data = known.add_to(combine_runs(found), model)
-    prior, result = guess_whole_prior(model).fit(data)
-    # The noise of one Run shifts the error motions that the others determine.
-    for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
-        others = found[:k] + found[k + 1 :]
-        noise = _fit_noise(found[k], prior, others, known, longest_s)
-        if len(runs) > 1:
-            found[k] = found[k].replace_noise(noise)
-        else:
-            about = replace(found[k].linearisation, noise=noise)
-            found[k] = replace(found[k], linearisation=about)
+    found = _Together.of(few, model, known, longest_s)
+    if any(any(run.noise.place) for run in runs):
+        # Differences between places are noise, or a machine that bends from one to the
+        # next: a search that starts at one of them rarely finds the other.
+        usual = replace(found, prior=guess_whole_prior(model))
+        found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
+    else:
+        found = found.find_noise()
     return tuple(
         RunInput(
             run.observations,
-            one.linearisation.correct_pose(one.own.restore(result)[0]),
+            one.linearisation.correct_pose(one.own.restore(found.result)[0]),
             one.noise,
         )
-        for run, one in zip(runs, found, strict=True)
+        for run, one in zip(runs, found.runs, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class _Together:
+    """Runs with a noise each, and a prior of the machine scaled to their data.
+
+    cost : −2 log evidence of all of them
+    """
+
+    runs: tuple[RunInformation, ...]
+    prior: BendingPrior
+    result: Posterior
+    known: KnownEffects
+    longest_s: float
+
+    @staticmethod
+    def of(
+        runs: Sequence[RunInput],
+        model: MachineModel,
+        known: KnownEffects,
+        longest_s: float,
+    ) -> _Together:
+        found = collect_information(runs, model)
+        data = known.add_to(combine_runs(found), model)
+        prior, result = guess_whole_prior(model).fit(data)
+        return _Together(found, prior, result, known, longest_s)
+
+    @property
+    def cost(self) -> float:
+        data = self.known.add_to(combine_runs(self.runs), self.prior.model)
+        charged = sum(_charge(_pack(run.noise), run.noise)[0] for run in self.runs)
+        return compute_evidence_cost(data, self.prior, self.result) + charged
+
+    def find_noise(self) -> _Together:
+        """With the noise of greatest evidence under this prior."""
+        found = list(self.runs)
+        # The noise of one Run shifts the error motions that the others determine.
+        for k in [*range(len(found))] * min(len(found), _SWEEPS):
+            others = found[:k] + found[k + 1 :]
+            noise = _fit_noise(found[k], self.prior, others, self.known, self.longest_s)
+            if len(found) > 1:
+                found[k] = found[k].replace_noise(noise)
+            else:
+                about = replace(found[k].linearisation, noise=noise)
+                found[k] = replace(found[k], linearisation=about)
+        # Parts of one Run share the air; a few places hardly determine their noise.
+        for k, one in enumerate(found):
+            own = [r for r in found if r.observations.at.run == one.observations.at.run]
+            longest = max(own, key=lambda r: len(r.observations))
+            if longest is not one and any(one.noise.place):
+                found[k] = one.replace_noise(longest.noise)
+        return replace(self, runs=tuple(found))
+
+    def settle(self) -> _Together:
+        """With prior, knots and noise estimated in turn."""
+        found = self.find_noise().refit()
+        for _ in range(_ROUNDS):
+            better = found.find_noise().refit()
+            if better.cost > found.cost - _SETTLED:
+                break
+            found = better
+        return found
+
+    def refit(self) -> _Together:
+        """With the prior under this noise, and knots as close as needed."""
+        inputs = [
+            RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
+        ]
+        model, found = self.prior.model, self
+        while True:
+            found = _Together.of(inputs, model, self.known, self.longest_s)
+            closer = find_intervals(model, found.prior.precision, found.result)
+            if not closer:
+                return found
+            model = refine_motions(model, closer)
 
 
 def _fit_noise(
@@ -126,66 +214,101 @@ def _fit_noise(
     known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
-    noise = _maximise(evidence, run.noise, longest_s)
+    noise = _maximise_from_both(evidence, run.noise, longest_s)
     about, seen = run.linearisation, run.observations
-    theta = evidence.solve(noise)[: design.fixed]
-    rest = about.build(seen, solved=theta).residual
-    louder = _raise_fast(seen, noise, rest)
+    left = about.build(seen, solved=evidence.solve(noise)[: design.fixed])
+    louder = _raise_fast(left, noise)
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
+    if any(noise.place):
+        noise = _hold_to_most(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
-    return replace(noise, shown=_find_shown(design.observations, noise, rest))
+    return replace(noise, shown=_find_shown(design, noise, rest))
 
 
-def _raise_fast(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
-) -> NoiseModel | None:
-    """Noise with its fast part raised; None if there is none.
+def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
+    """Noise with another fast part; None if it stays.
 
     Samples scatter less than their means where noise lasts for some samples: a
     vibration of some hertz. Second differences of neighbours show it; slow noise hardly
-    affects them.
+    affects them. Each direction by the cells where the jitter of the feed is small.
     """
-    time_s, before = seen.at.time_s, np.array(noise.fast)
-    sigma, ou = split_sigma_mm(seen, replace(noise, ramp_sigma_mm=0.0))
+    seen, rest = left.observations, left.residual
+    time_s = seen.at.time_s
+    plain = replace(noise, ramp_sigma_mm=0.0, fast=(1.0, 1.0))
+    sigma, ou = split_sigma_mm(seen, plain)
     middle = [np.arange(a + 1, b - 1) for a, b in seen.stretches if b - a > 2]
     k = np.concatenate(middle) if middle else np.zeros(0, np.int64)
     k = k[~seen.is_ramp[k]]
-    if len(k) < _FEWEST_TRIPLES:
+    clear = (_split_jitter(left, noise) < sigma)[k]
+    if clear.sum(axis=0).min() < _FEWEST_TRIPLES:
         return None
     found = (rest[k - 1] - 2.0 * rest[k] + rest[k + 1]) ** 2
     keep = np.exp(-(time_s[k + 1] - time_s[k - 1]) / 2.0 / noise.ou_time_s)[:, None]
     slow = 2.0 * ou[k] ** 2 * (3.0 - 4.0 * keep + keep**2)
     fast = 4.0 * sigma[k] ** 2 + sigma[k - 1] ** 2 + sigma[k + 1] ** 2
-    times = np.median((found - _MEDIAN * slow) / (_MEDIAN * fast), axis=0)
-    times = np.maximum(times, 0.0)
+    times = (found - _MEDIAN * slow) / (_MEDIAN * fast)
+    times = np.maximum(np.nanmedian(np.where(clear, times, np.nan), axis=0), 0.0)
     raised = np.sqrt([times[0], 0.5 * (times[1] + times[2])])
-    if not (raised > _FAST).any():
+    raised = np.where(raised > _FAST, raised, 1.0)
+    if np.allclose(raised, noise.fast, rtol=_FAST - 1.0):
         return None
-    along, across = (before * np.where(raised > _FAST, raised, 1.0)).tolist()
-    return replace(noise, fast=(along, across))
+    return replace(noise, fast=(float(raised[0]), float(raised[1])))
+
+
+def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+    """Noise between places limited to that of most pairs of neighbours in time.
+
+    A few wrong places, or a step, would inflate it for all.
+    """
+    square, expected = evidence.compare_neighbours(noise)
+    times = np.median(square / expected, axis=0) / _MEDIAN
+    times = np.where(times < _FEW_DIFFER, times, 1.0)
+    x, y, z = (np.sqrt(times) * noise.place).tolist()
+    return replace(noise, place=(x, y, z))
+
+
+def _split_jitter(
+    design: DesignMatrix, noise: NoiseModel
+) -> Float64[np.ndarray, "n 3"]:
+    jitter_mm = noise.along_sigma_mm if np.isfinite(noise.along_sigma_mm) else 0.0
+    return np.abs(design.travel) * jitter_mm
 
 
 def _find_shown(
-    seen: Observations, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
+    design: DesignMatrix, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
     """Size of the correlated part, from pairs of neighbours in space on different
-    lines: machine errors and approach are alike there, but the time differs. A low
-    quantile of the differences: a step of the set-up is in many of the others.
+    lines: machine errors and approach are alike there, but the time differs. Each
+    direction by the cells where the jitter of the feed is small. A low quantile of the
+    differences: a step of the set-up is in many of the others.
     """
-    white, _ = split_sigma_mm(seen, noise)
+    seen = design.observations
+    white, ou = split_sigma_mm(seen, noise)
     stated = seen.at.machine.tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[
         :, [0, 1, 1]
     ]
-    pairs = _pair_neighbours(seen)
-    if len(pairs) < _FEWEST_TRIPLES:
-        return 0.0, 0.0, 0.0
-    a, b = pairs.T
+    a, b = _pair_neighbours(seen).T
     square = ((rest[a] - rest[b]) / stated[a]) ** 2
-    own = ((white[a] ** 2 + white[b] ** 2) / stated[a] ** 2).mean(axis=0)
-    low = np.quantile(square, _LOW, axis=0) / float(chdtri(1, 1.0 - _LOW))
-    x, y, z = np.sqrt(np.maximum(low - own, 0.0) / 2.0).tolist()
+    jitter = _split_jitter(design, noise)
+    fresh = np.hypot(white, jitter)
+    own = (fresh[a] ** 2 + fresh[b] ** 2) / stated[a] ** 2
+    clear = jitter < np.hypot(white, ou)
+    clear = clear[a] & clear[b]
+    x, y, z = (
+        _find_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
+    )
     return x, y, z
+
+
+def _find_excess(
+    square: Float64[np.ndarray, " k"], own: Float64[np.ndarray, " k"]
+) -> float:
+    """Return what two are apart by beyond their own, each; 0 where few tell."""
+    if len(square) < _FEWEST_TRIPLES:
+        return 0.0
+    low = np.quantile(square, _LOW) / float(chdtri(1, 1.0 - _LOW))
+    return float(np.sqrt(max(low - own.mean(), 0.0) / 2.0))
 
 
 def _pair_neighbours(seen: Observations) -> Int64[np.ndarray, "k 2"]:
@@ -250,12 +373,28 @@ def _count_to_merge(observations: Observations) -> int:
     return max(1, round(min(_MERGED_S / length, most)))
 
 
+def _maximise_from_both(
+    evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
+) -> NoiseModel:
+    # On the fly the many cells lead from either start to the same noise.
+    quiet = _maximise(evidence, noise, longest_s)
+    if not any(noise.place):
+        return quiet
+    time_s = evidence.design.observations.at.time_s
+    drifting = replace(noise, ou=_DRIFTING, ou_time_s=float(np.ptp(time_s)))
+    starts = [quiet, _maximise(evidence, drifting, longest_s)]
+    return min(starts, key=lambda each: _slope(evidence, _pack(each), each).cost)
+
+
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    x = _pack(noise)
-    low, high = _BOUNDS[: len(x)].T
-    high = np.minimum(high, [*[np.inf] * 3, np.log(longest_s), np.inf][: len(x)])
+    low, high = np.array(_list_bounds(noise)).T
+    high[3] = min(high[3], np.log(longest_s))
+    if any(noise.place):  # what is faster than places follow differs between them
+        apart_s = np.median(np.diff(evidence.design.observations.at.time_s))
+        low[3] = min(high[3], np.log(_OF_APART * apart_s))
+    x = np.clip(_pack(noise), low, high)
     here, stiffer = _slope(evidence, x, noise), 1.0
     for _ in range(_STEPS):
         damped = stiffer * here.curvature
@@ -291,28 +430,54 @@ def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
     found = evidence.evaluate(_unpack(x, noise))
-    off = (x[:4] - _USUAL) / _USUAL_SPREAD**2
-    gradient, curvature = found.gradient.copy(), found.curvature.copy()
-    gradient[:4] += 2.0 * off
-    curvature[range(4), range(4)] += 2.0 / _USUAL_SPREAD**2
-    return Slope(found.cost + float(off @ (x[:4] - _USUAL)), gradient, curvature)
+    cost, gradient, curvature = _charge(x, noise)
+    return Slope(
+        found.cost + cost,
+        found.gradient + gradient,
+        found.curvature + curvature,
+    )
+
+
+def _charge(
+    x: Float64[np.ndarray, " k"], noise: NoiseModel
+) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
+    """Cost of an atypical noise, with gradient and curvature.
+
+    A hall noisier than typical is so in all: sizes scatter about a common level.
+    """
+    sizes = np.array(
+        [0, 1, 2, *(range(len(x) - 3, len(x)) if any(noise.place) else ())]
+    )
+    off, variance = np.zeros(len(x)), np.zeros((len(x), len(x)))
+    off[sizes], off[3] = x[sizes] - _USUAL_SIZE, x[3] - _USUAL_TIME
+    variance[np.ix_(sizes, sizes)] = _USUAL_LEVEL**2
+    told = [*sizes, 3]
+    variance[told, told] += _USUAL_SPREAD**2
+    weight = np.linalg.pinv(variance, hermitian=True)
+    return float(off @ weight @ off), 2.0 * weight @ off, 2.0 * weight
 
 
 def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
     known = [*noise.ou, noise.ou_time_s]
     if np.isfinite(noise.along_sigma_mm):
         known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
-    return np.log(known)
+    return np.log([*known, *(each for each in noise.place if each)])
+
+
+def _list_bounds(noise: NoiseModel) -> list[Float64[np.ndarray, "2"]]:
+    jitter = [_JITTER] if np.isfinite(noise.along_sigma_mm) else []
+    return [*_SIZES, _TIME, *jitter, *(_PLACES if any(noise.place) else [])]
 
 
 def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
-    beam, azimuth, elevation, tau, *jitter = (float(v) for v in np.exp(x))
-    along = noise.along_sigma_mm
-    if jitter:
-        along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
-    return replace(
-        noise, ou=(beam, azimuth, elevation), ou_time_s=tau, along_sigma_mm=along
-    )
+    beam, azimuth, elevation, tau, *more = (float(v) for v in np.exp(x))
+    along, place = noise.along_sigma_mm, noise.place
+    if np.isfinite(along):
+        along = more[0] if more[0] > _JITTER_FLOOR_MM else 0.0
+    if any(place):
+        place = (more[-3], more[-2], more[-1])
+    ou = (beam, azimuth, elevation)
+    return replace(noise, ou=ou, ou_time_s=tau, along_sigma_mm=along, place=place)
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:

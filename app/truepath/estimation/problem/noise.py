@@ -27,6 +27,8 @@ class NoiseModel:
     fast : (2,) ratio of the scatter of cell means to that expected from their samples
     shown : (3,) Ornstein–Uhlenbeck part by neighbours in space on different lines
     ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
+    place : (3,) further standard deviation between standstills along the beam, in
+        azimuth and in elevation, in units of the specified noise
     """
 
     white: tuple[float, float]
@@ -36,6 +38,7 @@ class NoiseModel:
     ramp_sigma_mm: float = 0.0
     fast: tuple[float, float] = (1.0, 1.0)
     shown: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def ou_along_and_across(self) -> tuple[float, float]:
@@ -46,7 +49,8 @@ class NoiseModel:
     @property
     def usual(self) -> NoiseModel:
         """Specified white and typical correlated noise, with this feed jitter."""
-        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU, USUAL_OU))
+        ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
+        return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
 
 def cell_noise(
@@ -92,7 +96,9 @@ def split_sigma_mm(
     beam, across = np.multiply(noise.white, noise.fast).tolist()
     white = stated * [beam, across, across] / np.sqrt(observations.count)[:, None]
     on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
-    return np.hypot(white, on_ramp[:, None]), stated * np.array(noise.ou)
+    white = np.hypot(white, on_ramp[:, None])
+    place = np.where(observations.at.line[:, None] < 0, stated * noise.place, 0.0)
+    return np.hypot(white, place), stated * np.array(noise.ou)
 
 
 def _add_jitter(
@@ -144,6 +150,16 @@ def limit_noise(noise: NoiseModel) -> NoiseModel:
         ou=(along, azimuth, elevation),
         ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S if is_usual else np.inf),
     )
+
+
+def calm_places(noise: NoiseModel) -> NoiseModel:
+    """Noise between places limited to what is typical.
+
+    Single shots, whose samples show no scatter, keep the specified noise.
+    """
+    most = _MOST_OU if any(noise.white) else 1.0
+    x, y, z = np.minimum(noise.place, most).tolist()
+    return replace(noise, place=(x, y, z))
 
 
 def raise_noise(noise: NoiseModel) -> NoiseModel:

@@ -135,7 +135,9 @@ def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
 
 def _scale_white(noise: NoiseModel, factor: float) -> NoiseModel:
     beam, across = noise.white
-    return replace(noise, white=(beam * factor, across * factor))
+    x, y, z = noise.place
+    place = (x * factor, y * factor, z * factor)
+    return replace(noise, white=(beam * factor, across * factor), place=place)
 
 
 def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:

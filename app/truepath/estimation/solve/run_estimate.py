@@ -12,6 +12,7 @@ from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Posterior
 from truepath.estimation.problem.noise import NoiseModel, floor_mm
 from truepath.estimation.problem.runs import RunInformation
+from truepath.files.units import UM_PER_MM
 from truepath.kinematics.effects.pose_timing_seats import TargetSeat
 from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
@@ -76,6 +77,12 @@ class RunEstimate:
     seats: tuple[SeatEstimate, ...] = ()
     rotation: Float64[np.ndarray, "3 3"] | None = None
     set_up: str = ""
+
+    @property
+    def place_um(self) -> list[float]:
+        """What one standstill differs from the next by: range, azimuth, elevation."""
+        sigma = self.tracker.sigma_mm(np.array([self.distance_mm]))[0, [0, 1, 1]]
+        return (UM_PER_MM * sigma * self.noise.place).tolist()
 
     @property
     def lines(self) -> int:

@@ -162,6 +162,13 @@ SENTENCES: Mapping[str, Sentence] = {
         "tracker; up to {limit_ratio} is usual.",
         "State the tracker's noise as it is, or look for vibration and turbulent air.",
     ),
+    "places-differ": Sentence(
+        "What the tracker says of one place differs from the next by {range_um} along "
+        "the range, {azimuth_um} in azimuth and {elevation_um} in elevation (1 σ): "
+        "{ratio} times the noise of a sample that the machine file states. It is in "
+        "the uncertainty.",
+        "Look for air, vibration or a loose mount; state the tracker's noise as it is.",
+    ),
     "loop-open": Sentence(
         "Places that were measured early and late differ by {distance_um}; up to "
         "{limit_um} is usual.",

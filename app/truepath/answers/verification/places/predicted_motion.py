@@ -92,7 +92,10 @@ def _settle_noise(
             for start, one in zip(starts, found, strict=True)
         ]
         found = refine_runs(model, before, known=known)
-        now, last = ([one.noise.ou for one in runs] for runs in (found, before))
+        now, last = (
+            [(*one.noise.ou, *one.noise.place) for one in runs]
+            for runs in (found, before)
+        )
         if np.allclose(now, last, rtol=_SAME_NOISE, atol=0.0):
             break
     return found

@@ -40,6 +40,12 @@ class EffectStatementOut(BaseModel):
     parameters: dict[str, NumberOut] = Field(description="The unit is in the name.")
     evidence: EvidenceOut
     indistinguishable_from: list[EffectKeys]
+    largest_um: float | None = Field(
+        None, description="By which it moves the target in all that was measured."
+    )
+    is_small: bool = Field(
+        default=False, description="Less than a control corrects: nothing to be done."
+    )
     cause: str
     looks_like: str
     remedy: str

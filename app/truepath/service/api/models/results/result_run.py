@@ -99,6 +99,14 @@ class BeamNoiseOut(BaseModel):
     across_beam: float
 
 
+class PlaceNoiseOut(BaseModel):
+    """By direction of the tracker, 1 σ; 0 on the fly."""
+
+    beam: float
+    azimuth: float
+    elevation: float
+
+
 class NoiseFoundOut(BaseModel):
     """Noise of the tracker: stated by the machine file, and as it was found."""
 
@@ -107,6 +115,9 @@ class NoiseFoundOut(BaseModel):
     white_um: BeamNoiseOut
     slow_um: BeamNoiseOut
     slow_time_s: float
+    between_places_um: PlaceNoiseOut | None = Field(
+        default=None, description="What one standstill differs from the next by."
+    )
     along_travel_um: float | None = Field(description="Null at standstill.")
 
 

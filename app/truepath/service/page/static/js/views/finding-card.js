@@ -80,11 +80,15 @@ function facts({ evidence, grade, indistinguishable_from: alike, ...effect }, na
     [t("discover.depends_on"), on?.map(dependence).join(", ")],
     [t("discover.cause"), word("cause")],
     [t("discover.looks_like"), word("looks_like")],
-    [t("discover.remedy"), word("remedy")],
+    [t("discover.remedy"), effect.is_small ? tooSmall(effect) : word("remedy")],
     [t("discover.evidence"), !isGraded && said],
     [t("discover.others"), alike.map(nameOf).join("; ") || t("discover.alone")],
   ];
   return pairs(rows.filter(([, value]) => value));
+}
+
+function tooSmall({ largest_um: most }) {
+  return t("discover.too_small", { most: `${number(most, 2)} µm` });
 }
 
 /** What structure depends on: an axis, `t` the time, `v(X)` the speed of X. */
