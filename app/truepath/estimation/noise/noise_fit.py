@@ -304,7 +304,6 @@ def _find_shown(
 def _find_excess(
     square: Float64[np.ndarray, " k"], own: Float64[np.ndarray, " k"]
 ) -> float:
-    """Return what two are apart by beyond their own, each; 0 where few tell."""
     if len(square) < _FEWEST_TRIPLES:
         return 0.0
     low = np.quantile(square, _LOW) / float(chdtri(1, 1.0 - _LOW))
