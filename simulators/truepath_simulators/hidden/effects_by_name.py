@@ -39,6 +39,7 @@ from truepath_simulators.hidden.setup import (
     TableDrift,
 )
 from truepath_simulators.hidden.tracker import (
+    RangeCycle,
     TrackerEccentricity,
     TrackerRangeOffset,
     WarmPlume,
@@ -79,6 +80,7 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         WornScrew,
         LooseNest,
         InertialBend,
+        RangeCycle,
     )
 }
 CATALOGUED = tuple(

@@ -67,6 +67,37 @@ class TrackerRangeOffset(HiddenEffect):
         return error
 
 
+# A distance meter with stray light or crosstalk of its own modulation.
+@dataclass(frozen=True, slots=True)
+class RangeCycle(HiddenEffect):
+    """The phase of the light is that of its sum with a steady, small phasor.
+
+    period_mm : of the range, half the wavelength of the modulation
+    amplitude_um : as that of the range, for a phasor small against the signal
+    """
+
+    name = "range-cycle"
+    period_mm: float
+    amplitude_um: float
+    phase_rad: float = 0.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Random phase and period, uniform in its logarithm."""
+        period_mm = float(np.exp(rng.uniform(*np.log([5.0, 300.0]))))
+        return cls(period_mm, occasion.size_um, float(rng.uniform(0.0, 2.0 * np.pi)))
+
+    def misread(self, polar: np.ndarray) -> np.ndarray:
+        """Phase of the sum less that of the signal alone, as a range."""
+        mm_per_rad = self.period_mm / (2.0 * np.pi)
+        stray = 1e-3 * self.amplitude_um / mm_per_rad
+        signal = np.exp(1j * polar[:, 0] / mm_per_rad)
+        mixed = signal + stray * np.exp(-1j * self.phase_rad)
+        error = np.zeros_like(polar)
+        error[:, 0] = -mm_per_rad * np.angle(mixed / signal)
+        return error
+
+
 # A plume of warm air next to the machine: distances through it are too short.
 @dataclass(frozen=True, slots=True)
 class WarmPlume(HiddenEffect):

@@ -55,7 +55,7 @@ def test_what_is_counted_as_noise_beyond_the_stated_is_described():
     run = measure(TYPICAL)
     point_mm = run.tracker.position_mm
     distance_mm = np.linalg.norm(point_mm, axis=1)[:, None]
-    cyclic_mm = 0.01 * np.sin(2.0 * np.pi * distance_mm / 30.0)
+    cyclic_mm = 0.01 * np.sin(2.0 * np.pi * distance_mm / 3.0)
     moved = point_mm * (1.0 + cyclic_mm / distance_mm)
     found = discover([replace(run, tracker=replace(run.tracker, position_mm=moved))])
     said = [one["description"] for one in discovery_json(found)["unnamed"]]

@@ -24,7 +24,11 @@ from truepath_simulators.hidden.guides import ElasticSag, Squareness
 from truepath_simulators.hidden.motion import Motion, continue_from
 from truepath_simulators.hidden.screws import Backlash, LateralBacklash, ScrewCyclic
 from truepath_simulators.hidden.setup import SetupStep, TableDrift
-from truepath_simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
+from truepath_simulators.hidden.tracker import (
+    RangeCycle,
+    TrackerEccentricity,
+    TrackerRangeOffset,
+)
 from truepath_simulators.hidden.warming import SpindleGrowth, ThermalGrowth
 from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.machine_file import parse_machine
@@ -221,6 +225,10 @@ def test_the_tracker_misreads_what_its_circles_and_home_distance_say():
         recording.position_mm, axis=1, keepdims=True
     )
     np.testing.assert_allclose(off, 30.0 * beam, atol=0.01)
+    off, _ = moved_um(RangeCycle(20.0, 3.0, 0.4))
+    distance = np.linalg.norm(recording.position_mm, axis=1) - 0.03
+    wave = 3.0 * np.sin(2.0 * np.pi * distance / 20.0 + 0.4)
+    np.testing.assert_allclose(off, wave[:, None] * beam, atol=0.01)
     off, recording = moved_um(TrackerEccentricity("azimuth", 20.0, 0.3))
     x, y, _ = recording.position_mm.T
     turn = 20e-6 * np.sin(np.arctan2(y, x) + 0.3)
@@ -264,7 +272,7 @@ def test_an_effect_is_given_by_name_and_size_or_by_its_numbers():
     assert parse_hidden(text, 1, MACHINE) == ServoMismatch("X", 0.06)
     step = '{"name": "setup-step", "time_s": 3, "step_um": [1, 2, 3]}'
     assert parse_hidden(step, 1, MACHINE) == SetupStep(3.0, (1.0, 2.0, 3.0))
-    assert len(CATALOGUED) == 13
+    assert len(CATALOGUED) == 14
     assert "squareness" not in CATALOGUED  # a model fitted to the recording has it
 
 

@@ -14,9 +14,10 @@ ROOT = Path(__file__).resolve().parents[3]
 FOLDER = str(ROOT / "validation")
 SHORT = (14, 14)
 QUICK = [
-    ("single", 25),  # spindle-growth
-    ("single", 28),  # screw-cyclic
-    ("single", 32),  # servo-mismatch
+    ("single", 26),  # spindle-growth
+    ("single", 27),  # range-cycle
+    ("single", 30),  # screw-cyclic
+    ("single", 34),  # servo-mismatch
     ("clean", 1),
     ("off-catalogue", 4),  # coolant-cycle
 ]

@@ -141,18 +141,21 @@ class VibrationFamily(SinusoidFamily):
     words = read_words("""
         [en]
         title = Vibration
-        cause = A pump, a fan, a drive or the floor shakes table, spindle or tracker.
+        cause = A pump, a fan, a drive or the floor shakes table, spindle or tracker, or
+            the tracker's head swings about its target.
         looks_like = A wave in time of one frequency, the same whatever axis moves.
-        remedy = Find what turns at this frequency and stop or isolate it; check the
-            tracker's stand.
+        remedy = Look at a reflector that is fixed to the floor: if it swings too, check
+            the tracker and its stand; else find what turns at this frequency and stop
+            or isolate it.
         [de]
         title = Schwingung
         cause = Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an Tisch,
-            Spindel oder Tracker.
+            Spindel oder Tracker, oder der Kopf des Trackers pendelt um sein Ziel.
         looks_like = Eine Welle in der Zeit mit einer einzigen Frequenz, gleich welche
             Achse fährt.
-        remedy = Suchen, was sich mit dieser Frequenz dreht, und es anhalten oder
-            entkoppeln; das Stativ des Trackers prüfen.
+        remedy = Einen am Boden befestigten Reflektor ansehen: Schwingt er auch, Tracker
+            und Stativ prüfen; sonst suchen, was sich mit dieser Frequenz dreht, und es
+            anhalten oder entkoppeln.
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
