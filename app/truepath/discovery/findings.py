@@ -133,7 +133,7 @@ def _state(
         rivals,
         tried.grade(term, log_bayes, rivals),
         max(_find_largest_mm(term, theta, data) for data in fitter.run_data),
-        tried.is_imitated(term),
+        tried.is_imitated(term) or term.family.tracker_may_imitate,
     )
 
 

@@ -89,6 +89,8 @@ class TriedNames:
         """`certain`, `likely` or `possible`; evidence, rivals : as in its support"""
         if term in self.doubtful:
             return POSSIBLE
+        if term.family.tracker_may_imitate:
+            return LIKELY
         own = Support(evidence, self.lead.get(term.label, 0.0), rivals)
         is_clear = own.is_clear and self.doubted.get(term.label, own).is_clear
         alone = all(other.has_cause for other in self.fit.terms)

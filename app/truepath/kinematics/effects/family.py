@@ -155,6 +155,7 @@ class Family(ABC):
         speed; braces hold a key
     varies_with : `time`, `place` or `way` (side of approach, speed), where free forms
         of the same could be mistaken for it
+    tracker_may_imitate : from one place the tracker could do the same, in any size
     sentence : that describes structure; braces hold a key, or a number of a file
     """
 
@@ -172,6 +173,7 @@ class Family(ABC):
     stated: ClassVar[Mapping[str, float]] = {}
     covariates: ClassVar[tuple[str, ...]] = ()
     varies_with: ClassVar[str] = ""
+    tracker_may_imitate: ClassVar[bool] = False
     sentence: ClassVar[str] = ""
 
     @property

@@ -134,6 +134,7 @@ class VibrationFamily(SinusoidFamily):
     """One candidate per direction, the frequency scanned up to the samples' limit."""
 
     name = "vibration"
+    tracker_may_imitate = True  # its head swings about the target
     role = Role.MEASUREMENT
     value_name = "frequency_hz"
     scans_periods = False
