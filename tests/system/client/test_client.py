@@ -1,7 +1,5 @@
 """The Python client against answers that a test writes, without a service."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Every method of both clients sends a request that the interface describes."""
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Adaptive jobs on simulated devices: planned on the way, from what was told so far."""
 
-from __future__ import annotations
-
 import json
 import time
 

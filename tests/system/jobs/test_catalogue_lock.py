@@ -1,7 +1,5 @@
 """A catalogue in PostgreSQL: two services on it, or no server."""
 
-from __future__ import annotations
-
 import pytest
 from sqlalchemy import text
 

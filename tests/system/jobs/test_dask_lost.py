@@ -1,7 +1,5 @@
 """Blocks on a real Dask cluster whose workers or scheduler die under them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

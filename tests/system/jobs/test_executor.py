@@ -1,7 +1,5 @@
 """Lanes in real processes. The tasks live in a module that the processes can import."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """Tables while the machine moves: published in time, never in anybody's way."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Standstill points by a polled tracker, followed live and ended at the target."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """A PostgreSQL server that restarts, crashes or freezes under the catalogue."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """Whatever a bundle holds, reading it ends within limits and names file and remedy."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

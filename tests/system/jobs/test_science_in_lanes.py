@@ -1,7 +1,5 @@
 """Science jobs as they are computed: a real lane, its workers, its files."""
 
-from __future__ import annotations
-
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -41,10 +39,7 @@ def submit(lane, small_run, tmp_path_factory):
         folder = tmp_path_factory.mktemp("analysed") / "result"
         arguments = [str(small_run)], str(folder), False, plan, workers
         computation = lane.submit(
-            analyse_recorded,
-            *arguments,
-            on_progress=on_progress,
-            started=lambda: None,
+            analyse_recorded, *arguments, on_progress=on_progress, started=lambda: None
         )
         return computation, folder
 

@@ -1,7 +1,5 @@
 """Blocks of a sum on processes and on Dask: the same answer on either."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -19,11 +17,7 @@ from job_builders import has_ended
 from scripted_cell import wait_until
 from truepath.catalogue.errors import WorkersAway
 from truepath.errors import BadInput, WorkerDied
-from truepath.jobs.workers.workers import (
-    Workers,
-    map_in_order,
-    open_workers,
-)
+from truepath.jobs.workers.workers import Workers, map_in_order, open_workers
 
 TASKS = """
 import os, time
@@ -195,10 +189,7 @@ def test_a_scheduler_that_is_not_there_is_named(free_tcp_port):
 def test_a_scheduler_without_workers_is_named():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=0,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
+        n_workers=0, processes=False, protocol="tcp://", dashboard_address="127.0.0.1:0"
     ) as cluster:
         workers = Workers("dask", scheduler=cluster.scheduler_address)
         with pytest.raises(WorkersAway, match="has no workers"), open_workers(workers):

@@ -1,7 +1,5 @@
 """A data folder that was kept while somebody measured into it."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager

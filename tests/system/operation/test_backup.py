@@ -1,7 +1,5 @@
 """Backup and restore of a real data folder, while the service measures."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import zipfile

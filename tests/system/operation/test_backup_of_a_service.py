@@ -1,7 +1,5 @@
 """Backups of a real service that measures, and on PostgreSQL."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import pytest

@@ -1,7 +1,5 @@
 """The support bundle: what it holds, and that no planted secret is in it."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A data folder of today, opened by this version and the next; an older one refused."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import sqlite3

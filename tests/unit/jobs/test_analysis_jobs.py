@@ -1,7 +1,5 @@
 """Jobs that compute: what they are made of, their stages and how they end."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import CancelledError
 from types import SimpleNamespace

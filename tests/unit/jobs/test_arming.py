@@ -1,7 +1,5 @@
 """Nothing moves without a token of exactly this plan, user, machine and moment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

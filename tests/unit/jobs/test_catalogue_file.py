@@ -1,7 +1,5 @@
 """A catalogue that cannot be used is told in one sentence, and left as it is."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """A catalogue made again from Runs and results on disk."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3
@@ -204,10 +202,7 @@ def test_what_was_deleted_stays_deleted(folder, damage):
 
 def test_a_result_that_outlives_its_deletion_makes_no_job(folder, monkeypatch):
     """The rows are gone and the disk refuses to give the files up."""
-    with (
-        deletion(folder) as (deleting, _, jobs),
-        monkeypatch.context() as m,
-    ):
+    with deletion(folder) as (deleting, _, jobs), monkeypatch.context() as m:
         refused = Mock(side_effect=OSError)
         m.setattr("truepath.jobs.dispatch.deletion.shutil.rmtree", refused)
         deleting.delete_job(jobs["discover"])

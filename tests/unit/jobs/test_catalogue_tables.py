@@ -1,7 +1,5 @@
 """Tables as lines: what comes back is what was there, on either database."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

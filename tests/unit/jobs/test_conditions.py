@@ -1,7 +1,5 @@
 """What has to be so before the machine moves: levels, since when, and what forbids."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Discovery as a job: stages, abort, restart, the model that it is held against."""
 
-from __future__ import annotations
-
 import json
 import threading
 from dataclasses import replace

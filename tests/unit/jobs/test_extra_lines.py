@@ -1,7 +1,5 @@
 """Extra lines of a discovery: driven when armed, then explained with all before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

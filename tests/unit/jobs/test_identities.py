@@ -1,7 +1,5 @@
 """What is kept of machines: what certificates state, the order of calibrations."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

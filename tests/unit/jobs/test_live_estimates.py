@@ -1,7 +1,5 @@
 """What a live estimate tells, and how much of it is remembered."""
 
-from __future__ import annotations
-
 from multiprocessing import Pipe
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A measuring job from its creation to its end, over a cell that the test plays."""
 
-from __future__ import annotations
-
 import random
 import threading
 import time
@@ -173,11 +171,7 @@ AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operat
     ("cell_status", "kind", "remedy"),
     [
         (CellStatus("ready"), ConditionType.DEVICES_CONNECTED, "connect them"),
-        (
-            OBSERVED.cell,
-            ConditionType.CONTROLLER_FREE,
-            "end or reset it at the panel",
-        ),
+        (OBSERVED.cell, ConditionType.CONTROLLER_FREE, "end or reset it at the panel"),
     ],
 )
 def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(

@@ -1,7 +1,5 @@
 """Many Runs analysed again as one job: restart, failures, progress, cancelling."""
 
-from __future__ import annotations
-
 import json
 import threading
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Files and catalogue, brought together again after a full disk or a stopped cell."""
 
-from __future__ import annotations
-
 import json
 import threading
 from dataclasses import replace

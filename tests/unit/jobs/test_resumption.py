@@ -1,7 +1,5 @@
 """A measurement that was cut short goes on: acknowledged, armed, checked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

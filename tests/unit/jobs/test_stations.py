@@ -1,7 +1,5 @@
 """A job of several stations asks for the tracker, checks it and loses nothing."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What the events of a cell tell of beam, stream and temperatures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

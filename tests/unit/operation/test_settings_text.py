@@ -1,7 +1,5 @@
 """Settings as text: the page is current, the example loads, no secret is shown."""
 
-from __future__ import annotations
-
 import os
 import re
 import runpy

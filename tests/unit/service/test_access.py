@@ -1,7 +1,5 @@
 """Every route and every role; sessions, keys, users and audit log over HTTP."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from dataclasses import replace
 from itertools import product

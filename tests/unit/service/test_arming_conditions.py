@@ -1,7 +1,5 @@
 """Nothing moves while a condition of the machine is not as it has to be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Of a result over REST: certificates, comparisons, its volumetric error."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """Compensation files over REST: made of a result, given to a simulated control."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

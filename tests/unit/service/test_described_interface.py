@@ -1,7 +1,5 @@
 """Requests drawn from the description of the interface: every answer is as it says."""
 
-from __future__ import annotations
-
 import json
 from importlib import resources
 

@@ -1,7 +1,5 @@
 """The interface as it describes itself: enough to generate a client from it."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Discovery and models over REST, and what rests on a model."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.files.earlier.verdict import Reason, Verdict

@@ -1,7 +1,5 @@
 """What a job that waits to be armed gives: the grade of its set-up, an NC program."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What stands before every route."""
 
-from __future__ import annotations
-
 from starlette.testclient import TestClient
 
 from truepath.service.api.application import create_application

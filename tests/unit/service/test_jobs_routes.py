@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import threading
 import time
 from datetime import datetime, timedelta, timezone
@@ -8,11 +6,7 @@ import pytest
 
 from arming import arm_over_http
 from scripted_cell import wait_until
-from truepath.catalogue.errors import (
-    ArmTokenExpired,
-    ArmTokenUsed,
-    StorageUnavailable,
-)
+from truepath.catalogue.errors import ArmTokenExpired, ArmTokenUsed, StorageUnavailable
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.jobs.dispatch.arm_tokens import ArmTokens
 

@@ -1,7 +1,5 @@
 """The estimate while the machine moves, the end at a target, plans that grow."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A machine over its calibrations, over REST, and `truepath machines` for both."""
 
-from __future__ import annotations
-
 import json
 from shutil import copytree
 

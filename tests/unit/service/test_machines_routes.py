@@ -1,7 +1,5 @@
 """Machines over REST: who they are, their configurations, their devices."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Plans over REST: made by the real planner, checked, taken away, driven."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """What is not as the interface says is refused by name, and changes nothing."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Many Runs over REST: a machine over time, and analyses that are made again."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs that are taken in, named, noted, and deleted as jobs are."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Whom a request comes from where a proxy says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

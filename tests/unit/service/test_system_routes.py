@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from truepath.service.api.routes import machine as machine_routes

@@ -1,7 +1,5 @@
 """What stops a machine, while every thread of other requests is taken."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A result proved over REST: points, arming, answer; and the circle on a bench."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

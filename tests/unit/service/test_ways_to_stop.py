@@ -1,7 +1,5 @@
 """A stop comes through from anywhere; what is told or changed comes from this site."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Users in a catalogue of their own."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -1,16 +1,9 @@
 """Log-ins that fail, and too many changes in a short time."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.users.access import FREE_TRIES, Access, AccessRules
-from truepath.users.back_off import (
-    FORGET_S,
-    LONGEST_WAIT_S,
-    BackOff,
-    RateLimit,
-)
+from truepath.users.back_off import FORGET_S, LONGEST_WAIT_S, BackOff, RateLimit
 from truepath.users.errors import TooManyRequests, TooManyTries, WrongPassword
 from truepath.users.roles import LOCAL, Actor, Role
 

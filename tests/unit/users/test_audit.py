@@ -1,7 +1,5 @@
 """The audit log: only added to; what was changed or taken out is named."""
 
-from __future__ import annotations
-
 import time
 from contextlib import contextmanager
 from dataclasses import replace

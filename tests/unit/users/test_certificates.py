@@ -1,7 +1,5 @@
 """Certificates: made for names, and checked before anybody listens."""
 
-from __future__ import annotations
-
 import os
 import ssl
 from contextlib import suppress
@@ -12,11 +10,7 @@ from starlette.testclient import TestClient
 
 from truepath.errors import BadInput
 from truepath.service.api.security.security import Guard
-from truepath.users.certificates import (
-    TlsFiles,
-    check_tls_files,
-    create_certificate,
-)
+from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Sessions and API keys: opaque, revoked at once, not moved by clock jumps."""
 
-from __future__ import annotations
-
 import pytest
 from sqlalchemy import text
 

@@ -7,8 +7,6 @@ well, by abort and by failure, a user, an API key and an audit log. The report o
 result is left out: nine tenths of it are a library of charts.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import zipfile
