@@ -243,26 +243,15 @@ def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten
     assert rebuild(folder)[1] == first
 
 
-def test_a_check_names_where_catalogue_and_disk_disagree(folder):
-    with open_catalogue(folder) as database:
-        assert check_against_disk(database, folder / "runs")["runs_without_row"] == []
-        (folder / "runs" / "s2.sqlite").rename(folder / "runs" / "s3.sqlite")
-        found = check_against_disk(database, folder / "runs")
-    assert (found["jobs"], found["runs"]) == (4, 5)
-    assert found["runs_without_row"] == ["s3"]
-    assert found["rows_without_file"] == ["s2"]
-
-
-def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
+def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(folder):
     """One byte of one batch is another, and its CRC fits: only the digest tells."""
 
-    def find_changed(*, with_hashes):
+    def check(**asked):
         with open_catalogue(folder) as database:
-            runs = folder / "runs"
-            found = check_against_disk(database, runs, with_hashes=with_hashes)
-            return found["changed_files"]
+            return check_against_disk(database, folder / "runs", **asked)
 
-    assert find_changed(with_hashes=True) == []
+    assert check()["runs_without_row"] == []
+    assert check(with_hashes=True)["changed_files"] == []
     file = folder / "runs" / "s2.sqlite"
     file.chmod(0o644)
     with closing(sqlite3.connect(file)) as connection, connection:
@@ -273,5 +262,10 @@ def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
             "UPDATE batch SET payload = ?, crc32 = ? WHERE stream = ? AND seq0 = ?",
             (batch.payload, batch.crc32, batch.stream, batch.seq0),
         )
-    assert find_changed(with_hashes=False) is None
-    assert find_changed(with_hashes=True) == ["s2"]
+    assert check(with_hashes=False)["changed_files"] is None
+    assert check(with_hashes=True)["changed_files"] == ["s2"]
+    file.rename(file.with_name("s3.sqlite"))
+    found = check()
+    assert (found["jobs"], found["runs"]) == (4, 5)
+    assert found["runs_without_row"] == ["s3"]
+    assert found["rows_without_file"] == ["s2"]

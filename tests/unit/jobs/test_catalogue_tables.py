@@ -69,6 +69,8 @@ def test_what_comes_back_is_what_was_there_and_rows_are_counted_on(filled, other
     assert len(before["jobs"]) == 2
     assert len(before["users"]) == 1
     assert json.loads(before["jobs"][0])["plan"] == '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
+    with pytest.raises(SchemaTooNew):
+        import_tables(other, "v9999", {})
     with open_export(filled) as export:
         import_tables(other, export.revision, before)
     assert read_all(other) == before
@@ -94,10 +96,3 @@ def test_a_catalogue_that_is_not_empty_is_left_alone(filled):
     with pytest.raises(BadInput, match="not empty"):
         import_tables(filled, "v0009", before)
     assert read_all(filled) == before
-
-
-def test_an_export_of_a_newer_version_is_refused(tmp_path):
-    other = Database(f"sqlite:///{tmp_path / 'other.sqlite'}")
-    with pytest.raises(SchemaTooNew):
-        import_tables(other, "v9999", {})
-    other.close()

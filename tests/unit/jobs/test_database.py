@@ -14,10 +14,7 @@ from truepath.catalogue.schema import metadata
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.database import Database
 from truepath.errors import BadInput
-from truepath.users.accounts import Accounts
 from truepath.users.audit import AuditLog, Entry
-from truepath.users.roles import Actor, Role
-from truepath.users.tokens import Tokens
 from truepath_drivers import host_clock
 
 
@@ -163,15 +160,3 @@ def test_a_row_of_the_audit_log_is_never_changed(database, verb):
         connection.execute(text(verb))
     assert log.verify() == []
     assert [row.entry.outcome for row in log.read()] == ["202", "403"]
-
-
-@pytest.mark.database
-def test_users_and_tokens_are_the_same_on_every_database(database):
-    Accounts(database).add("anna", Role.OPERATOR, "a long sentence is easy")
-    tokens = Tokens(database, session_s=60.0)
-    session = tokens.open_session("anna")
-    assert tokens.find(session) == Actor("anna", Role.OPERATOR)
-    Accounts(database).set_role("anna", Role.VIEWER)
-    assert tokens.find(session) == Actor("anna", Role.VIEWER)
-    tokens.end(session)
-    assert tokens.find(session) is None

@@ -149,49 +149,24 @@ def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
     assert len(explorer.calls[-1][0]) == 3
 
 
-def test_where_nothing_is_asked_nothing_is_driven(ask, explorer):
-    explorer.rows = []
-    with pytest.raises(PlanningError, match="asks for no extra lines"):
-        ask()
-
-
-def test_a_job_without_a_discovery_is_refused(ask, dispatcher, run, until):
+def test_lines_of_no_discovery_or_another_machine_or_out_of_bounds_are_refused(
+    ask, explorer, dispatcher, run, until
+):
     analysed = until(dispatcher.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0])
-    nobody = replace(analysed, id="nowhere")
-    for job, said in ((analysed, "has no discovery"), (nobody, "no job")):
-        with pytest.raises(NotFound, match=said):
-            ask(job)
-
-
-def test_lines_for_another_machine_are_refused(ask, explorer):
-    explorer.machine = {**explorer.machine, "name": "lathe"}
-    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
-        ask()
-
-
-def test_lines_that_leave_the_travel_or_enter_a_stated_box_are_refused(ask, explorer):
+    with pytest.raises(NotFound, match="has no discovery"):
+        ask(analysed)
     with pytest.raises(PlanningError, match=r"way to row 2 enters .* vice; .*keep_out"):
         ask(keep_out=[DOOR, VICE])
     explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
     with pytest.raises(OutOfTravel, match="row 2: X = 501"):
         ask()
+    explorer.machine = {**explorer.machine, "name": "lathe"}
+    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
+        ask()
 
 
-def test_lines_keep_clear_of_the_boxes_of_the_runs_that_they_are_to_explain(
-    ask, discover, drive, explorer, context, dispatcher
-):
-    before = drive(keep_out=[DOOR])
-    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
-    found = discover(before.run_id)
-    with pytest.raises(PlanningError, match="enters the keep-out box door"):
-        ask(found)
-    job = ask(found, keep_out=[], keep_out_replaces=True)
-    dispatcher.abort(job.id)
-    assert "workspace" not in context.store.read_plan_request(job.id)
-
-
-def test_boxes_of_an_order_hold_beside_those_of_the_runs_also_for_the_way_to_them(
-    ask, discover, drive, context, dispatcher, until
+def test_boxes_of_an_order_hold_beside_those_of_the_runs_that_lines_are_to_explain(
+    ask, discover, drive, explorer, context, dispatcher, until
 ):
     before = drive(keep_out=[DOOR])
     found = discover(before.run_id)
@@ -201,3 +176,10 @@ def test_boxes_of_an_order_hold_beside_those_of_the_runs_also_for_the_way_to_the
         assert hold == {"keep_out": [DOOR, PRESS] if stated else [DOOR]}
         dispatcher.abort(job.id)
         until(job)
+    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
+    found = discover(before.run_id)
+    with pytest.raises(PlanningError, match="enters the keep-out box door"):
+        ask(found)
+    job = ask(found, keep_out=[], keep_out_replaces=True)
+    dispatcher.abort(job.id)
+    assert "workspace" not in context.store.read_plan_request(job.id)
