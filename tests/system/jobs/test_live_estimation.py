@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 import pytest
+from tests.system.jobs.conftest import measured
 
-from arming import arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.job import JobKind
 from truepath.jobs.kinds.requested_job import RequestedJob
@@ -18,11 +18,9 @@ from truepath.jobs.running.live_estimation import (
     LiveEstimation,
 )
 from truepath.jobs.running.live_process import LiveEstimateOrder
-from truepath.main import open_service
-from truepath.settings import load_settings
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
-
-SPEED = 8.0
 
 
 @pytest.fixture
@@ -103,56 +101,15 @@ def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
 
 @pytest.mark.long
 @pytest.mark.timeout(120)
-def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
-    with open_service(settings) as service:
-        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
-        request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
-        job, _ = service.dispatcher.create(request)
-        wait_until(lambda: service.store.get(job.id).state == "ready")
-        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
-        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
-        ended = service.store.get(job.id)
-        assert ended.state == "succeeded"
-        assert ended.early_end is not None
-        assert ended.early_end.reached_um <= ended.target_um == 20.0
-        last = service.event_bus.estimates.newest(job.id)
-        run = service.runs.get(ended.run_id)
-        assert service.results.joinpath(job.id, "result.json").is_file()
-    assert 4 <= last["done"] < last["total"]
-    assert last["volumetric_uncertainty_um"] <= 25.0
-    assert run.lost_samples == 0
-
-
-@pytest.mark.long
-@pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     """The whole service on simulated devices, faster than real."""
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
-    heard = []
-    with open_service(settings) as service:
-        service.event_bus.subscribe(
-            lambda n: (
-                heard.append((time.monotonic(), n.body))
-                if n.type == "estimate"
-                else None
-            )
-        )
-        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
-        job, _ = service.dispatcher.create(
-            RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
-        )
-        wait_until(lambda: service.store.get(job.id).state == "ready")
-        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
-        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
-        assert service.store.get(job.id).state == "succeeded"
-        last = service.event_bus.estimates.newest(job.id)
-        file = service.results / job.id / "result.json"
+    request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
+    faster = {"simulated": True, "simulated_speed": 8.0}
+    with measured(request, tmp_path, **faster) as done:
+        last = done.service.event_bus.estimates.newest(done.job.id)
+        file = done.service.results / done.job.id / "result.json"
         result = json.loads(file.read_text(encoding="utf-8"))
+    heard = done.list_notices("estimate")
     sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
     assert len(set(sigma)) >= 3
     assert sigma[0] > 1.2 * sigma[-1]  # a busy computer may miss the first lines
@@ -169,3 +126,22 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
         off.append(away / np.maximum(u, 0.05))
     # The final look knows more of the noise; both lie within one standard uncertainty.
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 1.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(240)
+def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
+    content = load_machine("demo")
+    content["tracker"]["rate_hz"] = 2.0
+    request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
+    with (
+        Bench(content, 7, 20.0, protocol="geocom", tracker="tcp") as bench,
+        measured(request, tmp_path, bench, content, tracker_driver="geocom") as done,
+    ):
+        heard = [body for _, body in done.list_notices("estimate")]
+    sigma = [body["volumetric_uncertainty_um"] for body in heard]
+    assert len(set(sigma)) >= 5
+    assert sigma[0] > sigma[-1]
+    end = done.job.early_end
+    assert end.reached_um <= 25.0
+    assert end.done < end.total

@@ -41,6 +41,11 @@ def unpack(place: Path, revision: str = "0014") -> Path:
     return place
 
 
+@pytest.fixture(scope="module", autouse=True)
+def logged_plainly(plain_log):
+    """The commands set the log up; it is put back."""
+
+
 @contextmanager
 def measuring(data: Path, machine) -> Iterator[str]:
     """Hold a data folder as the service does that measures into it; give the job."""

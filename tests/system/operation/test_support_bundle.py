@@ -20,11 +20,6 @@ from truepath.users.tokens import Tokens
 PLANTED = "planted-5eCret"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def logged_plainly(plain_log):
-    """The command sets the log up; it is put back."""
-
-
 @pytest.fixture
 def installation(tmp_path):
     """A data folder with users, keys and jobs, its settings and log full of secrets."""

@@ -14,7 +14,7 @@ from truepath.catalogue.errors import (
     StaleVersion,
 )
 from truepath.catalogue.job import JobKind
-from truepath.catalogue.transitions import State
+from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
 from truepath.jobs.running.arming import (
@@ -63,6 +63,8 @@ def test_a_token_of_this_plan_moves_the_machine_once_and_then_nothing_is_armed(
     dispatcher, ready, make_cell
 ):
     arming = dispatcher.prepare_arming(ready.id)
+    # Its stored state counts, which its thread may not know yet.
+    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
     assert dispatcher.arm(ready.id, ready.version, arming.token).state == "running"
     assert make_cell.cell.begun.wait(5)
     commanded = make_cell.cell.order.commanded

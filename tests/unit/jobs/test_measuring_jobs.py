@@ -13,19 +13,16 @@ from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
 from truepath.catalogue.errors import (
-    CellBusy,
     CellDown,
-    NoMachine,
     NotResumable,
     StaleVersion,
     StorageUnavailable,
 )
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.idempotency import IdempotencyKey
 from truepath.catalogue.store.job_rows import read_job
-from truepath.catalogue.transitions import State, Verb
-from truepath.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
@@ -37,7 +34,6 @@ from truepath.jobs.running import active_job, cell_measurement
 from truepath.kinematics.machine.machine import Target
 from truepath.machines.cell_status import CellStatus, ControllerLevels
 from truepath.machines.conditions.conditions import ConditionType, NotInOrder
-from truepath.machines.machine_cells import Machines
 from truepath.measurement.messages import (
     CellState,
     LinesDamaged,
@@ -47,8 +43,6 @@ from truepath.measurement.messages import (
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.records import MotionState, MotionStatus
-
-STANDSTILL = RequestedJob(JobKind.MEASURE_STANDSTILL)
 
 
 @pytest.fixture
@@ -139,29 +133,8 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     assert (context.results / job.id / "result.json").is_file()
     wait_until(lambda: dispatcher._under_way.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
-    for verb in (
-        dispatcher.pause,
-        lambda id: arm_at_once(dispatcher, id, job.version),
-        lambda id: dispatcher.resume(id, job.version),
-    ):
-        with pytest.raises(IllegalTransition, match="a job that is succeeded"):
-            verb(job.id)
-    with pytest.raises(NotFound):
-        dispatcher.abort("nobody")
-
-
-def test_nothing_moves_before_the_job_is_armed_once_at_the_version_that_was_read(
-    dispatcher, ready, cell
-):
-    with pytest.raises(StaleVersion):
-        arm_at_once(dispatcher, ready.id, ready.version - 1)
-    assert cell.heard == ["connect"]
-    # Its stored state counts, which its thread may not know yet.
-    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
-    assert arm_at_once(dispatcher, ready.id, ready.version).state is State.RUNNING
-    assert cell.begun.wait(5)
-    with pytest.raises(IllegalTransition, match="cannot arm a job that is running"):
-        arm_at_once(dispatcher, ready.id, ready.version)
+    with pytest.raises(IllegalTransition, match="a job that is succeeded"):
+        dispatcher.resume(job.id, job.version)
 
 
 AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operator")
@@ -465,15 +438,9 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     until(computing, "succeeded")
 
 
-def test_stop_reaches_the_cell_even_if_no_job_is_under_way_or_there_is_no_machine(
-    dispatcher, cell, open_dispatcher
-):
+def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, cell):
     assert dispatcher.stop() == []
     wait_until(lambda: cell.heard == ["abort"], "the abort")
-    without = open_dispatcher(machines=Machines())
-    assert without.stop() == []
-    with pytest.raises(NoMachine, match="machine_file"):
-        without.create(OTF)
 
 
 @pytest.mark.parametrize(
@@ -543,16 +510,6 @@ def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
     assert file.is_file()
 
 
-def test_science_that_fails_fails_the_job_and_the_run_is_kept(
-    running, cell, until, science, context
-):
-    science.raises = ValueError("matrix")
-    cell.end()
-    job = until(running, "failed")
-    assert (job.failure.family, job.failure.detail) == ("ValueError", "matrix")
-    assert context.runs.get(job.run_id).complete
-
-
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
@@ -582,7 +539,7 @@ def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
     ("request_", "kind", "feeds"),
     [
         (RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0), "path", {1234.0}),
-        (STANDSTILL, "points", set()),
+        (RequestedJob(JobKind.MEASURE_STANDSTILL), "points", set()),
     ],
 )
 def test_without_rows_the_default_path_or_points_are_measured(
@@ -594,21 +551,6 @@ def test_without_rows_the_default_path_or_points_are_measured(
     assert plan["kind"] == kind
     assert len(plan["position"]) > 10
     assert set(plan["feed_mm_min"]) == feeds
-
-
-@pytest.mark.database
-@pytest.mark.fault_row(33)
-def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(
-    dispatcher, until
-):
-    key = IdempotencyKey("once", b"body")
-    job, is_new = dispatcher.create(OTF, key)
-    until(job, "ready")
-    again, is_new_again = dispatcher.create(OTF, key)
-    assert (again.id, is_new, is_new_again) == (job.id, True, False)
-    for other in (IdempotencyKey("twice", b"body"), None):
-        with pytest.raises(CellBusy, match=job.id):
-            dispatcher.create(OTF, other)
 
 
 def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
@@ -875,26 +817,23 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
 
 
 @pytest.mark.fault_row(48)
-def test_a_stop_that_a_frozen_cell_hears_late_is_an_abort(
-    dispatcher, running, cell, until
+@pytest.mark.parametrize("stopped_before", [True, False])
+def test_a_machine_that_stands_elsewhere_is_a_fault_unless_a_stop_came_before(
+    dispatcher, running, cell, until, context, stopped_before
 ):
+    """A frozen cell hears the stop late."""
     cell.deaf.add("abort")
-    dispatcher.stop()
+    if stopped_before:
+        dispatcher.stop()
     cell.fault("ended-early", "the controller is aborted at X 3.000")
+    if not stopped_before:
+        wait_until(lambda: context.store.get(running.id).failure)
+        dispatcher.stop()
     cell.end("faulted")
-    job = until(running, "aborted")
-    assert (job.failure, job.desired_state) == (None, "aborted")
-
-
-def test_a_machine_that_stands_elsewhere_before_anybody_stops_it_is_a_fault(
-    dispatcher, running, cell, until, context
-):
-    cell.deaf.add("abort")
-    cell.fault("ended-early", "the controller is aborted at X 3.000")
-    wait_until(lambda: context.store.get(running.id).failure)
-    dispatcher.stop()
-    cell.end("faulted")
-    assert until(running, "faulted").failure.code == "ended-early"
+    job = until(running, "aborted" if stopped_before else "faulted")
+    assert job.desired_state == "aborted"
+    code = None if stopped_before else "ended-early"
+    assert code == (job.failure and job.failure.code)
 
 
 @pytest.mark.database

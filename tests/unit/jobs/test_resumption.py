@@ -41,50 +41,21 @@ OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
 
 
 @pytest.fixture
-def registry(database):
-    return MachineRegistry(database)
-
-
-@pytest.fixture
-def describe(context, registry):
-    """Gives the machine another file, as a new version."""
-
-    def describe(machine):
-        content = machine_to_json(machine)
-        version = registry.note("default", "catalogue", content, {})
-        one = context.machines.get("default")
-        context.machines.put(replace(one, machine=machine, version=version))
-
-    return describe
-
-
-@pytest.fixture
 def lives():
     """The live estimates, the newest last."""
     return []
 
 
 @pytest.fixture
-def verifier():
-    return Verifier()
-
-
-@pytest.fixture
-def context(context, resumer, closer, registry, lives, verifier):
+def context(context, resumer, closer, lives, database):
     """A service that can go on with what was cut short."""
 
     def follow(order, show):
         lives.append(ScriptedLive(order, show))
         return lives[-1]
 
-    return replace(
-        context,
-        resumer=resumer,
-        closer=closer,
-        registry=registry,
-        live=follow,
-        verifier=verifier,
-    )
+    parts = {"registry": MachineRegistry(database), "verifier": Verifier()}
+    return replace(context, resumer=resumer, closer=closer, live=follow, **parts)
 
 
 @pytest.fixture
@@ -193,15 +164,14 @@ def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     assert len(science.calls[0][0]) == 1
 
 
+TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
+
+
 @pytest.mark.parametrize(
     ("next_row", "change", "expected"),
     [
         (12, {}, {"first_row": 5}),
-        (
-            4,
-            {"target": ["T1"] * 3 + ["T2"] * 9},
-            {"closure_row": [3], "place_mm": PLACES[1:]},
-        ),
+        (4, TWO_TARGETS, {"closure_row": [3], "place_mm": PLACES[1:]}),
     ],
     ids=["few rows are driven with some before them", "the closure has one target"],
 )
@@ -230,8 +200,14 @@ def test_what_is_acknowledged_knows_its_rest_and_waits_to_be_armed_anew(
 
 @pytest.mark.database
 def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
-    dispatcher, faulted, drive, until, cell, context, describe, machine
+    dispatcher, faulted, drive, until, cell, context, machine
 ):
+    def describe(machine):
+        content = machine_to_json(machine)
+        version = context.registry.note("default", "catalogue", content, {})
+        one = context.machines.get("default")
+        context.machines.put(replace(one, machine=machine, version=version))
+
     describe(machine)
     job = faulted()
     (target,) = machine.targets
@@ -281,11 +257,10 @@ def test_nothing_goes_on_while_another_job_holds_the_machine_or_after_an_abort(
 ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
 
 
-@pytest.fixture
-def choose_line(cell, lives):
-    """Have the live estimate choose a line after those of the order; tell the cell."""
-
-    def choose(x_mm):
+def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
+    faulted, drive, until, cell, science, resumer, lives, context
+):
+    def choose_line(x_mm):
         position = np.array([cell.order.commanded.position[-1], [x_mm, 90.0, 90.0]])
         part = Path(("X", "Y", "Z"), position, np.full(2, 3000.0), np.zeros(2))
         cell.parts.clear()
@@ -293,12 +268,6 @@ def choose_line(cell, lives):
         cell.say(PartRequested(len(cell.order.commanded) - 1))
         wait_until(lambda: cell.parts, "the part")
 
-    return choose
-
-
-def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
-    faulted, drive, until, cell, science, resumer, lives, context, choose_line
-):
     job = faulted(ADAPTIVE, then=lambda: choose_line(70.0))
     kept = context.store.read_plan(job.id)["position"]
     assert kept[-1] == [70.0, 90.0, 90.0]
@@ -392,7 +361,7 @@ def test_points_that_are_measured_again_are_not_gone_back_to_through_a_box(
 
 
 def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
-    faulted, drive, until, cell, verifier, context, replan
+    faulted, drive, until, cell, context, replan
 ):
     job = faulted(replace(OTF, kind=JobKind.MEASURE_STANDSTILL))
     context.store.change(job.id, lambda one: replace(one, kind=JobKind.VERIFY))
@@ -404,7 +373,7 @@ def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
     assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
     cell.end()
     ended = until(job, "succeeded")
-    ((files, first_row, *_),) = verifier.calls
+    ((files, first_row, *_),) = context.verifier.calls
     assert files == [str(context.runs.file(run_id)) for run_id in ended.run_ids]
     assert first_row == [0, 4]
 
@@ -447,31 +416,17 @@ def test_targets_that_only_one_run_joins_keep_a_measurement_from_going_on(
         require_targets_apart(plan, machine)
 
 
-DONE = {"measured": True}
+def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
+    ends = {"state": State.FAULTED, "stage": Stage.ALIGNING}
+    measuring, done = Job(JobKind.MEASURE_OTF, **ends), {"measured": True}
+    require_resumable(measuring, {"stations": [done, {}]})
+    with pytest.raises(NotResumable, match="analyse its Runs"):
+        require_resumable(measuring, {"stations": [done, done]})
+    with pytest.raises(NotResumable, match=r"only computes.*begin a new job"):
+        require_resumable(Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {})
 
 
-@pytest.mark.parametrize(
-    ("job", "stations", "refused"),
-    [
-        (Job(JobKind.ANALYSE, run_id="a"), None, r"only computes.*begin a new job"),
-        (Job(JobKind.MEASURE_OTF, stage=Stage.ALIGNING), [DONE, {}], None),
-        (
-            Job(JobKind.MEASURE_OTF, stage=Stage.ALIGNING),
-            [DONE, DONE],
-            "analyse its Runs",
-        ),
-    ],
-)
-def test_stations_go_on_until_all_are_measured_and_what_computes_does_not(
-    job, stations, refused
-):
-    job = replace(job, state=State.FAULTED)
-    plan = {} if stations is None else {"stations": stations}
-    if refused is None:
-        require_resumable(job, plan)
-        return
-    with pytest.raises(NotResumable, match=refused):
-        require_resumable(job, plan)
+DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 
 @pytest.mark.parametrize(
@@ -482,12 +437,7 @@ def test_stations_go_on_until_all_are_measured_and_what_computes_does_not(
         (Stage.ALIGNING, {"station": StationProgress(1, 2, (0.0,))}, True, None),
         (Stage.MEASURING, {"kind": JobKind.MEASURE_ADAPTIVE}, True, None),
         (Stage.ALIGNING, {"kind": JobKind.VERIFY}, True, None),
-        (
-            Stage.DISCOVERING,
-            {"kind": JobKind.MEASURE_EXTRA},
-            False,
-            '{"kind": "discover", "run_ids": ["b", "a"]}',
-        ),
+        (Stage.DISCOVERING, {"kind": JobKind.MEASURE_EXTRA}, False, DISCOVER),
     ],
 )
 def test_only_what_is_not_measured_yet_is_offered_to_go_on(stage, more, goes_on, order):

@@ -34,6 +34,7 @@ def to(state):
 
 
 def test_a_new_job_is_queued_at_version_one_and_keeps_its_plan(store):
+    assert (store.read_last_event_id(), store.read_events_after(0)) == (0, [])
     job, is_new = store.create(ANALYSE)
     assert is_new
     assert (job.state, job.version, job.desired_state) == ("queued", 1, "succeeded")
@@ -41,14 +42,9 @@ def test_a_new_job_is_queued_at_version_one_and_keeps_its_plan(store):
     job, _ = store.create(MEASURE, plan=PLAN)
     assert store.read_plan(job.id) == PLAN
     assert store.get(job.id).desired_state == "ready"
-
-
-def test_what_is_not_there_is_not_found(store):
     with pytest.raises(NotFound, match="no job nowhere"):
         store.get("nowhere")
     assert store.read_plan("nowhere") is None
-    assert store.read_last_event_id() == 0
-    assert store.read_events_after(0) == []
 
 
 def test_a_second_measuring_job_is_refused_while_the_first_lasts(store):
@@ -137,7 +133,7 @@ def test_a_job_whose_commit_is_not_confirmed_is_made_once(store, commit_twice, n
 @pytest.mark.fault_row(33)
 @pytest.mark.fault_row(37)
 @pytest.mark.parametrize("version", [1, None])
-def test_a_change_whose_commit_is_not_confirmed_is_made_once_and_published(
+def test_a_change_or_name_whose_commit_is_not_confirmed_is_made_once_and_published(
     store, commit_twice, told, version
 ):
     job, _ = store.create(ANALYSE)
@@ -149,16 +145,8 @@ def test_a_change_whose_commit_is_not_confirmed_is_made_once_and_published(
     assert [event.id for event in told] == [e.id for e in store.read_events_after(0)]
     with pytest.raises(StaleVersion):
         store.change(job.id, to(State.SUCCEEDED), version=1)
-
-
-@pytest.mark.fault_row(37)
-def test_a_name_whose_commit_is_not_confirmed_is_given_once_and_published(
-    store, commit_twice, told
-):
-    job, _ = store.create(ANALYSE)
-    commit_twice()
     assert store.rename(job.id, "As found", None).name == "As found"
-    assert [event.body["name"] for event in told] == ["", "As found"]
+    assert [event.body["name"] for event in told] == ["", "", "As found"]
     assert [event.id for event in told] == [e.id for e in store.read_events_after(0)]
 
 

@@ -29,13 +29,7 @@ class Here:
     """Calls what a process of its own would compute."""
 
     def __init__(self, name):
-        pass
-
-    def call(self, function):
-        return function()
-
-    def close(self):
-        pass
+        self.call, self.close = (lambda function: function()), (lambda: None)
 
 
 @pytest.fixture
@@ -46,14 +40,17 @@ def quick_print(monkeypatch):
     monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
 
 
-def test_what_the_registry_or_a_certificate_has_stated_need_not_be_stated_again(
-    client, service, place, quick_print
+def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_changes(
+    client, service, with_result, place, quick_print
 ):
     service.setup.registry.change("default", serial_number="4711", place="Hall 3")
     known = {"machine_serial": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
     stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
-    first = client.post(place, json={"identity": stated}).json()
+    answer = client.post(place, json={"language": "de", "identity": stated})
+    assert answer.status_code == 201, answer.text
+    first = answer.json()
+    assert answer.headers["location"] == first["links"]["self"]
     assert first["identity"] == {"machine_serial": "4711", **stated}
     record = service.setup.registry.get("default")
     assert (record.place, record.stated) == ("Hall 4", {"operator": "A. Weiß"})
@@ -65,6 +62,17 @@ def test_what_the_registry_or_a_certificate_has_stated_need_not_be_stated_again(
     assert second["identity"] == listed["identity"] == kept
     numbers = [one["number"] for one in listed["items"]]
     assert numbers == [first["number"], second["number"]]
+    page = client.get(first["links"]["html"])
+    assert "Kalibrierschein" in page.text
+    assert first["number"] in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    printed = client.get(first["links"]["pdf"]).content
+    assert printed.startswith(b"%PDF")
+    set_verdict(service, with_result, "doubtful")
+    assert client.get(first["links"]["self"]).json() == first
+    assert client.get(first["links"]["pdf"]).content == printed
+    assert client.put(first["links"]["self"], json={}).status_code == 405
+    assert client.delete(first["links"]["self"]).status_code == 405
 
 
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
@@ -232,24 +240,3 @@ def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines
                 assert read("conformity") == (neither, pytest.approx(limit_um))
                 query = {}
             assert read(level, **query)[0] == [said, "within"]
-
-
-def test_a_certificate_is_numbered_kept_listed_and_never_changed(
-    client, service, with_result, place, quick_print
-):
-    asked = {"language": "de", "identity": {"operator": "A. Weiß", "warm_up": "2 h"}}
-    answer = client.post(place, json=asked)
-    assert answer.status_code == 201, answer.text
-    first = answer.json()
-    assert answer.headers["location"] == first["links"]["self"]
-    page = client.get(first["links"]["html"])
-    assert "Kalibrierschein" in page.text
-    assert first["number"] in page.text
-    assert "sandbox" in page.headers["content-security-policy"]
-    printed = client.get(first["links"]["pdf"]).content
-    assert printed.startswith(b"%PDF")
-    set_verdict(service, with_result, "doubtful")
-    assert client.get(first["links"]["self"]).json() == first
-    assert client.get(first["links"]["pdf"]).content == printed
-    assert client.put(first["links"]["self"], json={}).status_code == 405
-    assert client.delete(first["links"]["self"]).status_code == 405

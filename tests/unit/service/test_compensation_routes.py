@@ -22,18 +22,6 @@ def place(with_result):
     return f"/api/v1/jobs/{with_result}/compensations"
 
 
-def test_formats_say_what_each_carries_and_asks(client):
-    items = client.get("/api/v1/compensation-formats").json()["items"]
-    known = {item["name"]: item for item in items}
-    assert known["linuxcnc"]["carries"].startswith("positioning of each axis")
-    assert known["linuxcnc"]["sign"]["verified"]
-    assert not known["heidenhain"]["sign"]["verified"]
-    assert known["siemens"]["most_rows"] == 500
-    by_axis = {name: one["by_axis"] for name, one in known.items()}
-    assert by_axis["siemens"] == by_axis["siemens-lec"] == ["measuring_system"]
-    assert by_axis["linuxcnc"] == by_axis["siemens-cec"] == []
-
-
 def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_given(
     client, place, analysed, tmp_path, is_problem
 ):
@@ -64,7 +52,6 @@ def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_g
     assert 0.0 < error["after"]["mean"] < error["before"]["mean"]
     assert error["after"]["mean_uncertainty"] > 0.0
     assert made["left_um"]["not_carried"] > made["left_um"]["rounding"]
-
     assert len(made["files"]) == len(account["files"]) > 1
     for name, file in zip(made["files"], account["files"], strict=True):
         taken = client.get(f"{at}/files/{name}")
@@ -78,25 +65,21 @@ def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_g
     for name in ("result.json", "..%2F..%2Fresult.json", "compensation-Q.tbl"):
         is_problem(client.get(f"{at}/files/{name}"), 404, "not-found")
     is_problem(client.get(f"{place}/linuxcnc-11-hold"), 404, "not-found")
-    is_problem(client.get(f"{place}/..%2F..%2F../archive"), 404, "not-found")
-
-
-def test_files_are_kept_with_the_result_and_made_once_for_each_spacing(client, place):
     for spacing_mm in (12.345678, 12.345681, 12.345678):
         order = {"format": "fanuc", "spacing_mm": spacing_mm}
         assert client.post(place, json=order).status_code == 201
-    items = client.get(place).json()["items"]
-    ids = ["fanuc-12.345678-hold", "fanuc-12.345681-hold"]
-    assert [item["id"] for item in items] == ids
+    kept = [item["id"] for item in client.get(place).json()["items"]]
+    assert kept[:2] == ["fanuc-12.345678-hold", "fanuc-12.345681-hold"]
+    assert len(kept) == 3, "made once for each spacing"
+    is_problem(client.get(f"{place}/..%2F..%2F../archive"), 404, "not-found")
 
 
 def test_what_cannot_be_made_says_why_and_what_is_not_to_be_used_has_to_be_accepted(
     client, service, place, with_result, is_problem
 ):
     for name in ("vcs", "../linuxcnc"):
-        refusal = is_problem(
-            client.post(place, json={"format": name}), 422, "bad-input"
-        )
+        answer = client.post(place, json={"format": name})
+        refusal = is_problem(answer, 422, "bad-input")
         assert "installed: csv, etalon" in json.dumps(refusal)
     for word in ("X=3", "A=2"):
         order = {"format": "siemens", "choices": {"measuring_system": word}}
@@ -181,19 +164,11 @@ class Control:
         self.given, self.rules = [place.name for place in compensation], rules
 
 
-@pytest.fixture
-def control():
-    return Control()
-
-
-@pytest.fixture
-def simulate(service, control):
-    """Let the machine have a simulated control from now on."""
-
-    def begin():
-        service.setup.simulated_controls = SimulatedControls({"default": control})
-
-    return begin
+def simulate(service):
+    """Let the machine have a simulated control from now on; return it."""
+    control = Control()
+    service.setup.simulated_controls = SimulatedControls({"default": control})
+    return control
 
 
 @pytest.fixture
@@ -208,13 +183,13 @@ def name_files(client, with_result, place):
 
 
 def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away(
-    client, control, simulate, name_files, is_problem, until
+    client, service, name_files, is_problem, until
 ):
     asked = name_files(format="linuxcnc")
     assert client.get(TABLES).json()["simulated"] is False
     for answer in (client.put(TABLES, json=asked), client.delete(TABLES)):
         is_problem(answer, 409, "not-simulated")
-    simulate()
+    control = simulate(service)
     wrong = {**asked, "compensation_id": "none"}
     is_problem(client.put(TABLES, json=wrong), 404, "not-found")
     is_problem(client.put(TABLES, json={"job_id": "any"}), 422, "validation")
@@ -230,7 +205,6 @@ def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away
     until(made, "aborted")
     assert client.get(TABLES).json()["compensation_id"] is None
     assert control.given == []
-
     answer = client.put(TABLES, json=asked)
     assert answer.status_code == 200, answer.text
     files = [f"compensation-{axis}.tbl" for axis in "XYZ"]
@@ -250,9 +224,9 @@ def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away
     ],
 )
 def test_the_control_is_set_as_the_files_were_made(
-    client, control, simulate, name_files, name, choices
+    client, service, name_files, name, choices
 ):
-    simulate()
+    control = simulate(service)
     asked = name_files(format=name, choices=choices)
     assert client.put(TABLES, json=asked).status_code == 200
     assert control.rules == choices

@@ -66,16 +66,6 @@ def test_a_ready_job_gives_its_path_as_a_program_of_each_control(
     assert "fanuc, heidenhain, linuxcnc, siemens-840d" in problem["detail"]
 
 
-def test_standstill_points_are_a_program_as_well(client, take):
-    position = [[1, 2, 3], [4, 5, 6], [90, 5, 6]]
-    points = [dict(zip(("x_mm", "y_mm", "z_mm"), row, strict=True)) for row in position]
-    job = take("ready", kind="measure-standstill", points=points)
-    dialect = {"dialect": "linuxcnc"}
-    answer = client.get(at(job["id"], "nc-program"), params=dialect)
-    motion = read_program(answer.text, "linuxcnc")
-    np.testing.assert_allclose(motion.position, position)
-
-
 def test_a_job_that_commands_nothing_has_no_grade_and_no_program(
     client, run, take, is_problem
 ):

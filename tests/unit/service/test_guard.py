@@ -15,7 +15,7 @@ def test_the_service_answers_to_its_names_and_to_none_that_somebody_points_here(
         is_problem(client.get("/healthz", headers={"host": host}), 421, "host")
 
 
-def test_a_page_of_another_site_can_change_nothing(
+def test_a_page_of_another_site_can_change_nothing_and_the_own_page_can(
     client, ready, is_problem, make_cell
 ):
     job = f"/api/v1/jobs/{ready['id']}"
@@ -31,14 +31,12 @@ def test_a_page_of_another_site_can_change_nothing(
             is_problem(answer, 403, "cross-site")
         assert client.get("/api/v1/system", headers=headers).status_code == 200
     assert make_cell.cell.heard == ["connect"]
-
-
-def test_the_services_own_page_and_programs_can(client):
+    own = "http://127.0.0.1:8411"
     for headers in (
         {},
-        {"sec-fetch-site": "same-origin", "origin": "http://127.0.0.1:8411"},
+        {"sec-fetch-site": "same-origin", "origin": own},
         {"sec-fetch-site": "none"},
-        {"origin": "http://127.0.0.1:8411"},
+        {"origin": own},
     ):
         answer = client.post("/api/v1/machines/current:connect", headers=headers)
         assert answer.status_code == 200

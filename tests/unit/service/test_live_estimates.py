@@ -12,25 +12,6 @@ from truepath_drivers.interfaces.records import Path
 JOBS = "/api/v1/jobs"
 
 
-@pytest.fixture
-def order(order):
-    """A measurement that may end early."""
-    return {**order, "target_um": 2.0}
-
-
-def test_a_job_shows_its_target_wherever_it_is_shown(client, ready, order, take):
-    assert ready["target_um"] == 2.0
-    assert ready["early_end"] is None
-    (listed,) = client.get(JOBS).json()["items"]
-    assert listed["target_um"] == 2.0
-    assert client.get(ready["links"]["plan"]).json()["target_um"] == 2.0
-    client.post("/api/v1/stop")
-    del order["target_um"]
-    job = take("ready", **order)
-    assert job["target_um"] is None
-    assert client.get(job["links"]["plan"]).json()["target_um"] is None
-
-
 def test_the_newest_estimate_comes_with_its_course_once_there_is_one(
     client, armed, estimates
 ):
@@ -67,20 +48,15 @@ def growing(client, take, make_cell):
     return job
 
 
-@pytest.fixture
-def cell(growing, make_cell):
-    return make_cell.cell
-
-
 def asked(cell, estimates):
     cell.say(PartRequested(0))
     wait_until(lambda: "ask" in estimates[-1].heard, "the question")
 
 
 def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
-    client, growing, cell, estimates, service, until
+    client, growing, make_cell, estimates, service, until
 ):
-    told = []
+    told, cell = [], make_cell.cell
     service.event_bus.subscribe(told.append)
     assert cell.order.grows
     request = estimates[-1].order.request
@@ -94,13 +70,8 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
     grown = len(first) + 2
     wait_until(lambda: len(client.get(address).json()["position"]) == grown, "rows")
     (body,) = [notice.body for notice in told if notice.type == "plan"]
-    assert body == {
-        "part": 2,
-        "rows": 2,
-        "total": grown - 1,
-        "duration_s": 9.5,
-        "predicted_um": 1.1,
-    }
+    times = {"duration_s": 9.5, "predicted_um": 1.1}
+    assert body == {"part": 2, "rows": 2, "total": grown - 1, **times}
     estimates[-1].publish(1.9, done=9)
     job = until(growing, "succeeded")
     assert job["early_end"]["reached_um"] == 1.9
@@ -109,9 +80,9 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
 
 @pytest.mark.parametrize("is_over", [False, True])
 def test_a_job_ends_in_order_where_no_part_fits_or_the_estimate_has_ended(
-    growing, cell, estimates, until, is_over
+    growing, make_cell, estimates, until, is_over
 ):
-    estimates[-1].is_over = is_over
+    cell, estimates[-1].is_over = make_cell.cell, is_over
     asked(cell, estimates)
     if not is_over:
         estimates[-1].parts.append(Part(None))

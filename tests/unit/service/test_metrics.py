@@ -35,20 +35,9 @@ def scrape(client):
     return read
 
 
-def progress(samples, lost=0, crc=0, gaps=0, commits=None):
+def progress(samples, **counted):
     return MeasurementProgress(
-        1,
-        2,
-        "lines",
-        "measuring",
-        1.0,
-        1.0,
-        samples=samples,
-        lost_samples=lost,
-        crc_errors=crc,
-        gaps=gaps,
-        queue_depth=3,
-        commits=commits or Durations(),
+        1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
     )
 
 
@@ -122,15 +111,15 @@ def test_counts_of_measurements_add_up_and_never_fall():
     counters = CellCounters()
     commits = Durations().add(0.02)
     counters.begin_measurement()
-    counters.count(progress(100, lost=2, crc=5, gaps=1, commits=commits))
+    counters.count(progress(100, lost_samples=2, crc_errors=5, gaps=1, commits=commits))
     counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
     counters.begin_measurement()
-    counters.count(progress(50, lost=1, crc=6, gaps=1, commits=commits))
+    counters.count(progress(50, lost_samples=1, crc_errors=6, gaps=1, commits=commits))
     found = counters.read()
     assert (found.samples, found.lost_samples, found.gaps) == (160, 3, 2)
     assert found.crc_errors == 6, "those of a connection, not of a measurement"
     assert sum(found.commits.counts) == 2
-    counters.count(progress(60, crc=1))  # connected anew
+    counters.count(progress(60, crc_errors=1))  # connected anew
     assert counters.read().crc_errors == 7
 
 

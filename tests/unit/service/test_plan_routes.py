@@ -4,10 +4,8 @@ import copy
 import dataclasses
 import json
 
-import numpy as np
 import pytest
 
-from arming import arm_over_http
 from scripted_cell import wait_until
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_orders import plan_measurement
@@ -106,15 +104,6 @@ def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
     assert found["tracker_mm"] == document["tracker"]["position_mm"]
 
 
-def test_a_job_drives_the_beginning_that_the_curve_shows(plan, client, take):
-    point = client.get(plan["links"]["curve"]).json()["points"][3]
-    order = {"plan_id": plan["id"], "plan_rows": point["row"]}
-    job = take("ready", kind="measure-otf", **order)
-    driven = client.get(f"/api/v1/jobs/{job['id']}/plan").json()
-    assert driven["position"] == plan["commanded"]["position"][: point["row"]]
-    assert driven["predicted_um"] == point["volumetric_uncertainty_um"]
-
-
 @pytest.mark.long
 def test_a_target_is_a_standard_uncertainty_and_boxes_are_kept_out_of(planned):
     order = {"mode": "otf", "target_um": 12.0, "workspace": {"keep_out": [BOX]}}
@@ -128,24 +117,21 @@ def test_a_target_is_a_standard_uncertainty_and_boxes_are_kept_out_of(planned):
     assert commanded["keep_out"] == [BOX]
 
 
-def test_a_plan_is_driven_as_it_is_shown_and_given_as_a_program(
-    plan, client, take, until, make_cell
-):
-    job = take("ready", kind="measure-otf", plan_id=plan["id"], target_um=1.0)
-    driven = client.get(job["links"]["plan"]).json()
-    assert driven["position"] == plan["commanded"]["position"]
+def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
+    position = plan["commanded"]["position"]
     predicted = plan["document"]["predicted"]["volumetric_uncertainty_um"]
-    assert driven["predicted_um"] == predicted
-    assert job["target_um"] == 1.0
-    arm_over_http(client, job)
-    assert make_cell.cell.begun.wait(5)
-    stops = make_cell.cell.order.commanded.position
-    np.testing.assert_array_equal(stops, plan["commanded"]["position"])
-    make_cell.cell.end()
-    until(job, "succeeded")
-    answer = client.get(plan["links"]["nc_program"], params={"dialect": "heidenhain"})
-    motion = read_program(answer.text, "heidenhain")
-    np.testing.assert_allclose(motion.position, stops)
+    point = client.get(plan["links"]["curve"]).json()["points"][3]
+    for asked, rows, predicted_um in (
+        ({"target_um": 1.0}, len(position), predicted),
+        ({"plan_rows": point["row"]}, point["row"], point["volumetric_uncertainty_um"]),
+    ):
+        job = take("ready", kind="measure-otf", plan_id=plan["id"], **asked)
+        driven = client.get(job["links"]["plan"]).json()
+        assert driven["position"] == position[:rows]
+        assert driven["predicted_um"] == predicted_um
+        target_um = asked.get("target_um")
+        assert job["target_um"] == driven["target_um"] == target_um
+        client.post("/api/v1/stop")
 
 
 def test_each_station_of_a_plan_has_its_program(
@@ -168,14 +154,6 @@ def test_each_station_of_a_plan_has_its_program(
     assert lengths == [len(whole["position"]), len(less["position"])]
     told = is_problem(give(station=3), 404, "not-found")["detail"]
     assert "2 stations, not 3" in told
-
-
-@pytest.mark.long
-def test_points_are_planned_and_driven_as_points(planned, client, take):
-    made = planned({"mode": "standstill", "minutes": 0.3})
-    assert made["commanded"]["kind"] == "points"
-    job = take("ready", kind="measure-standstill", plan_id=made["id"])
-    assert len(client.get(job["links"]["plan"]).json()["position"]) > 4
 
 
 def test_a_plan_is_driven_in_its_mode_on_the_machine_it_is_for_alone(
@@ -203,40 +181,27 @@ def test_what_is_no_plan_has_no_curve_and_cannot_be_driven_as_one(
         is_problem(answer, 404, "not-found")
 
 
-def test_a_plan_that_cannot_be_ends_with_the_reason(planned):
+@pytest.mark.database
+def test_a_plan_that_cannot_be_ends_with_the_reason_and_is_made_once_for_a_key(
+    planned, client
+):
     axes = MACHINE.linear_axes
     everything = {
         "min_mm": [axis.low - 1.0 for axis in axes],
         "max_mm": [axis.high + 1.0 for axis in axes],
     }
-    made = planned({**SHORT, "workspace": {"keep_out": [everything]}})
+    order = {**SHORT, "workspace": {"keep_out": [everything]}}
+    made = planned(order)
     assert made["state"] == "failed"
     assert made["error"]["code"] == "plan"
     assert "keep-out" in made["error"]["detail"]
     assert made["commanded"] is None
     assert made["document"] is None
-
-
-@pytest.mark.database
-def test_the_same_key_makes_one_plan(client):
-    headers = {"Idempotency-Key": "plan-1"}
     first, again = (
-        client.post("/api/v1/plans", json=SHORT, headers=headers).json()
+        client.post("/api/v1/plans", json=order, headers={"Idempotency-Key": "plan-1"})
         for _ in range(2)
     )
-    assert first["id"] == again["id"]
-
-
-def test_rows_that_may_be_driven_have_a_duration(client):
-    for feed in (1.0, 6000.0, 99_999.0):
-        rows = [
-            {"x_mm": 10, "y_mm": 10, "z_mm": 100, "dwell_s": 3600},
-            {"x_mm": 400, "y_mm": 300, "z_mm": 100, "feed_mm_min": feed},
-            {"x_mm": 10, "y_mm": 300, "z_mm": 100},
-        ]
-        answer = client.post("/api/v1/plans:validate", json={"path": rows})
-        assert answer.status_code == 200, answer.text
-        assert answer.json()["duration_s"] > 3600.0
+    assert first.json()["id"] == again.json()["id"]
 
 
 def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
@@ -265,6 +230,10 @@ def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
     assert free.status_code == 200, free.text
     assert free.json()["rows"] == 3
     assert free.json()["duration_s"] > 4.0
+    for feed in (1.0, 99_999.0):
+        slow = [{**rows[0], "dwell_s": 3600}, {**rows[1], "feed_mm_min": feed}, rows[2]]
+        answer = client.post("/api/v1/plans:validate", json={"path": slow})
+        assert answer.json()["duration_s"] > 3600.0
     body = {"path": rows, "workspace": {"keep_out": [BOX]}}
     refused = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")
     assert "row 2 enters the keep-out box probe" in refused["detail"]

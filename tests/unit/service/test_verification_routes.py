@@ -1,6 +1,7 @@
 """A result proved over REST: points, arming, answer; and the circle on a bench."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 
@@ -105,18 +106,11 @@ def test_a_result_is_verified_on_its_own_machine_alone(
     assert "axes.X.max_mm is 500.0, but 540.0 in the result" in said["detail"]
 
 
-class Control:
-    """A simulated control that takes any files."""
-
-    def load_compensation(self, compensation, rules=None):
-        pass
-
-
 @pytest.mark.usefixtures("few_places")
 def test_files_of_any_spacing_are_verified_unless_the_control_cannot_apply_them(
     client, service, ask, look, result, is_problem
 ):
-    service.setup.simulated_controls = SimulatedControls({"default": Control()})
+    service.setup.simulated_controls = SimulatedControls({"default": Mock()})
     at = f"{JOBS}/{result}/compensations"
     orders = {"format": "isg-csv", "spacing_mm": 12.5}, {"format": "linuxcnc"}
     first, other = (client.post(at, json=order).json()["id"] for order in orders)
@@ -140,13 +134,8 @@ def test_a_verification_links_to_its_answer_and_report(
     client, service, ask, until, result, make_cell, verifier, record
 ):
     """What the task of science writes is what the routes give out."""
-    again, _ = record(
-        101,
-        "standstill",
-        rows=30,
-        feed=6000.0,
-        setting=synthetic.Setting(machine_seed=1),
-    )
+    setting = synthetic.Setting(machine_seed=1)
+    again, _ = record(101, "standstill", rows=30, feed=6000.0, setting=setting)
     found = verify(read_result(service.results / result / "result.json"), again)
     content = {**verification_json(found), "asked": {"seed": 4}, "compensation": None}
     verifier.content = content
