@@ -268,29 +268,23 @@ def test_the_types_of_the_client_are_those_of_the_interface(body):
 
 JOB = {"id": "7", "version": 3, "state": "succeeded", "token": "once", "ended": "now"}
 PAGE = {**JOB, "items": [JOB], "next": None}
+OF_A_JOB = """
+get_job prepare_arming pause cancel abort acknowledge take_control delete_job
+get_verification list_certificates get_job_plan get_estimate get_result
+get_error_tables get_discovery get_trend get_reanalysis wait_for events
+"""
 CALLS = {
+    **dict.fromkeys(OF_A_JOB.split(), ("7",)),
+    **dict.fromkeys(("get_plan", "get_run"), ("7",)),
+    **dict.fromkeys(("get_machine_record", "get_machine_standing"), ("mill",)),
+    **dict.fromkeys(("log_out", "get_system", "connect", "get_machine", "stop"), ()),
+    **dict.fromkeys(("list_conditions", "list_machines"), ()),
+    **dict.fromkeys(("arm", "resume"), (JOB,)),
     "log_in": ("anna", "a long sentence"),
-    "log_out": (),
-    "get_system": (),
-    "connect": (),
-    "get_machine": (),
-    "list_conditions": (),
     "create_job": {"kind": "measure-otf"},
-    "get_job": ("7",),
-    "prepare_arming": ("7",),
-    "arm": (JOB,),
-    "pause": ("7",),
-    "resume": (JOB,),
-    "cancel": ("7",),
-    "abort": ("7",),
-    "acknowledge": ("7",),
-    "take_control": ("7",),
     "rename_job": ("7", {"name": "as found"}),
     "rename_run": ("7", {"note": "warm"}),
-    "delete_job": ("7",),
     "delete_run": ("7", {"with_results": True}),
-    "list_machines": (),
-    "get_machine_record": ("mill",),
     "add_machine": ("mill", {"machine_file": {}}),
     "change_machine": ("mill", {"place": "hall 3"}),
     "remove_machine": ("mill", 1),
@@ -299,29 +293,14 @@ CALLS = {
     "get_machine_history": ("mill", {"quantity": "EXX", "position": 300.0}),
     "get_machine_changes": ("mill", "7"),
     "get_machine_temperature": ("mill", {"sensor": ["X", "Y"]}),
-    "get_machine_standing": ("mill",),
     "compare_machines": {"machine": ["mill", "lathe"]},
-    "get_verification": ("7",),
     "issue_certificate": ("7", {"language": "de"}),
-    "list_certificates": ("7",),
-    "stop": (),
-    "get_job_plan": ("7",),
-    "get_estimate": ("7",),
-    "get_result": ("7",),
-    "get_error_tables": ("7",),
-    "get_discovery": ("7",),
-    "get_trend": ("7",),
-    "get_reanalysis": ("7",),
     "download": ("/api/v1/jobs/7/result/report.html",),
     "create_plan": {"mode": "otf"},
-    "get_plan": ("7",),
     "upload_bundle": (Path(__file__),),
-    "get_run": ("7",),
     "make_compensation": ("7", {"format": "linuxcnc"}),
-    "wait_for": ("7",),
     "list_jobs": {"state": ["succeeded"]},
     "list_runs": {"machine": "mill"},
-    "events": ("7",),
 }
 
 

@@ -30,7 +30,6 @@ def run(record):
 
 @pytest.fixture
 def shown():
-    """The estimates that were told."""
     return []
 
 

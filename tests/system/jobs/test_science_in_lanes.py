@@ -64,7 +64,6 @@ def analyse(submit):
 
 @pytest.fixture(scope="module")
 def by_one(analyse):
-    """What one worker makes of the trials."""
     return analyse(Workers(count=1))
 
 

@@ -46,7 +46,6 @@ def downgrade() -> None:
 
 @pytest.fixture
 def folder(tmp_path):
-    """The data folder of schema 0014."""
     return unpack(tmp_path / "data")
 
 

@@ -25,14 +25,11 @@ from truepath.numerics.adaptive_trials import TrialPlan
 
 @pytest.fixture
 def analysing(open_dispatcher):
-    """A dispatcher of a service without a machine."""
     return open_dispatcher(machines=Machines())
 
 
 @pytest.fixture
 def analyse(analysing, run):
-    """Asks for an analysis of the Run."""
-
     def analyse(dispatcher=analysing, **request):
         request = {"run_ids": [run.id], **request}
         return dispatcher.create(RequestedJob(JobKind.ANALYSE, **request))[0]
@@ -42,7 +39,6 @@ def analyse(analysing, run):
 
 @pytest.fixture
 def other(context, run, bundle):
-    """A second Run."""
     bundle.write_bytes(context.runs.file(run.id).read_bytes())
     return context.runs.add_uploaded(bundle, "the other side")
 

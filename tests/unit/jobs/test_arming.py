@@ -36,8 +36,6 @@ def dispatcher(hand_clock, context, open_dispatcher):
 
 @pytest.fixture
 def changed(ready, context):
-    """Changes a plan behind the back of its job."""
-
     def change():
         plan = dict(context.store.read_plan(ready.id))
         plan["position"][1][0] += 0.001

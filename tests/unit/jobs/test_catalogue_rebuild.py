@@ -52,7 +52,6 @@ def history(tmp_path_factory, empty_catalogue):
 
 @pytest.fixture
 def folder(history, tmp_path, monkeypatch):
-    """A data folder whose catalogue may be spoiled."""
     reader = "truepath.jobs.dispatch.catalogue_rebuild.RunReader"
     monkeypatch.setattr(reader, ReaderHere)
     return shutil.copytree(history, tmp_path, dirs_exist_ok=True)
@@ -172,7 +171,6 @@ def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
 
 @contextmanager
 def deletion(folder):
-    """Gives what deletes, the Runs, and the jobs by their kind."""
     with open_catalogue(folder) as database:
         runs = RunCatalogue(database, folder / "runs", ReaderHere())
         jobs = {row["kind"]: row["id"] for row in read_rows(database)["jobs"]}

@@ -50,7 +50,6 @@ def filled(database):
 
 @pytest.fixture
 def other(request, other_kind, tmp_path):
-    """A catalogue without tables."""
     if other_kind == "sqlite":
         url = f"sqlite:///{tmp_path / 'other.sqlite'}"
     else:

@@ -36,7 +36,6 @@ def sqlite_database(sqlite_file):
 
 @pytest.fixture
 def lock(sqlite_file):
-    """Another program that writes."""
     other = sqlite3.connect(sqlite_file, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     yield other

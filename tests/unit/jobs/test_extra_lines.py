@@ -37,7 +37,6 @@ def lives():
 
 @pytest.fixture
 def context(context, explorer, lives, resumer, closer):
-    """A service whose discoveries ask for extra lines."""
     return replace(
         context,
         discoverer=explorer,
@@ -49,8 +48,6 @@ def context(context, explorer, lives, resumer, closer):
 
 @pytest.fixture
 def discover(dispatcher, run, until):
-    """Discover in the Run and wait for the end."""
-
     def done(*run_ids, **more):
         of = run_ids or [run.id]
         job, _ = dispatcher.create(RequestedJob(JobKind.DISCOVER, of, **more))
@@ -75,8 +72,6 @@ def ask(dispatcher, discover):
 
 @pytest.fixture
 def drive(ask, begin, until, cell):
-    """Drive the extra lines of a discovery to the end."""
-
     def done(*discovery, **order):
         job = begin(ask(*discovery, **order))
         cell.end()

@@ -32,8 +32,7 @@ from truepath.jobs.kinds import workflow
 from truepath.jobs.kinds.requested_job import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.kinematics.machine.machine import Target
-from truepath.machines.cell_status import CellStatus, ControllerLevels
-from truepath.machines.conditions.conditions import ConditionType, NotInOrder
+from truepath.machines.conditions.conditions import NotInOrder
 from truepath.measurement.messages import (
     CellState,
     LinesDamaged,
@@ -42,18 +41,15 @@ from truepath.measurement.messages import (
 )
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 
 @pytest.fixture
 def running(begin, ready):
-    """A job whose machine moves."""
     return begin(ready)
 
 
 @pytest.fixture
 def paused(dispatcher, running, until):
-    """A job whose machine a user holds."""
     dispatcher.pause(running.id)
     return until(running, "paused")
 
@@ -135,35 +131,6 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     assert dispatcher.abort(job.id) == job
     with pytest.raises(IllegalTransition, match="a job that is succeeded"):
         dispatcher.resume(job.id, job.version)
-
-
-AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operator")
-
-
-@pytest.mark.parametrize(
-    ("cell_status", "kind", "remedy"),
-    [
-        (CellStatus("ready"), ConditionType.DEVICES_CONNECTED, "connect them"),
-        (OBSERVED.cell, ConditionType.CONTROLLER_FREE, "end or reset it at the panel"),
-    ],
-)
-def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
-    context, open_watched, until, make_cell, cell_status, kind, remedy
-):
-    context.require_cell().start()
-
-    def observe():
-        held = ControllerLevels(AT_THE_PANEL, "", time.monotonic())
-        return replace(OBSERVED, cell=cell_status, controller=held)
-
-    dispatcher = open_watched(observe)
-    job = until(dispatcher.create(OTF)[0], "ready")
-    with pytest.raises(NotInOrder, match=remedy) as refused:
-        arm_at_once(dispatcher, job.id, job.version)
-    (obstacle,) = refused.value.obstacles
-    assert obstacle.type is kind
-    assert context.store.get(job.id) == job
-    assert not make_cell.cell.begun.is_set()
 
 
 def test_a_pause_holds_and_a_resume_of_the_version_that_was_read_goes_on(
@@ -657,66 +624,6 @@ def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
 
 
 @pytest.fixture
-def failing(context):
-    """While it is set, nothing can be written down."""
-    failing, change = threading.Event(), context.store.change
-
-    def may_fail(*arguments, **options):
-        if failing.is_set():
-            raise StorageUnavailable("the disk is full")
-        return change(*arguments, **options)
-
-    context.store.change = may_fail
-    yield failing
-    failing.clear()
-
-
-def test_a_pause_that_cannot_be_stored_is_insisted_on(
-    dispatcher, running, cell, until, failing, monkeypatch, context
-):
-    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
-    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
-    cell.deaf.add("pause")
-    failing.set()
-    with pytest.raises(StorageUnavailable):
-        dispatcher.pause(running.id)
-    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
-    failing.clear()
-    cell.deaf.clear()
-    paused = until(running, "paused")
-    dispatcher.resume(running.id, paused.version)
-    until(running, "running")
-    assert cell.heard[-1] == "resume"
-
-
-@pytest.mark.parametrize("obeys", [True, False])
-def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cell(
-    running, cell, until, failing, context, monkeypatch, obeys
-):
-    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 30.0 if obeys else 0.2)
-    if not obeys:
-        cell.deaf.add("abort")
-    failing.set()
-    cell.say_state("paused")
-    wait_until(lambda: cell.heard[-1] == "abort", "the abort")
-    wait_until(lambda: obeys or cell.closed, "the end of the cell")
-    failing.clear()
-    assert until(running, "failed").failure.family == "StorageUnavailable"
-    assert not obeys or context.runs.get(running.id).samples == 50
-
-
-def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
-    dispatcher, running, failing, context
-):
-    failing.set()
-    dispatcher.close()
-    assert context.store.get(running.id).state == "running"
-    failing.clear()
-    dispatcher.interrupt_unfinished_jobs()
-    assert context.store.get(running.id).state == "interrupted"
-
-
-@pytest.fixture
 def full(context):
     """While it is set, the disk of the catalogue has no room left."""
     database, full = context.store._database, threading.Event()
@@ -730,6 +637,51 @@ def full(context):
     yield full
     full.clear()
     event.remove(engine, "before_cursor_execute", refuse)
+
+
+def test_a_pause_that_cannot_be_stored_is_insisted_on(
+    dispatcher, running, cell, until, full, monkeypatch, context
+):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
+    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
+    cell.deaf.add("pause")
+    full.set()
+    with pytest.raises(StorageUnavailable):
+        dispatcher.pause(running.id)
+    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
+    full.clear()
+    cell.deaf.clear()
+    paused = until(running, "paused")
+    dispatcher.resume(running.id, paused.version)
+    until(running, "running")
+    assert cell.heard[-1] == "resume"
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cell(
+    running, cell, until, full, context, monkeypatch, obeys
+):
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 30.0 if obeys else 0.2)
+    if not obeys:
+        cell.deaf.add("abort")
+    full.set()
+    cell.say_state("paused")
+    wait_until(lambda: cell.heard[-1] == "abort", "the abort")
+    wait_until(lambda: obeys or cell.closed, "the end of the cell")
+    full.clear()
+    assert until(running, "failed").failure.family == "StorageFull"
+    assert not obeys or context.runs.get(running.id).samples == 50
+
+
+def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
+    dispatcher, running, full, context
+):
+    full.set()
+    dispatcher.close()
+    assert context.store.get(running.id).state == "running"
+    full.clear()
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).state == "interrupted"
 
 
 @pytest.mark.database
@@ -884,14 +836,6 @@ def test_a_run_that_is_not_closed_in_time_is_a_fault(
     monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
     cell.say_state("finished")
     assert until(running, "faulted").failure.code == "run-not-closed"
-
-
-def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
-    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
-    context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
-    ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
-    with pytest.raises(IllegalTransition, match="not under way any more"):
-        arm_at_once(dispatcher, job.id, ready.version)
 
 
 def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):

@@ -43,19 +43,9 @@ class Followed:
 
 
 def notice(**more):
-    usual = {
-        "number": 1,
-        "kind": "something-changed",
-        "grade": "possible",
-        "axis": "",
-        "since_row": 5,
-        "noticed_row": 6,
-        "noticed_s": 44.0,
-        "size_um": 10.0,
-        "uncertainty_um": 1.0,
-        "is_over": False,
-    }
-    return {**usual, **more}
+    usual = {"number": 1, "kind": "something-changed", "grade": "possible", "axis": ""}
+    usual |= {"since_row": 5, "noticed_row": 6, "noticed_s": 44.0}
+    return {**usual, "size_um": 10.0, "uncertainty_um": 1.0, "is_over": False, **more}
 
 
 def path(rows=8):
@@ -64,8 +54,7 @@ def path(rows=8):
 
 
 def points(rows=5):
-    position = np.arange(float(rows))[:, None] * np.ones(3)
-    return Configurations(("X", "Y", "Z"), position, np.ones(rows))
+    return Configurations(("X", "Y", "Z"), path(rows).position, np.ones(rows))
 
 
 def drive(planned):
@@ -120,32 +109,41 @@ def test_a_pause_holds_the_machine_once_and_first_unless_the_job_ends(
     assert followed.asked == asked
 
 
-@pytest.mark.parametrize(("policy", "back_to"), [("check", 3.0), ("replan", 4.0)])
-def test_lines_are_measured_again_from_before_or_since_the_change(
-    followed, board, policy, back_to
+@pytest.mark.parametrize(
+    ("policy", "wish", "back_to"),
+    [("check", None, 3.0), ("replan", None, 4.0), ("pause", "check", 3.0)],
+)
+def test_lines_are_measured_again_from_before_or_since_the_change_or_if_that_is_asked(
+    followed, board, policy, wish, back_to
 ):
     shown, planned = board(OnNotice(policy))
     shown.show([notice()])
+    if wish is not None:
+        followed.wish = OnNotice(wish)
+        shown.show([notice()])
     assert planned.next().position[:, 0].min() == back_to
-    assert followed.kept[0].action == policy
+    assert followed.kept[0].action == (wish or policy)
     shown.show([notice(grade="likely")])
     assert planned.next().position[-1, 0] == 8.0  # once
 
 
-def test_who_is_asked_may_have_lines_measured_again(followed, board):
-    shown, planned = board(OnNotice.PAUSE)
-    shown.show([notice()])
-    followed.wish = OnNotice.CHECK
-    shown.show([notice()])
-    assert followed.kept[0].action == "check"
-    assert planned.next().position[:, 0].min() == 3.0
-
-
-def test_the_parts_are_the_whole_plan_and_nothing_else():
+def test_the_parts_are_the_whole_plan_and_end_however_often_lines_are_asked_for():
     planned = PlannedRows(path())
     assert planned.total == 7
     assert len(planned.driven) < 8
     assert drive(planned) == list(range(8))
+    often = PlannedRows(path())
+    for _ in range(40):
+        often.repeat(1)
+        if often.next() is None:
+            break
+    assert often.next() is None
+    assert often.driven.position[-1, 0] == 7.0
+    far = PlannedRows(path(20))
+    for _ in range(6):
+        far.next()
+    far.repeat(0)
+    assert far.next().position[:, 0].min() == 8.0, "six lines back at most"
 
 
 @pytest.mark.parametrize(
@@ -166,21 +164,3 @@ def test_what_is_driven_again_comes_between_by_ways_that_were_driven_and_counts(
     planned.repeat(repeated)
     assert drive(planned) == driven
     assert planned.total == len(driven) - isinstance(planned.driven, Path)
-
-
-def test_nobody_drives_farther_back_than_six_lines():
-    planned = PlannedRows(path(20))
-    for _ in range(6):
-        planned.next()
-    planned.repeat(0)
-    assert planned.next().position[:, 0].min() == 8.0
-
-
-def test_a_measurement_ends_however_often_lines_are_asked_for():
-    planned = PlannedRows(path())
-    for _ in range(40):
-        planned.repeat(1)
-        if planned.next() is None:
-            break
-    assert planned.next() is None
-    assert planned.driven.position[-1, 0] == 7.0

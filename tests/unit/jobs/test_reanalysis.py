@@ -46,7 +46,6 @@ class Analyst:
 
 @pytest.fixture
 def runs(context, small_run):
-    """Some tiny Runs."""
     made = []
     for number in range(COUNT):
         upload = context.runs.make_upload_file()
@@ -64,7 +63,6 @@ def analyst():
 
 @pytest.fixture
 def dispatcher(open_dispatcher, analyst):
-    """A dispatcher of a service without a machine."""
     return open_dispatcher(machines=Machines(), reanalyser=analyst)
 
 

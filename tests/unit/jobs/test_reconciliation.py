@@ -24,7 +24,6 @@ from truepath.measurement.run_file import run_file
 
 @pytest.fixture
 def begin_run(context, machine):
-    """Begin the Run of a job; the caller closes it."""
     return partial(job_builders.begin_run, context.runs, machine)
 
 
@@ -166,8 +165,6 @@ def run_id(begin_run, context):
 
 @pytest.fixture
 def restart(open_dispatcher):
-    """Opens the service anew on the same catalogue."""
-
     def make():
         dispatcher = open_dispatcher(machines=Machines())
         dispatcher.interrupt_unfinished_jobs()

@@ -33,8 +33,6 @@ BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
 
 
 class Checker:
-    """Says of each station what the test has said before."""
-
     def __init__(self):
         self.calls, self.answers = [], []
 

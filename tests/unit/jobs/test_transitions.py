@@ -18,7 +18,6 @@ from truepath.errors import IllegalTransition
 
 
 def find_all(first, list_next):
-    """Return every state that can be reached."""
     reached, front = {first}, {first}
     while front:
         front = set().union(*map(list_next, front)) - reached

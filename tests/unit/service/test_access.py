@@ -201,7 +201,6 @@ def test_whoever_comes_may_stop_and_is_told_which_jobs_once_logged_in(
 
 @pytest.fixture
 def armed_by_hand(service, make_cell, order):
-    """A job whose machine moves."""
     requested = TypeAdapter(JobRequest).validate_python(order).to_requested_job()
     job, _ = service.dispatcher.create(requested)
     wait_until(lambda: service.store.get(job.id).state == "ready")

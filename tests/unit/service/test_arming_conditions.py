@@ -38,7 +38,7 @@ def board(seen, hand_clock):
 
 
 def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(
-    client, seen, board, take
+    client, seen, board, take, make_cell
 ):
     job = take("ready", kind="measure-otf", control_compensation="off")
     lying = board.path
@@ -52,6 +52,7 @@ def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(
     assert arm_over_http(client, job).json()["conditions"] == ["path-within-travel"]
     board.path = lying
     shown = client.post(f"/api/v1/jobs/{job['id']}/arming").json()
+    assert make_cell.cell.heard == ["connect"]
     required = {one["type"] for one in shown["conditions"] if one["is_required"]}
     assert required == REQUIRED
     assert arm_over_http(client, job).status_code == 202

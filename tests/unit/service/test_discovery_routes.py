@@ -11,7 +11,6 @@ NOBODY = "0190a1b2-0000-7000-8000-000000000000"
 
 @pytest.fixture
 def discover(take, run):
-    """Make a discovery and wait for its end."""
     return lambda **more: take(kind="discover", run_id=run["id"], **more)
 
 

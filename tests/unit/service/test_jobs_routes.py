@@ -1,9 +1,18 @@
+"""Jobs over REST: from the order to the result, and what a waiting job gives."""
+
 from datetime import datetime, timedelta, timezone
 
+import numpy as np
 import pytest
 
+from arming import arm_over_http
+from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
+from truepath.measurement.messages import PartRequested
+from truepath.motion.nc_programs.programs import read_program
+from truepath.planning.adaptive_plan import Part
+from truepath_drivers.interfaces.records import Path
 
 pytestmark = pytest.mark.database
 JOBS = "/api/v1/jobs"
@@ -214,3 +223,135 @@ def test_a_result_states_its_verdict_and_what_is_not_to_be_used_has_to_be_accept
     accepted = client.get(address)
     assert accepted.status_code == 200
     assert accepted.text.startswith("error,position_mm")
+
+
+def part_from(commanded):
+    """Return a part of two lines from where the rows end."""
+    position = np.outer([1.0, 0.5, 0.25], commanded.position[-1])
+    path = Path(commanded.axes, position, np.full(3, 6000.0), np.full(3, 0.4))
+    return Part(path, 2, 9.5, 1.1e-3)
+
+
+@pytest.fixture
+def growing(client, take, make_cell):
+    """A job that is planned while its machine moves; it was armed once."""
+    planning = {"mode": "otf", "minutes": 5}
+    job = take("ready", kind="measure-adaptive", target_um=2.0, planning=planning)
+    assert "begin" not in make_cell.cell.heard
+    assert arm_over_http(client, job).status_code == 202
+    assert make_cell.cell.begun.wait(5)
+    return job
+
+
+def asked(cell, estimates):
+    cell.say(PartRequested(0))
+    wait_until(lambda: "ask" in estimates[-1].heard, "the question")
+
+
+def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
+    client, growing, make_cell, estimates, service, until
+):
+    told, cell = [], make_cell.cell
+    service.event_bus.subscribe(told.append)
+    assert cell.order.grows
+    request = estimates[-1].order.request
+    assert (request["mode"], request["minutes"]) == ("otf", 5.0)
+    first = cell.order.commanded
+    asked(cell, estimates)
+    estimates[-1].parts.append(part_from(first))
+    wait_until(lambda: cell.parts, "the part")
+    np.testing.assert_array_equal(cell.parts[0].position[0], first.position[-1])
+    address = f"{JOBS}/{growing['id']}/plan"
+    grown = len(first) + 2
+    wait_until(lambda: len(client.get(address).json()["position"]) == grown, "rows")
+    (body,) = [notice.body for notice in told if notice.type == "plan"]
+    times = {"duration_s": 9.5, "predicted_um": 1.1}
+    assert body == {"part": 2, "rows": 2, "total": grown - 1, **times}
+    estimate = f"{JOBS}/{growing['id']}/estimate"
+    assert client.get(estimate).status_code == 204, "there is none yet"
+    estimates[-1].publish(2.5, done=8)
+    assert client.get(estimate).json()["course"]["done"] == [8]
+    estimates[-1].publish(1.9, done=9)
+    job = until(growing, "succeeded")
+    assert job["early_end"]["reached_um"] == 1.9
+    assert cell.heard[-1] == "conclude"
+
+
+@pytest.mark.parametrize("is_over", [False, True])
+def test_a_job_ends_in_order_where_no_part_fits_or_the_estimate_has_ended(
+    growing, make_cell, estimates, until, is_over
+):
+    cell, estimates[-1].is_over = make_cell.cell, is_over
+    asked(cell, estimates)
+    if not is_over:
+        estimates[-1].parts.append(Part(None))
+    assert until(growing, "succeeded")["early_end"] is None
+    assert cell.heard[-1] == "conclude"
+
+
+def at(job_id, what):
+    return f"/api/v1/jobs/{job_id}/{what}"
+
+
+def test_a_ready_job_is_graded_before_it_is_armed_from_where_the_tracker_stands(
+    client, ready, is_problem
+):
+    address = at(ready["id"], "plan/grade")
+    answer = client.get(address)
+    assert answer.status_code == 200, answer.text
+    grade = answer.json()
+    assert grade["verdict"] in ("good", "usable", "poor")
+    assert grade["tracker"]["assumed"] is True
+    assert grade["tracker"]["best_number"] <= grade["number"]
+    expected = grade["number"] * grade["sample_sigma_um"]
+    assert grade["expected_uncertainty_um"] == pytest.approx(expected)
+    assert client.get(f"/api/v1/jobs/{ready['id']}").json()["state"] == "ready"
+    near, far = (
+        client.get(address, params={"tracker_mm": place}).json()
+        for place in ([900.0, 0.0, 0.0], [9000.0, 0.0, 0.0])
+    )
+    assert near["tracker"] == {
+        "position_mm": [900.0, 0.0, 0.0],
+        "assumed": False,
+        "best_number": near["number"],
+    }
+    assert far["expected_uncertainty_um"] > near["expected_uncertainty_um"]
+    half = client.get(address, params={"tracker_mm": [1.0, 2.0]})
+    is_problem(half, 422, "validation")
+
+
+def test_a_ready_job_gives_its_path_as_a_program_of_each_control(
+    client, ready, is_problem
+):
+    offered = client.get("/api/v1/nc-dialects").json()["items"]
+    assert {item["name"] for item in offered} >= {"siemens-840d", "heidenhain"}
+    assert all(item["control"] for item in offered)
+    plan = client.get(at(ready["id"], "plan")).json()
+    address, suffixes = at(ready["id"], "nc-program"), {}
+    for item in offered:
+        answer = client.get(address, params={"dialect": item["name"]})
+        assert answer.status_code == 200
+        assert answer.headers["content-type"] == "text/plain; charset=utf-8"
+        assert answer.text.isascii()
+        motion = read_program(answer.text, item["name"])
+        np.testing.assert_allclose(motion.position, plan["position"])
+        np.testing.assert_allclose(motion.feed_mm_min, plan["feed_mm_min"])
+        named = f'attachment; filename="{motion.name}.'
+        disposition = answer.headers["content-disposition"]
+        assert disposition.startswith(named)
+        suffixes[item["name"]] = disposition.removeprefix(named)
+    assert suffixes["heidenhain"] == 'h"'
+    assert suffixes["siemens-840d"] == 'mpf"'
+    unknown = client.get(address, params={"dialect": "mazatrol"})
+    problem = is_problem(unknown, 422, "bad-input")
+    assert "fanuc, heidenhain, linuxcnc, siemens-840d" in problem["detail"]
+
+
+def test_a_job_that_commands_nothing_has_no_grade_and_no_program(
+    client, run, take, is_problem
+):
+    job, dialect = take(kind="analyse", run_id=run["id"]), {"dialect": "fanuc"}
+    is_problem(client.get(at(job["id"], "plan/grade")), 404, "not-found")
+    for job_id in (job["id"], "nowhere"):
+        answer = client.get(at(job_id, "nc-program"), params=dialect)
+        is_problem(answer, 404, "not-found")

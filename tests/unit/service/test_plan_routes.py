@@ -70,18 +70,15 @@ def plan(planned):
 
 def test_a_plan_says_what_it_will_leave_unknown(plan, client):
     assert plan["request"] == {**SHORT, **USUAL}
-    rows = plan["commanded"]
+    rows, document = plan["commanded"], plan["document"]
     assert rows["kind"] == "path"
-    assert len(rows["position"]) == plan["document"]["rows"] > 4
-    assert plan["document"]["duration_s"] <= 30.0
-    predicted = plan["document"]["predicted"]
+    assert len(rows["position"]) == document["rows"] > 4
+    predicted = document["predicted"]
     assert {"EXX", "EBX", "C0Y"} <= set(predicted["errors"])
-    assert predicted["volumetric_uncertainty_um"] > 0.0
-    curve = [step["volumetric_uncertainty_um"] for step in plan["document"]["curve"]]
-    assert curve[-1] == predicted["volumetric_uncertainty_um"]
+    curve = [step["volumetric_uncertainty_um"] for step in document["curve"]]
+    assert curve[-1] == predicted["volumetric_uncertainty_um"] > 0.0
     assert curve == sorted(curve, reverse=True)
-    assert isinstance(plan["document"]["unobservable"], list)
-    assert plan["document"]["grade"]["verdict"] in ("good", "usable", "poor")
+    assert document["grade"]["verdict"] in ("good", "usable", "poor")
     job = client.get(plan["links"]["job"]).json()
     assert (job["kind"], job["state"], job["result"]) == ("plan", "succeeded", None)
 
@@ -102,19 +99,6 @@ def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
         assert at_tool == sorted(at_tool, reverse=True)
         assert len(at_tool) == 3
     assert found["tracker_mm"] == document["tracker"]["position_mm"]
-
-
-@pytest.mark.long
-def test_a_target_is_a_standard_uncertainty_and_boxes_are_kept_out_of(planned):
-    order = {"mode": "otf", "target_um": 12.0, "workspace": {"keep_out": [BOX]}}
-    made = planned(order)
-    assert made["state"] == "succeeded", made["error"]
-    document, commanded = made["document"], made["commanded"]
-    assert document["target"]["expanded_volumetric_uncertainty_um"] == 24.0
-    assert document["target"]["reached"]
-    assert document["predicted"]["volumetric_uncertainty_um"] <= 12.0
-    assert commanded["predicted_um"] <= commanded["target_um"] == 12.0
-    assert commanded["keep_out"] == [BOX]
 
 
 def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
@@ -156,29 +140,25 @@ def test_each_station_of_a_plan_has_its_program(
     assert "2 stations, not 3" in told
 
 
-def test_a_plan_is_driven_in_its_mode_on_the_machine_it_is_for_alone(
-    plan, client, service, is_problem
+def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
+    plan, client, service, ready, is_problem
 ):
-    def refused(kind):
-        answer = client.post("/api/v1/jobs", json={"kind": kind, "plan_id": plan["id"]})
-        return is_problem(answer, 422, "plan")["detail"]
+    client.post("/api/v1/stop")
 
+    def refused(kind, plan_id=plan["id"], status=422, code="plan"):
+        order = {"kind": kind, "plan_id": plan_id}
+        answer = client.post("/api/v1/jobs", json=order)
+        return is_problem(answer, status, code)["detail"]
+
+    refused("measure-otf", ready["id"], 404, "not-found")
+    for path in ("", "/curve"):
+        answer = client.get(f"/api/v1/plans/{ready['id']}{path}")
+        is_problem(answer, 404, "not-found")
     assert "one for measure-otf" in refused("measure-standstill")
     axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
     service.machines.put(dataclasses.replace(service.machines.first, machine=changed))
     assert "plan again" in refused("measure-otf")
-
-
-def test_what_is_no_plan_has_no_curve_and_cannot_be_driven_as_one(
-    client, ready, is_problem
-):
-    client.post("/api/v1/stop")
-    order = {"kind": "measure-otf", "plan_id": ready["id"]}
-    is_problem(client.post("/api/v1/jobs", json=order), 404, "not-found")
-    for path in ("", "/curve"):
-        answer = client.get(f"/api/v1/plans/{ready['id']}{path}")
-        is_problem(answer, 404, "not-found")
 
 
 @pytest.mark.database
