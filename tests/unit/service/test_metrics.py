@@ -143,22 +143,15 @@ def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
 def test_the_system_says_what_it_is_and_the_machine_who_is_connected(client):
     system = client.get("/api/v1/system").json()
     assert (system["version"], system["simulated"]) == ("1.2.3", True)
-    assert system["machine"]["name"] == "demo"
-    assert system["machine"]["axes"] == ["X", "Y", "Z"]
+    assert (system["machine"]["name"], system["current_job"]) == ("demo", None)
     assert system["cell"]["state"] == "disconnected"
-    assert system["current_job"] is None
     machine = client.get("/api/v1/machines/current").json()
-    assert machine["schema"] == "machine/1"
-    assert machine["axes"]["X"]["max_mm"] > 0
+    assert (machine["connected"], machine["tracker"]) == (False, None)
     assert machine["tracker_noise"]["rate_hz"] == 500
-    assert machine["connected"] is False
-    assert machine["tracker"] is None
     answer = client.post("/api/v1/machines/current:connect")
-    assert answer.status_code == 200
     assert answer.json()["tracker"]["serial_number"] == "T-1"
     machine = client.get("/api/v1/machines/current").json()
-    assert machine["connected"] is True
-    assert machine["motion"]["model"] == "Controller"
+    assert (machine["connected"], machine["motion"]["model"]) == (True, "Controller")
 
 
 def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
