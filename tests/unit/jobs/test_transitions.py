@@ -50,13 +50,9 @@ def test_abort_is_accepted_in_every_state_that_is_not_final(state, measured):
 
 @pytest.mark.parametrize("verb", sorted(Verb))
 @pytest.mark.fault_row(34)
-def test_a_verb_leads_only_where_the_table_goes(verb):
+def test_a_verb_leads_where_the_table_goes_and_said_twice_is_said_once_or_refused(verb):
     for state, after in VERB_TRANSITIONS[verb].items():
         assert may_follow(state, after)
-
-
-@pytest.mark.parametrize("verb", sorted(Verb))
-def test_a_verb_said_twice_is_said_once_or_refused(verb):
     for state in State:
         if state not in VERB_TRANSITIONS[verb] and state not in VERB_SATISFIED[verb]:
             with pytest.raises(IllegalTransition, match=f"cannot {verb} a job that is"):
@@ -66,19 +62,16 @@ def test_a_verb_said_twice_is_said_once_or_refused(verb):
         assert verb is Verb.ARM or apply_verb(verb, once) is once
 
 
-def test_only_arming_starts_a_measurement_and_a_cancelled_one_is_only_aborted():
+@pytest.mark.fault_row(34)
+def test_each_state_that_a_person_leaves_is_left_by_these_verbs_alone():
+    """Only arming starts a measurement; a fault is left by acknowledging it."""
     for state, verbs in (
         (State.READY, [Verb.ABORT, Verb.ARM, Verb.CANCEL]),
         (State.CANCELLING, [Verb.ABORT]),
+        *((state, [Verb.ACKNOWLEDGE]) for state in LEFT_BY_ACKNOWLEDGE),
     ):
         assert sorted(v for v in Verb if state in VERB_TRANSITIONS[v]) == verbs
-
-
-@pytest.mark.fault_row(34)
-def test_a_fault_or_an_interruption_is_left_only_by_acknowledging_it():
     for state in LEFT_BY_ACKNOWLEDGE:
-        leaving = [verb for verb in Verb if state in VERB_TRANSITIONS[verb]]
-        assert leaving == [Verb.ACKNOWLEDGE]
         assert TRANSITIONS[state] == {State.PREPARING}
 
 

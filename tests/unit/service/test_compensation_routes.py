@@ -158,13 +158,6 @@ class Control:
         self.given, self.rules = [place.name for place in compensation], rules
 
 
-def simulate(service):
-    """Let the machine have a simulated control from now on; return it."""
-    control = Control()
-    service.setup.simulated_controls = SimulatedControls({"default": control})
-    return control
-
-
 @pytest.fixture
 def name_files(client, with_result, place):
     """Make files of a result; return what names them."""
@@ -183,7 +176,8 @@ def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away
     assert client.get(TABLES).json()["simulated"] is False
     for answer in (client.put(TABLES, json=asked), client.delete(TABLES)):
         is_problem(answer, 409, "not-simulated")
-    control = simulate(service)
+    control = Control()
+    service.setup.simulated_controls = SimulatedControls({"default": control})
     wrong = {**asked, "compensation_id": "none"}
     is_problem(client.put(TABLES, json=wrong), 404, "not-found")
     is_problem(client.put(TABLES, json={"job_id": "any"}), 422, "validation")
@@ -208,19 +202,10 @@ def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away
     assert client.get(TABLES).json() == answer.json()
     assert client.delete(TABLES).status_code == 204
     assert control.given == client.get(TABLES).json()["files"] == []
-
-
-@pytest.mark.parametrize(
-    ("name", "choices"),
-    [
+    for name, choices in (
         ("heidenhain", {"backlash_reading": "difference"}),
         ("siemens-lec", {"measuring_system": "2"}),
-    ],
-)
-def test_the_control_is_set_as_the_files_were_made(
-    client, service, name_files, name, choices
-):
-    control = simulate(service)
-    asked = name_files(format=name, choices=choices)
-    assert client.put(TABLES, json=asked).status_code == 200
-    assert control.rules == choices
+    ):
+        asked = name_files(format=name, choices=choices)
+        assert client.put(TABLES, json=asked).status_code == 200
+        assert control.rules == choices, "the control is set as the files were made"

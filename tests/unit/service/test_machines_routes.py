@@ -213,7 +213,7 @@ def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
     assert "is running" in moving["detail"]
 
 
-def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(
+def test_the_history_of_a_machine_is_every_calibration_and_what_changed_is_said(
     client, calibrated, service, is_problem
 ):
     answer = client.get(f"{BASE}/default/history").json()
@@ -233,6 +233,14 @@ def test_the_history_of_a_machine_is_every_calibration_with_its_uncertainty(
     at = {"quantity": "EXX", "position": 33.3}
     is_problem(client.get(f"{BASE}/default/history", params=at), 422, "bad-input")
     is_problem(client.get(f"{BASE}/press/history"), 404, "not-found")
+    changes, since = f"{BASE}/default/changes", {"since": calibrated[0]}
+    change = client.get(changes, params=since).json()
+    assert change["until"]["job_id"] == calibrated[1]
+    assert (change["has_changed"], change["significant"]) == (False, [])
+    assert change["text"][0].startswith("No change is seen")
+    is_problem(client.get(changes, params={"since": "job-9"}), 404, "not-found")
+    same = client.get(changes, params={**since, "until": "job-1"})
+    assert "one Run" in is_problem(same, 422, "bad-input")["detail"]
 
 
 def test_an_old_run_that_is_uploaded_late_is_not_the_newest(calibrated, service):
@@ -253,22 +261,6 @@ def test_an_old_run_that_is_uploaded_late_is_not_the_newest(calibrated, service)
     assert list_jobs() == ["job-2", "job-1"]
     state("job-2", None, "1" * 64)
     assert len(list_jobs()) == 1
-
-
-def test_what_has_changed_since_a_calibration_is_said_in_words(
-    client, calibrated, is_problem
-):
-    since = {"since": calibrated[0]}
-    answer = client.get(f"{BASE}/default/changes", params=since)
-    assert answer.status_code == 200, answer.text
-    change = answer.json()
-    assert change["until"]["job_id"] == calibrated[1]
-    assert (change["has_changed"], change["significant"]) == (False, [])
-    assert change["text"][0].startswith("No change is seen")
-    unknown = client.get(f"{BASE}/default/changes", params={"since": "job-9"})
-    is_problem(unknown, 404, "not-found")
-    same = client.get(f"{BASE}/default/changes", params={**since, "until": "job-1"})
-    assert "one Run" in is_problem(same, 422, "bad-input")["detail"]
 
 
 def test_only_a_usable_calibration_of_the_machine_is_a_reference(

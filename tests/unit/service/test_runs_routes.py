@@ -121,22 +121,6 @@ def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
     assert (job["name"], job["note"]) == (noted["name"], noted["note"])
 
 
-def test_a_run_is_renamed_and_noted_and_keeps_a_name(client, run, is_problem):
-    at = f"{RUNS}/{run['id']}"
-    named = client.patch(at, json={"name": "Before", "note": "as found"}).json()
-    assert (named["name"], named["note"]) == ("Before", "as found")
-    assert client.get(at).json() == named
-    assert named["sha256"] == run["sha256"]
-    for name, wrong in (
-        ("", "at least 1 character"),
-        ("line\tbreak", r"holds '\t' (U+0009)"),
-    ):
-        answer = client.patch(at, json={"name": name})
-        detail = is_problem(answer, 422, "validation")["detail"]
-        assert wrong in detail
-        assert "pattern" not in detail
-
-
 def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_them(
     client, ready, run, is_problem
 ):
@@ -156,6 +140,15 @@ def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_t
             {"owner": "bert"},
         ):
             is_problem(client.patch(own, json=body), 422, "validation")
+    named = client.patch(own, json={"name": "Before", "note": "as found"}).json()
+    assert (named["name"], named["note"]) == ("Before", "as found")
+    assert client.get(own).json() == named
+    assert named["sha256"] == run["sha256"]
+    for name, wrong in (("", "at least 1 character"), ("a\tb", r"'\t' (U+0009)")):
+        answer = client.patch(own, json={"name": name})
+        detail = is_problem(answer, 422, "validation")["detail"]
+        assert wrong in detail
+        assert "pattern" not in detail
 
 
 def test_runs_are_listed_in_pages_that_lead_on_and_analysed_together(
@@ -239,33 +232,30 @@ def test_a_job_goes_with_its_answer_and_its_run_stays(
     is_problem(client.delete(f"{JOBS}/{ready['id']}"), 409, "in-use")
 
 
-def test_what_others_depend_on_is_not_deleted(
+def test_what_others_or_a_certificate_depend_on_is_not_deleted(
     client, service, kept, analysed, analyse, run, is_problem
 ):
     shutil.copytree(analysed, service.results / kept["id"], dirs_exist_ok=True)
-    user = analyse(run, model_id=kept["id"])
-    said = is_problem(client.delete(f"{JOBS}/{kept['id']}"), 409, "in-use")
+    at = f"{JOBS}/{kept['id']}"
+    user, other = analyse(run, model_id=kept["id"]), analyse(run)
+    said = is_problem(client.delete(at), 409, "in-use")
     assert said["dependents"] == [user["id"]]
     client.delete(f"{JOBS}/{user['id']}")
-    client.patch("/api/v1/machines/default", json={"reference_job": kept["id"]})
-    said = is_problem(client.delete(f"{JOBS}/{kept['id']}"), 409, "in-use")
+    machine = "/api/v1/machines/default"
+    client.patch(machine, json={"reference_job": kept["id"]})
+    said = is_problem(client.delete(at), 409, "in-use")
     assert said["dependents"] == ["machine default"]
-
-
-def test_the_result_of_a_certificate_stays_and_one_unreadable_holds_no_other_job(
-    client, service, kept, run, analyse, is_problem
-):
-    other = analyse(run)
-    at = f"{JOBS}/{kept['id']}"
+    client.patch(machine, json={"reference_job": None})
+    folder = service.results / kept["id"] / "certificates" / "TP-1"
+    folder.mkdir(parents=True)
     for text in ('{"sources_sha256": {}}', '{"place": "a\\u0000b"}'):
-        folder = service.results / kept["id"] / "certificates" / "TP-1"
-        folder.mkdir(parents=True, exist_ok=True)
         (folder / "certificate.json").write_text(text)
         is_problem(client.delete(at), 409, "in-use")
         asked = {"with_results": True}
         answer = client.delete(f"{RUNS}/{run['id']}", params=asked)
         is_problem(answer, 409, "in-use")
         assert (folder / "certificate.json").is_file()
+    # One that cannot be read holds no other job.
     assert client.delete(f"{JOBS}/{other['id']}").status_code == 204
 
 

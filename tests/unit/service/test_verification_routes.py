@@ -51,13 +51,22 @@ def look(client, ask, until):
     return looked
 
 
-def test_points_of_verification_wait_to_be_armed_and_are_those_of_their_seed(look):
+def test_points_of_a_verification_are_those_of_their_seed_and_touch_no_box(
+    ask, look, is_problem
+):
     asked = {"what": ["random-points", "circles"], "seed": 4, "tolerance_um": 5}
     job, plan = look(**asked)
     assert plan["kind"] == "points"
     assert len(plan["position"]) == 30 + 3 * 49
     assert (job["result"], job["verification"]) == (None, None)
     assert look(**asked)[1]["position"] == plan["position"]
+    box = {"name": "vice", "min_mm": [0, 0, 0], "max_mm": [200, 150, 120]}
+    said = is_problem(ask(what=["diagonals"], keep_out=[box]), 422, "plan")
+    assert "the way to row 2 enters the keep-out box vice" in said["detail"]
+    _, plan = look(what=["random-points"], seed=4, keep_out=[box])
+    assert plan["keep_out"] == [box]
+    inside = [all(0 <= v <= 150 for v in row[:3]) for row in plan["position"]]
+    assert not any(inside)
 
 
 def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
@@ -73,16 +82,6 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
     cell.status = replace(cell.status, devices={"motion": {"drives_arcs": False}})
     said = is_problem(ask(what=["circles-in-motion"]), 422, "bad-input")
     assert "this control does not drive arcs" in said["detail"]
-
-
-def test_no_point_and_no_way_of_a_verification_touches_a_box(ask, look, is_problem):
-    box = {"name": "vice", "min_mm": [0, 0, 0], "max_mm": [200, 150, 120]}
-    said = is_problem(ask(what=["diagonals"], keep_out=[box]), 422, "plan")
-    assert "the way to row 2 enters the keep-out box vice" in said["detail"]
-    _, plan = look(what=["random-points"], seed=4, keep_out=[box])
-    assert plan["keep_out"] == [box]
-    inside = [all(0 <= v <= 150 for v in row[:3]) for row in plan["position"]]
-    assert not any(inside)
 
 
 def test_a_result_is_verified_on_its_own_machine_alone(
