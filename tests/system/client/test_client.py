@@ -185,7 +185,9 @@ def test_waiting_ends_in_the_state_or_says_why_not():
             client.wait_for("7", "ready", timeout_s=-1.0)
 
 
-def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
+def test_a_stream_that_breaks_goes_on_after_the_last_kept_event_unless_it_is_refused(
+    monkeypatch,
+):
     monkeypatch.setattr("truepath.client.events._PAUSES_S", (0.0,))
     script = Script(
         stream(("job", job("running"), 4), ("tick", {}, None)),
@@ -197,19 +199,13 @@ def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
         found = client.events("7")
         received = [next(found) for _ in range(3)]
         found.close()
-    assert [(e.type, e.id) for e in received] == [
-        ("job", "4"),
-        ("tick", "4"),
-        ("job", "5"),
-    ]
+    heard = [(event.type, event.id) for event in received]
+    assert heard == [("job", "4"), ("tick", "4"), ("job", "5")]
     sent = [r.headers.get("Last-Event-ID") for r in script.requests]
     assert sent == [None, "4", "4", "4"]
     assert {r.url.path for r in script.requests} == {"/api/v1/jobs/7/events"}
-
-
-def test_a_stream_that_is_refused_raises_its_problem():
-    script = Script(answer(404, {"code": "not-found", "detail": "there is no job 7"}))
-    with script.open() as client, pytest.raises(Problem, match="there is no job 7"):
+    refused = Script(answer(404, {"code": "not-found", "detail": "there is no job 7"}))
+    with refused.open() as client, pytest.raises(Problem, match="there is no job 7"):
         next(client.events("7"))
 
 
@@ -396,7 +392,7 @@ def find_operation(method, path):
     return fitting[0]
 
 
-def test_the_client_that_waits_is_the_asynchronous_one_without_its_words(tmp_path):
+def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
     written = ROOT / "app" / "truepath" / "client" / "sync_client.py"
     program = (
         "import sys; sys.path.insert(0, 'docs'); import write_sync_client as w; "

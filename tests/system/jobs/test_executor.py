@@ -4,6 +4,7 @@ import os
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import pytest
 
@@ -101,23 +102,18 @@ def test_a_task_computes_in_a_prepared_polite_and_single_threaded_process(lane, 
     assert about["prepared"] == [about["pid"]]
 
 
-def test_progress_that_cannot_be_reported_ends_nothing(lane, tasks):
+def test_neither_a_task_that_raises_nor_a_listener_that_fails_ends_the_process(
+    lane, tasks
+):
     before = run(lane, tasks.about).result()["pid"]
-
-    def fail(share, stage):
-        raise OSError("nobody listens")
-
-    assert run(lane, tasks.add, 2, 3, on_progress=fail).result() == 5
-    assert run(lane, tasks.about).result()["pid"] == before
-
-
-def test_what_a_task_raises_comes_back_by_name_and_text(lane, tasks):
     with pytest.raises(TaskFailed, match=r"tracker.csv, row 3: is NaN") as raised:
         run(lane, tasks.fail).result()
     assert raised.value.family == "BundleError"
     assert "def fail" not in str(raised.value)
     assert 'raise BundleError("is NaN"' in raised.value.trace
-    assert run(lane, tasks.add, 1, 1).result() == 2
+    away = Mock(side_effect=OSError("nobody listens"))
+    assert run(lane, tasks.add, 2, 3, on_progress=away).result() == 5
+    assert run(lane, tasks.about).result()["pid"] == before
 
 
 def test_a_process_that_dies_is_named_and_replaced(lane, tasks):

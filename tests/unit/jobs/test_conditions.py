@@ -245,7 +245,14 @@ VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 AVOIDS_VICE = workspace_from_json({"schema": "workspace/1", "keep_out": [VICE]})
 
 
-def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machine):
+def points_at(machine, *places):
+    rows = [{"x_mm": x, "y_mm": y, "z_mm": 10} for x, y in places]
+    return command_rows(machine, rows, is_path=False)
+
+
+def test_a_path_out_of_travel_or_through_a_box_also_between_parts_is_in_the_way(
+    machine,
+):
     board = ConditionBoard(lambda: GOOD)
     assert not board.list_obstacles()
     rows = command_rows(
@@ -262,23 +269,14 @@ def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machin
         assert obstacle.reason == reason
     board.path = judge_path(machine, [rows], workspace_from_json({}))
     assert not board.list_obstacles()
-
-
-def points_at(machine, *places):
-    rows = [{"x_mm": x, "y_mm": y, "z_mm": 10} for x, y in places]
-    return command_rows(machine, rows, is_path=False)
-
-
-def test_the_way_from_one_part_to_the_next_is_kept_clear_as_well(machine):
     left = points_at(machine, (10, 10), (50, 10))
     right = points_at(machine, (300, 10), (400, 10))
     behind = points_at(machine, (50, 300), (300, 300))
-    for part in (left, right, behind):
-        assert judge_path(machine, [part], AVOIDS_VICE).level is Level.TRUE
+    for parts in ([left], [right], [behind], [left, behind, right]):
+        assert judge_path(machine, parts, AVOIDS_VICE).level is Level.TRUE
     found = judge_path(machine, [left, right], AVOIDS_VICE)
     assert (found.level, found.reason) == (Level.FALSE, "keep-out")
     assert "the way on to part 2 enters the keep-out box vice" in found.message
-    assert judge_path(machine, [left, behind, right], AVOIDS_VICE).level is Level.TRUE
 
 
 def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):

@@ -99,8 +99,8 @@ def replan(context):
 
 @pytest.mark.database
 @pytest.mark.fault_row(25)
-def test_it_stands_where_it_stood_then_drives_what_is_left_as_a_further_run(
-    faulted, drive, until, cell, closer, science, context
+def test_it_stands_where_it_stood_then_drives_what_is_left_as_further_runs(
+    faulted, drive, end_in_motion, until, cell, closer, resumer, science, context
 ):
     job = faulted()
     closure = drive(job)
@@ -110,9 +110,15 @@ def test_it_stands_where_it_stood_then_drives_what_is_left_as_a_further_run(
     rest = cell.order.commanded
     assert rest.position[:, 0].tolist() == [r["x_mm"] for r in PATH[3:]]
     assert closer.calls == [tuple(map(tuple, PLACES))]
+    end_in_motion(job)  # it is cut short too
+    resumer.next_row = 2
+    drive(job)
+    assert len(resumer.calls[-1]) == 2
+    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
     cell.end()
     ended = until(job, "succeeded")
-    assert ended.run_ids == (job.id, ended.further_run_ids[0])
+    assert ended.run_ids == (job.id, *ended.further_run_ids)
+    assert len(ended.run_ids) == 3
     files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
     assert science.calls[0][0] == files
     assert ended.failure is None
@@ -132,21 +138,6 @@ def test_a_target_that_is_elsewhere_faults_the_job_and_it_can_be_checked_again(
     drive(job)
     cell.end()
     assert len(until(job, "succeeded").run_ids) == 2
-
-
-def test_a_part_that_was_cut_short_too_is_joined_by_a_third(
-    faulted, drive, end_in_motion, until, cell, resumer, science
-):
-    job = faulted()
-    drive(job)
-    end_in_motion(job)
-    resumer.next_row = 2
-    drive(job)
-    assert len(resumer.calls[-1]) == 2
-    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
-    cell.end()
-    assert len(until(job, "succeeded").run_ids) == 3
-    assert len(science.calls[0][0]) == 3
 
 
 def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(

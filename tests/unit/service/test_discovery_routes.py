@@ -14,8 +14,8 @@ def discover(take, run):
     return lambda **more: take(kind="discover", run_id=run["id"], **more)
 
 
-def test_other_jobs_have_no_discovery_and_a_discovery_no_tables(
-    client, run, discover, take, is_problem
+def test_a_discovery_has_a_model_and_no_tables_and_an_analysis_takes_what_it_names(
+    client, run, discover, take, is_problem, science
 ):
     job = discover()
     assert job["result"] is None
@@ -25,9 +25,16 @@ def test_other_jobs_have_no_discovery_and_a_discovery_no_tables(
     extra = {"kind": "measure-extra", "discovery_id": job["id"]}
     problem = is_problem(client.post(JOBS, json=extra), 422, "plan")
     assert "asks for no extra lines" in problem["detail"]
-    analysed = take(kind="analyse", run_id=run["id"])["id"]
+    order = {"kind": "analyse", "run_id": run["id"]}
+    analysed = take(**order)["id"]
     is_problem(client.get(f"{JOBS}/{analysed}/discovery"), 404, "not-found")
     is_problem(client.get(f"{MODELS}/{analysed}"), 404, "not-found")
+    for named in (job["id"], analysed):
+        take(**order, model_id=named)
+    without, (file, name), (result, _) = science.models
+    assert (without, name) == ((None, None), job["id"])
+    assert file.endswith(f"{job['id']}/model.json")
+    assert result.endswith(f"{analysed}/result.json")
 
 
 def test_models_are_listed_newest_first_with_the_versions_they_came_from(
@@ -66,20 +73,6 @@ def test_what_names_no_run_discovery_or_model_is_not_found(client, run, is_probl
     is_problem(client.post(PLANS, json={"model_id": NOBODY}), 404, "not-found")
     is_problem(client.get(f"{MODELS}/no-such-job"), 404, "not-found")
     assert client.get(JOBS).json()["items"] == []
-
-
-def test_an_analysis_takes_the_model_or_result_that_it_names(
-    run, discover, take, science
-):
-    model, order = discover()["id"], {"kind": "analyse", "run_id": run["id"]}
-    first = take(**order)["id"]
-    take(**order, model_id=model)
-    take(**order, model_id=first)
-    without, (file, name), (result, _) = science.models
-    assert without == (None, None)
-    assert name == model
-    assert file.endswith(f"{model}/model.json")
-    assert result.endswith(f"{first}/result.json")
 
 
 def test_a_model_that_is_not_to_be_used_says_so_and_steers_no_job(

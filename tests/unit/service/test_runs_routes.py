@@ -216,18 +216,25 @@ def retention(service):
     return made
 
 
-def test_a_job_goes_with_its_answer_and_its_run_stays(
-    client, service, kept, run, take, order, is_problem
+def test_a_job_goes_with_its_answer_and_a_run_with_its_results_if_that_is_asked(
+    client, service, kept, run, analyse, take, order, is_problem
 ):
-    at = f"{JOBS}/{kept['id']}"
+    at, of_run = f"{JOBS}/{kept['id']}", f"{RUNS}/{run['id']}"
+    other = analyse(run)
     assert client.delete(at).status_code == 204
     assert client.get(at).status_code == 404
     assert not (service.results / kept["id"]).exists()
-    assert client.get(f"{RUNS}/{run['id']}/bundle").status_code == 200
+    assert client.get(f"{of_run}/bundle").status_code == 200
     newest = client.get("/api/v1/audit").json()["items"][0]
     assert newest["what"] == f"DELETE {at}"
     assert len(newest["old"][f"results/{kept['id']}/result.json"]) == 64
     assert client.delete(at).status_code == 404
+    said = is_problem(client.delete(of_run), 409, "in-use")
+    assert said["dependents"] == [other["id"]]
+    assert client.delete(of_run, params={"with_results": True}).status_code == 204
+    for gone in (of_run, f"{JOBS}/{other['id']}"):
+        assert client.get(gone).status_code == 404
+    assert not list(service.results.parent.glob(f"runs/**/{run['id']}*"))
     ready = take("ready", **order)  # it is under way
     is_problem(client.delete(f"{JOBS}/{ready['id']}"), 409, "in-use")
 
@@ -275,18 +282,6 @@ def test_a_sweep_goes_on_behind_a_job_that_cannot_be_deleted(
     rows = {i for kind, i in retention.rows if kind == "job"}
     assert good["id"] in rows
     assert bad["id"] not in rows
-
-
-def test_a_run_goes_with_its_results_only_when_that_is_asked(
-    client, service, kept, run, is_problem
-):
-    at = f"{RUNS}/{run['id']}"
-    said = is_problem(client.delete(at), 409, "in-use")
-    assert said["dependents"] == [kept["id"]]
-    assert client.delete(at, params={"with_results": True}).status_code == 204
-    assert client.get(at).status_code == 404
-    assert client.get(f"{JOBS}/{kept['id']}").status_code == 404
-    assert not list(service.results.parent.glob(f"runs/**/{run['id']}*"))
 
 
 def test_a_job_without_an_answer_forgets_its_run(client, service, armed, until):

@@ -62,7 +62,6 @@ def record() -> Run:
 
 
 def fill(folder: Path) -> None:
-    """Write the data folder."""
     run = record()
     (folder / "runs").mkdir(parents=True)
     with closing(Database(f"sqlite:///{folder / 'catalogue.sqlite'}")) as database:
@@ -79,7 +78,6 @@ def fill(folder: Path) -> None:
 
 
 def add_analysis(run: Run, runs: RunCatalogue, store: Store, results: Path) -> None:
-    """Take a Run in and analyse it."""
     upload = runs.make_upload_file()
     upload.write_bytes(zip_bundle(run))
     kept = runs.add_uploaded(upload, run.name)
@@ -113,14 +111,12 @@ def add_measurement(run: Run, runs: RunCatalogue, store: Store) -> None:
 
 
 def end(store: Store, new: Job, state: State, failure: Failure) -> None:
-    """Add a job that has ended."""
     job, _ = store.create(new)
     store.change(job.id, lambda j: replace(j, state=State.RUNNING))
     store.change(job.id, lambda j: replace(j, state=state, failure=failure))
 
 
 def add_people(access: Access) -> None:
-    """Add a user, an API key and some rows of the audit log."""
     access.accounts.add("ada", Role.ADMINISTRATOR, PASSWORD)
     access.tokens.create_key("gauge-7", Role.SERVICE)
     who, what = ("ada", Role.ADMINISTRATOR, "127.0.0.1"), ("POST /api/v1/jobs", "202")
@@ -131,7 +127,6 @@ def add_people(access: Access) -> None:
 
 
 def main() -> None:
-    """Write the fixture."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "data"
         fill(folder)
