@@ -84,10 +84,9 @@ def test_the_client_imports_neither_the_service_nor_numpy():
         "loaded = [name for name in sys.modules if name.startswith(heavy)]\n"
         "print([name for name in loaded if not name.startswith('truepath.client')])"
     )
-    said = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert said.stdout.strip() == "[]"
+    run = [sys.executable, "-c", program]
+    said = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
 
 
 def test_a_lost_reply_makes_no_second_job_and_every_job_has_a_key_of_its_own():
@@ -116,11 +115,8 @@ def test_arming_asks_for_a_token_unless_one_is_given():
         client.arm(job("ready"))
         client.arm(job("ready"), "shown")
     asked = [(r.url.path.rsplit("/")[-1], r.content) for r in script.requests]
-    assert asked == [
-        ("arming", b""),
-        ("arm", b'{"token":"once"}'),
-        ("arm", b'{"token":"shown"}'),
-    ]
+    tokens = [b"", b'{"token":"once"}', b'{"token":"shown"}']
+    assert asked == list(zip(("arming", "arm", "arm"), tokens, strict=True))
 
 
 def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
@@ -171,12 +167,9 @@ def test_a_problem_hands_on_what_belongs_to_its_code():
 
 
 def test_waiting_ends_in_the_state_or_says_why_not():
-    script = Script(
-        answer(200, job("preparing")),
-        answer(200, job("ready")),
-        answer(200, job("failed", error={"detail": "the CNC is off"})),
-        answer(200, job("preparing")),
-    )
+    off = {"error": {"detail": "the CNC is off"}}
+    told = job("preparing"), job("ready"), job("failed", **off), job("preparing")
+    script = Script(*[answer(200, one) for one in told])
     with script.open() as client:
         assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
         with pytest.raises(JobEnded, match="failed: the CNC is off"):
@@ -219,9 +212,8 @@ def test_a_list_is_read_page_after_page():
 
 
 def test_a_token_goes_with_every_request_after_the_log_in():
-    script = Script(
-        answer(200, {"token": "secret"}), answer(200, {}), httpx2.Response(204)
-    )
+    answers = answer(200, {"token": "secret"}), answer(200, {}), httpx2.Response(204)
+    script = Script(*answers)
     with script.open() as client:
         client.log_in("anna", "a long sentence is easy")
         client.get_system()

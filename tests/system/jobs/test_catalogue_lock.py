@@ -45,12 +45,9 @@ def is_free(database):
 def end_sessions(database):
     """End every other session of the database, as a server that restarts does."""
     others = "datname = current_database() AND pid <> pg_backend_pid()"
+    query = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
     with database.engine.connect() as connection:
-        connection.execute(
-            text(
-                f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
-            )
-        )
+        connection.execute(text(query))
 
 
 @pytest.mark.long
@@ -72,9 +69,7 @@ def test_a_lock_that_a_restart_has_lost_is_taken_again(make_database):
     with hold_catalogue(first, look_every_s=0.1):
         before = find_holder(second)
         end_sessions(second)
-        wait_until(
-            lambda: find_holder(second) not in (None, before), "it is taken again"
-        )
+        wait_until(lambda: find_holder(second) not in (None, before), "another")
         assert not is_free(second)
 
 
@@ -88,9 +83,8 @@ def find_holder(database):
 
 
 def test_a_server_that_is_away_is_unavailable(tmp_path):
-    database = Database(
-        f"postgresql+psycopg://truepath@/postgres?host={tmp_path}", patience_s=0.1
-    )
+    url = f"postgresql+psycopg://truepath@/postgres?host={tmp_path}"
+    database = Database(url, patience_s=0.1)
     assert not database.ready()
     with pytest.raises(StorageUnavailable, match="does not answer"):
         database.migrate()

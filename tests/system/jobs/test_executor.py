@@ -89,12 +89,9 @@ def asleep(tasks, tmp_path, in_thread):
 
 
 def test_a_task_computes_in_a_prepared_polite_and_single_threaded_process(lane, tasks):
-    reports = []
-    computation = run(
-        lane, tasks.add, 2, 3, on_progress=lambda *told: reports.append(told)
-    )
-    assert computation.result() == 5
-    assert reports == [(0.5, "half"), (1.0, "whole")]
+    reports = Mock()
+    assert run(lane, tasks.add, 2, 3, on_progress=reports).result() == 5
+    assert [told.args for told in reports.mock_calls] == [(0.5, "half"), (1.0, "whole")]
     about = run(lane, tasks.about).result()
     assert about["pid"] != os.getpid()
     assert about["threads"] == "1"
@@ -132,9 +129,8 @@ def test_a_task_that_is_cancelled_ends_whatever_it_does_and_the_next_begins(
     called_off = in_thread(waits.result)
     waits.cancel()
     assert isinstance(called_off.exception(20), Aborted)
-    second = lane.submit(
-        tasks.add, 4, 5, on_progress=ignore_progress, started=started.set
-    )
+    told = {"on_progress": ignore_progress, "started": started.set}
+    second = lane.submit(tasks.add, 4, 5, **told)
     answer = in_thread(second.result)
     assert not started.is_set()
     begun = time.monotonic()

@@ -82,16 +82,10 @@ def test_it_holds_what_helps_and_no_secret(installation, bundle, tmp_path, capsy
     config, secrets, job_id = installation
     parts = bundle("--config", str(config))
     assert "missing: metrics.txt: the service does not run" in capsys.readouterr().err
-    assert {
-        "settings.toml",
-        "versions.json",
-        "doctor.json",
-        "catalogue.json",
-        "jobs.json",
-        "logs/service.log",
-        "logs/service.log.1",
-        "summary.json",
-    } == set(parts)
+    names = "versions", "doctor", "catalogue", "jobs", "summary"
+    documents = {f"{name}.json" for name in names}
+    logs = {"logs/service.log", "logs/service.log.1"}
+    assert set(parts) == {"settings.toml", *documents, *logs}
     for name, text in parts.items():
         assert not [s for s in secrets if s in text], name
     (job,) = json.loads(parts["jobs.json"])

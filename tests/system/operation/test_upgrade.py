@@ -84,11 +84,12 @@ def require_all(folder):
     ):
         items = client.get("/api/v1/jobs").json()["items"]
         jobs = {job["kind"]: job for job in items}
-        assert {kind: job["state"] for kind, job in jobs.items()} == {
+        ends = {
             "analyse": "succeeded",
             "measure-standstill": "aborted",
             "plan": "failed",
         }
+        assert {kind: job["state"] for kind, job in jobs.items()} == ends
         assert jobs["plan"]["error"]["detail"] == "no time"
         result = client.get(jobs["analyse"]["result"]["result"]).json()
         assert result["schema"] == "result/1"
@@ -110,11 +111,8 @@ def require_all(folder):
 
 
 def read_files(folder):
-    return {
-        str(file): file.read_bytes()
-        for file in folder.rglob("*")
-        if file.is_file() and file.name != ".lock"
-    }
+    files = [f for f in folder.rglob("*") if f.is_file() and f.name != ".lock"]
+    return {str(file): file.read_bytes() for file in files}
 
 
 def read_schema(file):

@@ -201,12 +201,8 @@ def test_the_task_of_a_discovery_writes_what_the_contract_asks_and_models_compar
     stages = []
 
     def discover(folder, *model):
-        discover_recorded(
-            [str(small_run)],
-            str(folder),
-            *model,
-            on_progress=lambda *told: stages.append(told),
-        )
+        order = [str(small_run)], str(folder), *model
+        discover_recorded(*order, on_progress=lambda *told: stages.append(told))
 
     first, second = tmp_path / "first", tmp_path / "second"
     model = first / "model.json"

@@ -161,9 +161,8 @@ def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
         failed, _ = store.create(Job(JobKind.ANALYSE))
         store.change(failed.id, lambda job: replace(job, state=State.FAILED))
         before = read_rows(database)
-        database.write(
-            lambda c: c.execute(schema.runs.delete().where(schema.runs.c.id == "s2"))
-        )
+        lost = schema.runs.delete().where(schema.runs.c.id == "s2")
+        database.write(lambda c: c.execute(lost))
     recovered, after = rebuild(folder)
     assert (recovered.aside, recovered.runs, recovered.jobs) == (None, 1, 0)
     assert after["jobs"] == before["jobs"]
@@ -231,9 +230,8 @@ def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten
     aside = recovered.aside
     assert aside is not None
     stamp = aside.name.split("-")[-1].removesuffix(".sqlite")
-    monkeypatch.setattr(
-        "truepath.jobs.dispatch.catalogue_rebuild.time.strftime", lambda *_: stamp
-    )
+    clock = "truepath.jobs.dispatch.catalogue_rebuild.time.strftime"
+    monkeypatch.setattr(clock, lambda *_: stamp)
     with pytest.raises(BadInput, match="exists already"):
         rebuild(folder)
     assert (folder / "catalogue.sqlite").read_bytes() == b"garbage " * 99

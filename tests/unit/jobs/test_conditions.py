@@ -255,9 +255,8 @@ def test_a_path_out_of_travel_or_through_a_box_also_between_parts_is_in_the_way(
 ):
     board = ConditionBoard(lambda: GOOD)
     assert not board.list_obstacles()
-    rows = command_rows(
-        machine, [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)], is_path=True
-    )
+    places = [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)]
+    rows = command_rows(machine, places, is_path=True)
     wrong = replace(rows, position=rows.position + 1000.0)
     for parts, workspace, reason in (
         ([rows, wrong], workspace_from_json({}), "out-of-travel"),
@@ -320,10 +319,8 @@ def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
 
 def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
-    monkeypatch.setattr(
-        "truepath.machines.conditions.condition_board.format_utc_now",
-        lambda: next(times),
-    )
+    clock = "truepath.machines.conditions.condition_board.format_utc_now"
+    monkeypatch.setattr(clock, lambda: next(times))
     changes = []
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])

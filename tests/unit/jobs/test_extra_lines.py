@@ -62,9 +62,8 @@ def ask(dispatcher, discover):
 
     def asked(discovery=None, **order):
         of = (discovery or discover()).id
-        request = RequestedJob(
-            JobKind.MEASURE_EXTRA, discovery_id=of, plan_request=order
-        )
+        asked = {"discovery_id": of, "plan_request": order}
+        request = RequestedJob(JobKind.MEASURE_EXTRA, **asked)
         return dispatcher.create(request)[0]
 
     return asked

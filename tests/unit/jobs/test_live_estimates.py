@@ -68,11 +68,9 @@ def test_the_newest_estimates_of_a_few_jobs_are_remembered_each_with_its_course(
     assert estimates.newest("0") is None
     assert estimates.course("0")["done"] == []
     assert estimates.newest("1") == newest
-    assert estimates.course("1") == {
-        "elapsed_s": [10.0, 15.0, 15.0],
-        "done": [2, 3, 3],
-        "volumetric_uncertainty_um": [9.0, 4.0, 3.0],
-    }
+    course = {"elapsed_s": [10.0, 15.0, 15.0], "done": [2, 3, 3]}
+    course["volumetric_uncertainty_um"] = [9.0, 4.0, 3.0]
+    assert estimates.course("1") == course
 
 
 def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):

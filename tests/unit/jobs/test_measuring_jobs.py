@@ -123,9 +123,8 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     assert (health.samples, health.repeats, health.gaps) == (50, 1, 2)
     run = context.runs.get(job.run_id)
     assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
-    assert science.calls == [
-        ([str(context.runs.file(run.id))], str(context.results / job.id), False)
-    ]
+    files, folder = [str(context.runs.file(run.id))], str(context.results / job.id)
+    assert science.calls == [(files, folder, False)]
     assert (context.results / job.id / "result.json").is_file()
     wait_until(lambda: dispatcher._under_way.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
@@ -393,9 +392,8 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     cell.end()
     first = until(running, "succeeded")
     science.hold = threading.Event()
-    computing, _ = dispatcher.create(
-        RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
-    )
+    request = RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
+    computing, _ = dispatcher.create(request)
     wait_until(lambda: len(science.calls) == 2)
     ready = until(dispatcher.create(OTF)[0], "ready")
     assert [job.id for job in dispatcher.stop()] == [ready.id]

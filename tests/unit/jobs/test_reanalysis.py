@@ -122,10 +122,8 @@ def test_runs_are_chosen_by_machine_and_time(
 ):
     assert context.runs.get(runs[0]).machine == context.require_machine().name
     dispatcher = open_dispatcher(reanalyser=analyst)
-    chosen = {
-        "machine": "default",
-        "plan_request": {"since": datetime(2000, 1, 1, tzinfo=UTC)},
-    }
+    since = {"since": datetime(2000, 1, 1, tzinfo=UTC)}
+    chosen = {"machine": "default", "plan_request": since}
     job, _ = dispatcher.create(RequestedJob(JobKind.REANALYSE, **chosen))
     until(job, State.SUCCEEDED)
     assert summary_of(context, job)["total"] == COUNT

@@ -276,9 +276,8 @@ def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
     assert len(now["parts"]) == 2
     cell.end()
     ended = until(job, "succeeded")
-    assert science.calls[0][0] == [
-        str(context.runs.file(run_id)) for run_id in ended.run_ids
-    ]
+    files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
+    assert science.calls[0][0] == files
 
 
 @pytest.fixture
@@ -340,12 +339,9 @@ def test_points_that_are_measured_again_are_not_gone_back_to_through_a_box(
         cell.say(PartRequested(3))
         wait_until(lambda: len(cell.parts) == 2, "the points that are measured again")
 
-    request = RequestedJob(
-        JobKind.MEASURE_STANDSTILL,
-        rows=points,
-        on_notice=OnNotice.CHECK,
-        plan_request={"workspace": {"keep_out": [box]}},
-    )
+    avoids = {"plan_request": {"workspace": {"keep_out": [box]}}, "rows": points}
+    kind = JobKind.MEASURE_STANDSTILL
+    request = RequestedJob(kind, on_notice=OnNotice.CHECK, **avoids)
     faulted(request, then=notice)
     again = [tuple(row[:2]) for row in cell.parts[1].position.tolist()]
     assert again == [places[2], places[1], places[2], places[3]]

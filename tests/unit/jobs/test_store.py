@@ -72,9 +72,8 @@ def test_each_change_counts_the_version_and_keeps_an_event(store, told, database
         store.change(job.id, to(State.FAILED), version=1)
     assert at.value.current == 2
     failure = Failure("BundleError", "tracker.csv, row 7: NaN", "c", "a")
-    job = store.change(
-        job.id, lambda job: replace(job, state=State.FAILED, failure=failure)
-    )
+    ended = {"state": State.FAILED, "failure": failure}
+    job = store.change(job.id, lambda job: replace(job, **ended))
     assert job.ended is not None
     kept = store.read_events_after(0)
     assert kept == told

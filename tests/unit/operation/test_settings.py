@@ -207,9 +207,8 @@ def test_the_password_of_the_catalogue_comes_from_a_file(tmp_path):
     with pytest.raises(BadInput, match="database_password_file"):
         _ = settings.database
     secret.write_text("p@ss/word\n")
-    assert settings.database == (
-        "postgresql+psycopg://truepath:p%40ss%2Fword@db/truepath"
-    )
+    with_password = "postgresql+psycopg://truepath:p%40ss%2Fword@db/truepath"
+    assert settings.database == with_password
     assert "p@ss" not in repr(settings)
 
 

@@ -362,9 +362,8 @@ def test_a_job_has_its_owner_and_the_audit_log_what_was_done_and_refused(
 def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
     reached, access, tokens, monkeypatch
 ):
-    monkeypatch.setattr(
-        "truepath.service.api.security.access_control.AUDIT_PATIENCE_S", 0.05
-    )
+    patience = "truepath.service.api.security.access_control.AUDIT_PATIENCE_S"
+    monkeypatch.setattr(patience, 0.05)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     headers = bearer(tokens[Role.OPERATOR])
     assert reached.post(f"{API}/plans", headers=headers).status_code == 200

@@ -187,9 +187,8 @@ def test_a_map_is_that_of_the_result_computed_once_and_one_that_cannot_be_says_w
 
 
 def test_files_leave_what_their_format_does_not_carry(client, at):
-    made = client.post(
-        at.replace("/result", "/compensations"), json={"format": "linuxcnc"}
-    ).json()
+    files = at.replace("/result", "/compensations")
+    made = client.post(files, json={"format": "linuxcnc"}).json()
     address = f"{at}/volumetric-map?state=after&compensation={made['id']}"
     found = client.get(address).json()
     before = client.get(f"{at}/volumetric-map").json()

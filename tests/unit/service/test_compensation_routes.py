@@ -32,14 +32,9 @@ def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_g
     made = answer.json()
     at = made["links"]["self"]
     assert answer.headers["location"] == at
-    account = export_files(
-        analysed / "result.json",
-        "siemens",
-        tmp_path / "compensation",
-        spacing_mm=25,
-        unmeasured=Unmeasured.FADE,
-        choices=choices,
-    )
+    files = analysed / "result.json", "siemens", tmp_path / "compensation"
+    chosen = {"spacing_mm": 25, "unmeasured": Unmeasured.FADE, "choices": choices}
+    account = export_files(*files, **chosen)
     own = {"files", "verdict", "schema", "id", "links"}
     shared = (set(made) & set(account)) - own
     assert shared >= {"volumetric_error_um", "left_um", "tables", "unmeasured", "note"}

@@ -56,14 +56,8 @@ def families(module):
     ]
 
 
-NO_ANSWER = {
-    "TruepathError",  # the root
-    "JobError",  # likewise
-    "Aborted",  # no failure
-    "Cancelled",  # likewise
-    "TaskFailed",  # told by the family of what the task raised
-    "InUse",  # likewise
-}
+# Roots, what is no failure, and what is told by the family of what a task raised.
+NO_ANSWER = {"TruepathError", "JobError", "Aborted", "Cancelled", "TaskFailed", "InUse"}
 
 
 def test_every_family_of_errors_is_a_kind_of_problem():
@@ -146,11 +140,8 @@ def test_every_operation_and_each_of_its_parameters_is_described():
 
 
 def test_paths_have_versions_reading_no_conflicts_and_every_refusal_is_a_problem():
-    listed = [
-        (path, method, operation)
-        for path, methods in read_document()["paths"].items()
-        for method, operation in methods.items()
-    ]
+    paths = read_document()["paths"].items()
+    listed = [(path, *one) for path, methods in paths for one in methods.items()]
     assert len(OPERATIONS) == len(listed)
     probes = {path for path, _, _ in listed if not path.startswith("/api/v1/")}
     assert probes == {"/healthz", "/metrics", "/readyz"}

@@ -166,10 +166,8 @@ def test_a_plan_that_cannot_be_ends_with_the_reason_and_is_made_once_for_a_key(
     planned, client
 ):
     axes = MACHINE.linear_axes
-    everything = {
-        "min_mm": [axis.low - 1.0 for axis in axes],
-        "max_mm": [axis.high + 1.0 for axis in axes],
-    }
+    low, high = [axis.low - 1.0 for axis in axes], [axis.high + 1.0 for axis in axes]
+    everything = {"min_mm": low, "max_mm": high}
     order = {**SHORT, "workspace": {"keep_out": [everything]}}
     made = planned(order)
     assert made["state"] == "failed"
@@ -177,20 +175,18 @@ def test_a_plan_that_cannot_be_ends_with_the_reason_and_is_made_once_for_a_key(
     assert "keep-out" in made["error"]["detail"]
     assert made["commanded"] is None
     assert made["document"] is None
-    first, again = (
-        client.post("/api/v1/plans", json=order, headers={"Idempotency-Key": "plan-1"})
-        for _ in range(2)
-    )
+    sent = {"json": order, "headers": {"Idempotency-Key": "plan-1"}}
+    first, again = (client.post("/api/v1/plans", **sent) for _ in range(2))
     assert first.json()["id"] == again.json()["id"]
 
 
+def rows_at(*places):
+    axes = "x_mm", "y_mm", "z_mm"
+    return [dict(zip(axes, place, strict=True)) for place in places]
+
+
 def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
-    rows = [
-        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
-        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
-        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
-        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
-    ]
+    rows = rows_at((10, 10, 10), (400, 300, 200), (90, 350, 40), (450, 20, 250))
     address = "/api/v1/plans:validate"
     assert client.post(address, json={"path": rows}).json()["stays_open"] == ""
     two = client.post(address, json={"path": rows[:3]})
@@ -201,11 +197,7 @@ def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(clie
 
 
 def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
-    rows = [
-        {"x_mm": 10, "y_mm": 10, "z_mm": 100},
-        {"x_mm": 400, "y_mm": 300, "z_mm": 100},
-        {"x_mm": 400, "y_mm": 10, "z_mm": 100},
-    ]
+    rows = rows_at((10, 10, 100), (400, 300, 100), (400, 10, 100))
     free = client.post("/api/v1/plans:validate", json={"path": rows})
     assert free.status_code == 200, free.text
     assert free.json()["rows"] == 3

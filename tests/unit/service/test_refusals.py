@@ -8,11 +8,8 @@ BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
 FLAT_BOX = {**BOX, "max_mm": BOX["min_mm"]}
 OTF = {"kind": "measure-otf"}
 ANALYSE = {"kind": "analyse", "run_id": "a"}
-ADAPTIVE = {
-    "kind": "measure-adaptive",
-    "target_um": 2.0,
-    "planning": {"mode": "otf", "minutes": 5},
-}
+PLANNING = {"planning": {"mode": "otf", "minutes": 5}}
+ADAPTIVE = {"kind": "measure-adaptive", "target_um": 2.0, **PLANNING}
 VERIFY = {"kind": "verify", "result_id": "0190a4a1"}
 REANALYSE = {"kind": "reanalyse"}
 TREND = {"kind": "trend", "run_ids": ["a", "b"]}

@@ -75,9 +75,8 @@ def test_the_last_administrator_stays_and_who_is_not_there_is_not_changed(accoun
 def test_each_role_may_what_those_before_it_may():
     ladder = [Role.VIEWER, Role.OPERATOR, Role.METROLOGIST, Role.ADMINISTRATOR]
     for i, role in enumerate(ladder):
-        assert [includes(role, least) for least in ladder] == [
-            j <= i for j in range(len(ladder))
-        ]
+        may = [includes(role, least) for least in ladder]
+        assert may == [j <= i for j in range(len(ladder))]
     assert includes(Role.SERVICE, Role.OPERATOR)
     assert not includes(Role.SERVICE, Role.METROLOGIST)
 
