@@ -178,9 +178,7 @@ def test_waiting_ends_in_the_state_or_says_why_not():
             client.wait_for("7", "ready", timeout_s=-1.0)
 
 
-def test_a_stream_that_breaks_goes_on_after_the_last_kept_event_unless_it_is_refused(
-    monkeypatch,
-):
+def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
     monkeypatch.setattr("truepath.client.events._PAUSES_S", (0.0,))
     script = Script(
         stream(("job", job("running"), 4), ("tick", {}, None)),

@@ -99,9 +99,7 @@ def test_a_task_computes_in_a_prepared_polite_and_single_threaded_process(lane, 
     assert about["prepared"] == [about["pid"]]
 
 
-def test_neither_a_task_that_raises_nor_a_listener_that_fails_ends_the_process(
-    lane, tasks
-):
+def test_neither_a_task_that_raises_nor_a_deaf_listener_ends_the_process(lane, tasks):
     before = run(lane, tasks.about).result()["pid"]
     with pytest.raises(TaskFailed, match=r"tracker.csv, row 3: is NaN") as raised:
         run(lane, tasks.fail).result()

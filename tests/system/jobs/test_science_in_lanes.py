@@ -47,9 +47,7 @@ def submit(lane, small_run, tmp_path_factory):
 
 
 @pytest.mark.long
-def test_a_job_brings_the_same_trials_from_any_number_of_workers_or_a_cluster(
-    submit, scheduler
-):
+def test_a_job_brings_the_same_trials_from_any_workers_or_a_cluster(submit, scheduler):
     def analyse(workers):
         """Have two blocks of trials computed; return what the result says of them."""
         told = []

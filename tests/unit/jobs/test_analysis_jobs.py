@@ -195,9 +195,7 @@ def test_a_discovery_tells_its_stage_is_done_again_after_a_restart_and_can_be_ab
     assert not (context.results / job.id).exists()
 
 
-def test_the_task_of_a_discovery_writes_what_the_contract_asks_and_models_compare(
-    small_run, tmp_path
-):
+def test_the_task_of_a_discovery_writes_what_the_contract_asks(small_run, tmp_path):
     stages = []
 
     def discover(folder, *model):

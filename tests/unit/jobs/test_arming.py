@@ -165,9 +165,7 @@ def summarise(machine, kind=JobKind.MEASURE_OTF, *here):
     return motion, [(one.axis, one.low, one.high) for one in motion.envelope]
 
 
-def test_the_summary_is_that_of_the_rows_and_of_the_way_to_them_or_of_the_whole_travel(
-    machine,
-):
+def test_the_summary_is_of_the_rows_and_the_way_to_them_or_the_whole_travel(machine):
     motion, ranges = summarise(machine)
     assert ranges == [("X", 10.0, 400.0), ("Y", 30.0, 300.0), ("Z", 10.0, 10.0)]
     assert (motion.max_feed_mm_min, motion.rows, motion.grows) == (2000.0, 2, False)

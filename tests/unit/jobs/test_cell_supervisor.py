@@ -128,9 +128,7 @@ def test_a_cell_that_does_not_start_is_tried_again_with_growing_pauses(
     assert supervisor.status.restarts == 2
 
 
-def test_while_there_is_no_cell_and_after_the_end_verbs_are_refused_at_once(
-    maker, supervisor
-):
+def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, supervisor):
     waiting = CellSupervisor(maker, first_pause_s=30.0)
     maker.fails = 1
     waiting.start()

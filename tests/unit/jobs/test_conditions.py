@@ -250,9 +250,7 @@ def points_at(machine, *places):
     return command_rows(machine, rows, is_path=False)
 
 
-def test_a_path_out_of_travel_or_through_a_box_also_between_parts_is_in_the_way(
-    machine,
-):
+def test_a_path_out_of_travel_or_through_a_box_even_between_parts_is_told(machine):
     board = ConditionBoard(lambda: GOOD)
     assert not board.list_obstacles()
     places = [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)]

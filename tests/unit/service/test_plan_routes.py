@@ -162,9 +162,7 @@ def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
 
 
 @pytest.mark.database
-def test_a_plan_that_cannot_be_ends_with_the_reason_and_is_made_once_for_a_key(
-    planned, client
-):
+def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, client):
     axes = MACHINE.linear_axes
     low, high = [axis.low - 1.0 for axis in axes], [axis.high + 1.0 for axis in axes]
     everything = {"min_mm": low, "max_mm": high}

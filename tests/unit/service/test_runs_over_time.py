@@ -31,7 +31,7 @@ def ask(client):
     return asked
 
 
-def test_a_trend_is_told_what_is_asked_and_links_to_its_report(
+def test_a_trend_is_told_what_is_asked_and_has_a_report(
     client, upload_at, take, follower
 ):
     runs = [upload_at(0.0), upload_at(3600.0)]

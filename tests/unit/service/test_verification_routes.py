@@ -51,7 +51,7 @@ def look(client, ask, until):
     return looked
 
 
-def test_points_of_a_verification_are_those_of_their_seed_and_touch_no_box(
+def test_points_of_a_verification_follow_their_seed_and_touch_no_box(
     ask, look, is_problem
 ):
     asked = {"what": ["random-points", "circles"], "seed": 4, "tolerance_um": 5}

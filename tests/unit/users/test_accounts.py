@@ -88,9 +88,7 @@ def access(database, accounts):
     access.close()
 
 
-def test_who_logs_in_is_known_by_the_token_and_a_refusal_does_not_say_what_was_wrong(
-    access,
-):
+def test_who_logs_in_is_known_by_the_token_and_a_refusal_does_not_say_why(access):
     token, actor = access.log_in("anna", PASSWORD, "192.0.2.17")
     assert actor == access.identify(token) == Actor("anna", Role.ADMINISTRATOR)
     for name in ("anna", "nobody"):
@@ -218,9 +216,7 @@ def test_another_password_ends_all_sessions_and_leaves_keys(accounts, tokens, se
     assert tokens.find(key)
 
 
-def test_a_key_is_no_person_and_lasts_until_its_end_or_until_it_is_revoked(
-    tokens, clock
-):
+def test_a_key_is_no_person_and_lasts_until_its_end_or_is_revoked(tokens, clock):
     short = tokens.create_key("gauge", Role.SERVICE, days=2)
     key = tokens.create_key("plant", Role.SERVICE)
     clock.pass_s(86400)

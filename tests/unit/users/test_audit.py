@@ -76,7 +76,7 @@ FORGED = "UPDATE audit SET hash = substr(hash, 2) || substr(hash, 1, 1) WHERE se
         (FORGED, "row 3 has been changed; row 4 has been changed"),
     ],
 )
-def test_a_row_that_was_changed_taken_out_or_forged_is_named(
+def test_a_row_that_was_changed_removed_or_forged_is_named(
     five, database, statement, said
 ):
     """By somebody who has the file in hand; the next row finds a hash made anew."""
