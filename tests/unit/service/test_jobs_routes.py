@@ -1,6 +1,7 @@
 """Jobs over REST: from the order to the result, and what a waiting job gives."""
 
 from datetime import datetime, timedelta, timezone
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -138,26 +139,19 @@ def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, unt
     assert find(since=shifted.isoformat()) == ids[1:]
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "code"),
-    [
+def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
+    client, is_problem, service
+):
+    for error, status, code in (
         (StorageUnavailable("the catalogue is locked"), 503, "storage"),
         (KeyError("the password is secret"), 500, "internal-error"),
-    ],
-    ids=["the catalogue is away", "nobody foresaw it"],
-)
-def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
-    client, is_problem, service, error, status, code
-):
-    def broken(*_):
-        raise error
-
-    service.store.get = broken
-    answer = client.get(UNKNOWN)
-    problem = is_problem(answer, status, code)
-    assert ("Try again" in problem["action"]) == (code == "storage")
-    assert "secret" not in answer.text
-    assert problem["request_id"]
+    ):
+        service.store.get = Mock(side_effect=error)
+        answer = client.get(UNKNOWN)
+        problem = is_problem(answer, status, code)
+        assert ("Try again" in problem["action"]) == (code == "storage")
+        assert "secret" not in answer.text
+        assert problem["request_id"]
 
 
 def test_a_failure_nobody_foresaw_tells_nothing_but_that(

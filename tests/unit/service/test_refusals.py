@@ -137,23 +137,20 @@ def test_a_query_that_is_not_as_documented_is_named(client, is_problem):
         is_problem(client.get(f"/api/v1/jobs?after={after}"), 422, "bad-input")
 
 
-@pytest.mark.parametrize(
-    ("key", "places", "said"),
-    [
-        ("path", [10, 200], "the path has the target stand at 2 places"),
-        ("path", [10, 200, 90], "the path lies on one straight line"),
-        ("points", [10], "stand at 1 place; .* add rows"),
-        ("points", [10, 90, 200], "points lies on one straight"),
-    ],
-)
 def test_rows_that_no_analysis_could_take_are_refused_by_check_and_order(
-    client, is_problem, key, places, said
+    client, is_problem
 ):
-    kind = "measure-otf" if key == "path" else "measure-standstill"
-    rows = {key: measure_at(*places)}
-    checked = is_problem(client.post("/api/v1/plans:validate", json=rows), 422, "plan")
-    assert re.search(said, checked["detail"])
-    order = {"kind": kind, **rows}
-    ordered = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
-    assert ordered["detail"] == checked["detail"]
+    for kind, key, places, said in (
+        ("otf", "path", [10, 200], "the path has the target stand at 2 places"),
+        ("otf", "path", [10, 200, 90], "the path lies on one straight line"),
+        ("standstill", "points", [10], "stand at 1 place; .* add rows"),
+        ("standstill", "points", [10, 90, 200], "points lies on one straight"),
+    ):
+        rows = {key: measure_at(*places)}
+        answer = client.post("/api/v1/plans:validate", json=rows)
+        checked = is_problem(answer, 422, "plan")
+        assert re.search(said, checked["detail"])
+        order = {"kind": f"measure-{kind}", **rows}
+        ordered = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
+        assert ordered["detail"] == checked["detail"]
     assert client.get("/api/v1/jobs").json()["items"] == []
