@@ -10,6 +10,7 @@ from jobs_fixtures import *  # noqa: F403
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.transitions import State
+from truepath.machines.conditions.conditions import NotInOrder
 from truepath.main import open_service
 from truepath.settings import load_settings
 
@@ -43,7 +44,10 @@ def measured(request, folder, bench=None, machine=None, **more):
         job, _ = service.dispatcher.create(request)
         wait_until(lambda: get(job.id).state in ("ready", "failed"), "the plan")
         first_plan = service.store.read_plan(job.id)
-        arm_at_once(service.dispatcher, job.id, get(job.id).version)
+
+        def armed():
+            with suppress(NotInOrder):  # until the conditions are seen to be met
+                return arm_at_once(service.dispatcher, job.id, get(job.id).version)
 
         def ended():
             """Lock the beam again as an operator does, and resume until it goes on."""
@@ -53,6 +57,7 @@ def measured(request, folder, bench=None, machine=None, **more):
                     service.dispatcher.resume(job.id, now.version)
             return now if now.is_final else None
 
+        wait_until(armed, "the conditions")
         done = wait_until(ended, "the end")
         assert done.state is State.SUCCEEDED, done.failure
         yield Measured(service, done, first_plan, told)
