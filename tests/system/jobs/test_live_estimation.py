@@ -4,11 +4,12 @@ import json
 import os
 import signal
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from tests.system.jobs.conftest import measured
 
+from arming import arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.job import JobKind
 from truepath.jobs.kinds.requested_job import RequestedJob
@@ -18,6 +19,8 @@ from truepath.jobs.running.live_estimation import (
     LiveEstimation,
 )
 from truepath.jobs.running.live_process import LiveEstimateOrder
+from truepath.main import open_service
+from truepath.settings import load_settings
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
@@ -98,17 +101,35 @@ def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
     assert not shown[-1]["is_last"]
 
 
+@contextmanager
+def measured(request, folder, **chosen):
+    """Measure to the end with the whole service; yield it, the job and what it told."""
+    heard = []
+    settings = load_settings(data_dir=folder / "data", port=0, **chosen)
+    with open_service(settings) as service:
+        service.event_bus.subscribe(
+            lambda n: n.type == "estimate" and heard.append((time.monotonic(), n.body))
+        )
+        cell, get = service.machines.first.cell, service.store.get
+        wait_until(lambda: cell.status.state == "disconnected", "the cell")
+        job, _ = service.dispatcher.create(request)
+        wait_until(lambda: get(job.id).state == "ready", "the plan")
+        arm_at_once(service.dispatcher, job.id, get(job.id).version)
+        wait_until(lambda: get(job.id).is_final, "the end")
+        assert get(job.id).state == "succeeded"
+        yield service, get(job.id), heard
+
+
 @pytest.mark.long
 @pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     """The whole service on simulated devices, faster than real."""
     request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
     faster = {"simulated": True, "simulated_speed": 8.0}
-    with measured(request, tmp_path, **faster) as done:
-        last = done.service.event_bus.estimates.newest(done.job.id)
-        file = done.service.results / done.job.id / "result.json"
+    with measured(request, tmp_path, **faster) as (service, job, heard):
+        last = service.event_bus.estimates.newest(job.id)
+        file = service.results / job.id / "result.json"
         result = json.loads(file.read_text(encoding="utf-8"))
-    heard = done.list_notices("estimate")
     sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
     assert len(set(sigma)) >= 3
     assert sigma[0] > 1.2 * sigma[-1]  # a busy computer may miss the first lines
@@ -132,15 +153,20 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
 def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
     content = load_machine("demo")
     content["tracker"]["rate_hz"] = 2.0
+    file = tmp_path / "machine.json"
+    file.write_text(json.dumps(content), encoding="utf-8")
     request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
-    with (
-        Bench(content, 7, 20.0, protocol="geocom", tracker="tcp") as bench,
-        measured(request, tmp_path, bench, content, tracker_driver="geocom") as done,
-    ):
-        heard = [body for _, body in done.list_notices("estimate")]
-    sigma = [body["volumetric_uncertainty_um"] for body in heard]
+    with Bench(content, 7, 20.0, protocol="geocom", tracker="tcp") as bench:
+        links = {
+            "tracker_options": bench.tracker_options,
+            "motion_options": bench.motion_options,
+            "machine_file": file,
+        }
+        with measured(request, tmp_path, tracker_driver="geocom", **links) as done:
+            _, job, heard = done
+    sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
     assert len(set(sigma)) >= 5
     assert sigma[0] > sigma[-1]
-    end = done.job.early_end
-    assert end.reached_um <= 25.0
-    assert end.done < end.total
+    assert job.early_end is not None
+    assert job.early_end.reached_um <= 25.0
+    assert job.early_end.done < job.early_end.total
