@@ -1,10 +1,13 @@
-"""The Python client against answers that a test writes, without a service."""
+"""The Python client: answers that a test writes, and every method as described."""
 
-from __future__ import annotations
-
+import asyncio
+import inspect
 import json
+import re
+import ssl
 import subprocess
 import sys
+from contextlib import aclosing, closing
 from pathlib import Path
 from typing import get_type_hints
 
@@ -12,6 +15,7 @@ import httpx2
 import pytest
 
 from truepath.client import (
+    AsyncClient,
     Busy,
     Client,
     DeviceProblem,
@@ -28,9 +32,6 @@ from truepath.client import (
 from truepath.client.problems import BadInput, ServiceProblem, make_problem
 
 ROOT = Path(__file__).parents[3]
-SCHEMAS = json.loads((ROOT / "docs" / "openapi.json").read_text("utf-8"))["components"][
-    "schemas"
-]
 
 
 def job(state, version=3, **more):
@@ -59,6 +60,7 @@ class Script:
         return Client("http://mill", transport=httpx2.MockTransport(self))
 
 
+DOCUMENT = json.loads((ROOT / "docs" / "openapi.json").read_text("utf-8"))
 LOST = httpx2.ReadError("gone")
 
 
@@ -82,10 +84,9 @@ def test_the_client_imports_neither_the_service_nor_numpy():
         "loaded = [name for name in sys.modules if name.startswith(heavy)]\n"
         "print([name for name in loaded if not name.startswith('truepath.client')])"
     )
-    said = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert said.stdout.strip() == "[]"
+    run = [sys.executable, "-c", program]
+    said = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
 
 
 def test_a_lost_reply_makes_no_second_job_and_every_job_has_a_key_of_its_own():
@@ -114,11 +115,8 @@ def test_arming_asks_for_a_token_unless_one_is_given():
         client.arm(job("ready"))
         client.arm(job("ready"), "shown")
     asked = [(r.url.path.rsplit("/")[-1], r.content) for r in script.requests]
-    assert asked == [
-        ("arming", b""),
-        ("arm", b'{"token":"once"}'),
-        ("arm", b'{"token":"shown"}'),
-    ]
+    tokens = [b"", b'{"token":"once"}', b'{"token":"shown"}']
+    assert asked == list(zip(("arming", "arm", "arm"), tokens, strict=True))
 
 
 def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
@@ -169,12 +167,9 @@ def test_a_problem_hands_on_what_belongs_to_its_code():
 
 
 def test_waiting_ends_in_the_state_or_says_why_not():
-    script = Script(
-        answer(200, job("preparing")),
-        answer(200, job("ready")),
-        answer(200, job("failed", error={"detail": "the CNC is off"})),
-        answer(200, job("preparing")),
-    )
+    off = {"error": {"detail": "the CNC is off"}}
+    told = job("preparing"), job("ready"), job("failed", **off), job("preparing")
+    script = Script(*[answer(200, one) for one in told])
     with script.open() as client:
         assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
         with pytest.raises(JobEnded, match="failed: the CNC is off"):
@@ -195,19 +190,13 @@ def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
         found = client.events("7")
         received = [next(found) for _ in range(3)]
         found.close()
-    assert [(e.type, e.id) for e in received] == [
-        ("job", "4"),
-        ("tick", "4"),
-        ("job", "5"),
-    ]
+    heard = [(event.type, event.id) for event in received]
+    assert heard == [("job", "4"), ("tick", "4"), ("job", "5")]
     sent = [r.headers.get("Last-Event-ID") for r in script.requests]
     assert sent == [None, "4", "4", "4"]
     assert {r.url.path for r in script.requests} == {"/api/v1/jobs/7/events"}
-
-
-def test_a_stream_that_is_refused_raises_its_problem():
-    script = Script(answer(404, {"code": "not-found", "detail": "there is no job 7"}))
-    with script.open() as client, pytest.raises(Problem, match="there is no job 7"):
+    refused = Script(answer(404, {"code": "not-found", "detail": "there is no job 7"}))
+    with refused.open() as client, pytest.raises(Problem, match="there is no job 7"):
         next(client.events("7"))
 
 
@@ -221,9 +210,8 @@ def test_a_list_is_read_page_after_page():
 
 
 def test_a_token_goes_with_every_request_after_the_log_in():
-    script = Script(
-        answer(200, {"token": "secret"}), answer(200, {}), httpx2.Response(204)
-    )
+    answers = answer(200, {"token": "secret"}), answer(200, {}), httpx2.Response(204)
+    script = Script(*answers)
     with script.open() as client:
         client.log_in("anna", "a long sentence is easy")
         client.get_system()
@@ -260,5 +248,146 @@ SCHEMA_OF = {
 
 @pytest.mark.parametrize("body", SCHEMA_OF)
 def test_the_types_of_the_client_are_those_of_the_interface(body):
-    described = SCHEMAS[SCHEMA_OF[body]]["properties"]
+    described = DOCUMENT["components"]["schemas"][SCHEMA_OF[body]]["properties"]
     assert set(get_type_hints(body)) <= set(described)
+
+
+JOB = {"id": "7", "version": 3, "state": "succeeded", "token": "once", "ended": "now"}
+PAGE = {**JOB, "items": [JOB], "next": None}
+OF_A_JOB = """
+get_job prepare_arming pause cancel abort acknowledge take_control delete_job
+get_verification list_certificates get_job_plan get_estimate get_result
+get_error_tables get_discovery get_trend get_reanalysis wait_for events
+"""
+CALLS = {
+    **dict.fromkeys(OF_A_JOB.split(), ("7",)),
+    **dict.fromkeys(("get_plan", "get_run"), ("7",)),
+    **dict.fromkeys(("get_machine_record", "get_machine_standing"), ("mill",)),
+    **dict.fromkeys(("log_out", "get_system", "connect", "get_machine", "stop"), ()),
+    **dict.fromkeys(("list_conditions", "list_machines"), ()),
+    **dict.fromkeys(("arm", "resume"), (JOB,)),
+    "log_in": ("anna", "a long sentence"),
+    "create_job": {"kind": "measure-otf"},
+    "rename_job": ("7", {"name": "as found"}),
+    "rename_run": ("7", {"note": "warm"}),
+    "delete_run": ("7", {"with_results": True}),
+    "add_machine": ("mill", {"machine_file": {}}),
+    "change_machine": ("mill", {"place": "hall 3"}),
+    "remove_machine": ("mill", 1),
+    "set_machine_file": ("mill", {"machine_file": {}}),
+    "set_machine_devices": ("mill", {"tracker_driver": "streaming"}),
+    "get_machine_history": ("mill", {"quantity": "EXX", "position": 300.0}),
+    "get_machine_changes": ("mill", "7"),
+    "get_machine_temperature": ("mill", {"sensor": ["X", "Y"]}),
+    "compare_machines": {"machine": ["mill", "lathe"]},
+    "issue_certificate": ("7", {"language": "de"}),
+    "download": ("/api/v1/jobs/7/result/report.html",),
+    "create_plan": {"mode": "otf"},
+    "upload_bundle": (Path(__file__),),
+    "make_compensation": ("7", {"format": "linuxcnc"}),
+    "list_jobs": {"state": ["succeeded"]},
+    "list_runs": {"machine": "mill"},
+}
+
+
+TLS = ssl.create_default_context()
+
+
+@pytest.fixture(autouse=True)
+def one_tls_context(monkeypatch):
+    """One for all clients: each takes a twentieth of a second."""
+    for face in ("sync_client", "async_client"):
+        made = f"truepath.client.{face}.make_tls_context"
+        monkeypatch.setattr(made, lambda _: TLS)
+
+
+def list_methods(face):
+    return {n for n in vars(face) if not n.startswith("_")} - {"close", "aclose"}
+
+
+def test_no_method_is_left_out():
+    assert set(CALLS) == list_methods(Client) == list_methods(AsyncClient)
+
+
+class Service:
+    """Answers everything, and keeps what was asked."""
+
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self, request):
+        self.asked.append((request.method, request.url.path, dict(request.url.params)))
+        if request.url.path.endswith("/events"):
+            text = f"id: 4\nevent: job\ndata: {json.dumps(JOB)}\n\n"
+            headers = {"Content-Type": "text/event-stream"}
+            return httpx2.Response(200, text=text, headers=headers)
+        return httpx2.Response(200, json=PAGE)
+
+
+def call_sync(service, name, given, words):
+    with Client("http://mill", transport=httpx2.MockTransport(service)) as client:
+        answer = getattr(client, name)(*given, **words)
+        if not inspect.isgenerator(answer):
+            return answer
+        with closing(answer):
+            return next(answer)
+
+
+def call_async(service, name, given, words):
+    async def call():
+        transport = httpx2.MockTransport(service)
+        async with AsyncClient("http://mill", transport=transport) as client:
+            answer = getattr(client, name)(*given, **words)
+            if not inspect.isasyncgen(answer):
+                return await answer
+            async with aclosing(answer):
+                return await anext(answer)
+
+    return asyncio.run(call())
+
+
+@pytest.mark.parametrize("call", [call_sync, call_async])
+@pytest.mark.parametrize("name", CALLS)
+def test_it_asks_what_is_described_and_returns_what_came(name, call):
+    given = CALLS[name]
+    words = given if isinstance(given, dict) else {}
+    given = () if isinstance(given, dict) else given
+    if given and isinstance(given[-1], dict) and given[-1] is not JOB:
+        *given, words = given
+    service = Service()
+    answer = call(service, name, tuple(given), words)
+    for method, path, query in service.asked:
+        operation = find_operation(method, path)
+        known = {p["name"] for p in operation.get("parameters", ()) if "name" in p}
+        assert set(query) <= known
+    if name in ("log_out", "delete_job", "delete_run", "remove_machine"):
+        assert answer is None
+    elif name == "events":
+        assert (answer.type, answer.id, answer.data) == ("job", "4", JOB)
+    elif name == "download":
+        assert json.loads(answer) == PAGE
+    else:
+        listed = name.startswith("list_")
+        assert answer in ((JOB, [JOB]) if listed else (PAGE,))
+
+
+def find_operation(method, path):
+    fitting = [
+        operations[method.lower()]
+        for template, operations in DOCUMENT["paths"].items()
+        if re.fullmatch(re.sub(r"\{\w+\}", "[^/:]+", template), path)
+        and method.lower() in operations
+    ]
+    assert fitting, f"{method} {path} is not described"
+    return fitting[0]
+
+
+def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
+    written = ROOT / "app" / "truepath" / "client" / "sync_client.py"
+    program = (
+        "import sys; sys.path.insert(0, 'docs'); import write_sync_client as w; "
+        "print(w.write_sync((w.CLIENT / 'async_client.py').read_text('utf-8')), end='')"
+    )
+    run = [sys.executable, "-c", program]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == written.read_text("utf-8")

@@ -1,7 +1,5 @@
 """The examples of docs/clients.md with the real service and simulated devices."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

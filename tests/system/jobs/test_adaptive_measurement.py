@@ -1,15 +1,12 @@
 """Adaptive jobs on simulated devices: planned on the way, from what was told so far."""
 
-from __future__ import annotations
-
 import json
-import time
 
 import numpy as np
 import pytest
 
 from arming import arm_at_once
-from scripted_cell import Inline
+from scripted_cell import Inline, wait_until
 from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.runs import RunCatalogue
@@ -31,16 +28,6 @@ from truepath_simulators.bench.bench import Bench
 
 SPEED = 10.0
 BUDGET_MIN = 10.0
-DEADLINE_S = 100.0
-
-
-def wait_until(reached, what):
-    """Return what `reached` gives once it is true; a busy computer takes its time."""
-    end = time.monotonic() + DEADLINE_S
-    while not (found := reached()):
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.02)
-    return found
 
 
 class Followed:
@@ -51,10 +38,9 @@ class Followed:
         self.told = told
 
     def run(self, mode, target_um):
-        request = {"mode": mode, "minutes": BUDGET_MIN}
-        request = RequestedJob(
-            JobKind.MEASURE_ADAPTIVE, target_um=target_um, plan_request=request
-        )
+        asked = {"plan_request": {"mode": mode, "minutes": BUDGET_MIN}}
+        asked["target_um"] = target_um
+        request = RequestedJob(JobKind.MEASURE_ADAPTIVE, **asked)
         job, _ = self.dispatcher.create(request)
         ready = wait_until(lambda: self._in(job.id, State.READY), "the first part")
         self.first = self.context.store.read_plan(job.id)
@@ -90,9 +76,8 @@ def followed(faults, machine, database, event_bus, tmp_path, run_reader):
     told = []
     event_bus.subscribe(told.append)
     with Bench(seed=1, speed=SPEED, faults=faults) as bench:
-        config = CellConfig(
-            "streaming", bench.tracker_options, "modbus", bench.motion_options
-        )
+        links = bench.tracker_options, "modbus", bench.motion_options
+        config = CellConfig("streaming", *links)
         cell = CellSupervisor(lambda: Cell(config))
         results = tmp_path / "results"
         results.mkdir()

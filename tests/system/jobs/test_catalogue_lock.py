@@ -1,14 +1,18 @@
-"""A catalogue in PostgreSQL: two services on it, or no server."""
+"""A catalogue in PostgreSQL: two services on it, a server that restarts or is away."""
 
-from __future__ import annotations
+import threading
+import time
 
 import pytest
 from sqlalchemy import text
 
+from postgres_server import PostgresServer
 from scripted_cell import wait_until
 from truepath.catalogue.catalogue_lock import hold_catalogue
 from truepath.catalogue.errors import InUse, StorageUnavailable
+from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
 
 
 @pytest.fixture
@@ -41,12 +45,9 @@ def is_free(database):
 def end_sessions(database):
     """End every other session of the database, as a server that restarts does."""
     others = "datname = current_database() AND pid <> pg_backend_pid()"
+    query = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
     with database.engine.connect() as connection:
-        connection.execute(
-            text(
-                f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
-            )
-        )
+        connection.execute(text(query))
 
 
 @pytest.mark.long
@@ -68,9 +69,7 @@ def test_a_lock_that_a_restart_has_lost_is_taken_again(make_database):
     with hold_catalogue(first, look_every_s=0.1):
         before = find_holder(second)
         end_sessions(second)
-        wait_until(
-            lambda: find_holder(second) not in (None, before), "it is taken again"
-        )
+        wait_until(lambda: find_holder(second) not in (None, before), "another")
         assert not is_free(second)
 
 
@@ -84,10 +83,67 @@ def find_holder(database):
 
 
 def test_a_server_that_is_away_is_unavailable(tmp_path):
-    database = Database(
-        f"postgresql+psycopg://truepath@/postgres?host={tmp_path}", patience_s=0.1
-    )
+    url = f"postgresql+psycopg://truepath@/postgres?host={tmp_path}"
+    database = Database(url, patience_s=0.1)
     assert not database.ready()
     with pytest.raises(StorageUnavailable, match="does not answer"):
         database.migrate()
     database.close()
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = PostgresServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def store(server):
+    database = Database(server.url(server.make_database()))
+    database.migrate()
+    yield Store(database, lambda _: None)
+    database.close()
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(37)
+@pytest.mark.parametrize("mode", ["fast", "immediate"])
+def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store, mode):
+    """Writes wait for the server; each that was confirmed stands once."""
+    written, enough = [], threading.Event()
+
+    def write():
+        while not enough.is_set():
+            written.append(store.create(Job(JobKind.ANALYSE))[0].id)
+
+    writers = [threading.Thread(target=write) for _ in range(3)]
+    for writer in writers:
+        writer.start()
+    wait_until(lambda: len(written) >= 20, "writes")
+    server.stop(mode)
+    server.start()
+    goal = len(written) + 20
+    wait_until(lambda: len(written) >= goal, "more writes")
+    enough.set()
+    for writer in writers:
+        writer.join(20)
+        assert not writer.is_alive()
+    kept = [job.id for job in store.list_page(100_000)]
+    assert len(set(kept)) == len(kept)
+    assert set(written) <= set(kept)
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(37)
+def test_a_frozen_server_is_unavailable_in_bounded_time(server, store):
+    job, _ = store.create(Job(JobKind.ANALYSE))
+    server.freeze()
+    try:
+        begun = time.monotonic()
+        with pytest.raises(StorageUnavailable, match="does not answer"):
+            store.get(job.id)
+        assert time.monotonic() - begun < 10.0
+    finally:
+        server.thaw()
+    assert store.get(job.id).id == job.id

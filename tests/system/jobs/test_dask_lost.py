@@ -1,7 +1,5 @@
 """Blocks on a real Dask cluster whose workers or scheduler die under them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -51,51 +49,26 @@ def cluster(tasks, free_tcp_port):
     here = os.path.dirname(tasks.__file__)
     environment = os.environ | {"PYTHONPATH": here}
 
-    def start(*command):
+    def start(program, options):
         return subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli." + command[0], *command[1:]],
+            [sys.executable, "-m", f"distributed.cli.{program}", *options.split()],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
 
-    running = [
-        start(
-            "dask_scheduler",
-            "--host",
-            "127.0.0.1",
-            "--port",
-            str(free_tcp_port),
-            "--no-dashboard",
-            "--no-show",
-        )
-    ]
-    running += [
-        start(
-            "dask_worker",
-            address,
-            "--nthreads",
-            "1",
-            "--no-dashboard",
-            "--death-timeout",
-            "60",
-        )
-        for _ in range(2)
-    ]
-    _wait_for_workers(address, 2)
+    at = f"--host 127.0.0.1 --port {free_tcp_port}"
+    running = [start("dask_scheduler", f"{at} --no-dashboard --no-show")]
+    options = f"{address} --nthreads 1 --no-dashboard --death-timeout 60"
+    running += [start("dask_worker", options) for _ in range(2)]
+    with Client(address, timeout=40, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=40)
     yield address, running
     for process in running:
         for child in _tree(process.pid):
             child.kill()
         process.wait(10)
-
-
-def _wait_for_workers(address, count):
-    from distributed import Client
-
-    with Client(address, timeout=40, set_as_default=False) as client:
-        client.wait_for_workers(count, timeout=40)
 
 
 def _tree(pid):

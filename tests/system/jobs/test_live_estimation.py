@@ -1,11 +1,10 @@
 """Tables while the machine moves: published in time, never in anybody's way."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -22,9 +21,9 @@ from truepath.jobs.running.live_estimation import (
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.main import open_service
 from truepath.settings import load_settings
+from truepath_simulators.bench.bench import Bench
+from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
-
-SPEED = 8.0
 
 
 @pytest.fixture
@@ -34,7 +33,6 @@ def run(record):
 
 @pytest.fixture
 def shown():
-    """The estimates that were told."""
     return []
 
 
@@ -103,55 +101,32 @@ def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
     assert not shown[-1]["is_last"]
 
 
-@pytest.mark.long
-@pytest.mark.timeout(120)
-def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
+@contextmanager
+def measured(request, folder, **chosen):
+    """Measure to the end with the whole service; yield it, the job and what it told."""
+    heard = []
+    settings = load_settings(data_dir=folder / "data", port=0, **chosen)
     with open_service(settings) as service:
-        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
-        request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
+        service.event_bus.subscribe(
+            lambda n: n.type == "estimate" and heard.append((time.monotonic(), n.body))
+        )
+        cell, get = service.machines.first.cell, service.store.get
+        wait_until(lambda: cell.status.state == "disconnected", "the cell")
         job, _ = service.dispatcher.create(request)
-        wait_until(lambda: service.store.get(job.id).state == "ready")
-        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
-        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
-        ended = service.store.get(job.id)
-        assert ended.state == "succeeded"
-        assert ended.early_end is not None
-        assert ended.early_end.reached_um <= ended.target_um == 20.0
-        last = service.event_bus.estimates.newest(job.id)
-        run = service.runs.get(ended.run_id)
-        assert service.results.joinpath(job.id, "result.json").is_file()
-    assert 4 <= last["done"] < last["total"]
-    assert last["volumetric_uncertainty_um"] <= 25.0
-    assert run.lost_samples == 0
+        wait_until(lambda: get(job.id).state == "ready", "the plan")
+        arm_at_once(service.dispatcher, job.id, get(job.id).version)
+        wait_until(lambda: get(job.id).is_final, "the end")
+        assert get(job.id).state == "succeeded"
+        yield service, get(job.id), heard
 
 
 @pytest.mark.long
 @pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     """The whole service on simulated devices, faster than real."""
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
-    heard = []
-    with open_service(settings) as service:
-        service.event_bus.subscribe(
-            lambda n: (
-                heard.append((time.monotonic(), n.body))
-                if n.type == "estimate"
-                else None
-            )
-        )
-        wait_until(lambda: service.machines.first.cell.status.state == "disconnected")
-        job, _ = service.dispatcher.create(
-            RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
-        )
-        wait_until(lambda: service.store.get(job.id).state == "ready")
-        arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
-        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
-        assert service.store.get(job.id).state == "succeeded"
+    request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
+    faster = {"simulated": True, "simulated_speed": 8.0}
+    with measured(request, tmp_path, **faster) as (service, job, heard):
         last = service.event_bus.estimates.newest(job.id)
         file = service.results / job.id / "result.json"
         result = json.loads(file.read_text(encoding="utf-8"))
@@ -171,3 +146,27 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
         off.append(away / np.maximum(u, 0.05))
     # The final look knows more of the noise; both lie within one standard uncertainty.
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 1.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(240)
+def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
+    content = load_machine("demo")
+    content["tracker"]["rate_hz"] = 2.0
+    file = tmp_path / "machine.json"
+    file.write_text(json.dumps(content), encoding="utf-8")
+    request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
+    with Bench(content, 7, 20.0, protocol="geocom", tracker="tcp") as bench:
+        links = {
+            "tracker_options": bench.tracker_options,
+            "motion_options": bench.motion_options,
+            "machine_file": file,
+        }
+        with measured(request, tmp_path, tracker_driver="geocom", **links) as done:
+            _, job, heard = done
+    sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
+    assert len(set(sigma)) >= 5
+    assert sigma[0] > sigma[-1]
+    assert job.early_end is not None
+    assert job.early_end.reached_um <= 25.0
+    assert job.early_end.done < job.early_end.total

@@ -1,7 +1,5 @@
 """Science jobs as they are computed: a real lane, its workers, its files."""
 
-from __future__ import annotations
-
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -41,22 +39,18 @@ def submit(lane, small_run, tmp_path_factory):
         folder = tmp_path_factory.mktemp("analysed") / "result"
         arguments = [str(small_run)], str(folder), False, plan, workers
         computation = lane.submit(
-            analyse_recorded,
-            *arguments,
-            on_progress=on_progress,
-            started=lambda: None,
+            analyse_recorded, *arguments, on_progress=on_progress, started=lambda: None
         )
         return computation, folder
 
     return submit
 
 
-@pytest.fixture(scope="module")
-def analyse(submit):
-    """Have two blocks of trials computed; returns what the result says of them."""
-
+@pytest.mark.long
+def test_a_job_brings_the_same_trials_from_any_workers_or_a_cluster(submit, scheduler):
     def analyse(workers):
-        told: list[str] = []
+        """Have two blocks of trials computed; return what the result says of them."""
+        told = []
         job, folder = submit(TWO_BLOCKS, workers, lambda _, stage: told.append(stage))
         job.result()
         stages = list(dict.fromkeys(told))
@@ -64,23 +58,9 @@ def analyse(submit):
         assert "held against trials" in (folder / "report.html").read_text()
         return json.loads((folder / "result.json").read_text())["monte_carlo"]
 
-    return analyse
-
-
-@pytest.fixture(scope="module")
-def by_one(analyse):
-    """What one worker makes of the trials."""
-    return analyse(Workers(count=1))
-
-
-@pytest.mark.long
-def test_a_job_brings_the_same_trials_from_any_number_of_workers(analyse, by_one):
+    by_one = analyse(Workers(count=1))
     assert (by_one["seed"], by_one["trials"]) == (5, 20_000)
     assert analyse(Workers(count=2)) == by_one
-
-
-@pytest.mark.long
-def test_a_job_brings_the_same_trials_from_a_cluster(analyse, by_one, scheduler):
     assert analyse(Workers("dask", scheduler=scheduler)) == by_one
 
 
@@ -117,14 +97,8 @@ def test_the_present_code_is_held_against_the_result_of_before(
         runs.append(context.runs.add_uploaded(upload, name).id)
     earlier, _ = context.store.create(Job(JobKind.ANALYSE, run_id=runs[0]))
     folder = context.results / earlier.id
-    analyse_recorded(
-        [str(context.runs.file(runs[0]))],
-        str(folder),
-        False,
-        None,
-        Workers(),
-        on_progress=lambda *_: None,
-    )
+    order = [str(context.runs.file(runs[0]))], str(folder), False, None, Workers()
+    analyse_recorded(*order, on_progress=ignore_progress)
     for state in (State.RUNNING, State.SUCCEEDED):
         context.store.change(earlier.id, lambda j, to=state: replace(j, state=to))
     context.runs.file(runs[1]).write_bytes(b"garbage")

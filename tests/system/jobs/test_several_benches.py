@@ -1,7 +1,5 @@
 """Two simulated machines in one service, over real links."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

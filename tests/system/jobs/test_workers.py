@@ -1,7 +1,5 @@
 """Blocks of a sum on processes and on Dask: the same answer on either."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -19,11 +17,7 @@ from job_builders import has_ended
 from scripted_cell import wait_until
 from truepath.catalogue.errors import WorkersAway
 from truepath.errors import BadInput, WorkerDied
-from truepath.jobs.workers.workers import (
-    Workers,
-    map_in_order,
-    open_workers,
-)
+from truepath.jobs.workers.workers import Workers, map_in_order, open_workers
 
 TASKS = """
 import os, time
@@ -183,29 +177,20 @@ def test_workers_and_lanes_end_with_whoever_asked_even_if_it_is_killed(tasks, tm
     assert "leaked" not in said
 
 
-def test_a_scheduler_that_is_not_there_is_named(free_tcp_port):
-    address = f"tcp://127.0.0.1:{free_tcp_port}"
-    with (
-        pytest.raises(WorkersAway, match=f"no Dask scheduler answers at {address}"),
-        open_workers(Workers("dask", scheduler=address, patience_s=0.5)),
-    ):
-        pass
-
-
-def test_a_scheduler_without_workers_is_named():
+def test_a_cluster_that_cannot_be_used_is_named(free_tcp_port, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=0,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
-        workers = Workers("dask", scheduler=cluster.scheduler_address)
-        with pytest.raises(WorkersAway, match="has no workers"), open_workers(workers):
+    address = f"tcp://127.0.0.1:{free_tcp_port}"
+
+    def refuse(match, scheduler, **patience):
+        workers = Workers("dask", scheduler=scheduler, **patience)
+        with pytest.raises(WorkersAway, match=match), open_workers(workers):
             pass
 
-
-def test_dask_without_an_address_or_its_package_is_bad_input(monkeypatch):
+    refuse(f"no Dask scheduler answers at {address}", address, patience_s=0.5)
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, protocol="tcp://", dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        refuse("has no workers", cluster.scheduler_address)
     with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
         Workers("dask").check()
     monkeypatch.setattr("truepath.jobs.workers.workers.find_spec", lambda name: None)

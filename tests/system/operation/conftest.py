@@ -1,7 +1,5 @@
 """A data folder that was kept while somebody measured into it."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -41,6 +39,11 @@ def unpack(place: Path, revision: str = "0014") -> Path:
     with zipfile.ZipFile(DATA / f"data_folder_v{revision}.zip") as archive:
         archive.extractall(place)
     return place
+
+
+@pytest.fixture(scope="module", autouse=True)
+def logged_plainly(plain_log):
+    """The commands set the log up; it is put back."""
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """`truepath doctor` asks a service and devices, and disturbs neither."""
 
-from __future__ import annotations
-
 import json
 import socket
 

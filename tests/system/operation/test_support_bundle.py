@@ -1,7 +1,5 @@
 """The support bundle: what it holds, and that no planted secret is in it."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from dataclasses import replace
@@ -20,11 +18,6 @@ from truepath.users.roles import Role
 from truepath.users.tokens import Tokens
 
 PLANTED = "planted-5eCret"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def logged_plainly(plain_log):
-    """The command sets the log up; it is put back."""
 
 
 @pytest.fixture
@@ -89,16 +82,10 @@ def test_it_holds_what_helps_and_no_secret(installation, bundle, tmp_path, capsy
     config, secrets, job_id = installation
     parts = bundle("--config", str(config))
     assert "missing: metrics.txt: the service does not run" in capsys.readouterr().err
-    assert {
-        "settings.toml",
-        "versions.json",
-        "doctor.json",
-        "catalogue.json",
-        "jobs.json",
-        "logs/service.log",
-        "logs/service.log.1",
-        "summary.json",
-    } == set(parts)
+    names = "versions", "doctor", "catalogue", "jobs", "summary"
+    documents = {f"{name}.json" for name in names}
+    logs = {"logs/service.log", "logs/service.log.1"}
+    assert set(parts) == {"settings.toml", *documents, *logs}
     for name, text in parts.items():
         assert not [s for s in secrets if s in text], name
     (job,) = json.loads(parts["jobs.json"])

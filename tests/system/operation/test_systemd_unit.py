@@ -1,7 +1,5 @@
 """The unit for systemd: systemd finds nothing wrong with it."""
 
-from __future__ import annotations
-
 import configparser
 import shutil
 import subprocess

@@ -1,21 +1,22 @@
 """Jobs that compute: what they are made of, their stages and how they end."""
 
-from __future__ import annotations
-
+import json
 import threading
 from concurrent.futures import CancelledError
 from types import SimpleNamespace
 
 import pytest
 
-from scripted_cell import wait_until
+from scripted_cell import Explorer, wait_until
+from truepath.answers.history.model_history import read_difference
 from truepath.catalogue.errors import Aborted, QueueFull
 from truepath.catalogue.job import JobKind
-from truepath.catalogue.transitions import Verb
-from truepath.errors import BundleError, NotFound
+from truepath.catalogue.transitions import State, Verb
+from truepath.errors import BundleError
 from truepath.jobs.dispatch import dispatcher as dispatching
 from truepath.jobs.kinds import workflow
 from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.workers.science import discover_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.machines.machine_cells import Machines
 from truepath.measurement.run_file.run_reading import open_recorded
@@ -24,14 +25,11 @@ from truepath.numerics.adaptive_trials import TrialPlan
 
 @pytest.fixture
 def analysing(open_dispatcher):
-    """A dispatcher of a service without a machine."""
     return open_dispatcher(machines=Machines())
 
 
 @pytest.fixture
 def analyse(analysing, run):
-    """Asks for an analysis of the Run."""
-
     def analyse(dispatcher=analysing, **request):
         request = {"run_ids": [run.id], **request}
         return dispatcher.create(RequestedJob(JobKind.ANALYSE, **request))[0]
@@ -41,63 +39,28 @@ def analyse(analysing, run):
 
 @pytest.fixture
 def other(context, run, bundle):
-    """A second Run."""
     bundle.write_bytes(context.runs.file(run.id).read_bytes())
     return context.runs.add_uploaded(bundle, "the other side")
 
 
-@pytest.mark.database
-def test_an_uploaded_run_is_catalogued_with_what_it_holds(context, run, bundle):
-    assert (run.name, run.origin, run.mode) == (
-        "from the shop floor",
-        "uploaded",
-        "standstill",
-    )
-    assert (run.samples, run.lost_samples, run.complete) == (10, 3, True)
-    assert run.plan["kind"] == "points"
-    assert not bundle.exists()
-    file = context.runs.file(run.id)
-    assert context.runs.bundle(run.id) == file
-    assert len(open_recorded(file).tracker) == 10
-    file.unlink()
-    with pytest.raises(NotFound, match="has gone from the folder"):
-        context.runs.file(run.id)
-
-
-@pytest.mark.database
-def test_runs_come_newest_first_in_pages(context, bundle, tmp_path):
-    kept = bundle.read_bytes()
-    made = []
-    for number in range(3):
-        copy = tmp_path / f"copy{number}.zip"
-        copy.write_bytes(kept)
-        made.append(context.runs.add_uploaded(copy, str(number)))
-    first = context.runs.list_page(2)
-    rest = context.runs.list_page(2, before_seq=first[-1].seq)
-    assert [run.id for run in first + rest] == [run.id for run in reversed(made)]
-
-
-def test_an_uploaded_run_is_analysed_and_its_stages_are_told(
-    analyse, context, run, science, event_bus, until
+def test_uploaded_runs_are_analysed_together_and_the_stages_are_told(
+    analyse, context, run, other, science, event_bus, until, open_dispatcher
 ):
     heard = []
     event_bus.subscribe(heard.append)
-    ended = until(analyse(perpendicular_only=True))
-    assert (ended.state, ended.run_id) == ("succeeded", run.id)
-    assert science.calls == [
-        ([str(context.runs.file(run.id))], str(context.results / ended.id), True)
-    ]
+    workers, plan = Workers(count=3), TrialPlan(seed=11, digits=2, interval="shortest")
+    dispatcher = open_dispatcher(machines=Machines(), workers=workers)
+    ids = [other.id, run.id]
+    choices = {"perpendicular_only": True, "monte_carlo": plan}
+    ended = until(analyse(dispatcher, run_ids=ids, **choices))
+    assert (ended.state, ended.run_id) == ("succeeded", other.id)
+    assert (ended.run_ids, ended.monte_carlo) == (tuple(ids), plan)
+    files = [str(context.runs.file(i)) for i in ids]
+    assert science.calls == [(files, str(context.results / ended.id), True)]
+    assert science.trials == [(plan, workers)]
     stages = [n.body["stage"] for n in heard if n.type == "progress"]
     assert set(stages) == {"aligning", "estimating", "reporting"}
-
-
-def test_several_runs_are_analysed_together(
-    analyse, context, run, other, science, until
-):
-    ended = until(analyse(run_ids=[other.id, run.id]))
-    assert (ended.run_id, ended.run_ids) == (other.id, (other.id, run.id))
-    files = [str(context.runs.file(i)) for i in (other.id, run.id)]
-    assert science.calls[0][0] == files
+    assert (run.samples, run.lost_samples, run.complete) == (10, 3, True)
 
 
 @pytest.mark.fault_row(26)
@@ -114,21 +77,6 @@ def test_a_run_whose_file_was_changed_is_not_analysed(
     assert ended.failure.detail.startswith(said)
     assert "put the file back from a backup" in ended.failure.detail
     assert not science.calls
-
-
-def test_an_unknown_run_is_refused_alone_or_among_others(analyse, run):
-    for run_ids in (["nowhere"], [run.id, "nowhere"]):
-        with pytest.raises(NotFound, match="no run nowhere"):
-            analyse(run_ids=run_ids)
-
-
-def test_trials_reach_the_science_with_who_computes_them(
-    analyse, science, open_dispatcher, until
-):
-    dispatcher = open_dispatcher(machines=Machines(), workers=Workers(count=3))
-    plan = TrialPlan(seed=11, digits=2, interval="shortest")
-    assert until(analyse(dispatcher, monte_carlo=plan)).monte_carlo == plan
-    assert science.trials == [(plan, Workers(count=3))]
 
 
 def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
@@ -227,3 +175,42 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     wait_until(lambda: context.store.get(job.id).state == ended)
     assert context.store.get(job.id).failure is None
     assert errors == []
+
+
+def test_a_discovery_tells_its_stage_is_done_again_after_a_restart_and_can_be_aborted(
+    context, run, open_dispatcher, until
+):
+    explorer = Explorer()
+    explorer.hold = threading.Event()
+    parts = {"machines": Machines(), "discoverer": explorer}
+    discovering = open_dispatcher(**parts)
+    job, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
+    wait_until(lambda: context.store.get(job.id).stage == "discovering")
+    discovering.close()
+    again = open_dispatcher(**parts)
+    again.interrupt_unfinished_jobs()
+    wait_until(lambda: len(explorer.calls) == 2)
+    again.abort(job.id)
+    assert not until(job, State.ABORTED).has_discovery
+    assert not (context.results / job.id).exists()
+
+
+def test_the_task_of_a_discovery_writes_what_the_contract_asks(small_run, tmp_path):
+    stages = []
+
+    def discover(folder, *model):
+        order = [str(small_run)], str(folder), *model
+        discover_recorded(*order, on_progress=lambda *told: stages.append(told))
+
+    first, second = tmp_path / "first", tmp_path / "second"
+    model = first / "model.json"
+    discover(first, None, None)
+    discover(second, str(model), "one")
+    assert {stage for _, stage in stages} == {"discovering", "reporting"}
+    assert all(0.0 <= share <= 1.0 for share, _ in stages)
+    content = json.loads((second / "model.json").read_text())
+    assert (content["version"], content["parent"]["source"]) == (3, "one")
+    assert len(content["parent"]["sha256"]) == 64
+    changes = read_difference(model, second / "model.json")
+    assert changes == content["difference"]
+    assert not [p for p in tmp_path.iterdir() if p.suffix == ".part"]

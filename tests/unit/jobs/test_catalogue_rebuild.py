@@ -1,7 +1,5 @@
 """A catalogue made again from Runs and results on disk."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3
@@ -54,7 +52,6 @@ def history(tmp_path_factory, empty_catalogue):
 
 @pytest.fixture
 def folder(history, tmp_path, monkeypatch):
-    """A data folder whose catalogue may be spoiled."""
     reader = "truepath.jobs.dispatch.catalogue_rebuild.RunReader"
     monkeypatch.setattr(reader, ReaderHere)
     return shutil.copytree(history, tmp_path, dirs_exist_ok=True)
@@ -164,9 +161,8 @@ def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
         failed, _ = store.create(Job(JobKind.ANALYSE))
         store.change(failed.id, lambda job: replace(job, state=State.FAILED))
         before = read_rows(database)
-        database.write(
-            lambda c: c.execute(schema.runs.delete().where(schema.runs.c.id == "s2"))
-        )
+        lost = schema.runs.delete().where(schema.runs.c.id == "s2")
+        database.write(lambda c: c.execute(lost))
     recovered, after = rebuild(folder)
     assert (recovered.aside, recovered.runs, recovered.jobs) == (None, 1, 0)
     assert after["jobs"] == before["jobs"]
@@ -174,7 +170,6 @@ def test_a_whole_catalogue_keeps_all_it_has_and_gets_what_it_lacks(folder):
 
 @contextmanager
 def deletion(folder):
-    """Gives what deletes, the Runs, and the jobs by their kind."""
     with open_catalogue(folder) as database:
         runs = RunCatalogue(database, folder / "runs", ReaderHere())
         jobs = {row["kind"]: row["id"] for row in read_rows(database)["jobs"]}
@@ -204,10 +199,7 @@ def test_what_was_deleted_stays_deleted(folder, damage):
 
 def test_a_result_that_outlives_its_deletion_makes_no_job(folder, monkeypatch):
     """The rows are gone and the disk refuses to give the files up."""
-    with (
-        deletion(folder) as (deleting, _, jobs),
-        monkeypatch.context() as m,
-    ):
+    with deletion(folder) as (deleting, _, jobs), monkeypatch.context() as m:
         refused = Mock(side_effect=OSError)
         m.setattr("truepath.jobs.dispatch.deletion.shutil.rmtree", refused)
         deleting.delete_job(jobs["discover"])
@@ -238,9 +230,8 @@ def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten
     aside = recovered.aside
     assert aside is not None
     stamp = aside.name.split("-")[-1].removesuffix(".sqlite")
-    monkeypatch.setattr(
-        "truepath.jobs.dispatch.catalogue_rebuild.time.strftime", lambda *_: stamp
-    )
+    clock = "truepath.jobs.dispatch.catalogue_rebuild.time.strftime"
+    monkeypatch.setattr(clock, lambda *_: stamp)
     with pytest.raises(BadInput, match="exists already"):
         rebuild(folder)
     assert (folder / "catalogue.sqlite").read_bytes() == b"garbage " * 99
@@ -248,26 +239,15 @@ def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten
     assert rebuild(folder)[1] == first
 
 
-def test_a_check_names_where_catalogue_and_disk_disagree(folder):
-    with open_catalogue(folder) as database:
-        assert check_against_disk(database, folder / "runs")["runs_without_row"] == []
-        (folder / "runs" / "s2.sqlite").rename(folder / "runs" / "s3.sqlite")
-        found = check_against_disk(database, folder / "runs")
-    assert (found["jobs"], found["runs"]) == (4, 5)
-    assert found["runs_without_row"] == ["s3"]
-    assert found["rows_without_file"] == ["s2"]
-
-
-def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
+def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(folder):
     """One byte of one batch is another, and its CRC fits: only the digest tells."""
 
-    def find_changed(*, with_hashes):
+    def check(**asked):
         with open_catalogue(folder) as database:
-            runs = folder / "runs"
-            found = check_against_disk(database, runs, with_hashes=with_hashes)
-            return found["changed_files"]
+            return check_against_disk(database, folder / "runs", **asked)
 
-    assert find_changed(with_hashes=True) == []
+    assert check()["runs_without_row"] == []
+    assert check(with_hashes=True)["changed_files"] == []
     file = folder / "runs" / "s2.sqlite"
     file.chmod(0o644)
     with closing(sqlite3.connect(file)) as connection, connection:
@@ -278,5 +258,10 @@ def test_a_run_changed_with_its_checksums_made_anew_is_named(folder):
             "UPDATE batch SET payload = ?, crc32 = ? WHERE stream = ? AND seq0 = ?",
             (batch.payload, batch.crc32, batch.stream, batch.seq0),
         )
-    assert find_changed(with_hashes=False) is None
-    assert find_changed(with_hashes=True) == ["s2"]
+    assert check(with_hashes=False)["changed_files"] is None
+    assert check(with_hashes=True)["changed_files"] == ["s2"]
+    file.rename(file.with_name("s3.sqlite"))
+    found = check()
+    assert (found["jobs"], found["runs"]) == (4, 5)
+    assert found["runs_without_row"] == ["s3"]
+    assert found["rows_without_file"] == ["s2"]

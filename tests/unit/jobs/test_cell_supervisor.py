@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import threading
 
 import pytest
@@ -43,6 +41,11 @@ def test_a_new_cell_opens_no_port_and_connecting_names_the_devices(running, make
     assert running.status.state == "ready"
     running.connect()
     assert maker.cell.heard == ["connect", "connect"], "they are asked again"
+    maker.cell.deaf.add("begin")
+    assert running.begin(None, lambda event: None, lambda: False)
+    assert running.connect()["motion"]["serial_number"] == "C-1"
+    assert maker.cell.heard[2:] == ["begin"], "a measurement is not disturbed"
+    running.ignore_events()
 
 
 def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
@@ -125,18 +128,15 @@ def test_a_cell_that_does_not_start_is_tried_again_with_growing_pauses(
     assert supervisor.status.restarts == 2
 
 
-def test_while_there_is_no_cell_verbs_are_refused_at_once(maker):
-    supervisor = CellSupervisor(maker, first_pause_s=30.0)
+def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, supervisor):
+    waiting = CellSupervisor(maker, first_pause_s=30.0)
     maker.fails = 1
-    supervisor.start()
-    wait_until(lambda: supervisor.status.state == "down")
+    waiting.start()
+    wait_until(lambda: waiting.status.state == "down")
     with pytest.raises(CellDown, match="no more processes"):
-        supervisor.connect()
-    assert isinstance(supervisor.send(CellVerb.ABORT).exception(5), CellDown)
-    supervisor.close()
-
-
-def test_after_the_end_verbs_are_refused(supervisor):
+        waiting.connect()
+    assert isinstance(waiting.send(CellVerb.ABORT).exception(5), CellDown)
+    waiting.close()
     supervisor.close()  # it was never started
     with pytest.raises(CellDown, match="ending"):
         supervisor.connect()
@@ -154,12 +154,3 @@ def test_a_cell_that_hangs_is_reported_and_killed_where_it_may_have_begun(
         getattr(running, asked)(*order)
     hold.set()
     wait_until(lambda: asked == "connect" or maker.cell is not first)
-
-
-def test_in_a_measurement_connecting_disturbs_nothing(running, maker):
-    running.connect()
-    maker.cell.deaf.add("begin")
-    assert running.begin(None, lambda event: None, lambda: False)
-    assert running.connect()["motion"]["serial_number"] == "C-1"
-    assert maker.cell.heard == ["connect", "begin"]
-    running.ignore_events()

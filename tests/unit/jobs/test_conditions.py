@@ -1,7 +1,5 @@
 """What has to be so before the machine moves: levels, since when, and what forbids."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -61,6 +59,16 @@ def only_false(seen):
 
 def test_a_machine_in_order_fulfils_every_condition():
     assert set(levels(GOOD).values()) == {Level.TRUE}
+    measuring = CellStatus("running", devices=CONNECTED.devices)
+    old = shown(read_s=NOW_S - 100.0)
+    seen = replace(GOOD, controller=old, cell=measuring)
+    assert levels(seen)[SILENT] is Level.TRUE, "who measures reads it"
+
+
+def find(board, kind):
+    """Return what a board reads of one condition."""
+    (found,) = [one for one in board.read() if one.type is kind]
+    return found
 
 
 @pytest.mark.parametrize("state", UNABLE)
@@ -72,8 +80,8 @@ def test_a_machine_that_cannot_be_driven_says_why_and_what_to_do(state):
     assert found.message.endswith(UNABLE[state].remedy)
 
 
-def read(controller):
-    return {"controller": controller}
+def state(*told, **more):
+    return {"controller": shown(*told, **more)}
 
 
 PROGRAM = ConditionType.CONTROLLER_FREE, "end or reset it at the panel"
@@ -85,15 +93,19 @@ SILENT = ConditionType.CONTROLLER_ANSWERS
 @pytest.mark.parametrize(
     ("change", "condition", "said"),
     [
-        (read(shown(MotionState.RUNNING)), *PROGRAM),
-        (read(shown(MotionState.HELD, hold_reason="operator")), *PROGRAM),
-        (read(shown(override=0.0)), OVERRIDE, "0 %"),
-        (read(shown(override=0.7)), OVERRIDE, "70 %"),
-        (read(shown(override=1.2)), OVERRIDE, "120 %"),
-        (read(shown(MotionState.IDLE, referenced=False)), *REFERENCE),
-        (read(shown(MotionState.READY, referenced=False)), *REFERENCE),
-        (read(ControllerLevels(None, "10.0.0.9 is mute", NOW_S)), SILENT, "10.0.0.9"),
-        (read(shown(read_s=NOW_S - LATE_S - 1.0)), SILENT, "11 s ago"),
+        (state(MotionState.RUNNING), *PROGRAM),
+        (state(MotionState.HELD, hold_reason="operator"), *PROGRAM),
+        (state(override=0.0), OVERRIDE, "0 %"),
+        (state(override=0.7), OVERRIDE, "70 %"),
+        (state(override=1.2), OVERRIDE, "120 %"),
+        (state(MotionState.IDLE, referenced=False), *REFERENCE),
+        (state(MotionState.READY, referenced=False), *REFERENCE),
+        (
+            {"controller": ControllerLevels(None, "10.0.0.9 is mute", NOW_S)},
+            SILENT,
+            "10.0.0.9",
+        ),
+        (state(read_s=NOW_S - LATE_S - 1.0), SILENT, "11 s ago"),
         (
             {"cell": CellStatus("disconnected", "the port is gone")},
             ConditionType.DEVICES_CONNECTED,
@@ -148,16 +160,9 @@ def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
     seen = replace(GOOD, controller=shown(compensation=told))
     board = ConditionBoard(lambda: seen, wants_compensation=wants)
     asked = ConditionType.COMPENSATION_AS_ASKED
-    (found,) = [one for one in board.read() if one.type is asked]
+    found = find(board, asked)
     assert (found.level, found.reason) == (level, reason)
     assert found.is_obstacle == (level is Level.FALSE)
-
-
-def test_a_controller_that_a_measurement_reads_is_not_called_late():
-    old = shown(MotionState.IDLE, read_s=NOW_S - 100.0)
-    measuring = CellStatus("running", devices=CONNECTED.devices)
-    seen = replace(GOOD, controller=old, cell=measuring)
-    assert levels(seen)[ConditionType.CONTROLLER_ANSWERS] is Level.TRUE
 
 
 def test_a_level_has_its_time_although_nobody_asks():
@@ -173,8 +178,7 @@ def test_a_level_has_its_time_although_nobody_asks():
         noted = looks[able][1]
     finally:
         board.close()
-    (asked,) = [one for one in board.read() if one.type is able]
-    assert asked.since == noted
+    assert find(board, able).since == noted
 
 
 def test_a_controller_without_a_watchdog_needs_leave():
@@ -189,10 +193,15 @@ def test_a_controller_without_a_watchdog_needs_leave():
 
 
 @pytest.mark.fault_row(27)
-def test_a_full_disk_stands_in_the_way():
+@pytest.mark.fault_row(29)
+def test_a_full_disk_stands_in_the_way_and_a_clock_that_was_set_is_told():
     kind, found = only_false(replace(GOOD, free_bytes=10**7))
     assert kind is ConditionType.DISK_HAS_ROOM
     assert "10 MB" in found.message
+    kind, found = only_false(replace(GOOD, clock_step_s=-3600.0))
+    assert kind is ConditionType.CLOCK_STEADY
+    assert kind not in REQUIRED
+    assert "-3600 s" in found.message
 
 
 @pytest.mark.parametrize(
@@ -236,12 +245,16 @@ VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 AVOIDS_VICE = workspace_from_json({"schema": "workspace/1", "keep_out": [VICE]})
 
 
-def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machine):
+def points_at(machine, *places):
+    rows = [{"x_mm": x, "y_mm": y, "z_mm": 10} for x, y in places]
+    return command_rows(machine, rows, is_path=False)
+
+
+def test_a_path_out_of_travel_or_through_a_box_even_between_parts_is_told(machine):
     board = ConditionBoard(lambda: GOOD)
     assert not board.list_obstacles()
-    rows = command_rows(
-        machine, [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)], is_path=True
-    )
+    places = [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)]
+    rows = command_rows(machine, places, is_path=True)
     wrong = replace(rows, position=rows.position + 1000.0)
     for parts, workspace, reason in (
         ([rows, wrong], workspace_from_json({}), "out-of-travel"),
@@ -253,23 +266,14 @@ def test_a_path_that_leaves_the_travel_or_its_workspace_stands_in_the_way(machin
         assert obstacle.reason == reason
     board.path = judge_path(machine, [rows], workspace_from_json({}))
     assert not board.list_obstacles()
-
-
-def points_at(machine, *places):
-    rows = [{"x_mm": x, "y_mm": y, "z_mm": 10} for x, y in places]
-    return command_rows(machine, rows, is_path=False)
-
-
-def test_the_way_from_one_part_to_the_next_is_kept_clear_as_well(machine):
     left = points_at(machine, (10, 10), (50, 10))
     right = points_at(machine, (300, 10), (400, 10))
     behind = points_at(machine, (50, 300), (300, 300))
-    for part in (left, right, behind):
-        assert judge_path(machine, [part], AVOIDS_VICE).level is Level.TRUE
+    for parts in ([left], [right], [behind], [left, behind, right]):
+        assert judge_path(machine, parts, AVOIDS_VICE).level is Level.TRUE
     found = judge_path(machine, [left, right], AVOIDS_VICE)
     assert (found.level, found.reason) == (Level.FALSE, "keep-out")
     assert "the way on to part 2 enters the keep-out box vice" in found.message
-    assert judge_path(machine, [left, behind, right], AVOIDS_VICE).level is Level.TRUE
 
 
 def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):
@@ -305,38 +309,21 @@ def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
     board = ConditionBoard(lambda: seen)
     board.path = judge_path(machine, parts, AVOIDS_VICE)
     board.judge_approach = partial(judge_approach, machine, parts, AVOIDS_VICE)
-    (found,) = [
-        one for one in board.read() if one.type is ConditionType.PATH_WITHIN_TRAVEL
-    ]
+    found = find(board, ConditionType.PATH_WITHIN_TRAVEL)
     assert (found.reason, found.is_obstacle) == (reason, bool(reason))
     without = judge_approach(machine, parts, workspace_from_json({}), {})
     assert without.level is Level.TRUE
 
 
-@pytest.mark.fault_row(29)
-def test_a_clock_that_was_set_is_told():
-    kind, found = only_false(replace(GOOD, clock_step_s=-3600.0))
-    assert kind is ConditionType.CLOCK_STEADY
-    assert kind not in REQUIRED
-    assert "-3600 s" in found.message
-
-
 def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
-    monkeypatch.setattr(
-        "truepath.machines.conditions.condition_board.format_utc_now",
-        lambda: next(times),
-    )
+    clock = "truepath.machines.conditions.condition_board.format_utc_now"
+    monkeypatch.setattr(clock, lambda: next(times))
     changes = []
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])
     board = ConditionBoard(lambda: next(seen), on_change=changes.append)
-    able = [
-        one
-        for _ in range(4)
-        for one in board.read()
-        if one.type is ConditionType.CONTROLLER_ABLE
-    ]
+    able = [find(board, ConditionType.CONTROLLER_ABLE) for _ in range(4)]
     assert able[0].since == able[1].since
     assert able[2].since == able[3].since > able[1].since
     assert [one.is_obstacle for one in able] == [False, False, True, True]

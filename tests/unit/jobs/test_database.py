@@ -1,25 +1,41 @@
-from __future__ import annotations
+"""The catalogue: writes that wait, files that are damaged, tables as lines."""
 
+import json
+import os
 import shutil
 import sqlite3
+import tempfile
+from contextlib import closing
+from pathlib import Path
 from pathlib import Path as FilePath
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import text
+from sqlalchemy import select, text
 from sqlalchemy.event import listen
 from sqlalchemy.exc import DBAPIError, OperationalError
 
-from truepath.catalogue.errors import SchemaTooNew, StorageFull, StorageUnavailable
+from truepath.catalogue import schema
+from truepath.catalogue.catalogue_file import check_catalogue
+from truepath.catalogue.errors import (
+    CatalogueDamaged,
+    CatalogueReadOnly,
+    SchemaTooNew,
+    StorageFull,
+    StorageUnavailable,
+)
+from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.schema import metadata
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
 from truepath.users.accounts import Accounts
 from truepath.users.audit import AuditLog, Entry
-from truepath.users.roles import Actor, Role
-from truepath.users.tokens import Tokens
+from truepath.users.roles import Role
 from truepath_drivers import host_clock
 
 
@@ -41,7 +57,6 @@ def sqlite_database(sqlite_file):
 
 @pytest.fixture
 def lock(sqlite_file):
-    """Another program that writes."""
     other = sqlite3.connect(sqlite_file, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     yield other
@@ -167,13 +182,209 @@ def test_a_row_of_the_audit_log_is_never_changed(database, verb):
     assert [row.entry.outcome for row in log.read()] == ["202", "403"]
 
 
+@pytest.fixture
+def file(empty_catalogue, tmp_path):
+    """A catalogue of some pages."""
+    file = tmp_path / "catalogue.sqlite"
+    shutil.copyfile(empty_catalogue, file)
+    database = Database(f"sqlite:///{file}")
+    store = Store(database, lambda _: None)
+    for _ in range(20):
+        store.create(Job(JobKind.ANALYSE), plan={"long": "x" * 2000})
+    database.close()
+    return file
+
+
+def open_catalogue(file):
+    database = Database(f"sqlite:///{file}")
+    try:
+        database.migrate()
+    finally:
+        database.close()
+
+
+def flip(file):
+    content = bytearray(file.read_bytes())
+    content[4096 * 3 : 4096 * 5] = b"\xa5" * 8192
+    file.write_bytes(content)
+
+
+def execute(file, query):
+    with closing(sqlite3.connect(file)) as other:
+        other.execute(query)
+        other.commit()
+
+
+def replace_by_folder(file):
+    file.unlink()
+    file.mkdir()
+    (file / "kept").write_text("by somebody")
+
+
+def drop_column(file):
+    execute(file, "ALTER TABLE jobs DROP COLUMN attempts")
+
+
+def replace_by_other(file):
+    file.unlink()
+    execute(file, "CREATE TABLE shopping (item TEXT)")
+
+
+DAMAGES = [
+    (lambda file: file.write_bytes(b""), "is empty"),
+    (lambda file: file.write_bytes(b"no database " * 99), "is not a SQLite file"),
+    (lambda file: os.truncate(file, file.stat().st_size // 2), "is damaged"),
+    (flip, "is damaged"),
+    (replace_by_folder, "is a folder where the catalogue should be"),
+    (drop_column, "has no jobs.attempts although it is of schema"),
+    (replace_by_other, "is a SQLite file of something else"),
+]
+
+
+def content_of(place):
+    files = place.rglob("*") if place.is_dir() else [place]
+    return {str(f): f.read_bytes() for f in files if f.is_file()}
+
+
+@pytest.mark.parametrize(("damage", "said"), DAMAGES)
+@pytest.mark.fault_row(37)
+def test_a_damaged_catalogue_is_told_and_left_as_it_is(file, damage, said):
+    damage(file)
+    before = content_of(file.parent)
+    with pytest.raises(CatalogueDamaged, match=said) as told:
+        open_catalogue(file)
+    assert str(told.value).startswith(f"{file}: ")
+    assert "truepath catalogue rebuild" in str(told.value)
+    after = content_of(file.parent).items()
+    assert {k: v for k, v in after if not k.endswith(("-wal", "-shm"))} == before
+
+
+def test_a_catalogue_with_a_log_left_behind_is_in_order(file):
+    """As a killed service leaves it."""
+    with closing(sqlite3.connect(file)) as writer:
+        writer.execute("UPDATE jobs SET version = 7")
+        writer.commit()
+        copy = file.with_name("copy.sqlite")
+        for end in ("", "-wal"):
+            shutil.copyfile(f"{file}{end}", f"{copy}{end}")
+    database = Database(f"sqlite:///{copy}")
+    database.migrate()
+    with database.read() as connection:
+        assert connection.execute(text("SELECT max(version) FROM jobs")).scalar() == 7
+    database.close()
+
+
+def test_a_catalogue_that_cannot_be_written_says_so(file):
+    account = os.geteuid()
+    with tempfile.TemporaryDirectory(prefix="catalogue") as public:
+        Path(public).chmod(0o755)
+        here = shutil.copyfile(file, Path(public) / "catalogue.sqlite")
+        here.chmod(0o444)
+        os.seteuid(account or 65534)  # an account without rights
+        try:
+            with pytest.raises(CatalogueReadOnly, match=r"be written .*; give its"):
+                open_catalogue(here)
+        finally:
+            os.seteuid(account)
+
+
+def test_a_catalogue_that_another_program_holds_is_not_called_damaged(file):
+    with closing(sqlite3.connect(file, isolation_level=None)) as other:
+        other.execute("PRAGMA journal_mode=DELETE")
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(StorageUnavailable, match="in use"):
+            check_catalogue(file, "0001", patience_s=0.05)
+        other.execute("ROLLBACK")
+
+
+@pytest.mark.fault_row(37)
+def test_a_catalogue_that_is_damaged_under_the_service_says_what_to_do(file):
+    database = Database(f"sqlite:///{file}")
+    store = Store(database, lambda _: None)
+    content = file.read_bytes()
+    file.write_bytes(content[:4096] + b"\xa5" * (len(content) - 4096))
+    job = Job(JobKind.ANALYSE)
+    for use in (lambda: store.list_page(99), lambda: store.create(job)):
+        with pytest.raises(StorageUnavailable, match="truepath catalogue rebuild"):
+            use()
+    database.close()
+
+
+def pytest_generate_tests(metafunc):
+    """From and to SQLite, and the database of the session if that is another."""
+    if "other_kind" in metafunc.fixturenames:
+        kinds = sorted({"sqlite", metafunc.config.getoption("--database")})
+        metafunc.parametrize("database_kind", kinds)
+        metafunc.parametrize("other_kind", kinds)
+
+
+def read_all(database):
+    with open_export(database) as export:
+        return {name: list(export.read(name)) for name in export.tables}
+
+
+@pytest.fixture
+def filled(database):
+    """A catalogue with something in most tables; JSON that a parser would change."""
+    store = Store(database, lambda _: None)
+    job, _ = store.create(
+        Job(JobKind.PLAN), IdempotencyKey("k", b"{}"), {"request": {"µm": 1.0}}
+    )
+    store.create(Job(JobKind.PLAN))
+    odd = '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
+    value = ":odd" if database.engine.dialect.name == "sqlite" else "CAST(:odd AS JSON)"
+    with database.engine.begin() as connection:
+        query = text(f"UPDATE jobs SET plan = {value} WHERE id = :id")
+        connection.execute(query, {"odd": odd, "id": job.id})
+        connection.execute(text("UPDATE jobs SET failure = NULL"))
+    Accounts(database).add("ada", Role.OPERATOR, "a long enough password")
+    return database
+
+
+@pytest.fixture
+def other(request, other_kind, tmp_path):
+    if other_kind == "sqlite":
+        url = f"sqlite:///{tmp_path / 'other.sqlite'}"
+    else:
+        server = request.getfixturevalue("postgres_server")
+        url = server.url(name := server.make_database())
+    database = Database(url)
+    yield database
+    database.close()
+    if other_kind == "postgresql":
+        server.drop_database(name)
+
+
 @pytest.mark.database
-def test_users_and_tokens_are_the_same_on_every_database(database):
-    Accounts(database).add("anna", Role.OPERATOR, "a long sentence is easy")
-    tokens = Tokens(database, session_s=60.0)
-    session = tokens.open_session("anna")
-    assert tokens.find(session) == Actor("anna", Role.OPERATOR)
-    Accounts(database).set_role("anna", Role.VIEWER)
-    assert tokens.find(session) == Actor("anna", Role.VIEWER)
-    tokens.end(session)
-    assert tokens.find(session) is None
+def test_what_comes_back_is_what_was_there_and_rows_are_counted_on(filled, other):
+    before = read_all(filled)
+    assert len(before["jobs"]) == 2
+    assert len(before["users"]) == 1
+    assert json.loads(before["jobs"][0])["plan"] == '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
+    with pytest.raises(SchemaTooNew):
+        import_tables(other, "v9999", {})
+    with open_export(filled) as export:
+        import_tables(other, export.revision, before)
+    assert read_all(other) == before
+    again, is_new = Store(other, lambda _: None).create(Job(JobKind.PLAN))
+    assert (again.seq, is_new) == (3, True)
+    with other.read() as connection:
+        nulls = select(schema.jobs.c.id).where(schema.jobs.c.failure.is_(None))
+        assert len(connection.execute(nulls).all()) >= 2, "NULL stays NULL"
+
+
+@pytest.mark.database
+def test_the_export_is_one_view_whoever_writes_meanwhile(filled):
+    with open_export(filled) as export:
+        assert len(list(export.read("jobs"))) == 2
+        Store(filled, lambda _: None).create(Job(JobKind.PLAN))
+        assert len(list(export.read("jobs"))) == 2
+        assert len(list(export.read("events"))) == 2
+
+
+@pytest.mark.database
+def test_a_catalogue_that_is_not_empty_is_left_alone(filled):
+    before = read_all(filled)
+    with pytest.raises(BadInput, match="not empty"):
+        import_tables(filled, "v0009", before)
+    assert read_all(filled) == before

@@ -1,7 +1,5 @@
 """Extra lines of a discovery: driven when armed, then explained with all before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -39,7 +37,6 @@ def lives():
 
 @pytest.fixture
 def context(context, explorer, lives, resumer, closer):
-    """A service whose discoveries ask for extra lines."""
     return replace(
         context,
         discoverer=explorer,
@@ -51,8 +48,6 @@ def context(context, explorer, lives, resumer, closer):
 
 @pytest.fixture
 def discover(dispatcher, run, until):
-    """Discover in the Run and wait for the end."""
-
     def done(*run_ids, **more):
         of = run_ids or [run.id]
         job, _ = dispatcher.create(RequestedJob(JobKind.DISCOVER, of, **more))
@@ -67,9 +62,8 @@ def ask(dispatcher, discover):
 
     def asked(discovery=None, **order):
         of = (discovery or discover()).id
-        request = RequestedJob(
-            JobKind.MEASURE_EXTRA, discovery_id=of, plan_request=order
-        )
+        asked = {"discovery_id": of, "plan_request": order}
+        request = RequestedJob(JobKind.MEASURE_EXTRA, **asked)
         return dispatcher.create(request)[0]
 
     return asked
@@ -77,8 +71,6 @@ def ask(dispatcher, discover):
 
 @pytest.fixture
 def drive(ask, begin, until, cell):
-    """Drive the extra lines of a discovery to the end."""
-
     def done(*discovery, **order):
         job = begin(ask(*discovery, **order))
         cell.end()
@@ -106,37 +98,22 @@ def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
     assert not lives
 
 
-@pytest.mark.parametrize(("next_row", "sizes"), [(3, [None, 7]), (None, [9])])
-def test_extra_lines_that_were_cut_short_go_on_and_what_tells_a_pose_is_explained(
-    ask,
-    begin,
-    end_in_motion,
-    dispatcher,
-    explorer,
-    resumer,
-    until,
-    run,
-    context,
-    cell,
-    next_row,
-    sizes,
+def test_extra_lines_that_were_cut_short_go_on_and_both_runs_are_explained(
+    ask, begin, end_in_motion, dispatcher, explorer, resumer, until, run, context, cell
 ):
-    """Without a pose all are driven again, and the first Run is kept and left out."""
     explorer.rows = [ROWS[row % 2] for row in range(9)]
-    job, resumer.next_row = end_in_motion(begin(ask())), next_row
+    job, resumer.next_row = end_in_motion(begin(ask())), 3
     dispatcher.acknowledge(job.id)
     begin(job)
-    for size in sizes:
-        assert cell.begun.wait(5)
-        cell.begun.clear()
-        commanded = cell.order.commanded
-        is_closure = isinstance(commanded, Configurations)
-        assert is_closure if size is None else len(commanded) == size
-        cell.end()
+    assert isinstance(cell.order.commanded, Configurations), "of the closure"
+    cell.begun.clear()
+    cell.end()
+    assert cell.begun.wait(5)
+    assert len(cell.order.commanded) == 7
+    cell.end()
     ended = until(job, State.SUCCEEDED)
     assert ended.run_ids == (run.id, job.id, ended.run_id)
-    of = ended.run_ids if next_row else (run.id, ended.run_id)
-    assert explorer.calls[-1][0] == [str(context.runs.file(i)) for i in of]
+    assert explorer.calls[-1][0] == [str(context.runs.file(i)) for i in ended.run_ids]
     assert ended.has_discovery
 
 
@@ -151,49 +128,24 @@ def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
     assert len(explorer.calls[-1][0]) == 3
 
 
-def test_where_nothing_is_asked_nothing_is_driven(ask, explorer):
-    explorer.rows = []
-    with pytest.raises(PlanningError, match="asks for no extra lines"):
-        ask()
-
-
-def test_a_job_without_a_discovery_is_refused(ask, dispatcher, run, until):
+def test_lines_of_no_discovery_or_another_machine_or_out_of_bounds_are_refused(
+    ask, explorer, dispatcher, run, until
+):
     analysed = until(dispatcher.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0])
-    nobody = replace(analysed, id="nowhere")
-    for job, said in ((analysed, "has no discovery"), (nobody, "no job")):
-        with pytest.raises(NotFound, match=said):
-            ask(job)
-
-
-def test_lines_for_another_machine_are_refused(ask, explorer):
-    explorer.machine = {**explorer.machine, "name": "lathe"}
-    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
-        ask()
-
-
-def test_lines_that_leave_the_travel_or_enter_a_stated_box_are_refused(ask, explorer):
+    with pytest.raises(NotFound, match="has no discovery"):
+        ask(analysed)
     with pytest.raises(PlanningError, match=r"way to row 2 enters .* vice; .*keep_out"):
         ask(keep_out=[DOOR, VICE])
     explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
     with pytest.raises(OutOfTravel, match="row 2: X = 501"):
         ask()
+    explorer.machine = {**explorer.machine, "name": "lathe"}
+    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
+        ask()
 
 
-def test_lines_keep_clear_of_the_boxes_of_the_runs_that_they_are_to_explain(
-    ask, discover, drive, explorer, context, dispatcher
-):
-    before = drive(keep_out=[DOOR])
-    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
-    found = discover(before.run_id)
-    with pytest.raises(PlanningError, match="enters the keep-out box door"):
-        ask(found)
-    job = ask(found, keep_out=[], keep_out_replaces=True)
-    dispatcher.abort(job.id)
-    assert "workspace" not in context.store.read_plan_request(job.id)
-
-
-def test_boxes_of_an_order_hold_beside_those_of_the_runs_also_for_the_way_to_them(
-    ask, discover, drive, context, dispatcher, until
+def test_boxes_of_an_order_hold_beside_those_of_the_runs_that_lines_are_to_explain(
+    ask, discover, drive, explorer, context, dispatcher, until
 ):
     before = drive(keep_out=[DOOR])
     found = discover(before.run_id)
@@ -203,3 +155,10 @@ def test_boxes_of_an_order_hold_beside_those_of_the_runs_also_for_the_way_to_the
         assert hold == {"keep_out": [DOOR, PRESS] if stated else [DOOR]}
         dispatcher.abort(job.id)
         until(job)
+    explorer.rows = [{**row, "y_mm": 250.0, "z_mm": 250.0} for row in ROWS]
+    found = discover(before.run_id)
+    with pytest.raises(PlanningError, match="enters the keep-out box door"):
+        ask(found)
+    job = ask(found, keep_out=[], keep_out_replaces=True)
+    dispatcher.abort(job.id)
+    assert "workspace" not in context.store.read_plan_request(job.id)

@@ -1,7 +1,5 @@
 """What is kept of machines: what certificates state, the order of calibrations."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -65,9 +63,8 @@ def test_what_is_stated_of_an_unknown_machine_or_one_measurement_is_not_kept(reg
 
 
 def calibration(name, measured, *, is_time_stated=True):
-    return Calibration(
-        "mill", name, (name,), measured, 1, None, Path(name), is_time_stated
-    )
+    files = (name,), measured, 1, None, Path(name)
+    return Calibration("mill", name, *files, is_time_stated)
 
 
 def names(*found):

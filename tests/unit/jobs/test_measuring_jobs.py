@@ -1,7 +1,5 @@
 """A measuring job from its creation to its end, over a cell that the test plays."""
 
-from __future__ import annotations
-
 import random
 import threading
 import time
@@ -15,19 +13,16 @@ from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
 from truepath.catalogue.errors import (
-    CellBusy,
     CellDown,
-    NoMachine,
     NotResumable,
     StaleVersion,
     StorageUnavailable,
 )
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.idempotency import IdempotencyKey
 from truepath.catalogue.store.job_rows import read_job
-from truepath.catalogue.transitions import State, Verb
-from truepath.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from truepath.catalogue.transitions import State
+from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
@@ -37,9 +32,7 @@ from truepath.jobs.kinds import workflow
 from truepath.jobs.kinds.requested_job import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.kinematics.machine.machine import Target
-from truepath.machines.cell_status import CellStatus, ControllerLevels
-from truepath.machines.conditions.conditions import ConditionType, NotInOrder
-from truepath.machines.machine_cells import Machines
+from truepath.machines.conditions.conditions import NotInOrder
 from truepath.measurement.messages import (
     CellState,
     LinesDamaged,
@@ -48,20 +41,15 @@ from truepath.measurement.messages import (
 )
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.interfaces.records import MotionState, MotionStatus
-
-STANDSTILL = RequestedJob(JobKind.MEASURE_STANDSTILL)
 
 
 @pytest.fixture
 def running(begin, ready):
-    """A job whose machine moves."""
     return begin(ready)
 
 
 @pytest.fixture
 def paused(dispatcher, running, until):
-    """A job whose machine a user holds."""
     dispatcher.pause(running.id)
     return until(running, "paused")
 
@@ -135,68 +123,13 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     assert (health.samples, health.repeats, health.gaps) == (50, 1, 2)
     run = context.runs.get(job.run_id)
     assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
-    assert science.calls == [
-        ([str(context.runs.file(run.id))], str(context.results / job.id), False)
-    ]
+    files, folder = [str(context.runs.file(run.id))], str(context.results / job.id)
+    assert science.calls == [(files, folder, False)]
     assert (context.results / job.id / "result.json").is_file()
     wait_until(lambda: dispatcher._under_way.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
-    for verb in (
-        dispatcher.pause,
-        lambda id: arm_at_once(dispatcher, id, job.version),
-        lambda id: dispatcher.resume(id, job.version),
-    ):
-        with pytest.raises(IllegalTransition, match="a job that is succeeded"):
-            verb(job.id)
-    with pytest.raises(NotFound):
-        dispatcher.abort("nobody")
-
-
-def test_nothing_moves_before_the_job_is_armed_once_at_the_version_that_was_read(
-    dispatcher, ready, cell
-):
-    with pytest.raises(StaleVersion):
-        arm_at_once(dispatcher, ready.id, ready.version - 1)
-    assert cell.heard == ["connect"]
-    # Its stored state counts, which its thread may not know yet.
-    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
-    assert arm_at_once(dispatcher, ready.id, ready.version).state is State.RUNNING
-    assert cell.begun.wait(5)
-    with pytest.raises(IllegalTransition, match="cannot arm a job that is running"):
-        arm_at_once(dispatcher, ready.id, ready.version)
-
-
-AT_THE_PANEL = MotionStatus(MotionState.HELD, (0.0,) * 3, 0, hold_reason="operator")
-
-
-@pytest.mark.parametrize(
-    ("cell_status", "kind", "remedy"),
-    [
-        (CellStatus("ready"), ConditionType.DEVICES_CONNECTED, "connect them"),
-        (
-            OBSERVED.cell,
-            ConditionType.CONTROLLER_FREE,
-            "end or reset it at the panel",
-        ),
-    ],
-)
-def test_nothing_is_armed_while_a_required_condition_is_known_to_be_wrong(
-    context, open_watched, until, make_cell, cell_status, kind, remedy
-):
-    context.require_cell().start()
-
-    def observe():
-        held = ControllerLevels(AT_THE_PANEL, "", time.monotonic())
-        return replace(OBSERVED, cell=cell_status, controller=held)
-
-    dispatcher = open_watched(observe)
-    job = until(dispatcher.create(OTF)[0], "ready")
-    with pytest.raises(NotInOrder, match=remedy) as refused:
-        arm_at_once(dispatcher, job.id, job.version)
-    (obstacle,) = refused.value.obstacles
-    assert obstacle.type is kind
-    assert context.store.get(job.id) == job
-    assert not make_cell.cell.begun.is_set()
+    with pytest.raises(IllegalTransition, match="a job that is succeeded"):
+        dispatcher.resume(job.id, job.version)
 
 
 def test_a_pause_holds_and_a_resume_of_the_version_that_was_read_goes_on(
@@ -459,9 +392,8 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     cell.end()
     first = until(running, "succeeded")
     science.hold = threading.Event()
-    computing, _ = dispatcher.create(
-        RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
-    )
+    request = RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
+    computing, _ = dispatcher.create(request)
     wait_until(lambda: len(science.calls) == 2)
     ready = until(dispatcher.create(OTF)[0], "ready")
     assert [job.id for job in dispatcher.stop()] == [ready.id]
@@ -471,15 +403,9 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     until(computing, "succeeded")
 
 
-def test_stop_reaches_the_cell_even_if_no_job_is_under_way_or_there_is_no_machine(
-    dispatcher, cell, open_dispatcher
-):
+def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, cell):
     assert dispatcher.stop() == []
     wait_until(lambda: cell.heard == ["abort"], "the abort")
-    without = open_dispatcher(machines=Machines())
-    assert without.stop() == []
-    with pytest.raises(NoMachine, match="machine_file"):
-        without.create(OTF)
 
 
 @pytest.mark.parametrize(
@@ -549,16 +475,6 @@ def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
     assert file.is_file()
 
 
-def test_science_that_fails_fails_the_job_and_the_run_is_kept(
-    running, cell, until, science, context
-):
-    science.raises = ValueError("matrix")
-    cell.end()
-    job = until(running, "failed")
-    assert (job.failure.family, job.failure.detail) == ("ValueError", "matrix")
-    assert context.runs.get(job.run_id).complete
-
-
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
@@ -588,7 +504,7 @@ def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
     ("request_", "kind", "feeds"),
     [
         (RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0), "path", {1234.0}),
-        (STANDSTILL, "points", set()),
+        (RequestedJob(JobKind.MEASURE_STANDSTILL), "points", set()),
     ],
 )
 def test_without_rows_the_default_path_or_points_are_measured(
@@ -600,21 +516,6 @@ def test_without_rows_the_default_path_or_points_are_measured(
     assert plan["kind"] == kind
     assert len(plan["position"]) > 10
     assert set(plan["feed_mm_min"]) == feeds
-
-
-@pytest.mark.database
-@pytest.mark.fault_row(33)
-def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(
-    dispatcher, until
-):
-    key = IdempotencyKey("once", b"body")
-    job, is_new = dispatcher.create(OTF, key)
-    until(job, "ready")
-    again, is_new_again = dispatcher.create(OTF, key)
-    assert (again.id, is_new, is_new_again) == (job.id, True, False)
-    for other in (IdempotencyKey("twice", b"body"), None):
-        with pytest.raises(CellBusy, match=job.id):
-            dispatcher.create(OTF, other)
 
 
 def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
@@ -721,66 +622,6 @@ def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
 
 
 @pytest.fixture
-def failing(context):
-    """While it is set, nothing can be written down."""
-    failing, change = threading.Event(), context.store.change
-
-    def may_fail(*arguments, **options):
-        if failing.is_set():
-            raise StorageUnavailable("the disk is full")
-        return change(*arguments, **options)
-
-    context.store.change = may_fail
-    yield failing
-    failing.clear()
-
-
-def test_a_pause_that_cannot_be_stored_is_insisted_on(
-    dispatcher, running, cell, until, failing, monkeypatch, context
-):
-    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
-    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
-    cell.deaf.add("pause")
-    failing.set()
-    with pytest.raises(StorageUnavailable):
-        dispatcher.pause(running.id)
-    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
-    failing.clear()
-    cell.deaf.clear()
-    paused = until(running, "paused")
-    dispatcher.resume(running.id, paused.version)
-    until(running, "running")
-    assert cell.heard[-1] == "resume"
-
-
-@pytest.mark.parametrize("obeys", [True, False])
-def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cell(
-    running, cell, until, failing, context, monkeypatch, obeys
-):
-    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 30.0 if obeys else 0.2)
-    if not obeys:
-        cell.deaf.add("abort")
-    failing.set()
-    cell.say_state("paused")
-    wait_until(lambda: cell.heard[-1] == "abort", "the abort")
-    wait_until(lambda: obeys or cell.closed, "the end of the cell")
-    failing.clear()
-    assert until(running, "failed").failure.family == "StorageUnavailable"
-    assert not obeys or context.runs.get(running.id).samples == 50
-
-
-def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
-    dispatcher, running, failing, context
-):
-    failing.set()
-    dispatcher.close()
-    assert context.store.get(running.id).state == "running"
-    failing.clear()
-    dispatcher.interrupt_unfinished_jobs()
-    assert context.store.get(running.id).state == "interrupted"
-
-
-@pytest.fixture
 def full(context):
     """While it is set, the disk of the catalogue has no room left."""
     database, full = context.store._database, threading.Event()
@@ -794,6 +635,51 @@ def full(context):
     yield full
     full.clear()
     event.remove(engine, "before_cursor_execute", refuse)
+
+
+def test_a_pause_that_cannot_be_stored_is_insisted_on(
+    dispatcher, running, cell, until, full, monkeypatch, context
+):
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.01)
+    wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
+    cell.deaf.add("pause")
+    full.set()
+    with pytest.raises(StorageUnavailable):
+        dispatcher.pause(running.id)
+    wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
+    full.clear()
+    cell.deaf.clear()
+    paused = until(running, "paused")
+    dispatcher.resume(running.id, paused.version)
+    until(running, "running")
+    assert cell.heard[-1] == "resume"
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cell(
+    running, cell, until, full, context, monkeypatch, obeys
+):
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 30.0 if obeys else 0.2)
+    if not obeys:
+        cell.deaf.add("abort")
+    full.set()
+    cell.say_state("paused")
+    wait_until(lambda: cell.heard[-1] == "abort", "the abort")
+    wait_until(lambda: obeys or cell.closed, "the end of the cell")
+    full.clear()
+    assert until(running, "failed").failure.family == "StorageFull"
+    assert not obeys or context.runs.get(running.id).samples == 50
+
+
+def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
+    dispatcher, running, full, context
+):
+    full.set()
+    dispatcher.close()
+    assert context.store.get(running.id).state == "running"
+    full.clear()
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).state == "interrupted"
 
 
 @pytest.mark.database
@@ -881,26 +767,23 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
 
 
 @pytest.mark.fault_row(48)
-def test_a_stop_that_a_frozen_cell_hears_late_is_an_abort(
-    dispatcher, running, cell, until
+@pytest.mark.parametrize("stopped_before", [True, False])
+def test_a_machine_that_stands_elsewhere_is_a_fault_unless_a_stop_came_before(
+    dispatcher, running, cell, until, context, stopped_before
 ):
+    """A frozen cell hears the stop late."""
     cell.deaf.add("abort")
-    dispatcher.stop()
+    if stopped_before:
+        dispatcher.stop()
     cell.fault("ended-early", "the controller is aborted at X 3.000")
+    if not stopped_before:
+        wait_until(lambda: context.store.get(running.id).failure)
+        dispatcher.stop()
     cell.end("faulted")
-    job = until(running, "aborted")
-    assert (job.failure, job.desired_state) == (None, "aborted")
-
-
-def test_a_machine_that_stands_elsewhere_before_anybody_stops_it_is_a_fault(
-    dispatcher, running, cell, until, context
-):
-    cell.deaf.add("abort")
-    cell.fault("ended-early", "the controller is aborted at X 3.000")
-    wait_until(lambda: context.store.get(running.id).failure)
-    dispatcher.stop()
-    cell.end("faulted")
-    assert until(running, "faulted").failure.code == "ended-early"
+    job = until(running, "aborted" if stopped_before else "faulted")
+    assert job.desired_state == "aborted"
+    code = None if stopped_before else "ended-early"
+    assert code == (job.failure and job.failure.code)
 
 
 @pytest.mark.database
@@ -951,14 +834,6 @@ def test_a_run_that_is_not_closed_in_time_is_a_fault(
     monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
     cell.say_state("finished")
     assert until(running, "faulted").failure.code == "run-not-closed"
-
-
-def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
-    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
-    context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
-    ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
-    with pytest.raises(IllegalTransition, match="not under way any more"):
-        arm_at_once(dispatcher, job.id, ready.version)
 
 
 def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):

@@ -1,7 +1,5 @@
 """Many Runs analysed again as one job: restart, failures, progress, cancelling."""
 
-from __future__ import annotations
-
 import json
 import threading
 from datetime import UTC, datetime
@@ -31,13 +29,11 @@ class Analyst:
 
     def __init__(self):
         self.calls, self.failing, self.defects = [], set(), set()
-        self.let, self.begun = threading.Event(), threading.Event()
+        self.let = threading.Event()
         self.let.set()
-        self.dies_at = None
 
     def __call__(self, order, perpendicular_only, *, on_progress):
         self.calls.append(order.run_id)
-        self.begun.set()
         self.let.wait(20)
         on_progress(0.5, "estimating")  # raises where the job is aborted
         if order.run_id in self.defects:
@@ -50,7 +46,6 @@ class Analyst:
 
 @pytest.fixture
 def runs(context, small_run):
-    """Some tiny Runs."""
     made = []
     for number in range(COUNT):
         upload = context.runs.make_upload_file()
@@ -68,7 +63,6 @@ def analyst():
 
 @pytest.fixture
 def dispatcher(open_dispatcher, analyst):
-    """A dispatcher of a service without a machine."""
     return open_dispatcher(machines=Machines(), reanalyser=analyst)
 
 
@@ -122,32 +116,22 @@ def test_a_service_that_starts_again_goes_on_with_what_is_left(
     assert summary_of(context, job)["analysed"] == COUNT
 
 
-def test_an_abort_ends_it_and_keeps_what_is_done(runs, dispatcher, analyst, until):
-    job, _ = dispatcher.create(RequestedJob(JobKind.REANALYSE, runs))
-    analyst.begun.wait(20)
-    analyst.let.clear()
-    dispatcher.abort(job.id)
-    analyst.let.set()
-    until(job, State.ABORTED, State.SUCCEEDED)
-    assert len(analyst.calls) <= COUNT
-
-
-def since(year):
-    return {"since": datetime(year, 1, 1, tzinfo=UTC)}
-
-
 @pytest.mark.database
 def test_runs_are_chosen_by_machine_and_time(
     context, runs, open_dispatcher, analyst, until
 ):
     assert context.runs.get(runs[0]).machine == context.require_machine().name
     dispatcher = open_dispatcher(reanalyser=analyst)
-    chosen = {"machine": "default", "plan_request": since(2000)}
+    since = {"since": datetime(2000, 1, 1, tzinfo=UTC)}
+    chosen = {"machine": "default", "plan_request": since}
     job, _ = dispatcher.create(RequestedJob(JobKind.REANALYSE, **chosen))
     until(job, State.SUCCEEDED)
     assert summary_of(context, job)["total"] == COUNT
     for request, said in (
-        ({"plan_request": since(2999)}, "there is no Run of any machine since 2999"),
+        (
+            {"plan_request": {"since": datetime(2999, 1, 1, tzinfo=UTC)}},
+            "there is no Run of any machine since 2999",
+        ),
         ({"machine": "another"}, "drives no machine another"),
         ({"run_ids": ["nothing"]}, "there is no run nothing"),
     ):

@@ -1,11 +1,9 @@
 """Files and catalogue, brought together again after a full disk or a stopped cell."""
 
-from __future__ import annotations
-
-import json
 import threading
 from dataclasses import replace
 from functools import partial
+from unittest.mock import Mock
 
 import pytest
 
@@ -26,7 +24,6 @@ from truepath.measurement.run_file import run_file
 
 @pytest.fixture
 def begin_run(context, machine):
-    """Begin the Run of a job; the caller closes it."""
     return partial(job_builders.begin_run, context.runs, machine)
 
 
@@ -116,9 +113,17 @@ def test_the_run_of_a_further_station_joins_the_job_that_its_file_names(
     assert context.runs.find(["points"])
 
 
-def test_a_run_of_no_known_job_is_catalogued_alone(context, begin_run, reconciliation):
+def test_a_catalogue_that_does_not_answer_ends_nothing_and_a_foreign_run_stands_alone(
+    context, ended, begin_run, reconciliation, monkeypatch
+):
+    begin_run(ended.id).close("failed")
     begin_run("foreign").close("finished")
+    with monkeypatch.context() as locked:
+        refuse = Mock(side_effect=StorageUnavailable("locked"))
+        locked.setattr(type(context.runs), "list_left_behind", refuse)
+        reconciliation.look()
     reconciliation.look()
+    assert context.store.get(ended.id).run_id == ended.id
     assert context.runs.get("foreign").complete
 
 
@@ -152,33 +157,6 @@ def test_a_pass_reads_few_runs(context, begin_run, reconciliation):
     assert len(context.runs.list_page(99)) == reconciling.MOST_RUNS + 1
 
 
-def test_a_catalogue_that_does_not_answer_ends_no_reconciliation(
-    context, ended, begin_run, reconciliation, monkeypatch
-):
-    begin_run(ended.id).close("failed")
-
-    def refuse(*_):
-        raise StorageUnavailable("locked")
-
-    with monkeypatch.context() as locked:
-        locked.setattr(type(context.runs), "list_left_behind", refuse)
-        reconciliation.look()
-    reconciliation.look()
-    assert context.store.get(ended.id).run_id == ended.id
-
-
-def test_a_run_names_the_job_that_recorded_it(context, dispatcher, begin, cell, until):
-    job = begin(dispatcher.create(OTF)[0])
-    cell.end()
-    until(job, State.SUCCEEDED)
-    file = context.runs.file(job.id)
-    moved = file.rename(file.with_name("another.sqlite"))
-    assert context.runs.read_job_id(moved.stem) == job.id
-
-
-# Jobs that compute, after a restart.
-
-
 @pytest.fixture
 def run_id(begin_run, context):
     begin_run("measured").close("finished")
@@ -187,8 +165,6 @@ def run_id(begin_run, context):
 
 @pytest.fixture
 def restart(open_dispatcher):
-    """Opens the service anew on the same catalogue."""
-
     def make():
         dispatcher = open_dispatcher(machines=Machines())
         dispatcher.interrupt_unfinished_jobs()
@@ -209,17 +185,19 @@ def leave(context, run_id, state, attempts):
 
 
 @pytest.mark.database
-@pytest.mark.parametrize(("state", "attempts"), [("queued", 0), ("running", 1)])
 @pytest.mark.fault_row(25)
-def test_an_analysis_that_a_killed_service_left_is_done_after_the_restart(
-    context, run_id, restart, science, until, state, attempts
+def test_what_a_killed_service_left_is_done_after_the_restart_and_an_abort_stays_one(
+    context, run_id, restart, science, until
 ):
-    job = leave(context, run_id, State(state), attempts)
+    aborting = leave(context, run_id, State.ABORTING, 1)
+    jobs = [leave(context, run_id, State.QUEUED, 0) for _ in range(2)]
+    jobs.append(leave(context, run_id, State.RUNNING, 1))
     restart()
-    done = until(job, State.SUCCEEDED)
-    assert done.attempts == attempts + 1
-    assert len(science.calls) == 1
-    assert (context.results / job.id / "result.json").is_file()
+    assert context.store.get(aborting.id).state is State.ABORTED
+    assert [until(job, State.SUCCEEDED).attempts for job in jobs] == [1, 1, 2]
+    assert len(science.calls) == 3
+    for job in jobs:
+        assert (context.results / job.id / "result.json").is_file()
 
 
 def test_an_analysis_that_was_queued_again_in_order_has_all_its_attempts(
@@ -256,9 +234,8 @@ def test_a_plan_that_stood_already_is_not_planned_again(context, restart, until)
     """Killed between the plan and its end."""
     job, _ = context.store.create(Job(JobKind.PLAN))
     context.store.keep_plan(job.id, {"kind": "path", "rows": []})
-    context.store.change(
-        job.id, lambda job: replace(job, state=State.RUNNING, attempts=1)
-    )
+    begun = {"state": State.RUNNING, "attempts": 1}
+    context.store.change(job.id, lambda job: replace(job, **begun))
     restart()
     assert until(job, State.SUCCEEDED).attempts == 2
 
@@ -269,17 +246,3 @@ def test_a_measurement_is_never_queued_again(context):
     with pytest.raises(IllegalTransition, match="measures; it is not begun again"):
         context.store.change(job.id, put_back)
     assert context.store.get(job.id).state is State.RUNNING
-
-
-@pytest.mark.database
-def test_jobs_are_begun_again_and_what_was_being_aborted_is_aborted(
-    context, run_id, restart, until
-):
-    aborting = leave(context, run_id, State.ABORTING, 1)
-    jobs = [leave(context, run_id, State.QUEUED, 0) for _ in range(3)]
-    restart()
-    assert context.store.get(aborting.id).state is State.ABORTED
-    for job in jobs:
-        until(job, State.SUCCEEDED)
-        result = context.results / job.id / "result.json"
-        assert json.loads(result.read_text())

@@ -1,7 +1,5 @@
 """A measurement that was cut short goes on: acknowledged, armed, checked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -43,50 +41,21 @@ OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
 
 
 @pytest.fixture
-def registry(database):
-    return MachineRegistry(database)
-
-
-@pytest.fixture
-def describe(context, registry):
-    """Gives the machine another file, as a new version."""
-
-    def describe(machine):
-        content = machine_to_json(machine)
-        version = registry.note("default", "catalogue", content, {})
-        one = context.machines.get("default")
-        context.machines.put(replace(one, machine=machine, version=version))
-
-    return describe
-
-
-@pytest.fixture
 def lives():
     """The live estimates, the newest last."""
     return []
 
 
 @pytest.fixture
-def verifier():
-    return Verifier()
-
-
-@pytest.fixture
-def context(context, resumer, closer, registry, lives, verifier):
+def context(context, resumer, closer, lives, database):
     """A service that can go on with what was cut short."""
 
     def follow(order, show):
         lives.append(ScriptedLive(order, show))
         return lives[-1]
 
-    return replace(
-        context,
-        resumer=resumer,
-        closer=closer,
-        registry=registry,
-        live=follow,
-        verifier=verifier,
-    )
+    parts = {"registry": MachineRegistry(database), "verifier": Verifier()}
+    return replace(context, resumer=resumer, closer=closer, live=follow, **parts)
 
 
 @pytest.fixture
@@ -130,8 +99,8 @@ def replan(context):
 
 @pytest.mark.database
 @pytest.mark.fault_row(25)
-def test_it_stands_where_it_stood_then_drives_what_is_left_as_a_further_run(
-    faulted, drive, until, cell, closer, science, context
+def test_it_stands_where_it_stood_then_drives_what_is_left_as_further_runs(
+    faulted, drive, end_in_motion, until, cell, closer, resumer, science, context
 ):
     job = faulted()
     closure = drive(job)
@@ -141,9 +110,15 @@ def test_it_stands_where_it_stood_then_drives_what_is_left_as_a_further_run(
     rest = cell.order.commanded
     assert rest.position[:, 0].tolist() == [r["x_mm"] for r in PATH[3:]]
     assert closer.calls == [tuple(map(tuple, PLACES))]
+    end_in_motion(job)  # it is cut short too
+    resumer.next_row = 2
+    drive(job)
+    assert len(resumer.calls[-1]) == 2
+    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
     cell.end()
     ended = until(job, "succeeded")
-    assert ended.run_ids == (job.id, ended.further_run_ids[0])
+    assert ended.run_ids == (job.id, *ended.further_run_ids)
+    assert len(ended.run_ids) == 3
     files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
     assert science.calls[0][0] == files
     assert ended.failure is None
@@ -165,21 +140,6 @@ def test_a_target_that_is_elsewhere_faults_the_job_and_it_can_be_checked_again(
     assert len(until(job, "succeeded").run_ids) == 2
 
 
-def test_a_part_that_was_cut_short_too_is_joined_by_a_third(
-    faulted, drive, end_in_motion, until, cell, resumer, science
-):
-    job = faulted()
-    drive(job)
-    end_in_motion(job)
-    resumer.next_row = 2
-    drive(job)
-    assert len(resumer.calls[-1]) == 2
-    assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
-    cell.end()
-    assert len(until(job, "succeeded").run_ids) == 3
-    assert len(science.calls[0][0]) == 3
-
-
 def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     dispatcher, faulted, begin, until, cell, resumer, science
 ):
@@ -195,15 +155,14 @@ def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     assert len(science.calls[0][0]) == 1
 
 
+TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
+
+
 @pytest.mark.parametrize(
     ("next_row", "change", "expected"),
     [
         (12, {}, {"first_row": 5}),
-        (
-            4,
-            {"target": ["T1"] * 3 + ["T2"] * 9},
-            {"closure_row": [3], "place_mm": PLACES[1:]},
-        ),
+        (4, TWO_TARGETS, {"closure_row": [3], "place_mm": PLACES[1:]}),
     ],
     ids=["few rows are driven with some before them", "the closure has one target"],
 )
@@ -232,8 +191,14 @@ def test_what_is_acknowledged_knows_its_rest_and_waits_to_be_armed_anew(
 
 @pytest.mark.database
 def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
-    dispatcher, faulted, drive, until, cell, context, describe, machine
+    dispatcher, faulted, drive, until, cell, context, machine
 ):
+    def describe(machine):
+        content = machine_to_json(machine)
+        version = context.registry.note("default", "catalogue", content, {})
+        one = context.machines.get("default")
+        context.machines.put(replace(one, machine=machine, version=version))
+
     describe(machine)
     job = faulted()
     (target,) = machine.targets
@@ -283,11 +248,10 @@ def test_nothing_goes_on_while_another_job_holds_the_machine_or_after_an_abort(
 ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
 
 
-@pytest.fixture
-def choose_line(cell, lives):
-    """Have the live estimate choose a line after those of the order; tell the cell."""
-
-    def choose(x_mm):
+def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
+    faulted, drive, until, cell, science, resumer, lives, context
+):
+    def choose_line(x_mm):
         position = np.array([cell.order.commanded.position[-1], [x_mm, 90.0, 90.0]])
         part = Path(("X", "Y", "Z"), position, np.full(2, 3000.0), np.zeros(2))
         cell.parts.clear()
@@ -295,12 +259,6 @@ def choose_line(cell, lives):
         cell.say(PartRequested(len(cell.order.commanded) - 1))
         wait_until(lambda: cell.parts, "the part")
 
-    return choose
-
-
-def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
-    faulted, drive, until, cell, science, resumer, lives, context, choose_line
-):
     job = faulted(ADAPTIVE, then=lambda: choose_line(70.0))
     kept = context.store.read_plan(job.id)["position"]
     assert kept[-1] == [70.0, 90.0, 90.0]
@@ -318,9 +276,8 @@ def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
     assert len(now["parts"]) == 2
     cell.end()
     ended = until(job, "succeeded")
-    assert science.calls[0][0] == [
-        str(context.runs.file(run_id)) for run_id in ended.run_ids
-    ]
+    files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
+    assert science.calls[0][0] == files
 
 
 @pytest.fixture
@@ -382,19 +339,16 @@ def test_points_that_are_measured_again_are_not_gone_back_to_through_a_box(
         cell.say(PartRequested(3))
         wait_until(lambda: len(cell.parts) == 2, "the points that are measured again")
 
-    request = RequestedJob(
-        JobKind.MEASURE_STANDSTILL,
-        rows=points,
-        on_notice=OnNotice.CHECK,
-        plan_request={"workspace": {"keep_out": [box]}},
-    )
+    avoids = {"plan_request": {"workspace": {"keep_out": [box]}}, "rows": points}
+    kind = JobKind.MEASURE_STANDSTILL
+    request = RequestedJob(kind, on_notice=OnNotice.CHECK, **avoids)
     faulted(request, then=notice)
     again = [tuple(row[:2]) for row in cell.parts[1].position.tolist()]
     assert again == [places[2], places[1], places[2], places[3]]
 
 
 def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
-    faulted, drive, until, cell, verifier, context, replan
+    faulted, drive, until, cell, context, replan
 ):
     job = faulted(replace(OTF, kind=JobKind.MEASURE_STANDSTILL))
     context.store.change(job.id, lambda one: replace(one, kind=JobKind.VERIFY))
@@ -406,7 +360,7 @@ def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
     assert cell.order.commanded.position[0, 0] == PATH[4]["x_mm"]
     cell.end()
     ended = until(job, "succeeded")
-    ((files, first_row, *_),) = verifier.calls
+    ((files, first_row, *_),) = context.verifier.calls
     assert files == [str(context.runs.file(run_id)) for run_id in ended.run_ids]
     assert first_row == [0, 4]
 
@@ -449,31 +403,17 @@ def test_targets_that_only_one_run_joins_keep_a_measurement_from_going_on(
         require_targets_apart(plan, machine)
 
 
-DONE = {"measured": True}
+def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
+    ends = {"state": State.FAULTED, "stage": Stage.ALIGNING}
+    measuring, done = Job(JobKind.MEASURE_OTF, **ends), {"measured": True}
+    require_resumable(measuring, {"stations": [done, {}]})
+    with pytest.raises(NotResumable, match="analyse its Runs"):
+        require_resumable(measuring, {"stations": [done, done]})
+    with pytest.raises(NotResumable, match=r"only computes.*begin a new job"):
+        require_resumable(Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {})
 
 
-@pytest.mark.parametrize(
-    ("job", "stations", "refused"),
-    [
-        (Job(JobKind.ANALYSE, run_id="a"), None, r"only computes.*begin a new job"),
-        (Job(JobKind.MEASURE_OTF, stage=Stage.ALIGNING), [DONE, {}], None),
-        (
-            Job(JobKind.MEASURE_OTF, stage=Stage.ALIGNING),
-            [DONE, DONE],
-            "analyse its Runs",
-        ),
-    ],
-)
-def test_stations_go_on_until_all_are_measured_and_what_computes_does_not(
-    job, stations, refused
-):
-    job = replace(job, state=State.FAULTED)
-    plan = {} if stations is None else {"stations": stations}
-    if refused is None:
-        require_resumable(job, plan)
-        return
-    with pytest.raises(NotResumable, match=refused):
-        require_resumable(job, plan)
+DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 
 @pytest.mark.parametrize(
@@ -484,12 +424,7 @@ def test_stations_go_on_until_all_are_measured_and_what_computes_does_not(
         (Stage.ALIGNING, {"station": StationProgress(1, 2, (0.0,))}, True, None),
         (Stage.MEASURING, {"kind": JobKind.MEASURE_ADAPTIVE}, True, None),
         (Stage.ALIGNING, {"kind": JobKind.VERIFY}, True, None),
-        (
-            Stage.DISCOVERING,
-            {"kind": JobKind.MEASURE_EXTRA},
-            False,
-            '{"kind": "discover", "run_ids": ["b", "a"]}',
-        ),
+        (Stage.DISCOVERING, {"kind": JobKind.MEASURE_EXTRA}, False, DISCOVER),
     ],
 )
 def test_only_what_is_not_measured_yet_is_offered_to_go_on(stage, more, goes_on, order):

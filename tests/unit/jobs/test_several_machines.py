@@ -1,7 +1,5 @@
 """Two machines in one service: each has its cell, its job and its stop."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

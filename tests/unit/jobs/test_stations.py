@@ -1,7 +1,5 @@
 """A job of several stations asks for the tracker, checks it and loses nothing."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 
@@ -35,8 +33,6 @@ BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
 
 
 class Checker:
-    """Says of each station what the test has said before."""
-
     def __init__(self):
         self.calls, self.answers = [], []
 
@@ -294,21 +290,23 @@ def test_a_station_that_was_cut_short_goes_on_with_the_rest_of_its_lines(
     assert science.calls[-1][0] == [str(context.runs.file(i)) for i in last.run_ids]
 
 
-@pytest.fixture
-def elsewhere(go_on, measure, closer):
-    """The job that asks for its second station again: it was moved meanwhile."""
-    closer.problem = "the target is 51 µm from where it was"
-    return measure(go_on(), POINTS)
-
-
-def test_a_station_that_was_moved_meanwhile_is_said_and_measured_on_as_a_new_one(
-    elsewhere, measure, closer, checker
+@pytest.mark.parametrize("is_put_back", [True, False])
+def test_a_station_that_was_moved_meanwhile_is_measured_on_as_a_new_one_unless_put_back(
+    go_on, measure, closer, checker, is_put_back
 ):
+    closer.problem = "the target is 51 µm from where it was"
+    elsewhere = measure(go_on(), POINTS)
     before = len(checker.calls)
+    assert before == 2, "of the first station and of the second"
     (check,) = elsewhere.station.checks
     assert (elsewhere.station.number, check.station, check.problem) == (2, 2, "moved")
     assert closer.problem in check.text
     assert "new station" in check.text
+    if is_put_back:
+        closer.problem = ""
+        assert measure(elsewhere, POINTS, LINES).station.number == 3
+        assert len(checker.calls) == before
+        return
     checker.answers = [{"problem": "residual", "text": "they do not fit"}, GOOD]
     again = measure(elsewhere, POINTS)
     assert again.station.checks[-1].problem == "residual"
@@ -316,16 +314,6 @@ def test_a_station_that_was_moved_meanwhile_is_said_and_measured_on_as_a_new_one
     _, itself, asked_mm, _ = checker.calls[-1]
     assert itself == checker.calls[before - 1][0], "its own known points before"
     assert asked_mm == 0.0
-
-
-def test_a_station_that_is_put_back_where_it_was_is_no_new_one(
-    elsewhere, measure, closer, checker
-):
-    before = len(checker.calls)
-    assert before == 2, "of the first station and of the second"
-    closer.problem = ""
-    assert measure(elsewhere, POINTS, LINES).station.number == 3
-    assert len(checker.calls) == before
 
 
 def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_out(
@@ -348,7 +336,9 @@ def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole
     assert len(cell.order.commanded) == len(LONG)
 
 
-def test_a_beginning_of_a_plan_ends_at_its_last_station(prepare, plan_id, context):
+def test_a_beginning_of_a_plan_ends_at_its_last_station(
+    prepare, plan_id, context, dispatcher, until
+):
     job = prepare(plan_id=plan_id, plan_rows=15)
     assert job.station.total == 2
     plan = context.store.read_plan(job.id)
@@ -357,14 +347,15 @@ def test_a_beginning_of_a_plan_ends_at_its_last_station(prepare, plan_id, contex
     assert plan["predicted_um"] == pytest.approx(0.6)
     shares = plan["place"]["at_stations"]
     assert [(one["rows"], one["duration_s"]) for one in shares] == [(11, 9.0), (4, 6.0)]
-
-
-def test_a_beginning_within_the_first_station_needs_no_other(prepare, plan_id, context):
-    job = prepare(plan_id=plan_id, plan_rows=6)
-    plan = context.store.read_plan(job.id)
-    assert job.station is None
+    for rows, why in ((34, "33 rows"), (2, "add rows"), (12, "1 place")):
+        with pytest.raises(PlanningError, match=why):
+            prepare(plan_id=plan_id, plan_rows=rows)
+    dispatcher.abort(job.id)
+    until(job)
+    first = prepare(plan_id=plan_id, plan_rows=6)
+    plan = context.store.read_plan(first.id)
+    assert (first.station, len(plan["position"])) == (None, 6)
     assert "stations" not in plan
-    assert len(plan["position"]) == 6
 
 
 def test_a_job_keeps_what_its_plan_says_of_places_and_has_no_target(
@@ -373,11 +364,3 @@ def test_a_job_keeps_what_its_plan_says_of_places_and_has_no_target(
     with pytest.raises(PlanningError, match="leave target_um out"):
         prepare(plan_id=plan_id, target_um=1.0)
     assert context.store.read_plan(prepare().id)["place"] == ADVICE
-
-
-@pytest.mark.parametrize(
-    ("rows", "why"), [(34, "33 rows"), (2, "add rows"), (12, "1 place")]
-)
-def test_a_beginning_that_cannot_be_measured_is_refused(prepare, plan_id, rows, why):
-    with pytest.raises(PlanningError, match=why):
-        prepare(plan_id=plan_id, plan_rows=rows)

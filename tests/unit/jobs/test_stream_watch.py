@@ -1,7 +1,5 @@
 """What the events of a cell tell of beam, stream and temperatures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -55,9 +53,7 @@ def test_a_lost_beam_is_told_until_the_machine_moves_again_and_points_come(
 
 
 @pytest.mark.fault_row(31)
-def test_losses_of_the_last_seconds_are_counted_and_older_ones_are_not(
-    watch, hand_clock
-):
+def test_losses_of_the_last_seconds_of_one_measurement_are_counted(watch, hand_clock):
     for second, lost in enumerate((0, 0, 7, 7, 7, 7, 7, 7, 7, 7)):
         hand_clock.time_s = 200.0 + second
         watch.follow(progress(lost, damaged=lost // 7))
@@ -66,12 +62,9 @@ def test_losses_of_the_last_seconds_are_counted_and_older_ones_are_not(
     assert (watch.read().lost_samples, watch.read().crc_errors) == (0, 0)
     hand_clock.time_s += 60.0
     assert watch.read().lost_samples is None
-
-
-def test_another_measurement_counts_from_nothing(watch, hand_clock):
     watch.follow(progress(50))
     hand_clock.time_s += 1.0
-    watch.follow(progress(0))
+    watch.follow(progress(0))  # of another measurement
     assert watch.read().lost_samples == 0
 
 

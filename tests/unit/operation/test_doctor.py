@@ -1,7 +1,5 @@
 """`truepath doctor`: what is wrong is named, with what to do; nothing is disturbed."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Every route and every role; sessions, keys, users and audit log over HTTP."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from dataclasses import replace
 from itertools import product
@@ -110,7 +108,9 @@ def address_of(route):
 def test_each_route_refuses_each_role_that_is_too_low_and_takes_the_others(
     reached, tokens, monkeypatch, access
 ):
-    monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: done())
+    done = Future()
+    done.set_result(None)
+    monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: done)
     wrong = []
     for route, least in LEAST_ROLES.items():
         for role in (None, *Role):
@@ -129,12 +129,6 @@ def expect_status(route, least, role):
         return 401
     moves_alone = role is Role.SERVICE and route in MOVES
     return 200 if includes(role, least) and not moves_alone else 403
-
-
-def done():
-    future = Future()
-    future.set_result(None)
-    return future
 
 
 def test_nobody_is_told_how_to_log_in_and_a_role_too_low_which_is_needed(
@@ -163,12 +157,8 @@ def test_a_program_logs_in_for_a_token_and_a_browser_for_a_cookie_no_script_read
     assert "set-cookie" not in opened.headers
     headers = bearer(opened.json()["token"])
     shown = client.get(f"{API}/session", headers=headers).json()
-    assert shown == {
-        "log_in_required": True,
-        "name": "anna",
-        "role": "operator",
-        "is_person": True,
-    }
+    anna = {"name": "anna", "role": "operator", "is_person": True}
+    assert shown == {"log_in_required": True, **anna}
     assert client.get(f"{API}/jobs", headers=headers).status_code == 200
     assert client.delete(f"{API}/session", headers=headers).status_code == 204
     assert client.get(f"{API}/jobs", headers=headers).status_code == 401
@@ -193,37 +183,28 @@ def away(access, monkeypatch):
     return lambda: monkeypatch.setattr(access.tokens, "find", fail)
 
 
-def test_whoever_comes_may_stop_whatever_the_catalogue_says(
-    client, service, armed_by_hand, away
-):
-    away()
-    assert client.get(f"{API}/jobs", headers=bearer("any")).status_code == 503
-    stopped = client.post(f"{API}/stop", headers=bearer("wrong"))
-    assert stopped.status_code == 202
-    assert stopped.json()["jobs"] == []
-    wait_until(lambda: service.store.get(armed_by_hand).state == "aborted")
-
-
 @pytest.mark.parametrize("logs_in", [False, True])
-def test_only_who_is_logged_in_is_told_which_jobs_were_stopped(
-    client, service, tokens, armed_by_hand, logs_in
+def test_whoever_comes_may_stop_and_is_told_which_jobs_once_logged_in(
+    client, service, tokens, armed_by_hand, away, logs_in
 ):
-    sent = bearer(tokens[Role.VIEWER]) if logs_in else {}
-    stopped = client.post(f"{API}/stop", headers=sent).json()
+    """A stranger may whatever the catalogue says."""
+    sent = bearer(tokens[Role.VIEWER] if logs_in else "wrong")
+    if not logs_in:
+        away()
+        assert client.get(f"{API}/jobs", headers=bearer("any")).status_code == 503
+    stopped = client.post(f"{API}/stop", headers=sent)
+    assert stopped.status_code == 202
     wait_until(lambda: service.store.get(armed_by_hand).state == "aborted")
-    assert [job["id"] for job in stopped["jobs"]] == [armed_by_hand] * logs_in
-    assert stopped["machines"]
+    assert [job["id"] for job in stopped.json()["jobs"]] == [armed_by_hand] * logs_in
+    assert stopped.json()["machines"]
 
 
 @pytest.fixture
 def armed_by_hand(service, make_cell, order):
-    """A job whose machine moves."""
     requested = TypeAdapter(JobRequest).validate_python(order).to_requested_job()
     job, _ = service.dispatcher.create(requested)
-    ready = wait_until(
-        lambda: (now := service.store.get(job.id)).state == "ready" and now
-    )
-    arm_at_once(service.dispatcher, job.id, ready.version)
+    wait_until(lambda: service.store.get(job.id).state == "ready")
+    arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
     assert make_cell.cell.begun.wait(5)
     return job.id
 
@@ -381,9 +362,8 @@ def test_a_job_has_its_owner_and_the_audit_log_what_was_done_and_refused(
 def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
     reached, access, tokens, monkeypatch
 ):
-    monkeypatch.setattr(
-        "truepath.service.api.security.access_control.AUDIT_PATIENCE_S", 0.05
-    )
+    patience = "truepath.service.api.security.access_control.AUDIT_PATIENCE_S"
+    monkeypatch.setattr(patience, 0.05)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     headers = bearer(tokens[Role.OPERATOR])
     assert reached.post(f"{API}/plans", headers=headers).status_code == 200

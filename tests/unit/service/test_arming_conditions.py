@@ -1,55 +1,28 @@
 """Nothing moves while a condition of the machine is not as it has to be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
 from arming import arm_over_http
-from truepath.machines.cell_status import CellStatus, ControllerLevels
+from job_builders import CONNECTED, OBSERVED
+from truepath.machines.cell_status import CellStatus
 from truepath.machines.conditions.condition_board import ConditionBoard
-from truepath.machines.conditions.conditions import Finding, Level, Observed
+from truepath.machines.conditions.conditions import Finding, Level
 from truepath.machines.conditions.stream_watch import StreamLevels
-from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
-STATUS = MotionStatus(
-    MotionState.IDLE, (0.0, 0.0, 0.0), 0, override=1.0, referenced=True
-)
-DEVICES = {"motion": {"has_watchdog": True}}
-STREAM = StreamLevels(has_beam=True, lost_samples=0, crc_errors=0)
-GOOD = Observed(
-    CellStatus("ready", devices=DEVICES),
-    ControllerLevels(STATUS, "", 0.0),
-    allow_no_watchdog=False,
-    free_bytes=10**9,
-    least_bytes=10**8,
-    stream=STREAM,
-    drift_limit_degC=0.5,
-)
-
-
-def with_status(**change):
-    return {"controller": ControllerLevels(replace(STATUS, **change), "", 0.0)}
-
-
-def with_stream(**change):
-    return {"stream": replace(STREAM, **change)}
-
-
+GOOD = replace(OBSERVED, drift_limit_degC=0.5)
 WRONG = {
     "devices-connected": {"cell": CellStatus("down", "the port is gone")},
-    "controller-answers": {"controller": ControllerLevels(None, "mute", 0.0)},
-    "controller-able": with_status(state=MotionState.ALARM),
-    "controller-free": with_status(state=MotionState.RUNNING),
-    "axes-referenced": with_status(referenced=False),
-    "compensation-as-asked": with_status(compensation=True),
-    "feed-override-full": with_status(override=0.8),
-    "watchdog-there": {"cell": CellStatus("ready", devices={"motion": {}})},
+    "watchdog-there": {"cell": replace(CONNECTED, devices={"motion": {}})},
     "disk-has-room": {"free_bytes": 0},
-    "target-in-sight": with_stream(has_beam=False),
-    "stream-healthy": with_stream(failure="the tracker sends no samples"),
-    "temperature-steady": with_stream(drift_degC=0.8, drifting="X_degC"),
+    "target-in-sight": {"stream": StreamLevels(has_beam=False)},
+}
+REQUIRED = {
+    *("controller-answers", "controller-able", "controller-free", "axes-referenced"),
+    *("compensation-as-asked", "feed-override-full", "path-within-travel"),
+    *("stream-healthy", "temperature-steady"),
+    *WRONG,
 }
 
 
@@ -65,7 +38,7 @@ def board(seen, hand_clock):
 
 
 def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(
-    client, seen, board, take
+    client, seen, board, take, make_cell
 ):
     job = take("ready", kind="measure-otf", control_compensation="off")
     lying = board.path
@@ -73,17 +46,15 @@ def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(
     for kind, change in WRONG.items():
         seen[0] = replace(GOOD, **change)
         refused = arm_over_http(client, job)
-        assert refused.status_code == 409, kind
-        assert (refused.json()["code"], refused.json()["conditions"]) == (
-            "not-in-order",
-            [kind],
-        )
+        assert (refused.status_code, refused.json()["code"]) == (409, "not-in-order")
+        assert refused.json()["conditions"] == [kind]
     seen[0], board.path = GOOD, Finding(Level.FALSE, "keep-out", "it meets the vice")
     assert arm_over_http(client, job).json()["conditions"] == ["path-within-travel"]
     board.path = lying
     shown = client.post(f"/api/v1/jobs/{job['id']}/arming").json()
+    assert make_cell.cell.heard == ["connect"]
     required = {one["type"] for one in shown["conditions"] if one["is_required"]}
-    assert required == {*WRONG, "path-within-travel"}
+    assert required == REQUIRED
     assert arm_over_http(client, job).status_code == 202
 
 

@@ -1,7 +1,5 @@
 """Of a result over REST: certificates, comparisons, its volumetric error."""
 
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -11,8 +9,6 @@ import pytest
 from api_builders import edited, set_verdict
 from truepath.answers.certificate import kept_certificates
 from truepath.catalogue.job import Job, JobKind
-from truepath.files.earlier.result_file import read_result
-from truepath.results.prediction import predict
 from truepath.service.api.models.base import PREFIX
 from truepath.service.api.routes import certificates
 from truepath.service.api.security.route_roles import LEAST_ROLES
@@ -31,13 +27,7 @@ class Here:
     """Calls what a process of its own would compute."""
 
     def __init__(self, name):
-        pass
-
-    def call(self, function):
-        return function()
-
-    def close(self):
-        pass
+        self.call, self.close = (lambda function: function()), (lambda: None)
 
 
 @pytest.fixture
@@ -48,14 +38,17 @@ def quick_print(monkeypatch):
     monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
 
 
-def test_what_the_registry_or_a_certificate_has_stated_need_not_be_stated_again(
-    client, service, place, quick_print
+def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_changes(
+    client, service, with_result, place, quick_print
 ):
     service.setup.registry.change("default", serial_number="4711", place="Hall 3")
     known = {"machine_serial": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
     stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
-    first = client.post(place, json={"identity": stated}).json()
+    answer = client.post(place, json={"language": "de", "identity": stated})
+    assert answer.status_code == 201, answer.text
+    first = answer.json()
+    assert answer.headers["location"] == first["links"]["self"]
     assert first["identity"] == {"machine_serial": "4711", **stated}
     record = service.setup.registry.get("default")
     assert (record.place, record.stated) == ("Hall 4", {"operator": "A. Weiß"})
@@ -67,6 +60,17 @@ def test_what_the_registry_or_a_certificate_has_stated_need_not_be_stated_again(
     assert second["identity"] == listed["identity"] == kept
     numbers = [one["number"] for one in listed["items"]]
     assert numbers == [first["number"], second["number"]]
+    page = client.get(first["links"]["html"])
+    assert "Kalibrierschein" in page.text
+    assert first["number"] in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    printed = client.get(first["links"]["pdf"]).content
+    assert printed.startswith(b"%PDF")
+    set_verdict(service, with_result, "doubtful")
+    assert client.get(first["links"]["self"]).json() == first
+    assert client.get(first["links"]["pdf"]).content == printed
+    assert client.put(first["links"]["self"], json={}).status_code == 405
+    assert client.delete(first["links"]["self"]).status_code == 405
 
 
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
@@ -124,8 +128,7 @@ def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(
         file = {"reference": ("reference.csv", (HEADER + rows).encode())}
         return client.post(at, files=file, params=query)
 
-    result = json.loads((analysed / "result.json").read_text())
-    table = result["error_tables"]["EXX"]
+    table = json.loads((analysed / "result.json").read_text())["error_tables"]["EXX"]
     pairs = zip(table["position_mm"], table["value_um"], strict=True)
     rows = "".join(f"EXX,{at},{d},{v},um\n" for at, v in pairs for d in "+-")
     made = send(rows, reference_um=0.5)
@@ -154,50 +157,22 @@ def lengths(found):
     return np.linalg.norm(found["error_um"], axis=1)
 
 
-def test_the_map_is_the_prediction_and_a_full_correction_leaves_the_uncertainty(
-    client, at, analysed
-):
-    found = client.get(f"{at}/volumetric-map?grid=3").json()
-    result = read_result(analysed / "result.json")
-    predicted = predict(result, np.array(found["position"]))
-    assert found["axes"] == ["X", "Y", "Z"]
-    assert len(found["position"]) == 27
-    np.testing.assert_allclose(found["error_um"], predicted.error_um, atol=1e-3)
-    u = predicted.uncertainty_um
-    np.testing.assert_allclose(found["uncertainty_um"], u, atol=1e-3)
-    np.testing.assert_allclose(found["length_um"], lengths(found), atol=1e-3)
-    stated = client.get(f"{at}/volumetric-error").json()["after_expected"]
-    found = client.get(f"{at}/volumetric-map?state=after").json()
-    assert lengths(found).max() == 0.0
-    mean_um = np.mean(found["length_um"])
-    assert mean_um == pytest.approx(stated["mean"]["value_um"], rel=0.02)
-
-
-def test_files_leave_what_their_format_does_not_carry(client, at):
-    made = client.post(
-        at.replace("/result", "/compensations"), json={"format": "linuxcnc"}
-    ).json()
-    address = f"{at}/volumetric-map?state=after&compensation={made['id']}"
-    found = client.get(address).json()
-    before = client.get(f"{at}/volumetric-map").json()
-    said = made["volumetric_error_um"]
-    assert 0.0 < lengths(found).mean() < lengths(before).mean()
-    # Its account is of the even travel, where ends of a grid count half.
-    each = np.r_[0.5, np.ones(found["points"] - 2), 0.5]
-    weight = np.multiply.outer(np.multiply.outer(each, each), each).ravel()
-    mean_um = np.average(found["length_um"], weights=weight)
-    assert mean_um == pytest.approx(said["after"]["mean"], rel=0.1)
-
-
-def test_a_map_is_computed_once_and_one_that_cannot_be_says_why(
+def test_a_map_is_that_of_the_result_computed_once_and_one_that_cannot_be_says_why(
     client, service, at, with_result
 ):
-    first = client.get(f"{at}/volumetric-map?grid=2").json()
-    kept = service.results / with_result / "maps" / "before-2.json"
+    found = client.get(f"{at}/volumetric-map?grid=3").json()
+    assert (found["axes"], len(found["position"])) == (["X", "Y", "Z"], 27)
+    np.testing.assert_allclose(found["length_um"], lengths(found), atol=1e-3)
+    stated = client.get(f"{at}/volumetric-error").json()["after_expected"]
+    after = client.get(f"{at}/volumetric-map?state=after").json()
+    assert lengths(after).max() == 0.0, "a full correction leaves the uncertainty"
+    mean_um = np.mean(after["length_um"])
+    assert mean_um == pytest.approx(stated["mean"]["value_um"], rel=0.02)
+    kept = service.results / with_result / "maps" / "before-3.json"
     with edited(kept) as content:
         content["target"] = "the kept one"
-    again = client.get(f"{at}/volumetric-map?grid=2").json()
-    assert again == {**first, "target": "the kept one"}
+    again = client.get(f"{at}/volumetric-map?grid=3").json()
+    assert again == {**found, "target": "the kept one"}
     for query, status, said in (
         ("grid=1", 422, "grid"),
         ("grid=12", 422, "grid"),
@@ -209,6 +184,21 @@ def test_a_map_is_computed_once_and_one_that_cannot_be_says_why(
         answer = client.get(f"{at}/volumetric-map?{query}")
         assert answer.status_code == status
         assert said in json.dumps(answer.json())
+
+
+def test_files_leave_what_their_format_does_not_carry(client, at):
+    files = at.replace("/result", "/compensations")
+    made = client.post(files, json={"format": "linuxcnc"}).json()
+    address = f"{at}/volumetric-map?state=after&compensation={made['id']}"
+    found = client.get(address).json()
+    before = client.get(f"{at}/volumetric-map").json()
+    said = made["volumetric_error_um"]
+    assert 0.0 < lengths(found).mean() < lengths(before).mean()
+    # Its account is of the even travel, where ends of a grid count half.
+    each = np.r_[0.5, np.ones(found["points"] - 2), 0.5]
+    weight = np.multiply.outer(np.multiply.outer(each, each), each).ravel()
+    mean_um = np.average(found["length_um"], weights=weight)
+    assert mean_um == pytest.approx(said["after"]["mean"], rel=0.1)
 
 
 def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines(
@@ -234,24 +224,3 @@ def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines
                 assert read("conformity") == (neither, pytest.approx(limit_um))
                 query = {}
             assert read(level, **query)[0] == [said, "within"]
-
-
-def test_a_certificate_is_numbered_kept_listed_and_never_changed(
-    client, service, with_result, place, quick_print
-):
-    asked = {"language": "de", "identity": {"operator": "A. Weiß", "warm_up": "2 h"}}
-    answer = client.post(place, json=asked)
-    assert answer.status_code == 201, answer.text
-    first = answer.json()
-    assert answer.headers["location"] == first["links"]["self"]
-    page = client.get(first["links"]["html"])
-    assert "Kalibrierschein" in page.text
-    assert first["number"] in page.text
-    assert "sandbox" in page.headers["content-security-policy"]
-    printed = client.get(first["links"]["pdf"]).content
-    assert printed.startswith(b"%PDF")
-    set_verdict(service, with_result, "doubtful")
-    assert client.get(first["links"]["self"]).json() == first
-    assert client.get(first["links"]["pdf"]).content == printed
-    assert client.put(first["links"]["self"], json={}).status_code == 405
-    assert client.delete(first["links"]["self"]).status_code == 405

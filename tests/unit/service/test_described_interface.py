@@ -1,7 +1,5 @@
 """Requests drawn from the description of the interface: every answer is as it says."""
 
-from __future__ import annotations
-
 import json
 from importlib import resources
 
@@ -27,13 +25,12 @@ CHECKS = [
     response_headers_conformance,
     response_schema_conformance,
 ]
-DOCUMENT = read_document()
 EXAMPLES = json.loads(
     resources.files("truepath.service.api").joinpath("examples.json").read_text()
 )
 OPERATIONS = sorted(
     (path, method)
-    for path, methods in DOCUMENT["paths"].items()
+    for path, methods in read_document()["paths"].items()
     for method in methods
     if not path.endswith("/events")  # endless
 )
@@ -50,8 +47,9 @@ def planner(planner):
 
 @pytest.fixture
 def described(service):
-    """The service by its description."""
-    found = schemathesis.openapi.from_dict(DOCUMENT)  # described once, not each time
+    found = schemathesis.openapi.from_dict(
+        read_document()
+    )  # described once, not each time
     found.app = create_application(service)
     return found
 

@@ -1,7 +1,5 @@
 """Discovery and models over REST, and what rests on a model."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.files.earlier.verdict import Reason, Verdict
@@ -13,22 +11,30 @@ NOBODY = "0190a1b2-0000-7000-8000-000000000000"
 
 @pytest.fixture
 def discover(take, run):
-    """Make a discovery and wait for its end."""
     return lambda **more: take(kind="discover", run_id=run["id"], **more)
 
 
-def test_other_jobs_have_no_discovery_and_a_discovery_no_tables(
-    client, run, discover, take, is_problem
+def test_a_discovery_has_a_model_and_no_tables_and_an_analysis_takes_what_it_names(
+    client, run, discover, take, is_problem, science
 ):
     job = discover()
     assert job["result"] is None
     report = client.get(job["discovery"]["report_html"])
-    assert report.headers["content-type"].startswith("text/html")
     assert "sandbox" in report.headers["content-security-policy"]
     is_problem(client.get(f"{JOBS}/{job['id']}/result"), 404, "not-found")
-    analysed = take(kind="analyse", run_id=run["id"])["id"]
+    extra = {"kind": "measure-extra", "discovery_id": job["id"]}
+    problem = is_problem(client.post(JOBS, json=extra), 422, "plan")
+    assert "asks for no extra lines" in problem["detail"]
+    order = {"kind": "analyse", "run_id": run["id"]}
+    analysed = take(**order)["id"]
     is_problem(client.get(f"{JOBS}/{analysed}/discovery"), 404, "not-found")
     is_problem(client.get(f"{MODELS}/{analysed}"), 404, "not-found")
+    for named in (job["id"], analysed):
+        take(**order, model_id=named)
+    without, (file, name), (result, _) = science.models
+    assert (without, name) == ((None, None), job["id"])
+    assert file.endswith(f"{job['id']}/model.json")
+    assert result.endswith(f"{analysed}/result.json")
 
 
 def test_models_are_listed_newest_first_with_the_versions_they_came_from(
@@ -54,12 +60,6 @@ def test_models_are_listed_newest_first_with_the_versions_they_came_from(
     is_problem(answer, 404, "not-found")
 
 
-def test_extra_lines_that_nobody_asks_for_are_refused(client, discover, is_problem):
-    order = {"kind": "measure-extra", "discovery_id": discover()["id"]}
-    problem = is_problem(client.post(JOBS, json=order), 422, "plan")
-    assert "asks for no extra lines" in problem["detail"]
-
-
 def test_what_names_no_run_discovery_or_model_is_not_found(client, run, is_problem):
     for order in (
         {"kind": "discover", "run_id": "no-such-run"},
@@ -72,20 +72,7 @@ def test_what_names_no_run_discovery_or_model_is_not_found(client, run, is_probl
         is_problem(client.post(JOBS, json=order), 404, "not-found")
     is_problem(client.post(PLANS, json={"model_id": NOBODY}), 404, "not-found")
     is_problem(client.get(f"{MODELS}/no-such-job"), 404, "not-found")
-
-
-def test_an_analysis_takes_the_model_or_result_that_it_names(
-    run, discover, take, science
-):
-    model, order = discover()["id"], {"kind": "analyse", "run_id": run["id"]}
-    first = take(**order)["id"]
-    take(**order, model_id=model)
-    take(**order, model_id=first)
-    without, (file, name), (result, _) = science.models
-    assert without == (None, None)
-    assert name == model
-    assert file.endswith(f"{model}/model.json")
-    assert result.endswith(f"{first}/result.json")
+    assert client.get(JOBS).json()["items"] == []
 
 
 def test_a_model_that_is_not_to_be_used_says_so_and_steers_no_job(

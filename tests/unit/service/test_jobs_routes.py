@@ -1,20 +1,19 @@
-from __future__ import annotations
+"""Jobs over REST: from the order to the result, and what a waiting job gives."""
 
-import threading
-import time
 from datetime import datetime, timedelta, timezone
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from arming import arm_over_http
 from scripted_cell import wait_until
-from truepath.catalogue.errors import (
-    ArmTokenExpired,
-    ArmTokenUsed,
-    StorageUnavailable,
-)
+from truepath.catalogue.errors import StorageUnavailable
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
-from truepath.jobs.dispatch.arm_tokens import ArmTokens
+from truepath.measurement.messages import PartRequested
+from truepath.motion.nc_programs.programs import read_program
+from truepath.planning.adaptive_plan import Part
+from truepath_drivers.interfaces.records import Path
 
 pytestmark = pytest.mark.database
 JOBS = "/api/v1/jobs"
@@ -42,47 +41,21 @@ def test_a_job_is_taken_on_with_its_address_and_version_once_for_a_key(
 
 
 def test_the_main_job_over_rest(client, finished):
-    assert finished["stage"] == "reporting"
-    assert finished["error"] is None
     counted = {"lost_samples": 0, "crc_errors": 0, "gaps": 0, "repeats": 0}
     assert finished["health"] == {"samples": 50, **counted}
     assert (finished["machine"], finished["machine_version"]) == ("default", 1)
     links = finished["result"]
-    result = client.get(links["result"])
-    assert result.headers["content-type"] == "application/json"
-    assert result.json()["schema"] == "result/1"
     tables = client.get(links["error_tables_json"]).json()
-    assert tables["schema"] == "error-tables/1"
-    assert set(tables["error_tables"]) == {"EXX"}
-    assert set(tables["squareness_urad"]) == {"C0Y"}
+    assert (*tables["error_tables"], *tables["squareness_urad"]) == ("EXX", "C0Y")
     csv = client.get(links["error_tables_csv"])
-    assert csv.headers["content-type"] == "text/csv; charset=utf-8"
     assert csv.text.startswith("error,position_mm")
     assert 'filename="error_tables.csv"' in csv.headers["content-disposition"]
     run = client.get(finished["links"]["run"]).json()
     assert (run["origin"], run["samples"], run["complete"]) == ("measured", 50, True)
-    bundle = client.get(run["links"]["bundle"])
-    assert bundle.headers["content-type"] == "application/zip"
-    assert bundle.content.startswith(b"PK")
-    report = client.get(links["report_html"])
-    assert report.headers["content-type"] == "text/html; charset=utf-8"
-    policy = report.headers["content-security-policy"]
+    assert client.get(run["links"]["bundle"]).content.startswith(b"PK")
+    policy = client.get(links["report_html"]).headers["content-security-policy"]
     assert policy.startswith("sandbox allow-scripts")
     assert "default-src 'none'" in policy
-
-
-def test_the_plan_is_what_was_asked_for_and_points_have_no_feed(client, ready, take):
-    plan = client.get(f"{JOBS}/{ready['id']}/plan").json()
-    assert plan["axes"] == ["X", "Y", "Z"]
-    assert plan["position"] == [[10, 10, 10], [400, 300, 200], [100, 350, 50]]
-    assert plan["feed_mm_min"][1] == 1000
-    assert plan["dwell_s"][1] == 0.5
-    assert plan["kind"] == "path"
-    client.post("/api/v1/stop")
-    points = [{"x_mm": x, "y_mm": x * x, "z_mm": 3} for x in (1, 9, 17)]
-    job = take("ready", kind="measure-standstill", points=points)
-    plan = client.get(job["links"]["plan"]).json()
-    assert (plan["kind"], plan["feed_mm_min"]) == ("points", [])
 
 
 @pytest.mark.parametrize("verb", ["arm", "resume"])
@@ -102,113 +75,6 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
     assert "begin" not in make_cell.cell.heard
 
 
-def test_arming_shows_what_moves_and_its_token_arms_once(
-    client, ready, is_problem, make_cell
-):
-    address = f"{JOBS}/{ready['id']}"
-    shown = client.post(f"{address}/arming").json()
-    assert (shown["job"], shown["machine"]) == (ready["id"], "default")
-    assert {one["axis"] for one in shown["envelope"]} == {"X", "Y", "Z"}
-    assert (shown["obstacles"], shown["expires_in_s"]) == ([], 60.0)
-    headers = {"If-Match": f'"{shown["version"]}"'}
-    body = {"token": shown["token"]}
-    weak = {"If-Match": f'W/"{shown["version"]}"'}
-    answer = client.post(f"{address}/arm", headers=weak, json=body)
-    is_problem(answer, 412, "stale-version")
-    other = client.post(f"{address}/arm", headers=headers, json={"token": "other"})
-    is_problem(other, 409, "arm-token-other")
-    is_problem(client.post(f"{address}/arm", headers=headers), 422, "validation")
-    assert "begin" not in make_cell.cell.heard
-    assert client.post(f"{address}/arm", headers=headers, json=body).status_code == 202
-    again = client.post(f"{address}/arm", headers=headers, json=body)
-    is_problem(again, 409, "illegal-transition")
-
-
-def test_a_token_that_is_no_longer_good_is_a_problem(
-    client, ready, is_problem, monkeypatch
-):
-    for error, code in (
-        (ArmTokenExpired, "arm-token-expired"),
-        (ArmTokenUsed, "arm-token-used"),
-    ):
-
-        def refuse(*_, error=error):
-            raise error("it is not good any more")
-
-        monkeypatch.setattr(ArmTokens, "use", refuse)
-        is_problem(arm_over_http(client, ready), 409, code)
-
-
-def test_pause_and_resume(client, armed, until):
-    address = f"{JOBS}/{armed['id']}"
-    answer = client.post(f"{address}/pause")
-    assert (answer.status_code, answer.json()["state"]) == (202, "pausing")
-    paused = until(armed, "paused")
-    assert paused["desired_state"] == "paused"
-    again = client.post(f"{address}/pause")
-    assert again.headers["etag"] == f'"{paused["version"]}"'
-    headers = {"If-Match": again.headers["etag"]}
-    answer = client.post(f"{address}/resume", headers=headers)
-    assert (answer.status_code, answer.json()["state"]) == (202, "resuming")
-    until(armed, "running")
-
-
-def test_a_job_that_stands_or_failed_says_why(armed, make_cell, until):
-    make_cell.cell.fault("beam-lost", "the beam is lost", "lock it, then press Resume")
-    make_cell.cell.say_state("paused")
-    error = until(armed, "paused")["error"]
-    assert error["code"] == "beam-lost"
-    assert error["type"] == "/problems/beam-lost"
-    assert error["detail"] == "the beam is lost"
-    assert error["action"] == "lock it, then press Resume"
-    make_cell.cell.fault("motion-alarm", "servo alarm", "clear it")
-    make_cell.cell.end("faulted")
-    error = until(armed, "faulted")["error"]
-    assert (error["code"], error["detail"], error["action"]) == (
-        "motion-alarm",
-        "servo alarm",
-        "clear it",
-    )
-    assert error["status"] is None
-
-
-@pytest.mark.parametrize("verb", ["abort", "stop"])
-def test_abort_and_stop_need_nothing(client, armed, until, verb, make_cell):
-    address = "/api/v1/stop" if verb == "stop" else f"{JOBS}/{armed['id']}/abort"
-    answer = client.post(address)
-    assert answer.status_code == 202
-    if verb == "stop":
-        reached = [(job["id"], job["desired_state"]) for job in answer.json()["jobs"]]
-        assert reached == [(armed["id"], "aborted")]
-    until(armed, "aborted")
-    assert "abort" in make_cell.cell.heard
-    form = {"why": "no script runs"}  # of the page
-    assert client.post(address, data=form).status_code == 202
-
-
-def test_stop_works_while_every_other_request_waits_for_a_device(
-    client, make_cell, service
-):
-    hold = threading.Event()
-    make_cell.cell.connect = lambda: hold.wait(8) and {}
-
-    def connect():
-        client.post("/api/v1/machines/current:connect")
-
-    threads = [threading.Thread(target=connect) for _ in range(45)]
-    for thread in threads:
-        thread.start()
-    wait_until(
-        lambda: service.machines.first.cell.status.state == "connecting", "the device"
-    )
-    begun = time.monotonic()
-    assert client.post("/api/v1/stop").status_code == 202
-    assert time.monotonic() - begun < 2
-    hold.set()
-    for thread in threads:
-        thread.join()
-
-
 def test_what_does_not_go_with_a_job_that_waits_is_refused(
     client, ready, order, service, is_problem
 ):
@@ -219,11 +85,9 @@ def test_what_does_not_go_with_a_job_that_waits_is_refused(
     answer = client.post(f"{JOBS}/{ready['id']}/pause")
     problem = is_problem(answer, 409, "illegal-transition")
     assert "cannot pause a job that is ready" in problem["detail"]
-    results = "/result", "/result/error-tables.json", "/result/report.html"
-    for path in (*results, "/result/volumetric-map", "/result/volumetric-error"):
-        answer = client.get(f"{JOBS}/{ready['id']}{path}")
-        detail = is_problem(answer, 404, "not-found")["detail"]
-        assert path not in results or "ready) has no" in detail
+    for path in ("error-tables.json", "report.html", "volumetric-map"):
+        answer = client.get(f"{JOBS}/{ready['id']}/result/{path}")
+        is_problem(answer, 404, "not-found")
     address = f"{JOBS}/{ready['id']}/compensations"
     assert client.get(address).json() == {"items": []}
     is_problem(client.post(address, json={"format": "linuxcnc"}), 404, "not-found")
@@ -275,36 +139,30 @@ def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, unt
     assert find(since=shifted.isoformat()) == ids[1:]
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "code"),
-    [
+def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
+    client, is_problem, service
+):
+    for error, status, code in (
         (StorageUnavailable("the catalogue is locked"), 503, "storage"),
         (KeyError("the password is secret"), 500, "internal-error"),
-    ],
-    ids=["the catalogue is away", "nobody foresaw it"],
-)
-def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
-    client, is_problem, service, error, status, code
-):
-    def broken(*_):
-        raise error
-
-    service.store.get = broken
-    answer = client.get(UNKNOWN)
-    problem = is_problem(answer, status, code)
-    assert ("Try again" in problem["action"]) == (code == "storage")
-    assert "secret" not in answer.text
-    assert problem["request_id"]
+    ):
+        service.store.get = Mock(side_effect=error)
+        answer = client.get(UNKNOWN)
+        problem = is_problem(answer, status, code)
+        assert ("Try again" in problem["action"]) == (code == "storage")
+        assert "secret" not in answer.text
+        assert problem["request_id"]
 
 
 def test_a_failure_nobody_foresaw_tells_nothing_but_that(
-    armed, make_cell, until, science
+    client, armed, make_cell, until, science
 ):
     science.raises = KeyError("secret")
     make_cell.cell.end()
-    error = until(armed, "failed")["error"]
-    assert error["code"] == "internal-error"
-    assert "secret" not in str(error)
+    job = until(armed, "failed")
+    assert job["error"]["code"] == "internal-error"
+    assert "secret" not in str(job["error"])
+    assert client.get(job["links"]["run"]).json()["complete"]
 
 
 @pytest.mark.parametrize("reasons", [(), (OPEN,), (OPEN, BEYOND)])
@@ -332,11 +190,107 @@ def test_a_result_states_its_verdict_and_what_is_not_to_be_used_has_to_be_accept
     assert accepted.text.startswith("error,position_mm")
 
 
-def test_a_result_of_an_earlier_version_says_nothing_against_itself(
-    client, service, finished
+def part_from(commanded):
+    """Return a part of two lines from where the rows end."""
+    position = np.outer([1.0, 0.5, 0.25], commanded.position[-1])
+    path = Path(commanded.axes, position, np.full(3, 6000.0), np.full(3, 0.4))
+    return Part(path, 2, 9.5, 1.1e-3)
+
+
+@pytest.fixture
+def growing(client, take, make_cell):
+    """A job that is planned while its machine moves; it was armed once."""
+    planning = {"mode": "otf", "minutes": 5}
+    job = take("ready", kind="measure-adaptive", target_um=2.0, planning=planning)
+    assert "begin" not in make_cell.cell.heard
+    assert arm_over_http(client, job).status_code == 202
+    assert make_cell.cell.begun.wait(5)
+    return job
+
+
+def asked(cell, estimates):
+    cell.say(PartRequested(0))
+    wait_until(lambda: "ask" in estimates[-1].heard, "the question")
+
+
+def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
+    client, growing, make_cell, estimates, service, until
 ):
-    file = service.results / finished["id"] / "result.json"
-    file.write_text('{"machine": {}, "error_tables": {}, "squareness_urad": {}}')
-    tables = client.get(finished["result"]["error_tables_json"]).json()
-    assert tables["verdict"]["state"] == "usable"
-    assert client.get(finished["result"]["error_tables_csv"]).status_code == 200
+    told, cell = [], make_cell.cell
+    service.event_bus.subscribe(told.append)
+    assert cell.order.grows
+    request = estimates[-1].order.request
+    assert (request["mode"], request["minutes"]) == ("otf", 5.0)
+    first = cell.order.commanded
+    asked(cell, estimates)
+    estimates[-1].parts.append(part_from(first))
+    wait_until(lambda: cell.parts, "the part")
+    np.testing.assert_array_equal(cell.parts[0].position[0], first.position[-1])
+    address = f"{JOBS}/{growing['id']}/plan"
+    grown = len(first) + 2
+    wait_until(lambda: len(client.get(address).json()["position"]) == grown, "rows")
+    (body,) = [notice.body for notice in told if notice.type == "plan"]
+    times = {"duration_s": 9.5, "predicted_um": 1.1}
+    assert body == {"part": 2, "rows": 2, "total": grown - 1, **times}
+    estimate = f"{JOBS}/{growing['id']}/estimate"
+    assert client.get(estimate).status_code == 204, "there is none yet"
+    estimates[-1].publish(2.5, done=8)
+    assert client.get(estimate).json()["course"]["done"] == [8]
+    estimates[-1].publish(1.9, done=9)
+    job = until(growing, "succeeded")
+    assert job["early_end"]["reached_um"] == 1.9
+    assert cell.heard[-1] == "conclude"
+
+
+@pytest.mark.parametrize("is_over", [False, True])
+def test_a_job_ends_in_order_where_no_part_fits_or_the_estimate_has_ended(
+    growing, make_cell, estimates, until, is_over
+):
+    cell, estimates[-1].is_over = make_cell.cell, is_over
+    asked(cell, estimates)
+    if not is_over:
+        estimates[-1].parts.append(Part(None))
+    assert until(growing, "succeeded")["early_end"] is None
+    assert cell.heard[-1] == "conclude"
+
+
+def at(job_id, what):
+    return f"/api/v1/jobs/{job_id}/{what}"
+
+
+def test_a_ready_job_alone_is_graded_from_where_the_tracker_stands_and_gives_programs(
+    client, ready, run, take, is_problem
+):
+    address = at(ready["id"], "plan/grade")
+    grade = client.get(address).json()
+    assert grade["tracker"]["assumed"] is True
+    assert grade["tracker"]["best_number"] <= grade["number"]
+    expected = grade["number"] * grade["sample_sigma_um"]
+    assert grade["expected_uncertainty_um"] == pytest.approx(expected)
+    assert client.get(f"/api/v1/jobs/{ready['id']}").json()["state"] == "ready"
+    near, far = (
+        client.get(address, params={"tracker_mm": place}).json()
+        for place in ([900.0, 0.0, 0.0], [9000.0, 0.0, 0.0])
+    )
+    place = {"position_mm": [900.0, 0.0, 0.0], "assumed": False}
+    assert near["tracker"] == {**place, "best_number": near["number"]}
+    assert far["expected_uncertainty_um"] > near["expected_uncertainty_um"]
+    half = client.get(address, params={"tracker_mm": [1.0, 2.0]})
+    is_problem(half, 422, "validation")
+    plan = client.get(at(ready["id"], "plan")).json()
+    programs = at(ready["id"], "nc-program")
+    for item in client.get("/api/v1/nc-dialects").json()["items"]:
+        answer = client.get(programs, params={"dialect": item["name"]})
+        motion = read_program(answer.text, item["name"])
+        np.testing.assert_allclose(motion.position, plan["position"])
+        np.testing.assert_allclose(motion.feed_mm_min, plan["feed_mm_min"])
+        named = f'attachment; filename="{motion.name}.'
+        assert answer.headers["content-disposition"].startswith(named)
+    problem = client.get(programs, params={"dialect": "mazatrol"})
+    said = is_problem(problem, 422, "bad-input")["detail"]
+    assert "fanuc, heidenhain, linuxcnc, siemens-840d" in said
+    analysed = take(kind="analyse", run_id=run["id"])["id"]
+    is_problem(client.get(at(analysed, "plan/grade")), 404, "not-found")
+    for job_id in (analysed, "nowhere"):
+        answer = client.get(at(job_id, "nc-program"), params={"dialect": "fanuc"})
+        is_problem(answer, 404, "not-found")

@@ -1,17 +1,16 @@
-"""Machines over REST: who they are, their configurations, their devices."""
-
-from __future__ import annotations
+"""Machines over REST: who they are, their configurations, devices and calibrations."""
 
 import json
 from dataclasses import replace
+from shutil import copytree
 
 import pytest
 
+from api_builders import add_calibration, edited
 from arming import arm_over_http
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.transitions import State
-from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.earlier.temperature_file import temperature_model_from_json
 from truepath.machines.setup.machine_setup import show_devices
 from truepath.service.api.routes.machines import NewMachine
 from truepath_simulators.scenario import load_machine
@@ -68,42 +67,15 @@ def test_what_is_not_printed_identifies_no_machine(client, is_problem):
     for code in ("0000", "000a", "202e", "2066", "d800"):
         text = f'"a\\u{code}b"'
         file = machine.replace('"NAME"', text)
+        stated = f'{{"identity": {{"machine_serial": {text}}}}}'
         for method, address, body, said in (
             ("PATCH", "machines/default", f'{{"serial_number": {text}}}', "validation"),
-            (
-                "POST",
-                "jobs/any/certificates",
-                f'{{"identity": {{"machine_serial": {text}}}}}',
-                "validation",
-            ),
+            ("POST", "jobs/any/certificates", stated, "validation"),
             ("POST", "machines", f'{{"id": "m-9", "machine_file": {file}}}', "bundle"),
         ):
-            answer = client.request(
-                method, f"/api/v1/{address}", content=body, headers=as_json
-            )
+            at = f"/api/v1/{address}"
+            answer = client.request(method, at, content=body, headers=as_json)
             is_problem(answer, 422, said)
-
-
-def test_a_changed_machine_file_or_device_is_a_new_version(service):
-    registry = MachineRegistry(service.database)
-    content = machine_to_json(service.machines.first.machine)
-    note = registry.note
-    assert note("default", "settings", content, {"simulated": True}) == 1
-    longer = content | {"travel": "changed"}
-    assert note("default", "settings", longer, {"simulated": True}) == 2
-    assert note("default", "settings", longer, {"tracker_driver": "geocom"}) == 3
-    versions = registry.get("default").versions
-    assert [v.number for v in versions] == [3, 2, 1]
-    assert len({v.sha256 for v in versions}) == 3
-    assert versions[2].machine_file == content
-
-
-def test_devices_are_chosen_for_a_machine_that_was_added(chosen, client):
-    assert [v["number"] for v in chosen["versions"]] == [2, 1]
-    assert chosen["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
-    listed = client.get(BASE).json()["items"]
-    assert [one["id"] for one in listed] == ["default", "mill-3"]
-    assert listed[1]["place"] == "hall 3"
 
 
 def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem):
@@ -122,6 +94,9 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
 def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     chosen, client, service, is_problem
 ):
+    assert chosen["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
+    first, added = client.get(BASE).json()["items"]
+    assert (first["id"], added["id"], added["place"]) == ("default", "mill-3", "hall 3")
     content = load_machine("demo") | {"name": "mill 3"}
     content["axes"]["X"]["max_mm"] += 25.0
     at, body = f"{BASE}/mill-3/machine-file", {"machine_file": content}
@@ -132,6 +107,7 @@ def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
         is_problem(refused, 412, "stale-version")
     changed = client.put(at, json=body, headers=newest).json()
     assert [v["number"] for v in changed["versions"]] == [3, 2, 1]
+    assert len({v["sha256"] for v in changed["versions"]}) == 3
     axis = changed["machine_file"]["axes"]["X"]
     assert axis["max_mm"] == content["axes"]["X"]["max_mm"]
     assert changed["devices"] == chosen["devices"]
@@ -171,15 +147,6 @@ def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
     assert read_change()[0]["machine_file.name"] == "mill 3b"
 
 
-def test_drivers_are_listed_with_the_options_that_a_choice_may_give(client):
-    items = client.get("/api/v1/drivers").json()["items"]
-    assert {one["device"] for one in items} == {"tracker", "motion", "thermometer"}
-    (streaming,) = [one for one in items if one["name"] == "streaming"]
-    options = {option["name"]: option for option in streaming["options"]}
-    assert options.keys() >= DEVICES["tracker_options"].keys()
-    assert options["port"]["is_required"]
-
-
 def test_a_trial_says_what_the_tracker_sends_unless_its_machine_measures(
     client, make_cell, order, take, is_problem
 ):
@@ -195,21 +162,11 @@ def test_a_trial_says_what_the_tracker_sends_unless_its_machine_measures(
     assert problem["current_job"].endswith(job["id"])
 
 
-def test_one_machine_is_stopped_by_its_name(client, armed, until, is_problem):
-    is_problem(client.post(f"{BASE}/press/stop"), 404, "not-found")
-    stopped = client.post(f"{BASE}/default/stop")
-    assert [job["id"] for job in stopped.json()["jobs"]] == [armed["id"]]
-    until(armed, "aborted")
-
-
 def test_no_password_of_a_device_is_shown():
     options = {"host": "192.0.2.7", "password": "EMC", "enable_password": "x"}
     shown = show_devices({"motion_driver": "linuxcnc", "motion_options": options})
-    assert shown["motion_options"] == {
-        "host": "192.0.2.7",
-        "password": "***",
-        "enable_password": "***",
-    }
+    hidden = {"password": "***", "enable_password": "***"}
+    assert shown["motion_options"] == options | hidden
 
 
 def remove(client, machine_id="mill-3", version=None):
@@ -254,3 +211,143 @@ def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
     cell.status = replace(cell.status, state="running")
     moving = is_problem(remove(client), 409, "illegal-transition")
     assert "is running" in moving["detail"]
+
+
+def test_the_history_of_a_machine_is_every_calibration_and_what_changed_is_said(
+    client, calibrated, service, is_problem
+):
+    answer = client.get(f"{BASE}/default/history").json()
+    assert answer["schema"] == "machine-history/1"
+    assert [c["job_id"] for c in answer["calibrations"]] == list(calibrated)
+    assert [c["value"][1] for c in answer["calibrations"]] == [20.0, 30.0]
+    one, _ = answer["calibrations"]
+    file = service.results / one["job_id"] / "result.json"
+    stated = json.loads(file.read_text())["volumetric_error"]["after_expected"]
+    figures = [stated[name]["value_um"] for name in ("mean", "p95", "largest")]
+    assert one["expected_after"] == figures
+    assert one["expected_after"][0] < one["value"][0]
+    exx = client.get(f"{BASE}/default/history", params={"quantity": "EXX"}).json()
+    assert exx["unit"] == "um"
+    assert len(exx["entries"]) == len(exx["calibrations"][0]["uncertainty"]) > 4
+    assert set(exx["calibrations"][0]["expected_after"]) == {None}
+    at = {"quantity": "EXX", "position": 33.3}
+    is_problem(client.get(f"{BASE}/default/history", params=at), 422, "bad-input")
+    is_problem(client.get(f"{BASE}/press/history"), 404, "not-found")
+    changes, since = f"{BASE}/default/changes", {"since": calibrated[0]}
+    change = client.get(changes, params=since).json()
+    assert change["until"]["job_id"] == calibrated[1]
+    assert (change["has_changed"], change["significant"]) == (False, [])
+    assert change["text"][0].startswith("No change is seen")
+    is_problem(client.get(changes, params={"since": "job-9"}), 404, "not-found")
+    same = client.get(changes, params={**since, "until": "job-1"})
+    assert "one Run" in is_problem(same, 422, "bad-input")["detail"]
+
+
+def test_an_old_run_that_is_uploaded_late_is_not_the_newest(calibrated, service):
+    def state(job_id, started, digest):
+        with edited(service.results / job_id / "result.json") as content:
+            for run in content["runs"]:
+                run["source"].pop("started", None)
+                run["source"].update({"started": started} if started else {})
+            content["provenance"]["runs"] = [{"name": "r", "input_sha256": digest}]
+
+    def list_jobs():
+        return [one.job_id for one in service.calibrations.list_of("default")]
+
+    state("job-1", "2026-02-01T08:00:00+00:00", "1" * 64)
+    state("job-2", "2025-02-01T08:00:00+00:00", "2" * 64)
+    assert list_jobs() == ["job-2", "job-1"]
+    state("job-2", None, "2" * 64)
+    assert list_jobs() == ["job-2", "job-1"]
+    state("job-2", None, "1" * 64)
+    assert len(list_jobs()) == 1
+
+
+def test_only_a_usable_calibration_of_the_machine_is_a_reference(
+    client, calibrated, service, finished, is_problem
+):
+    at, standing = f"{BASE}/default", f"{BASE}/default/standing"
+    (service.results / finished["id"] / "result.json").unlink()  # as a verification
+    for other in (finished["id"], "job-9"):
+        refused = client.patch(at, json={"reference_job": other})
+        assert "is no calibration" in is_problem(refused, 422, "bad-input")["detail"]
+    assert client.get(at).json()["reference_job"] is None
+    assert client.patch(at, json={"reference_job": calibrated[0]}).status_code == 200
+    assert client.get(standing).json()["has_changed"] is False
+    (service.results / calibrated[0] / "result.json").unlink()
+    service.calibrations.judge("default")
+    lost = client.get(standing).json()
+    assert (lost["has_changed"], lost["reference_job"]) == (None, calibrated[0])
+    assert lost["change_text"].startswith("changes are not watched")
+
+
+@pytest.fixture
+def told(service):
+    """What is told of machines."""
+    told = []
+    service.event_bus.subscribe(lambda n: n.type == "machine" and told.append(n.body))
+    return told
+
+
+def test_a_machine_over_its_tolerance_raises_an_alarm(client, calibrated, told):
+    (one,) = client.get("/api/v1/machines:compare").json()["machines"]  # by the newest
+    assert (one["machine"], one["job_id"], one["value"]) == ("default", "job-2", 30.0)
+    client.patch(f"{BASE}/default", json={"tolerance_um": 25})
+    standing = client.get(f"{BASE}/default/standing").json()
+    assert (standing["is_alarm"], standing["tolerance"]) == (True, "over")
+    assert (standing["has_changed"], standing["reference_job"]) == (False, "job-1")
+    assert [body["is_alarm"] for body in told] == [True]
+    client.patch(f"{BASE}/default", json={"tolerance_um": 40})
+    assert client.get(f"{BASE}/default/standing").json()["tolerance"] == "within"
+
+
+def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service, told):
+    """EXX of the second calibration has a bump of 60 µm in the middle of the travel."""
+    with edited(service.results / calibrated[1] / "result.json") as content:
+        (exx,) = (e for e in content["model"]["effects"] if e.get("symbol") == "EXX")
+        middle = len(exx["values_um"]) // 2
+        for knot in range(middle - 3, middle + 4):
+            exx["values_um"][knot] += 60.0
+    service.calibrations.judge("default")
+    standing = client.get(f"{BASE}/default/standing").json()
+    assert (standing["is_alarm"], standing["has_changed"]) == (True, True)
+    assert (standing["reference_job"], standing["tolerance"]) == (calibrated[0], None)
+    assert "EXX" in standing["change_text"]
+    (event,) = told
+    assert (event["is_alarm"], event["calibration"]) == (True, calibrated[1])
+
+
+def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
+    client, calibrated, service, is_problem
+):
+    at = f"{BASE}/default/temperature"
+
+    def state(job_id, celsius):
+        """Write what the scales' thermometers have shown."""
+        shown = {"mean": celsius, "low": celsius, "high": celsius, "used": True}
+        with edited(service.results / job_id / "result.json") as content:
+            axes = content["machine"]["axes"]
+            for run in content["runs"]:
+                sensors = [{"name": name, **shown} for name in axes]
+                run["environment"]["sensors"] = sensors
+
+    for job_id, celsius in zip(calibrated, (18.0, 24.0), strict=True):
+        state(job_id, celsius)
+    refused = is_problem(client.get(at), 422, "bad-input")["detail"]
+    assert "needs three or more" in refused
+    third = service.results / add_calibration(service, 3)
+    copytree(service.results / "job-1", third, dirs_exist_ok=True)
+    file = third / "result.json"
+    file.write_text(file.read_text().replace(f"{1:064d}", f"{3:064d}"))
+    state("job-3", 21.0)
+    answer = client.get(at)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert [c["temperature_degC"] for c in told["calibrations"]] == [18.0, 24.0, 21.0]
+    assert told["text"][0].endswith("nothing is seen to depend on temperature.")
+    file = client.get(f"{at}/temperature.json", params={"reference_degC": 21.0})
+    assert 'filename="temperature.json"' in file.headers["content-disposition"]
+    model = temperature_model_from_json(file.json(), file="temperature.json")
+    assert (model.reference_degc, model.measured_degc) == (21.0, (18.0, 24.0))
+    missing = client.get(at, params={"sensor": "bed"})
+    assert "no temperature of bed" in is_problem(missing, 422, "bad-input")["detail"]

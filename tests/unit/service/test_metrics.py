@@ -1,6 +1,4 @@
-"""`GET /metrics`, read by the parser of Prometheus' own library."""
-
-from __future__ import annotations
+"""The system over REST, and `GET /metrics` read by the parser of Prometheus."""
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -18,6 +16,12 @@ from truepath.measurement.messages import (
     StateChanged,
 )
 from truepath.service.api.application import create_application
+from truepath.service.api.routes import machine as machine_routes
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    WrongDevice,
+)
 
 
 @pytest.fixture
@@ -37,20 +41,9 @@ def scrape(client):
     return read
 
 
-def progress(samples, lost=0, crc=0, gaps=0, commits=None):
+def progress(samples, **counted):
     return MeasurementProgress(
-        1,
-        2,
-        "lines",
-        "measuring",
-        1.0,
-        1.0,
-        samples=samples,
-        lost_samples=lost,
-        crc_errors=crc,
-        gaps=gaps,
-        queue_depth=3,
-        commits=commits or Durations(),
+        1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
     )
 
 
@@ -124,15 +117,15 @@ def test_counts_of_measurements_add_up_and_never_fall():
     counters = CellCounters()
     commits = Durations().add(0.02)
     counters.begin_measurement()
-    counters.count(progress(100, lost=2, crc=5, gaps=1, commits=commits))
+    counters.count(progress(100, lost_samples=2, crc_errors=5, gaps=1, commits=commits))
     counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
     counters.begin_measurement()
-    counters.count(progress(50, lost=1, crc=6, gaps=1, commits=commits))
+    counters.count(progress(50, lost_samples=1, crc_errors=6, gaps=1, commits=commits))
     found = counters.read()
     assert (found.samples, found.lost_samples, found.gaps) == (160, 3, 2)
     assert found.crc_errors == 6, "those of a connection, not of a measurement"
     assert sum(found.commits.counts) == 2
-    counters.count(progress(60, crc=1))  # connected anew
+    counters.count(progress(60, crc_errors=1))  # connected anew
     assert counters.read().crc_errors == 7
 
 
@@ -145,3 +138,62 @@ def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     counters.count(StateChanged(CellState.PAUSED))
     (pause,) = counters.read().commands.values()
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
+
+
+def test_the_system_says_what_it_is_and_the_machine_who_is_connected(client):
+    system = client.get("/api/v1/system").json()
+    assert (system["version"], system["simulated"]) == ("1.2.3", True)
+    assert (system["machine"]["name"], system["current_job"]) == ("demo", None)
+    assert system["cell"]["state"] == "disconnected"
+    machine = client.get("/api/v1/machines/current").json()
+    assert (machine["connected"], machine["tracker"]) == (False, None)
+    assert machine["tracker_noise"]["rate_hz"] == 500
+    answer = client.post("/api/v1/machines/current:connect")
+    assert answer.json()["tracker"]["serial_number"] == "T-1"
+    machine = client.get("/api/v1/machines/current").json()
+    assert (machine["connected"], machine["motion"]["model"]) == (True, "Controller")
+
+
+def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
+    client, make_cell, is_problem
+):
+    for refusal, status, code in (
+        (ConnectionLost("no such port"), 502, "device-unreachable"),
+        (DeviceTimeout("silence"), 504, "device-silent"),
+        (WrongDevice("a printer"), 409, "device-identity"),
+    ):
+        make_cell.cell.refuses = refusal
+        answer = client.post("/api/v1/machines/current:connect")
+        assert is_problem(answer, status, code)["detail"] == str(refusal)
+
+
+def test_the_process_is_alive_and_ready_unless_it_is_short_of_something(
+    client, is_problem, monkeypatch
+):
+    assert client.get("/healthz").json() == {"status": "ok"}
+    ready = client.get("/readyz")
+    assert ready.status_code == 200
+    assert ready.json()["checks"] == {"catalogue": True, "disk": True, "cell": True}
+    monkeypatch.setattr(machine_routes, "LEAST_FREE_BYTES", 1 << 60)
+    problem = is_problem(client.get("/readyz"), 503, "not-ready")
+    assert problem["detail"] == "not ready: disk"
+
+
+class TestWithoutAMachine:
+    @pytest.fixture
+    def has_machine(self):
+        return False
+
+    def test_nothing_is_measured_and_a_stop_is_still_taken(self, client, is_problem):
+        system = client.get("/api/v1/system").json()
+        assert system["machine"] is None
+        assert system["cell"]["state"] == "none"
+        ready = client.get("/readyz").json()
+        assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
+        is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
+        answer = client.post("/api/v1/machines/current:connect")
+        is_problem(answer, 409, "no-machine")
+        answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
+        problem = is_problem(answer, 409, "no-machine")
+        assert "machine_file" in problem["action"]
+        assert client.post("/api/v1/stop").status_code == 202

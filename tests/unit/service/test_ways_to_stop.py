@@ -1,24 +1,25 @@
-"""A stop comes through from anywhere; what is told or changed comes from this site."""
+"""A stop comes through from anywhere, while all else waits, and whoever sends it."""
 
-from __future__ import annotations
-
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
+import anyio
 import pytest
+import uvicorn
+from anyio.to_thread import current_default_thread_limiter
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from scripted_cell import wait_until
 from truepath.service.api.application import create_application
+from truepath.service.api.server import Server
 from truepath.service.page import pages
+from truepath.users.roles import Role
 
 API = "/api/v1"
 ELSEWHERE = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
 MEGABYTE = b"x" * (1 << 20)
-
-
-def send_bytes(count):
-    yield from (MEGABYTE for _ in range(count))
 
 
 @pytest.mark.fault_row(47)
@@ -34,6 +35,7 @@ def send_bytes(count):
         {"content": b"{", "headers": {"content-type": "application/json; x=="}},
         {"content": [MEGABYTE, MEGABYTE]},
         {"files": {"bundle": ("a.zip", b"PK")}},
+        {"data": {"why": "no script runs"}},
         {"behind": "/"},
         {"before": "/"},
         {"before": "/cell-7", "behind": "//"},
@@ -42,7 +44,7 @@ def send_bytes(count):
 )
 def test_a_stop_is_taken_whoever_sends_it_and_however(client, armed, until, odd):
     place = str(client.base_url).rstrip("/") + odd.get("before", "")
-    sent = {key: odd[key] for key in ("headers", "content", "files") if key in odd}
+    sent = {k: v for k, v in odd.items() if k not in ("before", "behind")}
     for verb in (f"/jobs/{armed['id']}/abort", "/machines/default/stop", "/stop"):
         path = f"{place}{API}{verb}{odd.get('behind', '')}"
         answer = client.post(path, follow_redirects=False, **sent)
@@ -53,9 +55,8 @@ def test_a_stop_is_taken_whoever_sends_it_and_however(client, armed, until, odd)
 @pytest.mark.fault_row(47)
 def test_a_check_goes_the_way_of_a_stop_and_stops_nothing(client, armed, service):
     for path in ("/stop:check", "/machines/default/stop:check/"):
-        answer = client.post(
-            API + path, headers={"host": "a", **ELSEWHERE}, content="x"
-        )
+        odd = {"headers": {"host": "a", **ELSEWHERE}, "content": "x"}
+        answer = client.post(API + path, **odd)
         assert answer.status_code == 200, answer.text
         assert [one["machine"] for one in answer.json()["machines"]] == ["default"]
     assert client.get(f"{API}/jobs/{armed['id']}").json()["state"] == "running"
@@ -131,3 +132,70 @@ def test_who_is_not_logged_in_can_stop_by_the_channel_and_hear_nothing(service, 
             client.websocket_connect(f"{API}/events"),
         ):
             pass
+
+
+PATIENCE_S = 5.0
+
+
+async def take_every_thread():
+    """Take the threads that routes share; return who has them."""
+    limiter = current_default_thread_limiter()
+    takers = [object() for _ in range(int(limiter.available_tokens))]
+    for taker in takers:
+        limiter.acquire_on_behalf_of_nowait(taker)
+    return takers
+
+
+async def give_back(takers):
+    for taker in takers:
+        current_default_thread_limiter().release_on_behalf_of(taker)
+
+
+@pytest.fixture
+def operator(service, access):
+    """A client of an operator, where everybody logs in."""
+    access.accounts.add("ben", Role.OPERATOR, "a long sentence is easy")
+    own = {"Authorization": f"Bearer {access.tokens.open_session('ben')}"}
+    app = create_application(replace(service, access=access))
+    with TestClient(app, base_url="https://127.0.0.1:8411", headers=own) as client:
+        yield client
+
+
+@pytest.mark.parametrize("verb", ["/jobs/{id}/pause", "/jobs/{id}/abort", "/stop"])
+def test_what_stops_reaches_the_machine_with_every_other_thread_taken(
+    operator, armed, make_cell, verb
+):
+    takers, answers = operator.portal.call(take_every_thread), []
+    address = API + verb.format(id=armed["id"])
+    sender = threading.Thread(target=lambda: answers.append(operator.post(address)))
+    sender.start()
+    sender.join(PATIENCE_S)
+    try:
+        assert answers, f"{address} waits for the threads of other requests"
+    finally:
+        operator.portal.call(give_back, takers)
+    assert answers[0].status_code == 202
+    heard = "pause" if verb.endswith("pause") else "abort"
+    wait_until(lambda: heard in make_cell.cell.heard, f"the cell hears {heard}")
+
+
+def test_the_feed_is_held_at_the_end_with_every_other_thread_taken(monkeypatch):
+    held = threading.Event()
+    service = SimpleNamespace(
+        dispatcher=SimpleNamespace(close=held.set),
+        end_streams=lambda: None,
+        max_streams=1,
+    )
+
+    async def end_at_once(*_):
+        assert held.is_set()
+
+    monkeypatch.setattr(uvicorn.Server, "shutdown", end_at_once)
+    server = Server(lambda: None, service, "http://127.0.0.1:8411", None)
+
+    async def end():
+        await take_every_thread()
+        with anyio.fail_after(PATIENCE_S):
+            await server.shutdown()
+
+    anyio.run(end)

@@ -1,7 +1,5 @@
 """Users in a catalogue of their own."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 
@@ -11,7 +9,6 @@ from argon2 import PasswordHasher
 from truepath.catalogue.store.database import Database
 from truepath.users import passwords
 from truepath.users.accounts import Accounts
-from truepath.users.audit import AuditLog
 from truepath.users.boot_clock import Moment
 from truepath.users.roles import Role
 from truepath.users.tokens import Tokens
@@ -28,15 +25,10 @@ def database(empty_catalogue, tmp_path):
 
 
 @pytest.fixture
-def quick_hasher(monkeypatch):
-    """Hash passwords in no time."""
+def accounts(database, monkeypatch):
+    """Anna, who administers; passwords are hashed in no time."""
     quick = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     monkeypatch.setattr(passwords, "_hasher", quick)
-
-
-@pytest.fixture
-def accounts(database, quick_hasher):
-    """Anna, who administers."""
     accounts = Accounts(database)
     accounts.add("anna", Role.ADMINISTRATOR, PASSWORD)
     return accounts
@@ -71,8 +63,3 @@ def clock():
 @pytest.fixture
 def tokens(database, clock):
     return Tokens(database, session_s=3600.0, read_moment=clock.read)
-
-
-@pytest.fixture
-def audit_log(database):
-    return AuditLog(database)

@@ -1,15 +1,21 @@
-"""Users and their passwords."""
-
-from __future__ import annotations
+"""Users, their log-ins, sessions and API keys: revoked at once, not moved by clocks."""
 
 import pytest
 from sqlalchemy import text
 
 from truepath.errors import BadInput, NotFound
 from truepath.users import passwords
-from truepath.users.errors import UserConflict
+from truepath.users.access import FREE_TRIES, Access, AccessRules
+from truepath.users.back_off import FORGET_S, LONGEST_WAIT_S, BackOff, RateLimit
+from truepath.users.boot_clock import read_moment
+from truepath.users.errors import (
+    TooManyRequests,
+    TooManyTries,
+    UserConflict,
+    WrongPassword,
+)
 from truepath.users.passwords import is_password
-from truepath.users.roles import Role, includes
+from truepath.users.roles import Actor, Role, includes
 
 PASSWORD = "a long sentence is easy"
 
@@ -29,21 +35,19 @@ def test_who_is_not_there_has_no_password_and_is_refused_as_slowly_as_who_is():
     assert not is_password("the password of nobody", None)
 
 
-@pytest.mark.parametrize("name", ["", "-x", "a b", "a\nb", "ä/ö", "x" * 65])
-def test_what_is_no_name_is_refused(accounts, name):
-    with pytest.raises(BadInput, match="is no name"):
-        accounts.add(name, Role.VIEWER, PASSWORD)
-
-
 @pytest.mark.parametrize(
     ("name", "role", "password", "refused"),
     [
         ("ben", Role.VIEWER, "x" * 9, "9 characters; choose 10"),
         ("anna", Role.VIEWER, PASSWORD, "anna already"),
         ("ben", Role.SERVICE, PASSWORD, "role of programs"),
+        *(
+            (name, Role.VIEWER, PASSWORD, "is no name")
+            for name in ("", "-x", "a b", "a\nb", "ä/ö", "x" * 65)
+        ),
     ],
 )
-def test_a_short_password_a_name_that_is_taken_and_a_role_of_programs_are_refused(
+def test_what_is_no_name_or_password_a_taken_name_and_a_role_of_programs_are_refused(
     accounts, name, role, password, refused
 ):
     error = UserConflict if name == "anna" else BadInput
@@ -51,34 +55,193 @@ def test_a_short_password_a_name_that_is_taken_and_a_role_of_programs_are_refuse
         accounts.add(name, role, password)
 
 
-def test_the_last_administrator_stays(accounts):
+def test_the_last_administrator_stays_and_who_is_not_there_is_not_changed(accounts):
     with pytest.raises(UserConflict, match="last administrator"):
         accounts.remove("anna")
     with pytest.raises(UserConflict, match="last administrator"):
         accounts.set_role("anna", Role.VIEWER)
+    for change, words in (
+        (accounts.remove, []),
+        (accounts.set_password, [PASSWORD]),
+        (accounts.set_role, [Role.VIEWER]),
+    ):
+        with pytest.raises(NotFound, match="no user ben"):
+            change("ben", *words)
     accounts.add("ben", Role.ADMINISTRATOR, PASSWORD)
     accounts.remove("anna")
     assert [user.name for user in accounts.list_all()] == ["ben"]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda accounts: accounts.remove("ben"),
-        lambda accounts: accounts.set_password("ben", PASSWORD),
-        lambda accounts: accounts.set_role("ben", Role.VIEWER),
-    ],
-)
-def test_who_is_not_there_is_not_changed(accounts, change):
-    with pytest.raises(NotFound, match="no user ben"):
-        change(accounts)
-
-
 def test_each_role_may_what_those_before_it_may():
     ladder = [Role.VIEWER, Role.OPERATOR, Role.METROLOGIST, Role.ADMINISTRATOR]
     for i, role in enumerate(ladder):
-        assert [includes(role, least) for least in ladder] == [
-            j <= i for j in range(len(ladder))
-        ]
+        may = [includes(role, least) for least in ladder]
+        assert may == [j <= i for j in range(len(ladder))]
     assert includes(Role.SERVICE, Role.OPERATOR)
     assert not includes(Role.SERVICE, Role.METROLOGIST)
+
+
+@pytest.fixture
+def access(database, accounts):
+    access = Access(database, AccessRules(log_in_required=True))
+    yield access
+    access.close()
+
+
+def test_who_logs_in_is_known_by_the_token_and_a_refusal_does_not_say_why(access):
+    token, actor = access.log_in("anna", PASSWORD, "192.0.2.17")
+    assert actor == access.identify(token) == Actor("anna", Role.ADMINISTRATOR)
+    for name in ("anna", "nobody"):
+        with pytest.raises(WrongPassword, match=r"^name and password do not belong"):
+            access.log_in(name, "wrong", "192.0.2.17")
+
+
+def test_after_some_failures_even_the_right_password_waits(access, monkeypatch):
+    monkeypatch.setattr("truepath.users.access.is_password", lambda *_: False)
+    for _ in range(FREE_TRIES):
+        with pytest.raises(WrongPassword):
+            access.log_in("anna", "wrong", "192.0.2.17")
+    monkeypatch.undo()
+    with pytest.raises(TooManyTries, match="try again in 1 s") as refused:
+        access.log_in("anna", PASSWORD, "192.0.2.17")
+    assert 0 < refused.value.retry_after_s <= 1
+    assert access.log_in("anna", PASSWORD, "192.0.2.18"), "another place is not kept"
+
+
+def test_each_further_failure_waits_twice_as_long_up_to_a_limit(hand_clock):
+    back_off = BackOff(3)
+    waits = []
+    for _ in range(16):
+        back_off.fail("anna")
+        try:
+            back_off.check("anna")
+        except TooManyTries as error:
+            waits.append(error.retry_after_s)
+            hand_clock.time_s += error.retry_after_s
+            back_off.check("anna")
+    assert waits[:4] == [1, 2, 4, 8]
+    assert waits[-1] == LONGEST_WAIT_S
+    back_off.forget("anna")
+    back_off.fail("anna")
+    back_off.check("anna")
+
+
+def test_a_typo_a_day_never_makes_anybody_wait(hand_clock):
+    back_off = BackOff(3)
+    for _ in range(31):
+        back_off.fail("anna")
+        back_off.check("anna")
+        hand_clock.time_s += 24 * 3600
+    for _ in range(3):
+        back_off.fail("anna")
+        hand_clock.time_s += FORGET_S - 1
+    back_off.fail("anna")
+    with pytest.raises(TooManyTries):
+        back_off.check("anna")
+
+
+def test_a_rate_is_a_burst_and_then_so_many_a_second(hand_clock):
+    limit = RateLimit(3, 2.0)
+    for _ in range(3):
+        limit.take("anna")
+    with pytest.raises(TooManyRequests) as refused:
+        limit.take("anna")
+    limit.take("ben")
+    assert refused.value.retry_after_s == pytest.approx(0.5)
+    hand_clock.time_s += 0.5
+    limit.take("anna")
+    with pytest.raises(TooManyRequests):
+        limit.take("anna")
+
+
+@pytest.fixture
+def session(accounts, tokens):
+    return tokens.open_session("anna")
+
+
+def test_a_session_is_that_of_its_user_is_kept_as_a_hash_only_and_forgotten_once_ended(
+    database, tokens, session, clock
+):
+    def read_rows():
+        with database.read() as connection:
+            return connection.execute(text("SELECT * FROM tokens")).all()
+
+    assert tokens.find(session) == Actor("anna", Role.ADMINISTRATOR)
+    assert tokens.find(session + "x") is None
+    assert tokens.find("") is None
+    (row,) = read_rows()
+    assert session not in str(row)
+    clock.pass_s(3601)
+    tokens.open_session("anna")
+    assert len(read_rows()) == 1
+
+
+@pytest.mark.fault_row(29)
+@pytest.mark.parametrize("jump_s", [0, 3 * 3600, -3 * 3600, -1e9])
+def test_a_jump_of_the_wall_clock_neither_ends_nor_lengthens_a_session(
+    tokens, session, clock, jump_s
+):
+    clock.jump_s(jump_s)
+    clock.pass_s(3599)
+    assert tokens.find(session)
+    clock.pass_s(2)
+    assert tokens.find(session) is None
+
+
+def test_the_time_that_the_computer_was_off_counts(tokens, session, clock):
+    clock.reboot(down_s=3500)
+    assert tokens.find(session)
+    clock.reboot(down_s=101)
+    assert tokens.find(session) is None
+
+
+def test_another_role_a_log_out_and_a_removal_count_at_once(accounts, tokens, session):
+    accounts.add("ben", Role.ADMINISTRATOR, PASSWORD)
+    of_ben = tokens.open_session("ben")
+    accounts.set_role("anna", Role.VIEWER)
+    assert tokens.find(session) == Actor("anna", Role.VIEWER)
+    for _ in range(2):  # twice is once
+        tokens.end(session)
+        assert tokens.find(session) is None
+    accounts.set_role("anna", Role.ADMINISTRATOR)
+    accounts.remove("ben")
+    accounts.add("ben", Role.OPERATOR, PASSWORD)
+    assert tokens.find(of_ben) is None
+
+
+def test_another_password_ends_all_sessions_and_leaves_keys(accounts, tokens, session):
+    key = tokens.create_key("plant", Role.SERVICE)
+    accounts.set_password("anna", "quite another sentence")
+    assert tokens.find(session) is None
+    assert tokens.find(key)
+
+
+def test_a_key_is_no_person_and_lasts_until_its_end_or_is_revoked(tokens, clock):
+    short = tokens.create_key("gauge", Role.SERVICE, days=2)
+    key = tokens.create_key("plant", Role.SERVICE)
+    clock.pass_s(86400)
+    listed = {one.name: one.expires_in_s for one in tokens.list_keys()}
+    assert listed == {"gauge": pytest.approx(86400), "plant": None}
+    assert tokens.find(short)
+    clock.pass_s(86401)
+    assert tokens.find(short) is None
+    clock.pass_s(1e8)
+    assert tokens.find(key) == Actor("plant", Role.SERVICE, is_person=False)
+    tokens.revoke_key("plant")
+    assert tokens.find(key) is None
+    with pytest.raises(NotFound, match="no API key plant"):
+        tokens.revoke_key("plant")
+
+
+def test_no_key_has_the_role_or_the_name_of_a_person(accounts, tokens):
+    for role in (Role.ADMINISTRATOR, Role.OPERATOR):
+        with pytest.raises(BadInput, match="an API key is one of"):
+            tokens.create_key("plant", role)
+    with pytest.raises(UserConflict):
+        tokens.create_key("anna", Role.SERVICE)
+
+
+def test_the_computer_knows_when_it_was_started():
+    first, then = read_moment(), read_moment()
+    assert first.boot_id == then.boot_id != ""
+    assert 0 <= first.age_s(then) < 10

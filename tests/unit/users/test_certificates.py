@@ -1,7 +1,5 @@
 """Certificates: made for names, and checked before anybody listens."""
 
-from __future__ import annotations
-
 import os
 import ssl
 from contextlib import suppress
@@ -12,11 +10,7 @@ from starlette.testclient import TestClient
 
 from truepath.errors import BadInput
 from truepath.service.api.security.security import Guard
-from truepath.users.certificates import (
-    TlsFiles,
-    check_tls_files,
-    create_certificate,
-)
+from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
 
 
 @pytest.fixture
@@ -24,29 +18,21 @@ def files(tmp_path):
     return create_certificate(["localhost", "127.0.0.1"], tmp_path / "tls", days=30)
 
 
-def test_one_that_was_made_holds_and_its_key_is_the_owners(files):
-    left = check_tls_files(files) - datetime.now(UTC)
-    assert timedelta(days=29) < left < timedelta(days=30)
+def test_one_that_was_made_holds_for_its_days_and_its_key_is_the_owners(files):
+    now = datetime.now(UTC)
+    assert timedelta(days=29) < check_tls_files(files) - now < timedelta(days=30)
     assert os.stat(files.key).st_mode & 0o777 == 0o600
+    for days, said in ((31, "expired on"), (-2, "check the clock of this computer")):
+        with pytest.raises(BadInput, match=said):
+            check_tls_files(files, now + timedelta(days=days))
 
 
-def test_none_is_written_over(files):
+def test_none_is_written_over_and_what_is_no_name_gets_none(files, tmp_path):
     with pytest.raises(BadInput, match="is there already"):
         create_certificate(["localhost"], files.cert.parent, days=1)
-
-
-@pytest.mark.parametrize("name", ["", "a b", "https://a", "ä"])
-def test_what_is_no_name_gets_none(tmp_path, name):
-    with pytest.raises(BadInput, match="is no name of a computer"):
-        create_certificate([name], tmp_path, days=1)
-
-
-@pytest.mark.parametrize(
-    ("days", "said"), [(31, "expired on"), (-2, "check the clock of this computer")]
-)
-def test_one_that_does_not_hold_now_is_refused(files, days, said):
-    with pytest.raises(BadInput, match=said):
-        check_tls_files(files, datetime.now(UTC) + timedelta(days=days))
+    for name in ("", "a b", "https://a", "ä"):
+        with pytest.raises(BadInput, match="is no name of a computer"):
+            create_certificate([name], tmp_path, days=1)
 
 
 def test_files_that_cannot_be_used_are_named_by_their_setting(files, tmp_path):

@@ -7,8 +7,6 @@ well, by abort and by failure, a user, an API key and an audit log. The report o
 result is left out: nine tenths of it are a library of charts.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import zipfile
@@ -33,6 +31,7 @@ from truepath.jobs.workers.workers import Workers
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.motion.configurations import Configurations
+from truepath.progress import ignore_progress
 from truepath.users.access import Access, AccessRules
 from truepath.users.audit import Entry
 from truepath.users.roles import Role
@@ -63,7 +62,6 @@ def record() -> Run:
 
 
 def fill(folder: Path) -> None:
-    """Write the data folder."""
     run = record()
     (folder / "runs").mkdir(parents=True)
     with closing(Database(f"sqlite:///{folder / 'catalogue.sqlite'}")) as database:
@@ -80,21 +78,15 @@ def fill(folder: Path) -> None:
 
 
 def add_analysis(run: Run, runs: RunCatalogue, store: Store, results: Path) -> None:
-    """Take a Run in and analyse it."""
     upload = runs.make_upload_file()
     upload.write_bytes(zip_bundle(run))
     kept = runs.add_uploaded(upload, run.name)
     key = IdempotencyKey("fixture", b"{}")
     job, _ = store.create(Job(JobKind.ANALYSE, run_id=kept.id), key, {"request": {}})
     store.change(job.id, lambda j: replace(j, state=State.RUNNING))
-    verdict = analyse_recorded(
-        [str(runs.file(kept.id))],
-        str(results / job.id),
-        False,
-        None,
-        Workers(),
-        on_progress=lambda _share, _stage: None,
-    )
+    files, folder = [str(runs.file(kept.id))], str(results / job.id)
+    choices = False, None, Workers()
+    verdict = analyse_recorded(files, folder, *choices, on_progress=ignore_progress)
     (results / job.id / "report.html").unlink()
     store.change(job.id, lambda j: replace(j, state=State.SUCCEEDED, verdict=verdict))
 
@@ -106,26 +98,11 @@ def add_measurement(run: Run, runs: RunCatalogue, store: Store) -> None:
         "tracker": Identity("Maker", "Tracker", "T-1", "1.0"),
         "motion": Identity("Maker", "Controller", "C-1", "2.0", has_watchdog=True),
     }
-    header = RunHeader(
-        "measured",
-        run.machine,
-        run.commanded,
-        RATE_HZ,
-        devices,
-        run.machine.axis_names,
-        job_id=job.id,
-    )
+    what = "measured", run.machine, run.commanded, RATE_HZ, devices
+    header = RunHeader(*what, run.machine.axis_names, job_id=job.id)
     recorder = Recorder(runs.name_run_file(job.id), header)
     for begin in range(0, len(run.tracker), 50):
-        part = np.s_[begin : begin + 50]
-        recorder.put_tracker(
-            TrackerSamples(
-                run.tracker.sequence[part],
-                run.tracker.device_time_s[part],
-                run.tracker.position_mm[part],
-                run.tracker.status[part],
-            )
-        )
+        recorder.put_tracker(run.tracker.select(slice(begin, begin + 50)))
     recorder.close("finished")
     kept = runs.read_measured(job.id)
     for state in (State.PREPARING, State.READY, State.RUNNING, State.ABORTING):
@@ -134,32 +111,22 @@ def add_measurement(run: Run, runs: RunCatalogue, store: Store) -> None:
 
 
 def end(store: Store, new: Job, state: State, failure: Failure) -> None:
-    """Add a job that has ended."""
     job, _ = store.create(new)
     store.change(job.id, lambda j: replace(j, state=State.RUNNING))
     store.change(job.id, lambda j: replace(j, state=state, failure=failure))
 
 
 def add_people(access: Access) -> None:
-    """Add a user, an API key and some rows of the audit log."""
     access.accounts.add("ada", Role.ADMINISTRATOR, PASSWORD)
     access.tokens.create_key("gauge-7", Role.SERVICE)
+    who, what = ("ada", Role.ADMINISTRATOR, "127.0.0.1"), ("POST /api/v1/jobs", "202")
     for number in range(3):
-        entry = Entry(
-            who="ada",
-            role=Role.ADMINISTRATOR,
-            source="127.0.0.1",
-            request_id=f"r{number}",
-            what="POST /api/v1/jobs",
-            outcome="202",
-            old=None,
-            new={"made": f"/api/v1/jobs/{number}"},
-        )
+        made = {"made": f"/api/v1/jobs/{number}"}
+        entry = Entry(*who, f"r{number}", *what, old=None, new=made)
         access.audit_writer.record(entry).result(10)
 
 
 def main() -> None:
-    """Write the fixture."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "data"
         fill(folder)

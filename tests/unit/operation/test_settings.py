@@ -1,17 +1,114 @@
-from __future__ import annotations
+"""Settings: where they come from, what is refused, their page, no secret shown."""
 
 import os
+import re
+import runpy
+import sys
+import tomllib
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from truepath.cli.command import run
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import encode_machine
 from truepath.jobs.workers.workers import Workers, choose_workers
 from truepath.main import _load_machines, open_service
-from truepath.settings import load_settings
+from truepath.operation.redaction import HIDDEN, Redactor, redact_settings
+from truepath.operation.settings_text import list_settings
+from truepath.settings import Settings, load_settings
 from truepath_drivers.interfaces.tracker_records import Light
+
+ROOT = Path(__file__).parents[3]
+TOGETHER = {"tls_cert": {"tls_key": "/k.pem"}, "tls_key": {"tls_cert": "/c.pem"}}
+
+
+def test_the_page_is_that_of_the_settings(monkeypatch):
+    script = str(ROOT / "docs" / "write_settings.py")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    monkeypatch.setattr(sys, "argv", [script, "--check"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(script, run_name="__main__")
+    assert ended.value.code == 0, "python docs/write_settings.py writes it"
+
+
+def test_the_example_says_what_each_setting_means_and_loads(tmp_path, capsys):
+    assert run(["settings", "--example"]) == 0
+    text = capsys.readouterr().out
+    file = tmp_path / "truepath.toml"
+    file.write_text(text)
+    assert load_settings(file).model_dump() == load_settings().model_dump()
+    assert max(map(len, text.splitlines())) < 140
+    settings = list(list_settings())
+    assert {one.name for one in settings} == set(Settings.model_fields)
+    for one in settings:
+        assert one.meaning, one.name
+        assert one.default or one.example, one.name
+        for shown in filter(None, (one.default, one.example)):
+            line = f"{one.name} = {shown}\n"
+            file.write_text(line)
+            loaded = load_settings(file, **TOGETHER.get(one.name, {}))
+            dumped = loaded.model_dump(mode="json")[one.name]
+            assert dumped == tomllib.loads(line)[one.name], line
+
+
+def test_the_settings_in_effect_are_toml_that_loads_and_hides_secrets(tmp_path, capsys):
+    password = tmp_path / "password"
+    password.write_text("planted-one\n")
+    file = tmp_path / "truepath.toml"
+    file.write_text(
+        'database_url = "postgresql+psycopg://me:planted-two@db/x"\n'
+        'tracker_options = { host = "h", password = "planted-three" }\n'
+        'motion_options = { url = "http://u:planted-four@h/", list = ["a"] }\n'
+        f'database_password_file = "{password}"\n'
+    )
+    assert run(["settings", "--config", str(file)]) == 0
+    shown = capsys.readouterr().out
+    assert "planted" not in shown
+    in_effect = tomllib.loads(shown)
+    assert in_effect["tracker_options"] == {"host": "h", "password": HIDDEN}
+    assert in_effect["database_password_file"] == str(password)
+    assert in_effect["port"] == 8411
+
+
+PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PEM,
+        "a key that is cut -----BEGIN PRIVATE KEY-----\nMIplanted",
+        "Authorization: Bearer planted-token-1",
+        "cookie truepath_session=planted; path=/",
+        "key tp_planted_0123456789abcdef",
+        '{"password": "planted word"}',
+        "password=planted",
+        "DATABASE_PASSWORD: planted",
+        "postgresql://me:planted@host/x",
+        "hash $argon2id$v=19$m=1$planted",
+        "as set up: planted-in-settings",
+    ],
+)
+def test_a_secret_in_a_text_is_hidden(text):
+    settings = load_settings(tracker_options={"password": "planted-in-settings"})
+    hidden = Redactor(settings).redact(text)
+    assert "planted" not in hidden
+    assert HIDDEN in hidden
+
+
+def test_what_is_no_secret_stays():
+    text = (
+        '{"event": "job ended", "job_id": "019a-17", "path": "/api/v1/jobs/x/arm", '
+        '"link": "http://127.0.0.1:8411/docs", "tokens": 3}'
+    )
+    redacted = Redactor(load_settings()).redact(text)
+    assert re.sub(r'"tokens": .*}', "", redacted) == re.sub(r'"tokens": .*}', "", text)
+    settings = load_settings(tracker_options={"host": "h", "port": 5000})
+    shown = dict(redact_settings(settings))
+    assert shown == settings.model_dump(mode="json")
 
 
 @pytest.fixture(autouse=True)
@@ -33,12 +130,14 @@ def toml(tmp_path):
     return write
 
 
-def test_the_defaults_listen_at_home(tmp_path):
+def test_the_defaults_listen_at_home_and_beyond_has_to_be_said(tmp_path):
     settings = load_settings()
     assert (settings.host, settings.port) == ("127.0.0.1", 8411)
-    assert settings.is_loopback
     assert settings.data_dir == tmp_path / "data" / "truepath"
     assert settings.database == f"sqlite:///{settings.data_dir}/catalogue.sqlite"
+    for host in ("127.0.0.1", "127.8.8.8", "::1", "localhost"):
+        assert load_settings(host=host).is_loopback
+    assert not load_settings(host="0.0.0.0", allow_plain_http=True).is_loopback
 
 
 def test_the_command_line_beats_the_environment_beats_the_file(
@@ -101,24 +200,15 @@ def test_a_setting_that_cannot_be_used_is_named(toml, monkeypatch, tmp_path):
         load_settings()
 
 
-def test_loopback_is_this_computer_only_and_listening_beyond_has_to_be_said():
-    for host in ("127.0.0.1", "127.8.8.8", "::1", "localhost"):
-        assert load_settings(host=host).is_loopback
-    assert not load_settings(host="0.0.0.0", allow_plain_http=True).is_loopback
-
-
 def test_the_password_of_the_catalogue_comes_from_a_file(tmp_path):
     secret = tmp_path / "password"
-    settings = load_settings(
-        database_url="postgresql+psycopg://truepath@db/truepath",
-        database_password_file=secret,
-    )
+    url = "postgresql+psycopg://truepath@db/truepath"
+    settings = load_settings(database_url=url, database_password_file=secret)
     with pytest.raises(BadInput, match="database_password_file"):
         _ = settings.database
     secret.write_text("p@ss/word\n")
-    assert settings.database == (
-        "postgresql+psycopg://truepath:p%40ss%2Fword@db/truepath"
-    )
+    with_password = "postgresql+psycopg://truepath:p%40ss%2Fword@db/truepath"
+    assert settings.database == with_password
     assert "p@ss" not in repr(settings)
 
 
