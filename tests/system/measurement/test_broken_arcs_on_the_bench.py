@@ -1,7 +1,5 @@
 """A circle that simulated devices could not measure whole is driven again."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import numpy as np

@@ -3,8 +3,6 @@
 What the engine alone proves as quickly (`test_measurement.py`) is long here.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Runs whose writer was killed at full speed: whole up to the last batch, settled."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import shutil

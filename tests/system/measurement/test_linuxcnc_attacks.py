@@ -1,7 +1,5 @@
 """What dies or stands while LinuxCNC moves: the machine stops, the service says why."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

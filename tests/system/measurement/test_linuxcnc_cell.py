@@ -1,7 +1,5 @@
 """The cell on a real LinuxCNC: what it refuses, and what stays when it is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

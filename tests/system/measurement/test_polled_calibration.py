@@ -1,7 +1,5 @@
 """A calibration at standstill points on the simulated machine, by polled trackers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs repeated by simulated devices: the same samples, the same tables."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path as FilePath
@@ -13,11 +11,7 @@ from driven_cell import Driven, config_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.measurement.messages import (
-    FaultReported,
-    MeasurementOrder,
-    RunClosed,
-)
+from truepath.measurement.messages import FaultReported, MeasurementOrder, RunClosed
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
@@ -71,12 +65,7 @@ def make_run(make_once) -> Callable[[Commanded], FilePath]:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("commanded", "speed"),
-    [
-        (PATH, 1.0),
-        (POINTS, 3.0),
-    ],
-    ids=["path-1", "points-3"],
+    ("commanded", "speed"), [(PATH, 1.0), (POINTS, 3.0)], ids=["path-1", "points-3"]
 )
 def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded, speed):
     recorded = make_run(commanded)
@@ -105,9 +94,7 @@ def test_what_the_bytes_hold_is_what_the_run_holds(make_run):
     assert run.moves[0].goal == pytest.approx(CORNERS[-1])
 
 
-def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(
-    make_run,
-):
+def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(make_run):
     with (
         Replay(make_run(PATH), tracker="tcp") as replay,
         StreamingTracker(**replay.tracker_options) as tracker,

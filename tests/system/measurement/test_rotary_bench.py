@@ -1,7 +1,5 @@
 """A five-axis machine on simulated devices: driven over Modbus, seen by the tracker."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path as FilePath
 

@@ -1,7 +1,5 @@
 """Two targets of a simulated machine: its tracker goes from one to the other."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path as FilePath
 

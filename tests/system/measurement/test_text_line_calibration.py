@@ -1,7 +1,5 @@
 """Runs recorded from lines of text, over every link, give the tables of the machine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

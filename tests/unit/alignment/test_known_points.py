@@ -1,7 +1,5 @@
 """Known points tell whether a station agrees with the one before."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

@@ -89,11 +89,7 @@ def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> 
 
 
 @pytest.mark.parametrize(
-    ("mode", "shown"),
-    [
-        ("standstill", {"T1": "T2", "T2": "T1"}),
-        ("otf", {"W3": "W2"}),
-    ],
+    ("mode", "shown"), [("standstill", {"T1": "T2", "T2": "T1"}), ("otf", {"W3": "W2"})]
 )
 def test_a_target_that_the_tracker_was_not_on_is_refused_by_name(
     mode: str, shown: dict[str, str]

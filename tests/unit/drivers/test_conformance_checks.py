@@ -505,19 +505,8 @@ class ScriptedThermometers(Thermometers):
         return (Reading(name, clock(), value, fault),)
 
 
-WRONG = [
-    "name-twice",
-    "reads-closed",
-    "wall-clock",
-    "frozen-stamp",
-    "kelvin",
-]
-WRONG += [
-    "old-value-with-a-fault",
-    "silent-nan",
-    "other-channel",
-    "never-reads",
-]
+WRONG = ["name-twice", "reads-closed", "wall-clock", "frozen-stamp", "kelvin"]
+WRONG += ["old-value-with-a-fault", "silent-nan", "other-channel", "never-reads"]
 
 
 @pytest.mark.parametrize("wrong", [*WRONG, "hangs", ""])

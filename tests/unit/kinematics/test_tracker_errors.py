@@ -87,10 +87,7 @@ BODIES = {
     "index_urad": (1e6, [misread(elevation=lambda p: np.ones(len(p)))]),
     "eccentricity_urad": (1e6, circle(1)),
     "encoder_urad": (1e6, circle(2)),
-    "tilt_urad": (
-        1e6,
-        [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)],
-    ),
+    "tilt_urad": (1e6, [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)]),
     "beam_offset_um": (
         1e3,
         [lambda p: aim(p, beside=(SMALL, 0.0)), lambda p: aim(p, beside=(0.0, SMALL))],

@@ -1,7 +1,5 @@
 """Circles that were held or not seen whole are driven again by themselves."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensors during a measurement: in the Run, never in the way, never wrong unsaid."""
 
-from __future__ import annotations
-
 import math
 import struct
 import threading

@@ -1,7 +1,5 @@
 """A measurement whose path grows: parts, one after another, in one Run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,19 +1,12 @@
 """Positions with good status that cannot be: of the axes, and of the target."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from measurement_fixtures import (
-    FakeMotion,
-    draw_rows,
-    standing_at,
-    there_and_back,
-)
+from measurement_fixtures import FakeMotion, draw_rows, standing_at, there_and_back
 from truepath.measurement.messages import (
     CellVerb,
     FaultReported,

@@ -3,8 +3,6 @@
 Where it should be is known from where it was seen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

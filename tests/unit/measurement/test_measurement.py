@@ -1,20 +1,12 @@
 """Measurements on devices in this process: procedures, verbs, faults."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from measurement_fixtures import (
-    JUDGED,
-    Begin,
-    Running,
-    standing_at,
-    there_and_back,
-)
+from measurement_fixtures import JUDGED, Begin, Running, standing_at, there_and_back
 from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.faults import Fault
 from truepath.measurement.messages import (
@@ -354,13 +346,7 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
     motion.ignores_hold = False
     judged.until_state("running")
     judged.finished()
-    assert judged.states[:-1] == [
-        "running",
-        "pausing",
-        "paused",
-        "resuming",
-        "running",
-    ]
+    assert judged.states[:-1] == ["running", "pausing", "paused", "resuming", "running"]
     assert judged.faults == ["tracker-silent"]
 
 

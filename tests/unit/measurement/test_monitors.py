@@ -1,7 +1,5 @@
 """What watches a measurement: damage of the stream, time, a slow disk, a trial."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -48,8 +46,7 @@ def judge() -> Callable[..., bool]:
 
 
 @pytest.mark.parametrize(
-    ("lost", "is_damaged"),
-    [(0, False), (5, False), (8, True), (380, True)],
+    ("lost", "is_damaged"), [(0, False), (5, False), (8, True), (380, True)]
 )
 def test_more_than_a_hundredth_of_a_second_is_damage(judge, rng, lost, is_damaged):
     number = np.arange(2000)

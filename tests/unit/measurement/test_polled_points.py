@@ -1,7 +1,5 @@
 """Standstill points by a tracker that is polled, on devices in this process."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

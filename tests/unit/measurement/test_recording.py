@@ -1,7 +1,5 @@
 """Runs on disk: written batch by batch, closed, killed, damaged, full disks."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import threading

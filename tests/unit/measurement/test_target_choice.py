@@ -1,7 +1,5 @@
 """Several targets on one machine: the tracker chooses, and each point is checked."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

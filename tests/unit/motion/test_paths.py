@@ -1,7 +1,5 @@
 """Default paths and points, their order and times, the travel check, driven again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -37,8 +37,7 @@ def blocked_by_sampling(machine, box, begin, end):
 
 
 @given(
-    seed=st.integers(0, 10_000),
-    carried_by=st.sampled_from(["", "base", "X", "Y", "Z"]),
+    seed=st.integers(0, 10_000), carried_by=st.sampled_from(["", "base", "X", "Y", "Z"])
 )
 @settings(deadline=None, max_examples=60)
 @pytest.mark.parametrize("chain", ["w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-X-b-Z-t"])

@@ -209,8 +209,7 @@ Z  X  EZX
 300 100 0.006
 """
     added = add(
-        {"v.csv": text},
-        [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]],
+        {"v.csv": text}, [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]]
     )
     # Lever arm of EBX is Z; C0Y turns Y about Z; EZX grows with Z.
     np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +10,7 @@ from truepath_simulators.faults import KINDS, Fault, Schedule, parse_fault
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        (
-            "tracker:silence@12s+0.5s",
-            Fault("tracker", "silence", 12.0, "s", 0.5, 0.0),
-        ),
+        ("tracker:silence@12s+0.5s", Fault("tracker", "silence", 12.0, "s", 0.5, 0.0)),
         (
             "tracker:bit-flip@5s+10s*0.01",
             Fault("tracker", "bit-flip", 5.0, "s", 10.0, 0.01),

@@ -1,7 +1,5 @@
 """Hidden effects: each moves what its physics says, the same at any speed of asking."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 

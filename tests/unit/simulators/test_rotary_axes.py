@@ -1,7 +1,5 @@
 """Rotary axes of the truth machine, their paths and recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

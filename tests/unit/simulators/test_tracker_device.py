@@ -1,7 +1,5 @@
 """The simulated tracker without a link, and clocks that do not always run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

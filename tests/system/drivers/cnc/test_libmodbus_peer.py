@@ -4,8 +4,6 @@ The C program beside this file was written from the page of the register map; it
 is libmodbus's. Debian: apt-get install gcc libc6-dev libmodbus-dev socat.
 """
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess
@@ -19,10 +17,7 @@ import pytest
 
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.conformance import motion
-from truepath_drivers.interfaces.errors import (
-    DeviceTimeout,
-    WrongDevice,
-)
+from truepath_drivers.interfaces.errors import DeviceTimeout, WrongDevice
 from truepath_drivers.interfaces.records import MotionState, Path
 
 CHECKS = motion.MOTION_CHECKS

@@ -1,7 +1,5 @@
 """The driver of LinuxCNC against a real one: its planner, limits and watchdog."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

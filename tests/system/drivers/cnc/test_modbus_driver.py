@@ -664,9 +664,7 @@ def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
     assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
 
 
-def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(
-    bench_controller,
-):
+def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
     low, high = bench_controller.travel[1]
     path = two_turns()
     shift = np.array([0.0, low - 15.0, 0.0])

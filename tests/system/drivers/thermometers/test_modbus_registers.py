@@ -12,9 +12,7 @@ from truepath_drivers.conformance.device import (
 )
 from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
-from truepath_drivers.thermometers.modbus_registers.driver import (
-    ModbusRegisters,
-)
+from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
 from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Schedule, parse_fault

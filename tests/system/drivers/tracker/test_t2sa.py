@@ -1,7 +1,5 @@
 """T2SA: the dialogue of its public client, and what must never be taken for a point."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What linuxcncrsh says word for word, programs and INI files, without a machine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

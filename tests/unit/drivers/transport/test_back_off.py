@@ -1,7 +1,5 @@
 """A broken link is opened again at pauses that grow, end, and differ by host."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

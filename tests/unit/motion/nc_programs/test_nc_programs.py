@@ -1,7 +1,5 @@
 """A path and its program are the same motion, for every control that is installed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from importlib.metadata import EntryPoint
