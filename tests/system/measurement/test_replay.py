@@ -86,15 +86,14 @@ def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded,
         np.testing.assert_array_equal(again, once)
 
 
-def test_what_the_bytes_hold_is_what_the_run_holds(make_run):
+def test_a_replay_holds_what_the_run_holds_refuses_another_rate_and_answers_as_it_did(
+    make_run,
+):
     run = read_recorded_run(make_run(PATH))
     assert run.is_exact
     assert run.samples == len(open_run(make_run(PATH)).tracker)
     assert len(run.moves) == 1
     assert run.moves[0].goal == pytest.approx(CORNERS[-1])
-
-
-def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(make_run):
     with (
         Replay(make_run(PATH), tracker="tcp") as replay,
         StreamingTracker(**replay.tracker_options) as tracker,
