@@ -93,32 +93,6 @@ def test_reflectors_on_one_tool_keep_their_distance(demo, rng, chain):
     np.testing.assert_allclose(distance, np.linalg.norm(b - a), rtol=1e-12)
 
 
-def test_a_reflector_on_the_workpiece_rests_there_and_moves_before_the_base(demo, rng):
-    machine = with_chain(demo, "w-X-Y-b-Z-t")
-    truth = random_machine(machine, 2)
-    q = somewhere(rng, machine)
-    place = Reflector("", "workpiece", (1.0, 2.0, 3.0))
-    np.testing.assert_array_equal(truth.point_mm(q, place)[:, 2], 3.0)
-    nominal = np.array([1.0, 2.0, 3.0]) - q * [1.0, 1.0, 0.0]
-    seen = truth.point_mm(q, place, "base")
-    np.testing.assert_allclose(
-        truth.nominal_point_mm(q, place, "base"), nominal, atol=1e-9
-    )
-    assert 1e-3 < np.abs(seen - nominal).max() < 1.0
-
-
-def test_from_the_base_only_axes_of_the_tool_side_move_the_tool(demo, rng):
-    machine = with_chain(demo, "w-X-b-Y-Z-t")
-    truth = random_machine(machine, 2)
-    q = somewhere(rng, machine)
-    moved = q.copy()
-    moved[:, 0] = 0.0
-    reflector = machine.reflector()
-    np.testing.assert_array_equal(
-        truth.point_mm(q, reflector, "base"), truth.point_mm(moved, reflector, "base")
-    )
-
-
 def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_tools(
     demo, machine
 ):
