@@ -1,31 +1,22 @@
 """What effects do to the measured point."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.kinematics.conditions import Conditions, make_standstill
+from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import make_error_motion
-from truepath.kinematics.effects.location_error import list_squarenesses
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
 from truepath.kinematics.machine.machine import LinearAxis
-from truepath.kinematics.machine.symbols import (
-    list_error_motions,
-)
 from truepath.kinematics.model import MachineModel
 
 OFFSET = (20.0, -30.0, -150.0)
 
 
 MACHINE = build_mill(OFFSET)
-
-
-def moving(position, line, line_time_s, velocity):
-    n = len(position)
-    offset, time_s, approach = np.tile(OFFSET, (n, 1)), np.arange(n), np.zeros((n, 3))
-    told = (np.array(each) for each in (line, line_time_s, velocity))
-    return Conditions(MACHINE, position, offset, 1.0 * time_s, *told, approach)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +36,12 @@ def test_phase_and_speed_move_along_their_own_line_only_and_not_at_a_standstill(
     law = TimingLaw((0, 1))
     position = rng.uniform(0, 500, (3, 3))
     velocity = [[100.0, 0, 0], [100.0, 0, 0], [0, 0, -50.0]]
-    at = moving(position, [0, 0, 1], [-1.0, 1.0, 0.5], velocity)
+    at = replace(
+        make_standstill(MACHINE, position),
+        line=np.array([0, 0, 1]),
+        line_time_s=np.array([-1.0, 1.0, 0.5]),
+        velocity_mm_s=np.array(velocity),
+    )
     moved = law.displacement_mm(at, np.array([0.1, 0.01, 0.0, 0.2]))
     assert np.allclose(moved, [[0.09, 0, 0], [0.11, 0, 0], [0, 0, -0.1]])
     assert not law.jacobian(make_standstill(MACHINE, position)).any()
@@ -57,23 +53,6 @@ def test_pose_is_a_shift_and_a_turn_about_its_centre(rng):
     effect = TrackerPose((100.0, 50.0, 0.0))
     moved = effect.displacement_mm(at, np.concatenate([shift, turn]))
     assert np.allclose(moved, shift + np.cross(turn, at.point_mm - [100.0, 50.0, 0.0]))
-
-
-def test_theta_is_the_parameters_of_the_effects_one_after_another(rng):
-    motions = [
-        make_error_motion(s, axis, 6)
-        for axis in MACHINE.linear_axes
-        for s in list_error_motions(axis.name)
-    ]
-    model = MachineModel(MACHINE, (*motions, *list_squarenesses(("X", "Y", "Z"))))
-    at = make_standstill(MACHINE, rng.uniform(0, 500, (7, 3)))
-    theta = rng.normal(size=model.size)
-    parts = sum(
-        e.displacement_mm(at, theta[model.slices[e.name]]) for e in model.effects
-    )
-    assert np.allclose(model.jacobian(at) @ theta, parts)
-    names = {p.name for p in model.parameters}
-    assert len(model.parameters) == model.size == len(names)
 
 
 def test_effects_that_differ_in_the_ninth_digit_have_parameters_of_their_own():
