@@ -149,21 +149,6 @@ def test_a_path_is_driven_again_and_again_and_a_long_one_goes_over_in_blocks(
     assert master.timelines[-1].end_s > 4096
 
 
-def test_a_hold_brakes_and_a_resume_goes_on(moving):
-    assert moving.command(Command.HOLD) is Result.DONE
-    assert moving.hold_reason is HoldReason.NONE
-    moving.wait(0.5)
-    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.COMMAND)
-    rest = moving.position
-    assert 100.0 < rest[0] < 400.0
-    moving.wait(5.0)
-    np.testing.assert_array_equal(moving.position, rest)
-    assert moving.command(Command.RESUME) is Result.DONE
-    assert moving.hold_reason is HoldReason.NONE
-    assert moving.wait_still() is MotionState.FINISHED
-    np.testing.assert_allclose(moving.position, LINE[-1])
-
-
 @pytest.mark.parametrize(
     ("verb", "ended"),
     [
@@ -177,26 +162,6 @@ def test_an_order_while_braking_for_a_hold_is_not_lost(moving, verb, ended):
     moving.wait(0.5)
     assert moving.hold_reason is HoldReason.NONE
     assert moving.wait_still() is ended
-
-
-def test_an_abort_stops_and_forgets_the_path(moving):
-    assert moving.command(Command.ABORT) is Result.DONE
-    assert moving.wait_still() is MotionState.ABORTED
-    assert moving.position[0] < 400.0
-    assert moving.value("path_rows") == 0
-    assert moving.command(Command.START) is Result.NO_PATH
-
-
-@pytest.mark.fault_row(23)
-def test_silence_in_motion_is_held_by_the_watchdog(moving):
-    moving.wait(0.9, beating=False)
-    assert moving.state is MotionState.RUNNING
-    moving.wait(0.4, beating=False)
-    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.WATCHDOG)
-    moving.wait(1.0)
-    assert moving.state is MotionState.HELD
-    assert moving.command(Command.RESUME) is Result.DONE
-    assert moving.wait_still() is MotionState.FINISHED
 
 
 def test_the_patience_of_the_watchdog_can_be_written_within_reason(moving):

@@ -121,9 +121,7 @@ def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_to
     assert abs(truth.error_motions()["EXX"].at(np.array([100.0]))[0]) < 1e-12
 
 
-def test_a_seed_says_the_machine_and_many_points_are_as_one_by_one(
-    machine, rng
-):
+def test_a_seed_says_the_machine_and_many_points_are_as_one_by_one(machine, rng):
     q = somewhere(rng, machine)
     first, again, other = (
         random_machine(machine, s).deviation_mm(q) for s in (7, 7, 8)

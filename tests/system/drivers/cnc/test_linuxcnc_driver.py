@@ -1,10 +1,5 @@
 """The driver of LinuxCNC against a real one: its planner, limits and watchdog."""
 
-import os
-import signal
-import subprocess
-import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -142,25 +137,6 @@ def test_a_circle_is_one_motion_on_its_radius(driver):
 
 
 @pytest.mark.long
-def test_rows_are_told_while_they_are_driven_and_dwelt_at(driver):
-    driver.load(
-        path_to((20, 10, -10), (30, 10, -10), (40, 10, -10), dwell=(0.3, 0, 0.3))
-    )
-    assert driver.status().line == 0
-    driver.start()
-    seen = {}
-    while (status := driver.status()).state is MotionState.RUNNING:
-        driver.send_heartbeat()
-        seen.setdefault(status.line, []).append(status.position[0])
-    assert status.state is MotionState.FINISHED
-    assert status.line == 2
-    assert list(seen) == [0, 1, 2]
-    for row, at in seen.items():
-        assert 10 * (row + 1) - 0.2 <= at[-1] <= 10 * (row + 2) + 0.2
-    assert sum(abs(x - 20.0) < 1e-3 for x in seen[0]) > 5
-
-
-@pytest.mark.long
 def test_a_program_held_by_command_or_without_beats_goes_on_by_resume(driver):
     driver.load(path_to((50, 10, -10), (10, 10, -10), feed=1200))
     driver.start()
@@ -181,40 +157,6 @@ def test_a_program_held_by_command_or_without_beats_goes_on_by_resume(driver):
     assert driver.status().position == status.position  # beats alone move nothing
     driver.resume()
     assert driver.wait(10.0).state is MotionState.FINISHED
-
-
-@pytest.mark.long
-def test_held_is_told_only_when_it_stands(driver):
-    driver.move_to((110, 10, -10), 12_000)
-    time.sleep(0.1)
-    threading.Thread(target=driver.hold).start()
-    while driver.status().state is MotionState.RUNNING:
-        driver.send_heartbeat()
-    first = driver.status().position
-    time.sleep(0.1)
-    assert driver.status().position == first
-
-
-def test_the_watchdog_holds_what_a_killed_host_has_begun(rig, driver):
-    begin = (
-        "import sys, time; from truepath_drivers.cnc.linuxcnc.driver import *\n"
-        f"d = LinuxCncController(**{rig.motion_options!r}); d.connect()\n"
-        "d.move_to((300, 10, -10), 1200); print('moves', flush=True)\n"
-        "while True: d.send_heartbeat(); time.sleep(0.1)"
-    )
-    host = subprocess.Popen([sys.executable, "-c", begin], stdout=subprocess.PIPE)
-    assert host.stdout.readline() == b"moves\n"
-    time.sleep(1.1)
-    assert driver.status().state is MotionState.RUNNING
-    os.kill(host.pid, signal.SIGKILL)
-    killed_s = time.monotonic()
-    host.wait()
-    host.stdout.close()
-    status = driver.wait(5.0)
-    assert time.monotonic() - killed_s < 1.5
-    assert (status.state, status.hold_reason) == (MotionState.HELD, "watchdog")
-    driver.abort()
-    assert driver.wait(5.0).state is MotionState.ABORTED
 
 
 def test_hold_and_abort_take_the_command_back(rig, driver):

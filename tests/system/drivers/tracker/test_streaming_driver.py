@@ -155,24 +155,8 @@ def test_samples_and_bytes_that_nobody_takes_are_bounded_and_counted(
         assert tracker.health.lost_samples == after - samples.sequence[-1] - 1 > 200
 
 
-def test_a_read_waits_no_longer_than_it_may(peer, running):
-    read_for(running, 10)
-    begin = time.monotonic()
-    running.read(0.0)
-    assert time.monotonic() - begin < 0.1
-    peer.silent = True
-    running.read(0.1)
-    begin = time.monotonic()
-    assert len(running.read(0.2)) == 0
-    assert 0.15 < time.monotonic() - begin < 1.0
-
-
-def test_start_twice_is_one_start_and_another_rate_stops_first(peer, running):
-    read_for(running, 20)
+def test_another_rate_stops_the_stream_first(peer, running):
     running.start(500.0)
-    samples = read_for(running, 50)
-    assert (np.diff(samples.sequence) == 1).all()
-    assert running.health.lost_samples == 0
     running.start(250.0)
     kinds = [type(c) for c in peer.commands if not isinstance(c, gst.Ping)]
     assert kinds[-4:] == [gst.Start, gst.Start, gst.Stop, gst.Start]
