@@ -52,6 +52,8 @@ def conclude(until_asked):
 def test_a_path_grows_in_the_same_run(
     waiting, part, square, motion, until_asked, conclude
 ):
+    np.testing.assert_array_equal(motion.status().position, square.position[-1])
+    assert motion.calls[-1] == "start"  # it stands while it waits
     waiting.obey(part)
     until_asked(2)
     np.testing.assert_array_equal(motion.loaded.position, part.position)
@@ -63,12 +65,6 @@ def test_a_path_grows_in_the_same_run(
     done = [p.done for p in waiting.told(MeasurementProgress)]
     assert done == sorted(done)
     assert (done[-1], waiting.told(MeasurementProgress)[-1].total) == (5, 5)
-
-
-def test_a_machine_that_waits_for_a_part_stands(waiting, square, motion, conclude):
-    np.testing.assert_array_equal(motion.status().position, square.position[-1])
-    assert motion.calls[-1] == "start"
-    assert len(conclude(waiting, 1).commanded) == 4
 
 
 def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):

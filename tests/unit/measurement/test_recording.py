@@ -72,13 +72,6 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def assert_same(first: TrackerSamples, second: TrackerSamples) -> None:
-    np.testing.assert_array_equal(first.sequence, second.sequence)
-    np.testing.assert_array_equal(first.device_time_s, second.device_time_s)
-    np.testing.assert_array_equal(first.position_mm, second.position_mm)
-    np.testing.assert_array_equal(first.status, second.status)
-
-
 def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
     recorder, file, header, read_link_bytes
 ):
@@ -94,7 +87,9 @@ def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
     assert closed.sha256 == hash_file(file)
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
     run = open_run(file)
-    assert_same(run.tracker, written)
+    for name in ("sequence", "device_time_s", "position_mm", "status"):
+        kept, put = getattr(run.tracker, name), getattr(written, name)
+        np.testing.assert_array_equal(kept, put)
     link = b"".join(b"%03d" % i * 20 for i in range(20))
     assert read_link_bytes(file) == link + b"noise"
     assert run.name == "monday"
@@ -302,7 +297,8 @@ def damage(file: Path, needle: bytes, offset: int = 0) -> None:
     file.write_bytes(data)
 
 
-def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
+@pytest.mark.fault_row(26)
+def test_a_flipped_bit_costs_one_batch_is_named_and_the_run_salvaged(closed_file):
     lost = block(1000 + 50 * 7)
     damage(closed_file, lost.position_mm[10].tobytes())
     run = open_run(closed_file)
@@ -311,6 +307,18 @@ def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
     texts = {e.kind: e.text for e in run.events}
     assert texts["bad-batch"] == "batch of tracker at 1350: its CRC does not match"
     assert texts["gap"] == "gap: 50 samples after sequence 1349"
+    before = closed_file.read_bytes()
+    closed = repair_run(closed_file)
+    assert "CRC does not match" in closed.failure
+    assert closed.samples == 39 * 50
+    assert closed.lost_samples == 50
+    torn = closed_file.with_name("monday.sqlite.torn")
+    assert torn.read_bytes() == before
+    assert closed.sha256 == hash_file(closed_file)
+    run = open_run(closed_file)
+    assert len(run.tracker) == 39 * 50
+    assert [e.kind for e in run.events] == ["start", "gap"]
+    assert run.provenance["outcome"] == "finished"
 
 
 @pytest.mark.fault_row(26)
@@ -346,24 +354,6 @@ def test_lost_pages_leave_the_rest_readable(closed_file):
     run = open_run(closed_file)
     assert 50 * 20 < len(run.tracker) < 50 * 40
     assert any(e.kind == "bad-batch" for e in run.events)
-
-
-@pytest.mark.fault_row(26)
-def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
-    damaged_at = block(1000 + 50 * 7).position_mm[10].tobytes()
-    damage(closed_file, damaged_at)
-    before = closed_file.read_bytes()
-    closed = repair_run(closed_file)
-    assert "CRC does not match" in closed.failure
-    assert closed.samples == 39 * 50
-    assert closed.lost_samples == 50
-    torn = closed_file.with_name("monday.sqlite.torn")
-    assert torn.read_bytes() == before
-    assert closed.sha256 == hash_file(closed_file)
-    run = open_run(closed_file)
-    assert len(run.tracker) == 39 * 50
-    assert [e.kind for e in run.events] == ["start", "gap"]
-    assert run.provenance["outcome"] == "finished"
 
 
 def test_a_damaged_manifest_is_an_error_and_a_damaged_event_is_left_out(closed_file):
