@@ -103,16 +103,15 @@ def test_it_conforms(options: Options, check: Callable[..., None]) -> None:
         check(lambda: make(**options))
 
 
-def test_it_says_when_it_is_not_there(free_port: int) -> None:
+def test_it_says_when_it_is_not_there_and_where_to_give_another_rate(
+    options: Options, free_port: int
+) -> None:
     make = load("truepath.trackers", NAME)
     device.a_device_that_is_not_there_is_a_device_error(
         lambda: make("127.0.0.1", free_port)
     )
-
-
-def test_a_rate_that_it_has_not_tells_where_to_give_another(options: Options) -> None:
     with (
-        load("truepath.trackers", NAME)(**options) as tracker,
+        make(**options) as tracker,
         pytest.raises(Refused, match="rate_hz in machine"),
     ):
         tracker.start(500.0)

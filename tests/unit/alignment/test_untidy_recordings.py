@@ -46,9 +46,7 @@ def rows(run):
     return [p.row for p in align(run).passes]
 
 
-def test_what_moves_before_and_after_and_minutes_of_waiting_are_no_part_of_the_path(
-    record, rng
-):
+def test_what_comes_before_and_after_is_no_part_of_the_path(record, rng):
     """A reflector carried to the spindle and back; the way to the start and home."""
     run, _ = record(6)
     usual, position = rows(run), run.tracker.position_mm

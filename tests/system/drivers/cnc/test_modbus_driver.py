@@ -179,7 +179,7 @@ def test_results_of_the_device_are_told_in_words(tcp_peer, tcp_controller):
 
 
 @pytest.mark.fault_row(17)
-def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
+def test_rows_that_are_damaged_or_lost_on_the_way_are_not_driven(peer, controller):
     sent = peer.model.written
 
     def damaged(first, count):
@@ -190,11 +190,7 @@ def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
     peer.model.written = damaged
     with pytest.raises(Refused, match="arrived damaged"):
         controller.load(zigzag(3))
-
-
-@pytest.mark.fault_row(17)
-def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
-    peer.model.loses_rows = True
+    peer.model.written, peer.model.loses_rows = sent, True
     with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
         controller.load(zigzag(3))
 
@@ -224,8 +220,7 @@ def test_a_lost_reply_runs_the_command_once(peer, controller):
     peer.mangle = mangle
     peer.model.words[104] = 1
     controller.start()
-    assert lose == []
-    assert peer.model.executed == [START]
+    assert (lose, peer.model.executed) == ([], [START])
 
 
 @pytest.mark.fault_row(14)
@@ -399,19 +394,16 @@ def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text, measured)
     measured(f"“{text}”")
 
 
-def test_a_device_without_the_map_is_the_wrong_one(peer):
+@pytest.mark.fault_row(7)
+def test_the_wrong_device_by_its_serial_number_or_another_map_is_refused(peer):
+    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
+        ModbusController(serial_number="CNC-2", **peer.options).connect()
+    with ModbusController(serial_number="CNC-1", **peer.options) as controller:
+        assert controller.axes
     for code in (1, 2, 3):
         peer.exceptions = [code]
         with pytest.raises(WrongDevice, match="check unit number and register map"):
             ModbusController(**peer.options).connect()
-
-
-@pytest.mark.fault_row(7)
-def test_another_serial_number_is_the_wrong_device(tcp_peer):
-    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
-        ModbusController(serial_number="CNC-2", **tcp_peer.options).connect()
-    with ModbusController(serial_number="CNC-1", **tcp_peer.options) as controller:
-        assert controller.axes
 
 
 @pytest.mark.fault_row(15)

@@ -125,17 +125,13 @@ def test_a_silent_unit_is_asked_once_in_a_call(gateway):
 
 
 @pytest.mark.fault_row(13)
-def test_a_gateway_that_refuses_costs_its_readings_only(gateway):
+@pytest.mark.fault_row(16)
+def test_a_gateway_that_refuses_or_drops_the_link_costs_its_readings_only(gateway):
     with ModbusRegisters(**gateway.options) as group:
         gateway.inject("thermometers:exception+10s*4")
         assert all(r.fault and math.isnan(r.value) for r in read_once(group).values())
         gateway.at_s = 20.0
         assert not any(reading.fault for reading in read_once(group).values())
-
-
-@pytest.mark.fault_row(16)
-def test_a_lost_connection_comes_back_by_itself(gateway):
-    with ModbusRegisters(**gateway.options) as group:
         gateway.inject("thermometers:disconnect")
         time.sleep(0.05)
         faults = [r.fault for r in read_once(group).values()]
