@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from measuring import Measuring
+from paths_by_hand import path_of
 from truepath.alignment.align import align
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
@@ -24,7 +25,6 @@ from truepath_drivers.conformance import device
 from truepath_drivers.conformance.checking import on_terms
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
-from truepath_drivers.interfaces.records import Path as MotionPath
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.bench.rig import Rig, running_rig
 from truepath_simulators.errors import SimulatorError
@@ -36,14 +36,14 @@ HERE = Path(__file__).parent
 NAME = "othermake-lt50"
 Options = dict[str, str | int]
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
-CORNERS = MotionPath(
-    ("X", "Y", "Z"),
-    np.array(
-        [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]],
-        float,
-    ),
-    np.full(5, 12_000.0),
-    np.full(5, 1.0),
+CORNERS = path_of(
+    (20, 20, 20),
+    (480, 380, 20),
+    (20, 380, 280),
+    (480, 20, 280),
+    (20, 20, 20),
+    feed=12_000.0,
+    dwell_s=1.0,
 )
 
 

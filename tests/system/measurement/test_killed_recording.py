@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.run_file.run_repair import repair_run
-from truepath_drivers.interfaces.records import Path as DrivenPath
 
 WRITER = """
 import pickle, sys
@@ -38,8 +38,7 @@ while True:
 def left(mill, tmp_path_factory) -> tuple[Path, int]:
     """What a writer leaves that was killed, and the last counter that it told."""
     file = tmp_path_factory.mktemp("killed") / "monday.sqlite"
-    rows = np.array([[10.0, 10.0, -10.0], [110.0, 10.0, -10.0]])
-    path = DrivenPath(mill.axis_names, rows, np.full(2, 6000.0), np.zeros(2))
+    path = path_of((10.0, 10.0, -10.0), (110.0, 10.0, -10.0))
     header = RunHeader("monday", mill, path, 500.0, {}, mill.axis_names)
     given = pickle.dumps((file, header)).hex()
     command = [sys.executable, "-c", WRITER, given]

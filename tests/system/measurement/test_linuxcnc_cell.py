@@ -7,10 +7,10 @@ import time
 from contextlib import ExitStack
 from pathlib import Path as FilePath
 
-import numpy as np
 import pytest
 
 from driven_cell import Driven, config_of
+from paths_by_hand import path_of
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import (
     FaultReported,
@@ -18,7 +18,7 @@ from truepath.measurement.messages import (
     MeasurementProgress,
 )
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
-from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
@@ -70,8 +70,7 @@ class OnLinuxCnc:
         self.driven = driven = self._stack.enter_context(Driven(config))
         driven.cell.connect()
         machine = machine_from_json(load_machine("demo"))
-        rows = np.array([[10.0, 10, 10], [400, 10, 10]])
-        path = Path(machine.axis_names, rows, np.full(2, 60.0 * SPEED), np.zeros(2))
+        path = path_of((10.0, 10, 10), (400, 10, 10), feed=60.0 * SPEED)
         file = str(self._folder / f"{driven.cell.process_id}.sqlite")
         driven.begin(MeasurementOrder("live", file, machine, path))
         return driven

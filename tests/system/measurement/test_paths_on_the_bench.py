@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from driven_cell import Driven, measure_undisturbed
+from paths_by_hand import path_of, two_turns
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.nominal_path import compute_nominal_path
@@ -15,8 +16,7 @@ from truepath.files.bundle.run import Run
 from truepath.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.motion.configurations import Commanded, Configurations
-from truepath_drivers.interfaces.arcs import turn_about
-from truepath_drivers.interfaces.records import Arc, Path
+from truepath_drivers.interfaces.records import Path
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.turning_paths import turning_path
 from truepath_simulators.scenario import load_machine
@@ -62,12 +62,12 @@ def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
 def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp_path):
     content = load_machine("head-table")
     program = turning_path(parse_machine(content), 6, 12, 20_000.0)
-    path = Path(
-        machine_from_json(content).axis_names,
-        program.position,
-        60.0 * program.feed_mm_s,
-        program.dwell_s,
-        program.target,
+    path = path_of(
+        *program.position,
+        feed=60.0 * program.feed_mm_s,
+        dwell_s=program.dwell_s,
+        axes=machine_from_json(content).axis_names,
+        target=program.target,
     )
     run, seen, _ = measure(content, path, tmp_path)
     length = compute_nominal_path(run.machine, run.commanded).length_mm
@@ -85,16 +85,12 @@ def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp
 
 def make_small_circles() -> Path:
     """Return two circles of 60 mm radius, six seconds each, between straight lines."""
-    centre, turn_deg, axes = (250.0, 200.0), 732.0, ("X", "Y", "Z")
-    begin = np.array([310.0, 200.0, 150.0])
-    arcs = [Arc("XY", centre, turn_deg), Arc("XY", centre, -turn_deg)]
-    (end,) = turn_about(axes, begin, arcs[0], np.array([turn_deg]))
-    corners = np.array([[100.0, 100.0, 50.0], [400.0, 320.0, 250.0]])
-    more = np.array([[100.0, 320.0, 250.0], [400.0, 100.0, 50.0]])
-    rows = np.vstack([corners, begin, end, begin, more, corners])
-    arc = (None, None, None, *arcs, *(None,) * (len(rows) - 5))
-    feeds, dwells = np.full(len(rows), 7500.0), np.full(len(rows), 1.0)
-    return Path(axes, rows, feeds, dwells, arc=arc)
+    circles = two_turns(250.0, 200.0, 60.0, 150.0)
+    corners = [(100.0, 100.0, 50.0), (400.0, 320.0, 250.0)]
+    more = [(100.0, 320.0, 250.0), (400.0, 100.0, 50.0)]
+    rows = [*corners, *circles.position, *more, *corners]
+    arc = (None, None, *circles.arc, *(None,) * 4)
+    return path_of(*rows, feed=7500.0, dwell_s=1.0, arc=arc)
 
 
 @pytest.mark.long

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from driven_cell import Driven, config_of
+from paths_by_hand import path_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
@@ -16,7 +17,6 @@ from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.errors import Refused
-from truepath_drivers.interfaces.records import Path
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
@@ -30,7 +30,7 @@ AXES = ("X", "Y", "Z")
 CORNERS = np.array(
     [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]], float
 )
-PATH = Path(AXES, CORNERS, np.full(5, 12_000.0), np.full(5, 1.0))
+PATH = path_of(*CORNERS, feed=12_000.0, dwell_s=1.0)
 POINTS = Configurations(AXES, CORNERS[:4], np.full(4, 2.0))
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 SPEED = 10.0
@@ -137,8 +137,8 @@ def test_a_replay_takes_no_faults(capsys):
 def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
     make_run, tmp_path
 ):
-    position = np.vstack([CORNERS, [[400.0, 300.0, 200.0]]])
-    longer = Path(AXES, position, np.full(6, 12_000.0), np.full(6, 1.0))
+    further = (400.0, 300.0, 200.0)
+    longer = path_of(*CORNERS, further, feed=12_000.0, dwell_s=1.0)
     with (
         Replay(make_run(PATH)) as replay,
         pytest.raises(AssertionError, match="ended-early"),

@@ -33,45 +33,35 @@ OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}
 TURNS = ("T1", "T2", "T2", "T1")
 
 
-class ChoosingStream(FakeTracker, TargetChoice):
-    """Streams the place of the target that it was told."""
+class Choosing(TargetChoice):
+    """Turns to the target that it was told, unless a test makes it do otherwise."""
 
-    def __init__(self, motion) -> None:
+    def __init__(self, motion):
         super().__init__()
-        self._motion, self.asked, self.on = motion, list[str](), "T1"
-        self.failure: Exception | None = None
-        self.goes_to: dict[str, str] = {}
-
-    def select_target(self, name: str) -> None:
-        self.asked.append(name)
-        if self.failure is not None:
-            raise self.failure
-        assert self._motion.status().state != "running" or len(self.asked) == 1
-        self.on = self.goes_to.get(name, name)
-
-    def _new(self):
-        samples = super()._new()
-        place = PLACE_MM + self._motion.here + OFFSET_MM[self.on]
-        return replace(samples, position_mm=np.tile(place, (len(samples), 1)))
-
-
-class ChoosingTracker(FakePolledTracker, TargetChoice):
-    """Measures the target that it was told, unless a test makes it do otherwise."""
-
-    def __init__(self, motion) -> None:
         self.motion, self.asked, self.on = motion, list[str](), "T1"
-        self.failures = list[Exception]()
-        self.goes_to: dict[str, str] = {}
+        self.failures, self.goes_to = list[Exception](), dict[str, str]()
 
-    def select_target(self, name: str) -> None:
+    def select_target(self, name):
         self.asked.append(name)
         if self.failures:
             raise self.failures.pop(0)
+        assert self.motion.status().state != "running" or len(self.asked) == 1
         self.on = self.goes_to.get(name, name)
 
-    def measure(self, dwell_s: float) -> PointMeasurement:
-        place = PLACE_MM + self.motion.here + OFFSET_MM[self.on]
-        return PointMeasurement.average(np.array([0.0]), place[None])
+    @property
+    def seen_mm(self):
+        return PLACE_MM + self.motion.here + OFFSET_MM[self.on]
+
+
+class ChoosingStream(Choosing, FakeTracker):
+    def _new(self):
+        samples = super()._new()
+        return replace(samples, position_mm=np.tile(self.seen_mm, (len(samples), 1)))
+
+
+class ChoosingTracker(Choosing, FakePolledTracker):
+    def measure(self, dwell_s):
+        return PointMeasurement.average(np.array([0.0]), self.seen_mm[None])
 
 
 @pytest.fixture
@@ -161,13 +151,11 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
 class SlowTracker(ChoosingTracker):
     """Takes 1.5 s to turn."""
 
-    def __init__(self, motion) -> None:
-        super().__init__(motion)
-        self.limit_s, self.turned = 0.0, threading.Event()
+    verb_limit_s = 0.0
 
-    @property
-    def verb_limit_s(self) -> float:
-        return self.limit_s
+    def __init__(self, motion):
+        super().__init__(motion)
+        self.turned = threading.Event()
 
     def select_target(self, name: str) -> None:
         host_clock.wait(self.turned, 1.5)
@@ -181,7 +169,7 @@ def test_a_target_is_waited_for_as_long_as_its_driver_says(
     begin, motion, order, journal, limit_s, state
 ):
     tracker = SlowTracker(motion)
-    tracker.limit_s, motion.speed = limit_s, 2000.0
+    tracker.verb_limit_s, motion.speed = limit_s, 2000.0
     assert begin(order, tracker=tracker).ended() == state
     assert journal.faults == ([] if state == "finished" else ["tracker-silent"])
     tracker.turned.set()
@@ -223,7 +211,7 @@ def test_lines_of_several_targets_are_one_program_where_it_cannot(
     drive, motion, journal
 ):
     tracker = ChoosingStream(motion)
-    tracker.failure = NotOffered("speaks version 1")
+    tracker.failures = [NotOffered("speaks version 1")]
     drive(tracker)
     assert tracker.asked == ["T1"]
     assert motion.calls.count("load") == 1

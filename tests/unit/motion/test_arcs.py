@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of
 from truepath.errors import BundleError, OutOfTravel, PlanningError
 from truepath.files.bundle.commanded_file import (
     decode_commanded,
@@ -35,10 +36,9 @@ def circles(mill):
 @pytest.fixture
 def half_turn():
     """Half a turn of 100 mm radius, far beyond what its ends span."""
-    position = np.array([[100.0, 50.0, -50.0], [300.0, 50.0, -50.0]])
+    ends = (100.0, 50.0, -50.0), (300.0, 50.0, -50.0)
     arc = Arc("XY", (200.0, 50.0), 180.0)
-    two = np.full(2, 3000.0)
-    return Path(("X", "Y", "Z"), position, two, np.ones(2), arc=(None, arc))
+    return path_of(*ends, feed=3000.0, dwell_s=1.0, arc=(None, arc))
 
 
 def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles):

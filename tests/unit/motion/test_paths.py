@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of
 from truepath.errors import OutOfTravel, PlanningError
 from truepath.kinematics.machine.machine import LinearAxis, MotionLimits, RotaryAxis
 from truepath.motion.configurations import Configurations, append_part
@@ -17,7 +18,6 @@ from truepath.motion.paths.default_points import default_points
 from truepath.motion.paths.driven_again import drive_again
 from truepath.motion.paths.feeds import check_feed
 from truepath.motion.workspace.travel import check_travel
-from truepath_drivers.interfaces.records import Path
 
 
 @pytest.fixture
@@ -25,13 +25,6 @@ def with_table(mill):
     table = RotaryAxis("C", 10.0, 350.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     axes, side = (*mill.axes, table), ("C", *mill.workpiece_side)
     return replace(mill, axes=axes, workpiece_side=side)
-
-
-def line(*rows, axes="XYZ", feed=6000.0, target=()) -> Path:
-    n = len(rows)
-    return Path(
-        tuple(axes), np.array(rows, float), np.full(n, feed), np.zeros(n), target
-    )
 
 
 def test_points_turn_every_rotary_axis_and_measure_every_target(with_table, trunnion):
@@ -79,15 +72,14 @@ def test_corner_lines_join_corners_or_run_along_one_axis(mill):
 
 
 def test_travel_time_counts_lines_stops_and_dwells():
-    path = line((0, 0, 0), (100, 0, 0), (100, 100, 0))
-    path = replace(path, dwell_s=np.array([1.0, 2.0, 3.0]))
+    path = path_of((0, 0, 0), (100, 0, 0), (100, 100, 0), dwell_s=(1.0, 2.0, 3.0))
     # 100 mm at 100 mm/s and 1000 mm/s²: 1.0 s and 0.1 s for the two ramps.
     assert travel_time_s(path) == pytest.approx(6.0 + 2.2)
     np.testing.assert_allclose(row_times_s(path), [1.0, 3.1, 4.1])
     # A line too short for its feed takes its two ramps; turning counts in degrees.
-    short = line((0, 0, 0), (4, 0, 0))
+    short = path_of((0, 0, 0), (4, 0, 0))
     assert travel_time_s(short) == pytest.approx(2 * (4 / 1000) ** 0.5)
-    turn = line((0, 0, 0, 0), (0, 0, 0, 90), axes="XYZC", feed=1800.0)
+    turn = path_of((0, 0, 0, 0), (0, 0, 0, 90), axes="XYZC", feed=1800.0)
     assert travel_time_s(turn) == pytest.approx(90 / 30 + 30 / 1000)
 
 
@@ -110,7 +102,7 @@ def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(
     mill, measured
 ):
     with pytest.raises(OutOfTravel) as caught:
-        check_travel(mill, line((0, 0, 0), (612.4, 0, 0)))
+        check_travel(mill, path_of((0, 0, 0), (612.4, 0, 0)))
     text = str(caught.value)
     assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
     assert "shorten the plan" in text
@@ -133,10 +125,10 @@ def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill, feed_mm_min)
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        (line((0, 0, -301), (0, 0, 0)), r"row 1: Z = -301 mm is below -300 mm"),
-        (line((0, 0, 0), (1, np.nan, 0)), r"row 2: Y is not a finite number"),
-        (line((0, 0, 0, 355), axes="XYZC"), r"C = 355 deg exceeds 350 deg"),
-        (line((0, 0, 0, 0), axes="XYZA"), r"axis A.*its axes are X, Y, Z, C"),
+        (path_of((0, 0, -301), (0, 0, 0)), r"row 1: Z = -301 mm is below -300 mm"),
+        (path_of((0, 0, 0), (1, np.nan, 0)), r"row 2: Y is not a finite number"),
+        (path_of((0, 0, 0, 355), axes="XYZC"), r"C = 355 deg exceeds 350 deg"),
+        (path_of((0, 0, 0, 0), axes="XYZA"), r"axis A.*its axes are X, Y, Z, C"),
     ],
 )
 def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows, said):
@@ -149,13 +141,13 @@ def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows,
 
 def test_the_rounding_of_a_file_is_not_out_of_travel(mill):
     axes = (LinearAxis("X", 0.0, 499.99996), *mill.axes[1:])
-    check_travel(replace(mill, axes=axes), line((0, 0, 0), (500.0, 0, 0)))
+    check_travel(replace(mill, axes=axes), path_of((0, 0, 0), (500.0, 0, 0)))
 
 
 def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
     names = ("T1", "T1", "T1", "T2", "T2", "T1")
-    path = line(*np.arange(18.0).reshape(6, 3), target=names)
-    path = replace(path, feed_mm_min=np.arange(100.0, 106.0))
+    rows, feeds = np.arange(18.0).reshape(6, 3), np.arange(100.0, 106.0)
+    path = path_of(*rows, feed=feeds, target=names)
     stretches = cut_by_target(path)
     assert [stretch.row for stretch in stretches] == [0, 2, 4]
     targets = [stretch.path.target for stretch in stretches]

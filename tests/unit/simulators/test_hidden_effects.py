@@ -97,9 +97,6 @@ def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked():
     np.testing.assert_allclose(table, stepped, atol=1e-9)
     some = np.sort(np.random.default_rng(1).choice(len(time_s), 50))
     np.testing.assert_array_equal(motion.play_mm("X", 0.5, time_s[some]), table[some])
-
-
-def test_a_motion_that_goes_on_remembers_what_was_before():
     first = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
     way = program([(150, 200, 90)])
     later = first.end_s + 5.0
@@ -129,13 +126,17 @@ def test_a_carriage_leans_to_the_side_it_comes_from_and_about_an_axis_by_the_arm
     np.testing.assert_allclose(off[there].mean(axis=0), 10e-3 * arm, atol=1e-4)
 
 
-def test_a_screw_errs_alike_every_turn():
+def test_a_screw_errs_alike_every_turn_and_a_vibration_keeps_its_frequency():
     off, recording = moved_um(ScrewCyclic("X", 10.0, 3.0, 0.5))
     there = middle_of(recording, 1)
     x = recording.commanded_mm[there, 0]
     np.testing.assert_allclose(
         off[there, 0], 3.0 * np.sin(2 * np.pi * x / 10.0 + 0.5), atol=1e-6
     )
+    off, recording = moved_um(Vibration("Y", 12.5, 2.0))
+    time_s = recording.time_s - recording.time_s[0]
+    share = np.exp(-2j * np.pi * 12.5 * time_s) @ off[:, 1] / len(time_s)
+    assert 2.0 * abs(share) == pytest.approx(2.0, rel=0.01)
 
 
 def test_a_scale_grows_as_it_warms_and_its_sensor_lags():
@@ -228,13 +229,6 @@ def test_the_tracker_misreads_what_its_circles_and_home_distance_say():
     )
 
 
-def test_a_vibration_keeps_its_frequency_on_the_trackers_clock():
-    off, recording = moved_um(Vibration("Y", 12.5, 2.0))
-    time_s = recording.time_s - recording.time_s[0]
-    share = np.exp(-2j * np.pi * 12.5 * time_s) @ off[:, 1] / len(time_s)
-    assert 2.0 * abs(share) == pytest.approx(2.0, rel=0.01)
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_every_effect_is_drawn_alike_by_its_seed_and_travels_as_text(name):
     occasion = Occasion(MACHINE, 3.0, 60.0, FEED_MM_S, 700.0)
@@ -285,7 +279,7 @@ def test_numbers_that_the_machine_cannot_have_are_refused(text, names):
         parse_hidden(text, 1, MACHINE)
 
 
-def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path):
+def test_a_bench_and_a_bundle_tell_what_was_hidden(tmp_path):
     out = tmp_path / "bundle"
     options = ["--rows", "5", "--hide", "backlash*3", "--hide", "table-drift"]
     assert synthetic.main([str(out), "--seed", "2", *options]) == 0
@@ -293,9 +287,6 @@ def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path):
     assert [e["name"] for e in effects] == ["backlash", "table-drift"]
     assert effects[0]["parameters"]["width_um"]["value"] == 6.0
     assert synthetic.main([str(out), "--hide", "nothing-known"]) == 2
-
-
-def test_a_bench_knows_what_it_hides():
     bench = Bench(seed=5, hidden=(Backlash("Y", 6.0), "table-drift*3"))
     names = [e["name"] for e in bench.hidden_truth()]
     assert names == ["backlash", "table-drift"]

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of, two_turns
 from register_peers import ABORT, COMMIT, HOLD, MOVE_TO, PUT_ROWS, START
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import (
@@ -20,7 +21,7 @@ from truepath_drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath_drivers.interfaces.records import Arc, Identity, MotionState, Path
+from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
 
 
@@ -36,15 +37,10 @@ def tcp_controller(tcp_peer):
         yield controller
 
 
-def path_of(position, feed_mm_min=3000.0, dwell_s=0.0, axes=("X", "Y", "Z")) -> Path:
-    position = np.asarray(position, np.float64)
-    n = len(position)
-    return Path(axes, position, np.full(n, feed_mm_min), np.full(n, dwell_s))
-
-
 def zigzag(rows: int) -> Path:
     along = np.linspace(0, 100, rows)
-    return path_of(np.stack([along, along % 7, -along], axis=1), dwell_s=0.25)
+    rows_mm = np.stack([along, along % 7, -along], axis=1)
+    return path_of(*rows_mm, feed=3000.0, dwell_s=0.25)
 
 
 def popped(items: list) -> bool:
@@ -119,7 +115,7 @@ def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
     ):
         with pytest.raises(OutOfTravel, match=text):
             controller.move_to(position, 1000)
-        path = path_of([[0, 0, 0], [1, 1, -1], position])
+        path = path_of((0, 0, 0), (1, 1, -1), position)
         with pytest.raises(OutOfTravel, match="row 3: " + text):
             controller.load(path)
     assert len(peer.requests) == sent
@@ -130,13 +126,13 @@ def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
 ):
     sent = len(tcp_peer.requests)
     for path, text in (
-        (path_of([[0, 0, 0]], feed_mm_min=0.0), "row 1: a feed of 0 mm/min"),
-        (path_of([[0, 0, 0]], feed_mm_min=30_001.0), "up to 30000 are"),
-        (path_of([[0, 0, 0]], feed_mm_min=float("nan")), "feed of nan"),
-        (path_of([[0, 0, 0]], dwell_s=-1.0), "dwell of -1 s"),
-        (path_of([[0, 0, 0]], dwell_s=float("inf")), "dwell of inf"),
-        (path_of([[0, 0]], axes=("X", "Y")), "the machine X Y Z"),
-        (path_of(np.empty((0, 3))), "0 rows, 1 to 4096 fit"),
+        (path_of((0, 0, 0), feed=0.0), "row 1: a feed of 0 mm/min"),
+        (path_of((0, 0, 0), feed=30_001.0), "up to 30000 are"),
+        (path_of((0, 0, 0), feed=float("nan")), "feed of nan"),
+        (path_of((0, 0, 0), dwell_s=-1.0), "dwell of -1 s"),
+        (path_of((0, 0, 0), dwell_s=float("inf")), "dwell of inf"),
+        (path_of((0, 0), axes=("X", "Y")), "the machine X Y Z"),
+        (path_of(), "0 rows, 1 to 4096 fit"),
         (zigzag(4097), "4097 rows, 1 to 4096 fit"),
     ):
         with pytest.raises(Refused, match=text):
@@ -599,22 +595,12 @@ def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
         controller.limit_override(1.0)
 
 
-def two_turns() -> Path:
-    """From beside a circle a little more than twice round it, and back."""
-    end = np.radians(12.0)
-    places = [[110.0, 60.0, 0.0], [0.0, 0.0, 0.0], [110.0, 60.0, 0.0]]
-    places[1][:2] = 60.0 + 50.0 * np.cos(end), 60.0 + 50.0 * np.sin(end)
-    arcs = Arc("XY", (60.0, 60.0), 732.0), Arc("XY", (60.0, 60.0), -732.0)
-    path = path_of(np.round(places, 4), feed_mm_min=6000.0)
-    return replace(path, arc=(None, *arcs))
-
-
 def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
     controller = bench_controller
     assert controller.connect().drives_arcs
     controller.move_to((110.0, 60.0, 0.0), 20_000.0)
     controller.wait(30.0)
-    controller.load(two_turns())
+    controller.load(two_turns(60.0, 60.0, 50.0))
     controller.start()
     out_mm = []
 
@@ -639,7 +625,7 @@ def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
 
 def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
     low, high = bench_controller.travel[1]
-    path = two_turns()
+    path = two_turns(60.0, 60.0, 50.0)
     shift = np.array([0.0, low - 15.0, 0.0])
     arcs = [arc and replace(arc, centre_mm=(60.0, 45.0 + low)) for arc in path.arc]
     moved = replace(path, position=path.position + shift, arc=tuple(arcs))
