@@ -1,15 +1,33 @@
 """What effects do to the measured point."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from mills import build_mill
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.base import Effect, columns_along
+from truepath.kinematics.effects.conformance import (
+    CHECKS,
+    NotConforming,
+    effects_are_values,
+    example_conditions,
+    jacobian_is_the_slope_of_the_displacement,
+    words_are_there,
+)
 from truepath.kinematics.effects.error_motion import make_error_motion
+from truepath.kinematics.effects.family import list_families
+from truepath.kinematics.effects.free_form import (
+    PlaneTurnFamily,
+    SideShapeFamily,
+    TiltWanderFamily,
+)
+from truepath.kinematics.effects.look_error import LookErrorFamily
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.model import MachineModel
 
@@ -69,3 +87,96 @@ def test_two_effects_of_one_name_are_refused():
     pose = TrackerPose((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="tracker-pose"):
         MachineModel(MACHINE, (pose, pose))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return example_conditions()
+
+
+def propose(family, at, **keys):
+    return next(c.effect for c in family.propose(at) if keys.items() <= c.keys.items())
+
+
+def test_a_tilt_moves_points_across_its_axis_and_by_their_distance(seen):
+    tilt = propose(TiltWanderFamily(), seen, direction="Z")
+    moved = tilt.jacobian(seen)[:, :, 0]
+    arm = seen.point_mm - seen.point_mm.mean(axis=0)
+    assert np.abs(moved[:, 2]).max() == 0.0
+    assert np.abs(np.sum(moved * arm, axis=1)).max() < 1e-9
+    size = np.linalg.norm(moved, axis=1) / np.linalg.norm(arm[:, :2], axis=1)
+    assert size.max() == pytest.approx(size[0], rel=1e-6)
+
+
+def test_a_turn_of_one_axis_by_another_is_nothing_without_the_other(seen):
+    turn = propose(PlaneTurnFamily(), seen, motion="ECX", by="Y")
+    products = turn.shapes(seen)
+    share = seen.axis_mm("Y") / 500.0
+    np.testing.assert_allclose(products[:, 0], 2.0 * share - 1.0)
+
+
+def test_lost_motion_that_varies_changes_side_with_the_direction(seen):
+    shape = propose(SideShapeFamily(), seen, axis="X", direction="Y")
+    ahead = seen.approach[:, 0] * shape.jacobian(seen)[:, 1, 0]
+    np.testing.assert_allclose(ahead, 2.0 * seen.axis_mm("X") / 500.0 - 1.0)
+
+
+def test_an_error_of_the_range_is_along_the_beam(seen):
+    moved = propose(LookErrorFamily(), seen, quantity="range").jacobian(seen)
+    beam = seen.recorded.tracker_mm
+    across = np.cross(moved[:, :, 0], beam)
+    assert np.abs(across).max() < 1e-9 * np.linalg.norm(beam, axis=1).max()
+
+
+def test_a_drifting_scale_moves_far_points_more(seen):
+    assert read_air_degc(seen) is None
+    drift = propose(ScaleDriftFamily(), seen).jacobian(seen)[:, :, 0]
+    late = seen.time_s - 0.5 * (seen.time_s.min() + seen.time_s.max())
+    np.testing.assert_allclose(drift, seen.recorded.tracker_mm * late[:, None])
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("family", list_families(), ids=lambda family: family.name)
+def test_an_installed_effect_conforms(family, check):
+    check(family, example_conditions())
+
+
+@dataclass(frozen=True)
+class Crooked(Effect):
+    """Its displacement is not what its Jacobian says."""
+
+    kind = "crooked"
+    units = {"": "mm"}  # noqa: RUF012 (declared as ClassVar in Effect)
+
+    def jacobian(self, at):
+        return columns_along("X", np.ones((len(at), 1)))
+
+    def displacement_mm(self, at, theta):
+        return 2.0 * super().displacement_mm(at, theta)
+
+
+class CrookedFamily(ServoMismatchFamily):
+    keys = {}  # noqa: RUF012 (declared as ClassVar in Family)
+    words = {"en": ServoMismatchFamily.words["en"]}  # noqa: RUF012
+
+    def propose(self, at):
+        return [self.offer(Crooked(), [1.0]), self.offer(Crooked(), [1.0])]
+
+
+@pytest.mark.parametrize(
+    ("check", "complaint"),
+    [
+        (jacobian_is_the_slope_of_the_displacement, "is not the slope"),
+        (effects_are_values, "share names"),
+        (words_are_there, "no words in de"),
+    ],
+)
+def test_an_effect_that_breaks_the_contract_is_told_so(check, complaint):
+    with pytest.raises(NotConforming, match=complaint):
+        check(CrookedFamily(), example_conditions())
+
+
+def test_a_family_that_proposes_nothing_is_not_checked_silently():
+    at = replace(example_conditions(), recorded=None)
+    with pytest.raises(NotConforming, match="proposes nothing"):
+        words_are_there(ServoMismatchFamily(), at)
