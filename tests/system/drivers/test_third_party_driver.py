@@ -97,29 +97,24 @@ def options(imitate: Callable[[float], Options]) -> Options:
 
 
 @pytest.mark.parametrize("check", TRACKER_CHECKS)
-def test_it_conforms(options: Options, check: Callable[..., None]) -> None:
+def test_it_conforms(options, check):
     make = load("truepath.trackers", NAME)
     with on_terms(rate_hz=50.0):
         check(lambda: make(**options))
 
 
 def test_it_says_when_it_is_not_there_and_where_to_give_another_rate(
-    options: Options, free_port: int
-) -> None:
+    options, free_port
+):
     make = load("truepath.trackers", NAME)
     device.a_device_that_is_not_there_is_a_device_error(
         lambda: make("127.0.0.1", free_port)
     )
-    with (
-        make(**options) as tracker,
-        pytest.raises(Refused, match="rate_hz in machine"),
-    ):
+    with make(**options) as tracker, pytest.raises(Refused, match="rate_hz in machine"):
         tracker.start(500.0)
 
 
-def test_damaged_lines_are_counted_and_never_samples(
-    imitate: Callable[[float], Options],
-) -> None:
+def test_damaged_lines_are_counted_and_never_samples(imitate):
     with load("truepath.trackers", NAME)(**imitate(0.2)) as tracker:
         tracker.start(50.0)
         blocks = []
@@ -134,15 +129,13 @@ def test_damaged_lines_are_counted_and_never_samples(
     assert np.ptp(read.position_mm, axis=0).max() < 0.1
 
 
-def test_a_driver_that_is_not_installed_is_named() -> None:
+def test_a_driver_that_is_not_installed_is_named():
     with pytest.raises(BadInput, match=NAME):  # among those that are
         load("truepath.trackers", "nobody")
     assert NAME in find_plugins("truepath.trackers")
 
 
-def test_it_measures_by_the_settings_alone(
-    rig: Rig, options: Options, tmp_path: Path
-) -> None:
+def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
     file = tmp_path / "truepath.toml"
     file.write_text(
         f'tracker_driver = "{NAME}"\n'

@@ -151,10 +151,7 @@ def test_a_path_is_driven_again_and_again_and_a_long_one_goes_over_in_blocks(
 
 @pytest.mark.parametrize(
     ("verb", "ended"),
-    [
-        (Command.RESUME, MotionState.FINISHED),
-        (Command.ABORT, MotionState.ABORTED),
-    ],
+    [(Command.RESUME, MotionState.FINISHED), (Command.ABORT, MotionState.ABORTED)],
 )
 def test_an_order_while_braking_for_a_hold_is_not_lost(moving, verb, ended):
     moving.command(Command.HOLD)
