@@ -14,12 +14,11 @@ import pytest
 from measuring import Measuring
 from paths_by_hand import path_of
 from truepath.alignment.align import align
-from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import StreamTimeouts
-from truepath.plugins import find_plugins, load
+from truepath.plugins import load
 from truepath.settings import load_settings
 from truepath_drivers.conformance import device
 from truepath_drivers.conformance.checking import on_terms
@@ -127,12 +126,6 @@ def test_damaged_lines_are_counted_and_never_samples(imitate):
     assert health.crc_errors > 20
     assert health.lost_samples >= read.sequence[-1] + 1 - len(read) - rest
     assert np.ptp(read.position_mm, axis=0).max() < 0.1
-
-
-def test_a_driver_that_is_not_installed_is_named():
-    with pytest.raises(BadInput, match=NAME):  # among those that are
-        load("truepath.trackers", "nobody")
-    assert NAME in find_plugins("truepath.trackers")
 
 
 def test_it_measures_by_the_settings_alone(rig, options, tmp_path):

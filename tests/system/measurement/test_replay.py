@@ -128,11 +128,6 @@ def test_a_run_that_cannot_be_repeated_is_a_clear_line(
     assert said in capsys.readouterr().err
 
 
-def test_a_replay_takes_no_faults(capsys):
-    assert main(["--replay", "run.sqlite", "--fault", "tracker:silence"]) == 2
-    assert "only repeats" in capsys.readouterr().err
-
-
 @pytest.mark.long
 def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
     make_run, tmp_path

@@ -436,7 +436,9 @@ def test_a_faulty_controller_is_caught(clock, check, name, fault):
         check(make)
 
 
-def test_a_file_left_open_and_a_constructor_that_opens_are_caught(clock, tmp_path):
+def test_what_is_left_open_opened_at_once_or_answers_where_none_is_is_caught(
+    clock, tmp_path
+):
     left = []
 
     def leave_open(self):
@@ -452,9 +454,6 @@ def test_a_file_left_open_and_a_constructor_that_opens_are_caught(clock, tmp_pat
         )
     for file in left:
         file.close()
-
-
-def test_a_device_that_answers_where_none_is_is_caught():
     with pytest.raises(NotConforming, match="not there"):
         device.a_device_that_is_not_there_is_a_device_error(GoodTracker)
 

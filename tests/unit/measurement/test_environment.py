@@ -21,7 +21,6 @@ from truepath.measurement.monitors.channel_judge import (
     STUCK,
     ChannelJudge,
 )
-from truepath.measurement.monitors.environment_reader import EnvironmentReader
 from truepath.measurement.progress import LiveView
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
@@ -334,19 +333,6 @@ def test_readings_come_on_the_trackers_clock_and_outlive_their_writer(tmp_path, 
     np.testing.assert_allclose(run.temperature.time_s[:4], handed_over_s, atol=0.05)
     assert run.temperature.celsius[-1, 0] == 20.6
     assert np.isnan(run.temperature.celsius[-1, 1])
-
-
-def test_a_run_of_before_has_no_sensors_and_a_reader_that_is_stopped_reads_none(
-    tmp_path, header, sensors
-):
-    file = tmp_path / "run.sqlite"
-    recorder = Recorder(file, replace(header, channels=()), reserve_bytes=0)
-    reader = EnvironmentReader([sensors], recorder, lambda _: None)
-    reader.start()
-    reader.stop()
-    reader.stop()
-    recorder.close("finished")
-    assert open_run(file).temperature is None
 
 
 # Refraction

@@ -1,6 +1,7 @@
 """Measurements on devices in this process: procedures, verbs, faults."""
 
 import threading
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -221,27 +222,22 @@ def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
     assert len(moving.run.tracker) > 100
 
 
-@pytest.mark.fault_row(17)
-def test_an_abort_that_the_controller_ignores_is_a_fault(moving, motion):
-    motion.ignores_abort = True
-    moving.obey(CellVerb.ABORT)
-    assert moving.ended() == "faulted"
-    assert moving.faults[-1] == "stop-unconfirmed"
-
-
 @pytest.mark.fault_row(16)
-@pytest.mark.parametrize("comes_back", [False, True])
-def test_an_abort_of_a_controller_out_of_reach_is_told_and_a_fault_if_it_stays_so(
-    moving, motion, comes_back
+@pytest.mark.fault_row(17)
+@pytest.mark.parametrize("controller", ["ignores it", "is gone", "comes back"])
+def test_an_abort_that_does_not_reach_the_machine_is_told_and_a_fault(
+    moving, motion, controller
 ):
-    motion.out_of_reach = True
-    with pytest.raises(DeviceTimeout):
+    motion.ignores_abort = controller == "ignores it"
+    motion.out_of_reach = not motion.ignores_abort
+    with pytest.raises(DeviceTimeout) if motion.out_of_reach else nullcontext():
         moving.obey(CellVerb.ABORT)
-    motion.out_of_reach = not comes_back
-    assert moving.ended() == ("aborted" if comes_back else "faulted")
-    if comes_back:
+    motion.out_of_reach = controller == "is gone"
+    if controller == "comes back":
+        assert moving.ended() == "aborted"
         assert motion.status().state == "aborted"
     else:
+        assert moving.ended() == "faulted"
         assert moving.faults[-1] == "stop-unconfirmed"
 
 
@@ -675,15 +671,20 @@ def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
 
 
 @pytest.mark.fault_row(20)
-def test_a_hold_at_the_machine_is_a_pause_that_ends_there(moving, motion):
+@pytest.mark.parametrize("ends", ["there", "here"])
+def test_a_hold_at_the_machine_is_a_pause_that_ends_there_or_here(moving, motion, ends):
     motion.stand("operator")
     moving.until_state("paused")
     assert "held at the machine: operator" in moving.told(StateChanged)[-1].text
     moving.until_told("held-at-machine")
     assert "operator" in moving.fault.text
-    motion.go_on()
-    moving.finished()
-    assert moving.states == ["running", "paused", "running", "finished"]
+    if ends == "here":
+        moving.resume_to_the_end()
+        assert "resume" in motion.calls
+    else:
+        motion.go_on()
+        moving.finished()
+        assert moving.states == ["running", "paused", "running", "finished"]
 
 
 @pytest.mark.fault_row(20)
@@ -700,14 +701,6 @@ def test_a_hold_at_the_machine_may_last_for_hours(judged, tracker, motion, clock
     motion.go_on()
     judged.finished_after("held-at-machine")
     assert "resume" not in motion.calls
-
-
-@pytest.mark.fault_row(20)
-def test_a_hold_at_the_machine_may_be_ended_by_resume(moving, motion):
-    motion.stand("watchdog")
-    moving.until_state("paused")
-    moving.resume_to_the_end()
-    assert "resume" in motion.calls
 
 
 def test_a_pause_is_kept_against_a_release_at_the_machine(moving, motion):

@@ -49,22 +49,19 @@ def test_more_than_a_hundredth_of_a_second_is_damage(rng, lost, is_damaged):
     assert judge(number[keep]) == is_damaged
 
 
-def test_one_gap_is_a_silence_and_no_damage():
+def test_one_gap_is_a_silence_and_damage_is_over_after_a_good_second():
     number = np.arange(2000)
     assert not judge(number[(number < 800) | (number > 1100)])
-
-
-@pytest.mark.parametrize(("crc_errors", "is_damaged"), [(3, False), (12, True)])
-def test_frames_that_do_not_check_are_damage(crc_errors, is_damaged):
-    assert judge(np.arange(1000), crc_errors) == is_damaged
-
-
-def test_damage_is_over_after_a_good_second():
     damage = StreamDamage(RATE_HZ, 0.01)
     damage.note(samples(np.arange(0, 1000, 20)), 0)
     assert damage.is_over_limit
     damage.note(samples(np.arange(1000, 1600)), 0)
     assert not damage.is_over_limit
+
+
+@pytest.mark.parametrize(("crc_errors", "is_damaged"), [(3, False), (12, True)])
+def test_frames_that_do_not_check_are_damage(crc_errors, is_damaged):
+    assert judge(np.arange(1000), crc_errors) == is_damaged
 
 
 def test_a_controller_lost_at_time_zero_is_given_up_in_time(hand_clock, motion):

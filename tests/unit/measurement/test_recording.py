@@ -179,19 +179,14 @@ def test_a_display_that_fails_does_not_stop_the_recording(
     ]
 
 
-def test_a_file_that_exists_or_cannot_be_written_is_named(
-    recorder, file, header, tmp_path
+def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
+    recorder, file, header, tmp_path, monkeypatch
 ):
     with pytest.raises(MeasurementFailed, match="exists; give the Run another name"):
         Recorder(file, header, reserve_bytes=0)
     (tmp_path / "text").write_text("not a folder")
     with pytest.raises(MeasurementFailed, match="cannot be written"):
         Recorder(tmp_path / "text" / "a.sqlite", header, reserve_bytes=0)
-
-
-def test_a_full_disk_refuses_to_begin_and_one_that_fills_up_is_noticed(
-    file, header, monkeypatch
-):
     monkeypatch.setattr(recorder_module, "SPACE_CHECK_S", 0.0)
     free = [10 << 20]
     monkeypatch.setattr(Recorder, "_free_bytes", lambda _: free[0])

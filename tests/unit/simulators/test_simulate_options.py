@@ -19,6 +19,7 @@ from truepath_simulators.bench.command import main
         (["--modbus-port", "-5"], "modbus-port"),
         (["--error-scale", "inf"], "error-scale"),
         (["--protocol", "t2sa"], "over TCP alone"),
+        (["--replay", "run.sqlite", "--fault", "tracker:silence"], "only repeats"),
     ],
 )
 def test_bad_input_is_exit_status_2_and_a_clear_line(options, said, capsys):

@@ -105,7 +105,7 @@ def test_a_path_is_loaded_row_by_row_and_runs_whatever_the_order_of_its_columns(
     assert peer.model.executed == [PUT_ROWS] * blocks + [COMMIT, START]
 
 
-def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
+def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controller):
     sent = len(peer.requests)
     for position, text in (
         ([500.001, 0, 0], r"X = 500\.0010 is outside -10\.0000 to 500\.0000"),
@@ -118,13 +118,6 @@ def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
         path = path_of((0, 0, 0), (1, 1, -1), position)
         with pytest.raises(OutOfTravel, match="row 3: " + text):
             controller.load(path)
-    assert len(peer.requests) == sent
-
-
-def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
-    tcp_peer, tcp_controller
-):
-    sent = len(tcp_peer.requests)
     for path, text in (
         (path_of((0, 0, 0), feed=0.0), "row 1: a feed of 0 mm/min"),
         (path_of((0, 0, 0), feed=30_001.0), "up to 30000 are"),
@@ -136,10 +129,10 @@ def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
         (zigzag(4097), "4097 rows, 1 to 4096 fit"),
     ):
         with pytest.raises(Refused, match=text):
-            tcp_controller.load(path)
+            controller.load(path)
     with pytest.raises(Refused, match="positions have 2 values"):
-        tcp_controller.move_to([1.0, 2.0], 1000)
-    assert len(tcp_peer.requests) == sent
+        controller.move_to([1.0, 2.0], 1000)
+    assert len(peer.requests) == sent
 
 
 def test_an_alarm_is_a_fault_with_its_text_or_number(peer, controller):
@@ -569,21 +562,6 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     assert controller.wait(5.0).state is MotionState.FINISHED
 
 
-@pytest.mark.fault_row(20)
-def test_an_override_of_nothing_is_one_where_the_device_tells_it(
-    bench, bench_controller, tcp_peer, until
-):
-    assert bench_controller.status().override == 1.0
-    bench.inject("cnc:override+6s*0")
-    until(lambda: bench_controller.status().override == 0.0)
-    until(lambda: bench_controller.status().override == 1.0)
-    with ModbusController(**tcp_peer.options) as controller:
-        tcp_peer.model.words[107] = 0
-        assert controller.status().override is None
-        tcp_peer.model.words[107] = 500
-        assert controller.status().override == 0.5
-
-
 @pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
 def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
     with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
@@ -637,7 +615,19 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_cont
         bench_controller.load(replace(path, arc=(None, wrong, path.arc[2])))
 
 
-def test_an_override_is_lowered_and_never_raised(bench, bench_controller, until):
+@pytest.mark.fault_row(20)
+def test_an_override_is_read_lowered_and_never_raised(
+    bench, bench_controller, tcp_peer, until
+):
+    assert bench_controller.status().override == 1.0
+    bench.inject("cnc:override+6s*0")
+    until(lambda: bench_controller.status().override == 0.0)
+    until(lambda: bench_controller.status().override == 1.0)
+    with ModbusController(**tcp_peer.options) as controller:
+        tcp_peer.model.words[107] = 0
+        assert controller.status().override is None
+        tcp_peer.model.words[107] = 500
+        assert controller.status().override == 0.5
     bench.inject("cnc:override*1.2")
     until(lambda: bench_controller.status().override == 1.2)
     for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):

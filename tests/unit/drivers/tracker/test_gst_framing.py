@@ -75,14 +75,6 @@ def test_frames_of_the_bridge_kit_are_those_of_the_driver(size, rng):
         assert len(frame) <= len(encode_frame(body)) + 1
 
 
-@given(st.lists(bodies, min_size=2, max_size=6))
-@pytest.mark.fault_row(4)
-def test_one_byte_at_a_time_is_no_different(sent):
-    reader = FrameReader()
-    wire = b"".join(map(encode_frame, sent))
-    assert [b for byte in wire for b in reader.feed(bytes([byte]))] == sent
-
-
 @given(
     st.lists(bodies, min_size=1, max_size=6),
     st.integers(0, 10_000),
