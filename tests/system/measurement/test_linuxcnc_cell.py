@@ -9,10 +9,11 @@ from pathlib import Path as FilePath
 
 import pytest
 
-from driven_cell import Driven, config_of
+from driven_cell import Driven
 from paths_by_hand import path_of
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import (
+    CellConfig,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
@@ -66,7 +67,8 @@ class OnLinuxCnc:
     def begin(self, **options):
         """Begin with a cell whose driver has these options besides."""
         motion = self.linuxcnc.motion_options | options
-        config = config_of(self.bench, motion_driver="linuxcnc", motion_options=motion)
+        tracker = self.bench.tracker_options
+        config = CellConfig("streaming", tracker, "linuxcnc", motion)
         self.driven = driven = self._stack.enter_context(Driven(config))
         driven.cell.connect()
         machine = machine_from_json(load_machine("demo"))

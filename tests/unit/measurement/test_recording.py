@@ -187,13 +187,14 @@ def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
     (tmp_path / "text").write_text("not a folder")
     with pytest.raises(MeasurementFailed, match="cannot be written"):
         Recorder(tmp_path / "text" / "a.sqlite", header, reserve_bytes=0)
+    other = file.with_name("tuesday.sqlite")
     monkeypatch.setattr(recorder_module, "SPACE_CHECK_S", 0.0)
     free = [10 << 20]
     monkeypatch.setattr(Recorder, "_free_bytes", lambda _: free[0])
     with pytest.raises(MeasurementFailed, match="less than 500 MiB are free"):
-        Recorder(file, header)
+        Recorder(other, header)
     free[0] = 1 << 40
-    recorder = Recorder(file, header)
+    recorder = Recorder(other, header)
     recorder.put_tracker(block(0))
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
