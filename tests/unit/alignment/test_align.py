@@ -34,14 +34,10 @@ def usual(record):
     return run, truth, align(run)
 
 
-def test_every_line_of_the_path_is_found_once(usual):
-    run, _, seen = usual
+def test_every_line_of_the_path_is_found_once_without_its_ramps_or_dwells(usual):
+    run, truth, seen = usual
     assert [p.row for p in seen.passes] == list(range(1, len(run.commanded)))
     assert np.abs(nominal_error_mm(seen)).max() < 0.2
-
-
-def test_passes_hold_nothing_of_ramps_or_dwells(usual):
-    run, truth, seen = usual
     recording = truth.recording
     speed = np.linalg.norm(np.gradient(recording.commanded_mm, axis=0), axis=1) * 500.0
     for each in seen.passes:
@@ -50,8 +46,10 @@ def test_passes_hold_nothing_of_ramps_or_dwells(usual):
         assert (recording.row[each.first : each.last] == each.row).all()
 
 
-def test_cells_know_their_place_and_scatter_as_the_tracker_states(usual):
-    _, truth, seen = usual
+def test_cells_know_place_and_approach_and_scatter_as_the_tracker_states(
+    usual,
+):
+    run, truth, seen = usual
     true = truth.recording
     for axis in range(3):
         place = np.interp(seen.at.time_s, true.time_s, true.commanded_mm[:, axis])
@@ -59,6 +57,10 @@ def test_cells_know_their_place_and_scatter_as_the_tracker_states(usual):
         assert np.abs(place - seen.at.position_mm[:, axis]).max() < 0.25
     # Four parts in a hundred of the simulator's variance are slow, unseen within cells.
     assert seen.scatter == pytest.approx(np.sqrt(0.96) * np.ones(2), abs=0.01)
+    step = np.diff(run.commanded.position, axis=0, prepend=0.0)[seen.row]
+    step[seen.row == 0] = 0.0  # where the machine stands before its first line
+    moved = step != 0.0
+    assert (seen.at.approach[moved] == np.sign(step[moved])).all()
 
 
 def test_standstill_points_are_recognised_in_the_raw_stream(record):
@@ -228,14 +230,6 @@ def test_a_target_that_creeps_is_not_at_a_standstill(record):
     moved = run.tracker.position_mm + off[:, None] * np.array([1.0, 0.0, 0.0])
     slid = align(replace(run, tracker=replace(run.tracker, position_mm=moved)))
     assert set(seen.row.tolist()) - set(slid.row.tolist()) == {7}
-
-
-def test_direction_of_approach_is_that_of_the_last_motion(usual):
-    run, _, seen = usual
-    step = np.diff(run.commanded.position, axis=0, prepend=0.0)[seen.row]
-    step[seen.row == 0] = 0.0  # where the machine stands before its first line
-    moved = step != 0.0
-    assert (seen.at.approach[moved] == np.sign(step[moved])).all()
 
 
 def test_a_hold_in_mid_line_makes_two_passes_of_it(record):

@@ -361,12 +361,9 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
             again.tracker.position_mm, run.tracker.position_mm
         )
         run = again
-
-
-def test_what_nobody_says_how_to_correct_is_left(tmp_path, header):
-    run = corrected(tmp_path, header, None)
+    run = corrected(tmp_path, header, None, "left")
     assert run.refraction.by == "unknown"
-    np.testing.assert_array_equal(run.tracker.position_mm[0], block(0).position_mm[0])
+    np.testing.assert_array_equal(run.tracker.position_mm[0], raw_mm)
 
 
 @pytest.mark.parametrize("altitude_m", [None, 400.0])

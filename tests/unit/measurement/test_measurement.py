@@ -187,14 +187,8 @@ def test_pause_holds_and_resume_goes_on(moving, motion):
     assert motion.status().position == here
     moving.obey(CellVerb.PAUSE)
     moving.resume_to_the_end()
-    assert moving.states == [
-        "running",
-        "pausing",
-        "paused",
-        "resuming",
-        "running",
-        "finished",
-    ]
+    states = "running pausing paused resuming running finished"
+    assert moving.states == states.split()
     kinds = [e.text.split(":")[0] for e in moving.run.events if e.kind == "state"]
     assert kinds == ["pausing", "paused", "resuming", "running"]
 
@@ -557,27 +551,22 @@ def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
     assert not {"move_to", "load", "start"} & set(motion.calls)
 
 
-@pytest.mark.parametrize("error", [ConnectionLost("unplugged"), OSError("odd")])
-def test_a_tracker_that_goes_away_is_a_fault(moving, tracker, motion, error):
-    tracker.error = error
-    assert moving.ended() == "faulted"
+@pytest.mark.parametrize(
+    ("given", "state", "said"),
+    [
+        ({"error": ConnectionLost("unplugged")}, "faulted", "link-lost"),
+        ({"error": OSError("odd")}, "faulted", "internal"),
+        ({"restarted": True}, "failed", "counter went back"),
+    ],
+)
+def test_a_tracker_that_goes_away_or_begins_to_count_anew_ends_the_run(
+    moving, tracker, motion, given, state, said
+):
+    vars(tracker).update(given)
+    assert moving.ended() == state
     assert motion.status().state == "held"
-    code = "link-lost" if isinstance(error, ConnectionLost) else "internal"
-    assert moving.faults == [code]
-
-
-def test_a_counter_that_goes_back_fails_the_run(moving, tracker):
-    tracker.restarted = True
-    assert moving.ended() == "failed"
-    assert "counter went back" in moving.fault.text
-
-
-@pytest.mark.fault_row(19)
-def test_an_alarm_is_a_fault_with_its_text(moving, motion):
-    motion.raise_alarm("1201 following error X")
-    moving.ends("faulted", "motion-alarm")
-    assert "1201 following error X" in moving.fault.text
-    assert len(moving.run.tracker) > 100
+    (fault,) = moving.told(FaultReported)
+    assert said in f"{fault.code} {fault.text}"
 
 
 @pytest.mark.parametrize(
@@ -615,18 +604,22 @@ def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told,
 
 @pytest.mark.fault_row(19)
 @pytest.mark.parametrize(
-    ("state", "code", "said"),
+    ("state", "said"),
     [
-        (MotionState.ESTOP, "motion-estop", "emergency stop"),
-        (MotionState.DOOR, "motion-door", "door"),
-        (MotionState.UNHOMED, "motion-unhomed", "home"),
+        (MotionState.ESTOP, "emergency stop"),
+        (MotionState.DOOR, "door"),
+        (MotionState.UNHOMED, "home"),
+        (MotionState.ALARM, "1201 following error x"),
     ],
 )
 def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
-    moving, motion, state, code, said
+    moving, motion, state, said
 ):
-    motion._state = state
-    moving.ends("faulted", code)
+    if state is MotionState.ALARM:
+        motion.raise_alarm("1201 following error X")
+    else:
+        motion._state = state
+    moving.ends("faulted", f"motion-{state}")
     (fault,) = moving.told(FaultReported)
     assert said in f"{fault.text} {fault.action}".lower()
     assert len(moving.run.tracker) > 100

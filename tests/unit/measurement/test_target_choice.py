@@ -101,47 +101,32 @@ def measure(begin, order, journal):
     return made
 
 
-def assert_measured(running) -> None:
-    """Each point is of its target."""
-    assert running.journal.states[-1] == "finished"
+@pytest.mark.parametrize(
+    ("given", "by_hand", "asked", "faults"),
+    [
+        ({}, [], "T1 T2 T1", []),
+        ({"failures": [BeamLost("not near")]}, [], "T1 T1 T2 T1", ["beam-lost"]),
+        ({"failures": [NotOffered("v1")]}, ["T2", "T1"], "T1", ["wrong-target"] * 2),
+        ({"goes_to": {"T2": "T1"}}, ["T2"], "T1 T2 T1", ["wrong-target"]),
+    ],
+    ids=["chooses", "does not see it", "cannot choose", "is at another one"],
+)
+def test_each_point_is_of_its_target_chosen_or_brought_by_hand(
+    measure, tracker, journal, given, by_hand, asked, faults
+):
+    vars(tracker).update(given)
+    hands = iter(by_hand)
+
+    def aim_by_hand():
+        tracker.on = next(hands, tracker.on)
+
+    running = measure(aim_by_hand)
+    assert journal.states[-1] == "finished"
     run, offsets = running.run, np.array([OFFSET_MM[name] for name in TURNS])
     places = PLACE_MM + run.commanded.position + offsets
     np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
-
-
-def test_it_is_told_each_target_once_it_changes(measure, tracker, journal):
-    assert_measured(measure())
-    assert tracker.asked == ["T1", "T2", "T1"]
-    assert journal.faults == []
-
-
-def test_a_wrong_target_holds_and_is_never_recorded(measure, tracker, journal):
-    tracker.goes_to = {"T2": "T1"}
-
-    def aim_by_hand():
-        tracker.on = "T2"
-
-    assert_measured(measure(aim_by_hand))
-    assert journal.faults == ["wrong-target"]
-
-
-def test_one_that_cannot_choose_asks_for_another_target(measure, tracker, journal):
-    tracker.failures = [NotOffered("speaks version 1")]
-    hands = iter(("T2", "T1"))
-
-    def aim_by_hand():
-        tracker.on = next(hands)
-
-    assert_measured(measure(aim_by_hand))
-    assert tracker.asked == ["T1"]
-    assert journal.faults == ["wrong-target"] * 2
-
-
-def test_a_target_that_is_not_seen_holds_and_is_chosen_again(measure, tracker, journal):
-    tracker.failures = [BeamLost("no target near the beam")]
-    assert_measured(measure())
-    assert tracker.asked == ["T1", "T1", "T2", "T1"]
-    assert journal.faults == ["beam-lost"]
+    assert tracker.asked == asked.split()
+    assert journal.faults == faults
 
 
 def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
