@@ -148,7 +148,7 @@ def test_errors_and_locations_are_nothing_at_the_axis_zero(chain):
         assert np.abs(columns[:, :, model.slices[name]]).max() < 1e-9
 
 
-def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
+def test_a_full_turn_is_cyclic_and_motions_across_the_axis_have_no_mean():
     machine = machine_from_json(content(CHAINS[0]))
     table = make_error_motion("EXC", machine.rotary_axes[1], 12)
     head = make_error_motion("EXB", machine.rotary_axes[0], 12)
@@ -156,10 +156,6 @@ def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
     assert np.allclose(ends[0], ends[1])
     ends = head.rows(np.array([-30.0, 110.0]))
     assert not np.allclose(ends[0], ends[1])
-
-
-def test_motions_across_the_axis_have_no_mean():
-    machine = machine_from_json(content(CHAINS[0]))
     for axis in machine.rotary_axes:
         s = np.linspace(axis.low, axis.high, 20_001)
         weight = np.ones(len(s))

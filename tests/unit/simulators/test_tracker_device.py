@@ -194,7 +194,7 @@ def test_without_a_ping_the_stream_ends_and_an_overflow_is_told_with_the_next_sa
     assert total == pytest.approx(2500, abs=55)
 
 
-def test_silence_loses_its_samples_and_no_more_and_a_delay_none():
+def test_silence_a_delay_and_damage_lose_what_they_say():
     device = stream_of("tracker:silence@0.5s+0.5s")
     steps = np.diff(device.stream(1.2).sequence)
     assert np.count_nonzero(steps > 1) == 1
@@ -203,6 +203,13 @@ def test_silence_loses_its_samples_and_no_more_and_a_delay_none():
     late = stream_of("tracker:delay@0.5s+0.5s")
     np.testing.assert_array_equal(np.diff(late.stream(1.2).sequence), 1)
     assert max(len(block) for block in late.samples) > 240
+    device = stream_of("tracker:bit-flip@0s+2s*0.05")
+    device.stream(2.5)
+    assert 30 < device.decoder.health.lost_samples < 70
+    noisy = stream_of("tracker:noise@0.5s*2000")
+    noisy.stream(1.0)
+    assert noisy.decoder.health.lost_samples <= 1
+    assert noisy.decoder.health.skipped_bytes > 1000
 
 
 @pytest.mark.parametrize(
@@ -224,16 +231,6 @@ def test_one_bad_frame_costs_at_most_one_sample(clean, fault, lost, crc_errors):
         assert health.lost_samples + health.crc_errors + health.skipped_bytes >= 1
     kept = np.isin(clean.sequence, samples.sequence)
     np.testing.assert_array_equal(clean.position_mm[kept], samples.position_mm)
-
-
-def test_a_share_of_frames_is_damaged_and_noise_costs_the_neighbours_at_most():
-    device = stream_of("tracker:bit-flip@0s+2s*0.05")
-    device.stream(2.5)
-    assert 30 < device.decoder.health.lost_samples < 70
-    noisy = stream_of("tracker:noise@0.5s*2000")
-    noisy.stream(1.0)
-    assert noisy.decoder.health.lost_samples <= 1
-    assert noisy.decoder.health.skipped_bytes > 1000
 
 
 def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(clean):

@@ -573,35 +573,8 @@ def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
         controller.limit_override(1.0)
 
 
-def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
-    controller = bench_controller
-    assert controller.connect().drives_arcs
-    controller.move_to((110.0, 60.0, 0.0), 20_000.0)
-    controller.wait(30.0)
-    controller.load(two_turns(60.0, 60.0, 50.0))
-    controller.start()
-    out_mm = []
-
-    def turns_on(row: int) -> bool:
-        controller.send_heartbeat()
-        status = controller.status()
-        x, y, _ = status.position
-        out_mm.append(np.hypot(x - 60.0, y - 60.0))
-        return status.line == row and x < 40.0
-
-    until(lambda: turns_on(1))
-    controller.hold()
-    held = controller.wait(10.0)
-    assert held.state is MotionState.HELD
-    x, y, _ = held.position
-    assert np.hypot(x - 60.0, y - 60.0) == pytest.approx(50.0, abs=1e-3)
-    controller.resume()
-    until(lambda: turns_on(2))
-    assert controller.wait(60.0).position == (110.0, 60.0, 0.0)
-    assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
-
-
 def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
+    assert bench_controller.connect().drives_arcs
     low, high = bench_controller.travel[1]
     path = two_turns(60.0, 60.0, 50.0)
     shift = np.array([0.0, low - 15.0, 0.0])
