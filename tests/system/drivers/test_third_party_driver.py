@@ -102,9 +102,7 @@ def test_it_conforms(options, check):
         check(lambda: make(**options))
 
 
-def test_it_says_when_it_is_not_there_and_where_to_give_another_rate(
-    options, free_port
-):
+def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):
     make = load("truepath.trackers", NAME)
     device.a_device_that_is_not_there_is_a_device_error(
         lambda: make("127.0.0.1", free_port)

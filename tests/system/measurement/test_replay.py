@@ -86,9 +86,7 @@ def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded,
         np.testing.assert_array_equal(again, once)
 
 
-def test_a_replay_holds_what_the_run_holds_refuses_another_rate_and_answers_as_it_did(
-    make_run,
-):
+def test_a_replay_holds_what_the_run_holds_and_answers_as_its_device(make_run):
     run = read_recorded_run(make_run(PATH))
     assert run.is_exact
     assert run.samples == len(open_run(make_run(PATH)).tracker)

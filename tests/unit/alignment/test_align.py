@@ -46,9 +46,7 @@ def test_every_line_of_the_path_is_found_once_without_its_ramps_or_dwells(usual)
         assert (recording.row[each.first : each.last] == each.row).all()
 
 
-def test_cells_know_place_and_approach_and_scatter_as_the_tracker_states(
-    usual,
-):
+def test_cells_know_place_and_approach_and_scatter_as_the_tracker_states(usual):
     run, truth, seen = usual
     true = truth.recording
     for axis in range(3):
@@ -332,9 +330,7 @@ PLACES = [
 ]  # fmt: skip  # fmt: skip
 
 
-def test_an_interrupted_run_goes_on_behind_its_last_whole_line_unless_all_is_on_one(
-    record,
-):
+def test_an_interrupted_run_goes_on_behind_its_last_whole_line(record):
     n = len(PLACES)
     program = Program(np.array(PLACES), np.full(n, 100.0), np.full(n, 0.5))
     run, _ = record(3, program=program)

@@ -92,9 +92,7 @@ def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run):
         ("otf", {}, {"W2": (0.0, 0.0, 40.0)}, r"target W2.* off"),
     ],
 )
-def test_a_target_that_is_another_one_or_elsewhere_is_refused_by_name(
-    mode, shown, away, said
-):
+def test_a_target_that_is_another_or_elsewhere_is_refused(mode, shown, away, said):
     run = measure(mode, shown)
     with pytest.raises(AlignmentError, match=said):
         align(replace(run, machine=move_targets(run.machine, away)))

@@ -436,9 +436,7 @@ def test_a_faulty_controller_is_caught(clock, check, name, fault):
         check(make)
 
 
-def test_what_is_left_open_opened_at_once_or_answers_where_none_is_is_caught(
-    clock, tmp_path
-):
+def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
     left = []
 
     def leave_open(self):

@@ -219,9 +219,7 @@ def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
 @pytest.mark.fault_row(16)
 @pytest.mark.fault_row(17)
 @pytest.mark.parametrize("controller", ["ignores it", "is gone", "comes back"])
-def test_an_abort_that_does_not_reach_the_machine_is_told_and_a_fault(
-    moving, motion, controller
-):
+def test_an_abort_that_does_not_arrive_is_told_and_a_fault(moving, motion, controller):
     motion.ignores_abort = controller == "ignores it"
     motion.out_of_reach = not motion.ignores_abort
     with pytest.raises(DeviceTimeout) if motion.out_of_reach else nullcontext():
@@ -634,7 +632,7 @@ def test_a_motion_that_ends_early_is_a_fault(moving, motion):
 
 @pytest.mark.fault_row(21)
 @pytest.mark.parametrize("state", ["running", "finished"])
-def test_a_machine_that_moves_on_after_its_last_row_is_a_fault(
+def test_a_machine_that_moves_on_after_its_end_is_a_fault(
     begin, order, motion, calm, state
 ):
     motion.runs_on = state == "running"

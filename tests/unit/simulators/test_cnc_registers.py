@@ -128,9 +128,7 @@ def moving(master):
     return master
 
 
-def test_a_path_is_driven_again_and_again_and_a_long_one_goes_over_in_blocks(
-    master, rng
-):
+def test_a_path_is_driven_again_and_a_long_one_goes_over_in_blocks(master, rng):
     assert master.load(LINE) is Result.DONE
     assert master.state is MotionState.READY
     assert master.value("path_rows") == 2

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from truepath_simulators.motion import interruption
 from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.driven_motion import along, follow
+from truepath_simulators.motion.driven_motion import follow
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.motion.profile import Limits, brake, rest_to_rest
+from truepath_simulators.motion.profile import Limits, rest_to_rest
 from truepath_simulators.motion.program import Program
-from truepath_simulators.timeline import Timeline, standing
+from truepath_simulators.timeline import Timeline
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)
@@ -170,15 +170,6 @@ def test_what_has_ended_can_be_forgotten(rng):
         timeline.since(20.0).positions(t), timeline.positions(t)
     )
     assert len(timeline.since(20.0)) < len(timeline)
-
-
-def test_a_standing_machine_stands_and_braking_it_is_nothing(rng):
-    place = rng.uniform(0.0, 100.0, 3)
-    t = np.array([-5.0, 0.0, 1e6])
-    stands = standing(place, 0.0, 4)
-    np.testing.assert_array_equal(stands.positions(t), np.tile(place, (3, 1)))
-    assert brake(0.0, 0.0, JERKY) == []
-    assert len(along([], stands.state(2.0), 2.0, None)) == 1
 
 
 def two_turns() -> Program:

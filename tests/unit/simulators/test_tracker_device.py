@@ -257,9 +257,7 @@ def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():
     assert Wire("tracker:silence").ask(Hello(1)) is None
 
 
-def test_a_device_that_was_suspended_counts_a_moment_of_it_else_all_of_the_time(
-    hand_clock,
-):
+def test_a_device_counts_all_time_but_that_of_a_suspension(hand_clock):
     clock = AwakeClock(0.1, lambda: hand_clock.time_s)
     begin_s = clock()
     for _ in range(300):

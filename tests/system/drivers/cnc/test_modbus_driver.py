@@ -589,9 +589,7 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_cont
 
 
 @pytest.mark.fault_row(20)
-def test_an_override_is_read_lowered_and_never_raised(
-    bench, bench_controller, tcp_peer, until
-):
+def test_an_override_is_lowered_never_raised(bench, bench_controller, tcp_peer, until):
     assert bench_controller.status().override == 1.0
     bench.inject("cnc:override+6s*0")
     until(lambda: bench_controller.status().override == 0.0)

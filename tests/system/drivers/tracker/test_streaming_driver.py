@@ -251,9 +251,7 @@ def test_replies_to_other_transactions_are_ignored(peer):
         peer.deaf_to = set()
 
 
-def test_pings_keep_coming_and_events_and_status_are_no_samples(
-    peer, monkeypatch, until, caplog
-):
+def test_pings_keep_coming_and_events_are_no_samples(peer, monkeypatch, until, caplog):
     caplog.set_level("INFO")
     monkeypatch.setattr(receiver, "PING_PERIOD_S", 0.05)
     with StreamingTracker(**peer.options) as tracker:
