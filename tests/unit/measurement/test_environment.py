@@ -43,20 +43,15 @@ HENE = Light(633.0, is_group=False)
 class FakeThermometers(Thermometers):
     """Sensors in this process."""
 
-    def __init__(self) -> None:
+    channels = tuple(Channel(name) for name in NAMES)
+    period_s = 0.02
+
+    def __init__(self):
         self.shows, self.faults = dict(USUAL), dict[str, str]()
         self.dead = self.is_open = False
         self.hangs = threading.Event()
         self.hangs.set()
         self.broken: Exception | None = None
-
-    @property
-    def channels(self):
-        return tuple(Channel(name) for name in NAMES)
-
-    @property
-    def period_s(self):
-        return 0.02
 
     def connect(self):
         if self.dead:
@@ -73,13 +68,9 @@ class FakeThermometers(Thermometers):
         host_clock.wait(self.hangs, 20.0)
         if self.broken is not None:
             raise self.broken
-        now_s = host_clock.now_s()
-        return tuple(
-            Reading(n, now_s, math.nan, self.faults[n])
-            if n in self.faults
-            else Reading(n, now_s, v)
-            for n, v in self.shows.items()
-        )
+        shown = self.shows | dict.fromkeys(self.faults, math.nan)
+        now_s, faults = host_clock.now_s(), self.faults
+        return tuple(Reading(n, now_s, v, faults.get(n, "")) for n, v in shown.items())
 
 
 def judged(values, *, step_s=1.0, channel=None):

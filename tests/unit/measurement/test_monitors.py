@@ -145,24 +145,22 @@ def test_a_disk_that_was_slow_for_long_waits_for_a_person(bench, journal):
 class Streaming(FakeTracker):
     """Sends blocks of ten samples, the first after some silence.
 
-    rate_hz : that it keeps to; lost : samples between two blocks; status : of all;
+    lost : samples between two blocks; status : of all;
     left : blocks of an earlier stream that nobody has read
     """
 
-    def __init__(self, rate_hz=500.0, lost=0, status=0, silences=3, left=0):
+    def __init__(self, rate_hz=500.0, lost=0, status=0, left=0):
         super().__init__()
-        self.left, self.streams = left, False
-        self.rate_hz, self.lost, self.status = rate_hz, lost, status
-        self.silences, self.next, self.heard = silences, 0, []
-        self.lost_samples = 0
+        self.rate_hz, self.lost, self.status, self.left = rate_hz, lost, status, left
+        self.silences, self.next, self.heard, self.lost_samples = 3, 0, [], 0
 
     def start(self, rate_hz):
+        super().start(rate_hz)
         self.heard.append(f"start {rate_hz:g}")
-        self.streams = True
 
     def stop(self):
+        super().stop()
         self.heard.append("stop")
-        self.streams = False
 
     @property
     def health(self):
@@ -172,10 +170,8 @@ class Streaming(FakeTracker):
         if self.left:
             self.left -= 1
             return self.block(-1000.0)
-        if not self.streams:
-            return TrackerSamples.empty()
-        if self.silences:
-            self.silences -= 1
+        if not self.streaming or self.silences:
+            self.silences -= self.streaming
             return TrackerSamples.empty()
         return self.block()
 
@@ -185,8 +181,9 @@ class Streaming(FakeTracker):
         self.lost_samples += self.lost
         place_mm = np.tile([0.0, 0.0, 2000.0], (10, 1))
         status = np.full(10, self.status, np.int64)
-        time_s = later_s + sequence / self.rate_hz
-        return TrackerSamples(sequence, time_s, place_mm, status)
+        return TrackerSamples(
+            sequence, later_s + sequence / self.rate_hz, place_mm, status
+        )
 
 
 class Polled(FakePolledTracker):

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.machine.linear_joint import LinearJoint
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
 from truepath_simulators.scenario import list_machines, load_machine
 
@@ -33,32 +32,21 @@ def somewhere(
     return rng.uniform(machine.low_mm, machine.high_mm, (n, 3))
 
 
-def linear_form_mm(truth: TruthMachine, q: np.ndarray) -> np.ndarray:
+def linear_form_mm(truth, q):
     """Sum over the axes of E_i + omega_i x L_i, as the file formats state it."""
-    machine = truth.machine
-    order = machine.workpiece_side + machine.tool_side
+    machine, s = truth.machine, truth.squareness_rad
+    # Turns of the direction of travel: C0Y and B0Z, A0Z about Z, Y and X.
+    slopes = {"Y": [-s["C0Y"], 0.0, 0.0], "Z": [s["B0Z"], -s["A0Z"], 0.0]}
     deviation = np.zeros_like(q)
     arm = np.tile(machine.reflector().offset_mm, (len(q), 1))
-    for name in reversed(order):
-        joint = truth.joints[name]
-        assert isinstance(joint, LinearJoint)
-        k = "XYZ".index(name)
+    for name in reversed(machine.workpiece_side + machine.tool_side):
+        joint, k = truth.joints[name], "XYZ".index(name)
         shift = np.stack([m.at(q[:, k]) for m in joint.translation], axis=1)
-        shift += np.outer(q[:, k], squareness_slope(truth, name))
+        shift += np.outer(q[:, k], slopes.get(name, np.zeros(3)))
         turn = np.stack([m.at(q[:, k]) for m in joint.rotation], axis=1)
         deviation += shift + np.cross(turn, arm)
         arm[:, k] += q[:, k]
     return deviation
-
-
-def squareness_slope(truth: TruthMachine, axis: str) -> np.ndarray:
-    """Turn of the direction of travel: C0Y and B0Z, A0Z about Z, Y and X."""
-    s = truth.squareness_rad
-    return {
-        "X": np.zeros(3),
-        "Y": np.array([-s["C0Y"], 0.0, 0.0]),
-        "Z": np.array([s["B0Z"], -s["A0Z"], 0.0]),
-    }[axis]
 
 
 @pytest.mark.parametrize("chain", CHAINS)
