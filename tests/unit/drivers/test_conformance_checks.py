@@ -359,8 +359,8 @@ def fall_back(self):
     return replace(status, line=-self.beats) if running else status
 
 
-def hide(self):
-    return replace(GoodController.status(self), state=MotionState.IDLE)
+def tell(**changes):
+    return lambda self: replace(GoodController.status(self), **changes)
 
 
 def mistake(self):
@@ -369,18 +369,14 @@ def mistake(self):
     return replace(status, state=MotionState.ALARM) if door else status
 
 
-def be_silent(self):
-    return replace(GoodController.status(self), alarm="")
-
-
 def take_time(self):
     host_clock.sleep_s(10.0)
     return GoodController.status(self)
 
 
 FAULTY_IN_TROUBLE = [
-    (ALARM, "status", hide),
-    (ALARM, "status", be_silent),
+    (ALARM, "status", tell(state=MotionState.IDLE)),
+    (ALARM, "status", tell(alarm="")),
     (ALARM, "need_able", does()),
     (DOOR, "status", mistake),
     (UNHOMED, "need_able", does()),

@@ -58,7 +58,7 @@ def block(first: int, count: int = 50) -> TrackerSamples:
     )
 
 
-def fill(recorder: Recorder, blocks: int = 20) -> TrackerSamples:
+def fill(recorder, blocks=20):
     made = [block(1000 + 50 * i) for i in range(blocks)]
     for i, one in enumerate(made):
         recorder.put_tracker(one, b"%03d" % i * 20)

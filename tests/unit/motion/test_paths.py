@@ -140,11 +140,10 @@ def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill, feed_mm_min)
     ],
 )
 def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows, said):
-    with pytest.raises(OutOfTravel, match=said):
-        check_travel(with_table, rows)
     points = Configurations(rows.axes, rows.position, rows.dwell_s)
-    with pytest.raises(OutOfTravel, match=said):
-        check_travel(with_table, points)
+    for commanded in (rows, points):
+        with pytest.raises(OutOfTravel, match=said):
+            check_travel(with_table, commanded)
 
 
 def test_the_rounding_of_a_file_is_not_out_of_travel(mill):
@@ -170,15 +169,14 @@ def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
         np.testing.assert_array_equal(stretch.path.position, whole.position)
 
 
-def test_lines_are_driven_back_and_forth_each_at_its_own_feed(square):
+def test_lines_and_points_are_driven_again_as_they_were_around_a_box(
+    square,
+):
     feeds = np.array([6000.0, 1000.0, 2000.0, 3000.0])
     path = replace(square, feed_mm_min=feeds)
     whole = append_part(path, drive_again(path, 2))
     assert np.array_equal(whole.position[3:], path.position[[3, 2, 1, 2, 3]])
     assert whole.feed_mm_min[4:].tolist() == [3000.0, 2000.0, 2000.0, 3000.0]
-
-
-def test_points_are_measured_again_in_their_order_or_gone_back_to_around_a_box(square):
     points = Configurations(square.axes, square.position, square.dwell_s)
     assert np.array_equal(drive_again(points, 2).position, points.position[2:])
     asked = []
@@ -192,15 +190,12 @@ def test_points_are_measured_again_in_their_order_or_gone_back_to_around_a_box(s
     assert asked == [(points.position[3].tolist(), points.position[1].tolist())]
 
 
-@pytest.mark.parametrize("kind", VerificationKind)
-def test_points_stay_in_the_travel(mill, kind):
-    points = make_verification_rows(mill, [kind], 3)
-    check_travel(mill, points)
-    minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
-    assert minutes < 8.0
-
-
-def test_a_path_of_circles_is_not_mixed_with_points(mill):
+def test_verification_points_stay_in_the_travel_and_are_not_mixed_with_circles(mill):
+    for kind in VerificationKind:
+        points = make_verification_rows(mill, [kind], 3)
+        check_travel(mill, points)
+        minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
+        assert minutes < 8.0
     with pytest.raises(BadInput, match="ask for each by itself"):
         make_verification_rows(mill, list(VerificationKind), 1)
 
