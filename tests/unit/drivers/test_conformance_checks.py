@@ -64,12 +64,8 @@ class GoodTracker(Tracker):
         self.read_s = host_clock.now_s()
         number = self.number + np.arange(10)
         self.number += 10
-        return TrackerSamples(
-            number,
-            self.stamp(number),
-            self.place + self.measure(number),
-            np.full(10, self.status, np.int64),
-        )
+        place, status = self.place + self.measure(number), np.full(10, self.status)
+        return TrackerSamples(number, self.stamp(number), place, status)
 
     def measure(self, number):
         return 1e-3 * np.random.default_rng(int(number[0])).normal(size=(10, 3))
@@ -108,14 +104,8 @@ class GoodController(MotionController):
 
     def connect(self) -> Identity:
         self.connected = True
-        return Identity(
-            "maker",
-            "model",
-            "1",
-            "0",
-            has_watchdog=not self.feeds,
-            stops_unasked=self.feeds,
-        )
+        who = Identity("maker", "model", "1", "0")
+        return replace(who, has_watchdog=not self.feeds, stops_unasked=self.feeds)
 
     def close(self) -> None:
         if self.at.state is MotionState.RUNNING:
@@ -200,12 +190,9 @@ class GoodController(MotionController):
 
     def finish(self) -> None:
         line = 0 if self.path is None else len(self.path) - 1
-        self.at = replace(
-            self.at,
-            state=MotionState.FINISHED,
-            position=self.target,
-            line=self.first_line + line * self.counts_lines,
-        )
+        line = self.first_line + line * self.counts_lines
+        ended = MotionState.FINISHED
+        self.at = replace(self.at, state=ended, position=self.target, line=line)
 
 
 def share_machine(make):

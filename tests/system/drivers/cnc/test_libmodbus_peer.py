@@ -5,7 +5,6 @@ is libmodbus's. Debian: apt-get install gcc libc6-dev libmodbus-dev socat.
 """
 
 import shutil
-import signal
 import subprocess
 import time
 from contextlib import ExitStack, contextmanager
@@ -54,7 +53,6 @@ def start(*command):
         try:
             yield process, process.stdout.readline().split()
         finally:
-            process.send_signal(signal.SIGCONT)
             process.kill()
 
 
