@@ -322,13 +322,8 @@ def block(machine):
     machine.blocked = True
 
 
-TROUBLES = dict(
-    zip(
-        motion.PROVOKED_CHECKS,
-        (bring("alarm"), bring("door"), bring("unhomed"), does(), block),
-        strict=True,
-    )
-)
+PROVOKES = bring("alarm"), bring("door"), bring("unhomed"), does(), block
+TROUBLES = dict(zip(motion.PROVOKED_CHECKS, PROVOKES, strict=True))
 ALARM, DOOR, UNHOMED, LOST, BLOCKED = motion.PROVOKED_CHECKS
 
 

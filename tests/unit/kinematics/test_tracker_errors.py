@@ -114,15 +114,9 @@ def test_each_error_of_a_specification_moves_points_as_axes_and_beams_do(
 ):
     unit, causes = BODIES[name]
     none = dict.fromkeys((f.name for f in fields(TrackerSpecification)), 0.0)
-    machine = replace(
-        seen.machine,
-        tracker=replace(
-            seen.machine.tracker,
-            specification=TrackerSpecification(**{**none, name: unit}),
-            face=face,
-        ),
-    )
-    seen = replace(seen, machine=machine)
+    stated = TrackerSpecification(**{**none, name: unit})
+    tracker = replace(seen.machine.tracker, specification=stated, face=face)
+    seen = replace(seen, machine=replace(seen.machine, tracker=tracker))
     (effect,) = list_instrument_errors([seen])
     columns = np.moveaxis(effect.jacobian(seen), 2, 0)
     polar = to_spherical(seen.recorded.tracker_mm)

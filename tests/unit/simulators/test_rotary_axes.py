@@ -82,13 +82,8 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
     truth = perfect(five_axes)
     tool = Reflector("", "tool", (10.0, 20.0, 30.0))
     for name in five_axes.rotary_axes:
-        motion = replace(
-            random_machine(five_axes, 1).error_motions()[f"EX{name.name}"],
-            amplitude=(),
-            phase=(),
-            offset=0.01,
-            bend=0.0,
-        )
+        motion = random_machine(five_axes, 1).error_motions()[f"EX{name.name}"]
+        motion = replace(motion, amplitude=(), phase=(), offset=0.01, bend=0.0)
         joint = truth.joints[name.name]
         assert isinstance(joint, RotaryJoint)
         moved = replace(joint, translation=(motion, *joint.translation[1:]))
