@@ -96,10 +96,11 @@ def test_a_part_out_of_travel_or_elsewhere_is_never_loaded(
     assert len(waiting.run.commanded) == 4
 
 
-def test_a_pause_between_parts_keeps_the_next_one_waiting(
+def test_a_pause_between_parts_keeps_the_next_one_waiting_though_it_is_moved_by_hand(
     waiting, part, motion, conclude
 ):
     waiting.pause()
+    motion.here = motion.here + 2.0
     waiting.obey(part)
     waiting.look()
     assert motion.calls.count("load") == 1
@@ -112,17 +113,6 @@ def test_a_machine_that_leaves_its_last_row_while_it_waits_is_a_fault(waiting, m
     motion.here = motion.here + 2.0
     waiting.ends("faulted", "runs-on")
     assert motion.calls.count("load") == 1
-
-
-def test_a_machine_that_is_moved_by_hand_in_a_pause_is_no_fault(
-    waiting, part, motion, conclude
-):
-    waiting.pause()
-    motion.here = motion.here + 2.0
-    waiting.look()
-    waiting.obey(CellVerb.RESUME)
-    waiting.obey(part)
-    conclude(waiting)
 
 
 def test_parts_of_another_mode_or_place_are_refused(order, square, part):

@@ -99,21 +99,20 @@ def test_a_link_that_is_lost_is_connected_anew(measure, polled):
     assert run.points.row.tolist() == list(range(4))
 
 
-@pytest.mark.parametrize("error", [ConnectionLost("gone"), DeviceError("broken")])
-def test_what_does_not_come_back_is_a_fault(measure, polled, error):
-    polled.before = failing(error, 2)
-    state, run = measure()
+@pytest.mark.parametrize("error", [ConnectionLost("gone"), DeviceError("broken"), None])
+def test_what_does_not_come_back_or_never_ends_is_a_fault(
+    measure, polled, journal, error
+):
+    def hang(asked):
+        if asked == 2:
+            host_clock.wait(polled.stopped, 20.0)
+
+    polled.before = failing(error, 2) if error else hang
+    timeouts = StreamTimeouts(point_s=0.3)
+    state, run = measure(settings=replace(QUICK, timeouts=timeouts))
     assert state == "faulted"
     assert run.points.row.tolist() == [0]
-
-
-def test_a_point_that_never_ends_is_a_fault(measure, polled, journal):
-    polled.before = lambda asked: (
-        host_clock.wait(polled.stopped, 20.0) if asked == 2 else None
-    )
-    timeouts = StreamTimeouts(point_s=0.3)
-    state, _ = measure(settings=replace(QUICK, timeouts=timeouts))
-    assert (state, journal.faults) == ("faulted", ["tracker-silent"])
+    assert error or journal.faults == ["tracker-silent"]
 
 
 def test_a_machine_that_is_moved_meanwhile_is_measured_anew(measure, polled, motion):
