@@ -179,31 +179,25 @@ def drive(measure, motion, order):
     return driven
 
 
-def test_lines_of_several_targets_need_nobody_where_the_tracker_can_choose(
-    drive, motion, journal
+@pytest.mark.parametrize(
+    ("failures", "asked", "programs"),
+    [([], "T1 T2 T1", 3), ([NotOffered("speaks version 1")], "T1", 1)],
+    ids=["can choose", "cannot"],
+)
+def test_lines_of_several_targets_need_nobody_one_program_for_each_that_is_chosen(
+    drive, motion, journal, failures, asked, programs
 ):
     tracker = ChoosingStream(motion)
+    tracker.failures = failures
     running = drive(tracker)
     assert journal.states == ["running", "finished"]
-    assert tracker.asked == ["T1", "T2", "T1"]
+    assert tracker.asked == asked.split()
     assert journal.faults == []
-    assert motion.calls.count("load") == motion.calls.count("start") == 3
+    assert motion.calls.count("load") == motion.calls.count("start") == programs
     assert len(running.run.commanded) == 8
-    last = journal.of(MeasurementProgress)[-1]
-    assert (last.done, last.total) == (7, 7)
-    rows = [p.done for p in journal.of(MeasurementProgress)]
-    assert rows == sorted(rows)
-
-
-def test_lines_of_several_targets_are_one_program_where_it_cannot(
-    drive, motion, journal
-):
-    tracker = ChoosingStream(motion)
-    tracker.failures = [NotOffered("speaks version 1")]
-    drive(tracker)
-    assert tracker.asked == ["T1"]
-    assert motion.calls.count("load") == 1
-    assert journal.states == ["running", "finished"]
+    done = [(p.done, p.total) for p in journal.of(MeasurementProgress)]
+    assert done[-1] == (7, 7)
+    assert done == sorted(done)
 
 
 def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):
