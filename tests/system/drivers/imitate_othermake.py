@@ -4,8 +4,6 @@ python imitate_othermake.py CONTROL [SHARE]: prints its TCP port; SHARE of its s
 lines are damaged. It has a frame, a clock and a numbering of its own.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import sys

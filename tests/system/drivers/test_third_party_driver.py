@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 
 from measuring import Measuring
+from paths_by_hand import path_of
 from truepath.alignment.align import align
-from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import StreamTimeouts
-from truepath.plugins import find_plugins, load
+from truepath.plugins import load
 from truepath.settings import load_settings
 from truepath_drivers.conformance import device
 from truepath_drivers.conformance.checking import on_terms
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
-from truepath_drivers.interfaces.records import Path as MotionPath
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.bench.rig import Rig, running_rig
 from truepath_simulators.errors import SimulatorError
@@ -36,14 +35,14 @@ HERE = Path(__file__).parent
 NAME = "othermake-lt50"
 Options = dict[str, str | int]
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
-CORNERS = MotionPath(
-    ("X", "Y", "Z"),
-    np.array(
-        [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]],
-        float,
-    ),
-    np.full(5, 12_000.0),
-    np.full(5, 1.0),
+CORNERS = path_of(
+    (20, 20, 20),
+    (480, 380, 20),
+    (20, 380, 280),
+    (480, 20, 280),
+    (20, 20, 20),
+    feed=12_000.0,
+    dwell_s=1.0,
 )
 
 
@@ -97,30 +96,22 @@ def options(imitate: Callable[[float], Options]) -> Options:
 
 
 @pytest.mark.parametrize("check", TRACKER_CHECKS)
-def test_it_conforms(options: Options, check: Callable[..., None]) -> None:
+def test_it_conforms(options, check):
     make = load("truepath.trackers", NAME)
     with on_terms(rate_hz=50.0):
         check(lambda: make(**options))
 
 
-def test_it_says_when_it_is_not_there(free_port: int) -> None:
+def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):
     make = load("truepath.trackers", NAME)
     device.a_device_that_is_not_there_is_a_device_error(
         lambda: make("127.0.0.1", free_port)
     )
-
-
-def test_a_rate_that_it_has_not_tells_where_to_give_another(options: Options) -> None:
-    with (
-        load("truepath.trackers", NAME)(**options) as tracker,
-        pytest.raises(Refused, match="rate_hz in machine"),
-    ):
+    with make(**options) as tracker, pytest.raises(Refused, match="rate_hz in machine"):
         tracker.start(500.0)
 
 
-def test_damaged_lines_are_counted_and_never_samples(
-    imitate: Callable[[float], Options],
-) -> None:
+def test_damaged_lines_are_counted_and_never_samples(imitate):
     with load("truepath.trackers", NAME)(**imitate(0.2)) as tracker:
         tracker.start(50.0)
         blocks = []
@@ -135,15 +126,7 @@ def test_damaged_lines_are_counted_and_never_samples(
     assert np.ptp(read.position_mm, axis=0).max() < 0.1
 
 
-def test_a_driver_that_is_not_installed_is_named() -> None:
-    with pytest.raises(BadInput, match=NAME):  # among those that are
-        load("truepath.trackers", "nobody")
-    assert NAME in find_plugins("truepath.trackers")
-
-
-def test_it_measures_by_the_settings_alone(
-    rig: Rig, options: Options, tmp_path: Path
-) -> None:
+def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
     file = tmp_path / "truepath.toml"
     file.write_text(
         f'tracker_driver = "{NAME}"\n'

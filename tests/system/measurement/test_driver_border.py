@@ -1,7 +1,5 @@
 """What drivers of somebody else may do to a measurement: hang, lie and break."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Runs whose writer was killed at full speed: whole up to the last batch, settled."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import shutil
@@ -14,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.run_file.run_repair import repair_run
-from truepath_drivers.interfaces.records import Path as DrivenPath
 
 WRITER = """
 import pickle, sys
@@ -40,8 +38,7 @@ while True:
 def left(mill, tmp_path_factory) -> tuple[Path, int]:
     """What a writer leaves that was killed, and the last counter that it told."""
     file = tmp_path_factory.mktemp("killed") / "monday.sqlite"
-    rows = np.array([[10.0, 10.0, -10.0], [110.0, 10.0, -10.0]])
-    path = DrivenPath(mill.axis_names, rows, np.full(2, 6000.0), np.zeros(2))
+    path = path_of((10.0, 10.0, -10.0), (110.0, 10.0, -10.0))
     header = RunHeader("monday", mill, path, 500.0, {}, mill.axis_names)
     given = pickle.dumps((file, header)).hex()
     command = [sys.executable, "-c", WRITER, given]
@@ -95,10 +92,8 @@ def test_a_log_cut_anywhere_gives_the_batches_before_the_cut(killed):
             np.testing.assert_array_equal(getattr(part, name), getattr(kept, name))
 
 
-def test_a_damaged_killed_run_keeps_its_log_as_well(killed):
+def test_a_killed_run_that_is_damaged_as_well_is_kept_as_torn(killed):
     file, _ = killed
-    log = file.with_name(file.name + "-wal")
-    shutil.copy(log, log.with_suffix(".kept"))
     with sqlite3.connect(file) as database:
         database.execute("UPDATE batch SET crc32 = 0 WHERE seq0 = 100")
     repair_run(file)

@@ -1,25 +1,25 @@
-"""The cell on a real LinuxCNC: what it refuses, and what stays when it is killed."""
-
-from __future__ import annotations
+"""The cell on a real LinuxCNC: what it refuses, and what dies or stands meanwhile."""
 
 import os
 import signal
+import subprocess
 import time
+from contextlib import ExitStack
+from pathlib import Path as FilePath
 
-import numpy as np
 import pytest
 
+from driven_cell import Driven
+from paths_by_hand import path_of
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
-    RunClosed,
 )
-from truepath.measurement.process.cell import Cell
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
-from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
@@ -30,84 +30,135 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
 ]
+TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-10, 310)}
 READY = {"reset_at_connect": True, "home_at_connect": True}
+SPEED = 20.0  # mm/s
+WATCHDOG_S = 1.0
+REPLY_S = 1.0  # in which the driver learns that linuxcncrsh does not answer
+LATE_S = 0.5  # of a busy computer
 
 
-@pytest.fixture
-def rig():
-    machine = LinuxCncMachine({"X": (-10, 510), "Y": (-10, 410), "Z": (-10, 310)})
-    with (
-        LinuxCncRig(machine, samples=True) as linuxcnc,
-        Bench(source=linuxcnc.positions, source_unit_s=1e-3) as bench,
-    ):
-        yield linuxcnc, bench
+def list_descendants(process):
+    """Return name and id of all processes below one, in any namespace."""
+    parents, names = {}, {}
+    for folder in FilePath("/proc").glob("[0-9]*"):
+        try:
+            stat = (folder / "stat").read_text()
+        except OSError:
+            continue
+        name, _, rest = stat.partition("(")[2].rpartition(")")
+        pid = int(folder.name)
+        parents[pid], names[pid] = int(rest.split()[1]), name
+    below, fresh = {}, {process}
+    while fresh:
+        fresh = {pid for pid, parent in parents.items() if parent in fresh}
+        below |= {names[pid]: pid for pid in fresh}
+    return below
 
 
-@pytest.fixture
-def begin(rig, tmp_path):
-    """Begin a long line with a cell whose driver has these options besides."""
-    linuxcnc, bench = rig
-    cells = []
+class OnLinuxCnc:
+    """Cells that measure a long line on LinuxCNC, one after another."""
 
-    def begin(**options):
-        motion = linuxcnc.motion_options | options
-        cell = Cell(CellConfig("streaming", bench.tracker_options, "linuxcnc", motion))
-        cells.append(cell)
-        cell.start()
-        cell.connect()
+    def __init__(self, linuxcnc, bench, folder, stack):
+        self.linuxcnc, self.bench = linuxcnc, bench
+        self._folder, self._stack = folder, stack
+        self.inside = list_descendants(linuxcnc._process.pid)
+
+    def begin(self, **options):
+        """Begin with a cell whose driver has these options besides."""
+        motion = self.linuxcnc.motion_options | options
+        tracker = self.bench.tracker_options
+        config = CellConfig("streaming", tracker, "linuxcnc", motion)
+        self.driven = driven = self._stack.enter_context(Driven(config))
+        driven.cell.connect()
         machine = machine_from_json(load_machine("demo"))
-        rows = np.array([[10.0, 10, 10], [400, 10, 10]])
-        path = Path(machine.axis_names, rows, np.full(2, 1200.0), np.zeros(2))
-        file = str(tmp_path / f"run{len(cells)}.sqlite")
-        cell.begin(MeasurementOrder("live", file, machine, path))
-        return cell
+        path = path_of((10.0, 10, 10), (400, 10, 10), feed=60.0 * SPEED)
+        file = str(self._folder / f"{driven.cell.process_id}.sqlite")
+        driven.begin(MeasurementOrder("live", file, machine, path))
+        return driven
 
-    yield begin
-    for cell in cells:
-        cell.close()
+    def drive_on(self, **options):
+        """Begin, and wait until the line is under way."""
+        driven = self.begin(**options)
+        told = driven.of
+        driven.until(
+            lambda: any(
+                p.position and p.position[0] > 15.0 for p in told(MeasurementProgress)
+            )
+        )
+
+    def find(self, name):
+        return self.driven.cell.process_id if name == "cell" else self.inside[name]
+
+    def motor_x(self):
+        """Return where HAL sends the motor, past all that may be dead."""
+        environment = {
+            "RTAPI_UID": "65534",
+            "RTAPI_FIFO_PATH": str(self.linuxcnc.folder / "run" / "fifo"),
+            "PATH": os.environ["PATH"],
+        }
+        first = str(self.inside["halsampler"])
+        enter = ["nsenter", "-t", first, "-n", "-i", "-m", "-p"]
+        said = subprocess.run(
+            [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return None if said.returncode else float(said.stdout.split()[-1])
 
 
-def events_until(cell, is_wanted, within_s=30.0):
-    seen, deadline_s = [], time.monotonic() + within_s
-    while not any(map(is_wanted, seen)):
-        assert time.monotonic() < deadline_s, seen[-5:]
-        seen += cell.poll(0.1)
-    return seen
+@pytest.fixture
+def rig(tmp_path):
+    with (
+        LinuxCncRig(LinuxCncMachine(TRAVEL), samples=True) as linuxcnc,
+        Bench(source=linuxcnc.positions, source_unit_s=1e-3) as bench,
+        ExitStack() as stack,
+    ):
+        yield OnLinuxCnc(linuxcnc, bench, tmp_path, stack)
 
 
-def test_a_machine_in_emergency_stop_is_not_measured(begin):
-    seen = events_until(begin(), lambda e: isinstance(e, RunClosed))
-    (fault,) = [e for e in seen if isinstance(e, FaultReported)]
+def test_a_machine_in_emergency_stop_is_not_measured(rig):
+    driven = rig.begin()
+    driven.until_closed()
+    (fault,) = driven.of(FaultReported)
     assert fault.code == "motion-estop"
     assert "release it" in fault.action
 
 
-def test_a_killed_cell_leaves_a_machine_that_stands(begin, rig):
-    cell = begin(**READY)
-    events_until(
-        cell,
-        lambda e: (
-            isinstance(e, MeasurementProgress)
-            and bool(e.position)
-            and e.position[0] > 15.0
-        ),
-    )
-    os.kill(cell.process_id, signal.SIGKILL)
-    events_until(cell, lambda e: isinstance(e, FaultReported) and e.code == "cell-died")
-    time.sleep(1.5)
-    with LinuxCncController(**rig[0].motion_options) as driver:
-        first = driver.status()
-        time.sleep(0.3)
-        assert driver.status() == first
-        assert (first.state, first.hold_reason) == (MotionState.HELD, "watchdog")
-        assert first.position[0] < 100.0
-        driver.abort()
-    # Another cell begins anew.
-    events_until(
-        begin(),
-        lambda e: (
-            isinstance(e, MeasurementProgress)
-            and bool(e.position)
-            and e.position[0] > 15.0
-        ),
-    )
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=lambda b: b.name)
+@pytest.mark.parametrize(
+    ("name", "within_s", "said"),
+    [
+        ("cell", WATCHDOG_S, ""),
+        ("milltask", WATCHDOG_S, "milltask of LinuxCNC does not run"),
+        ("io", WATCHDOG_S, "io of LinuxCNC does not run"),
+        ("linuxcncrsh", REPLY_S + WATCHDOG_S, "127.0.0.1"),
+        ("python3", REPLY_S + WATCHDOG_S, "watchdog"),
+    ],
+)
+def test_the_machine_stops_and_the_service_says_why(rig, name, within_s, said, blow):
+    rig.drive_on(**READY)
+    before = rig.motor_x()
+    os.kill(rig.find(name), blow)
+    time.sleep(within_s + LATE_S)
+    first = rig.motor_x()
+    time.sleep(0.5)
+    assert rig.motor_x() == first
+    if (name, blow) == ("linuxcncrsh", signal.SIGKILL):
+        assert first is None  # the display of this LinuxCNC: all ends with it
+    else:
+        assert before < first < before + SPEED * (within_s + 2 * LATE_S)
+    if name == "cell" and blow == signal.SIGSTOP:
+        os.kill(rig.find(name), signal.SIGCONT)
+        said = "watchdog"
+    driven = rig.driven
+    driven.until(lambda: any(said in f.text for f in driven.of(FaultReported)))
+    if (name, blow) == ("cell", signal.SIGKILL):
+        assert driven.faults == ["cell-died"]
+        with LinuxCncController(**rig.linuxcnc.motion_options) as driver:
+            status = driver.status()
+            assert (status.state, status.hold_reason) == (MotionState.HELD, "watchdog")
+            driver.abort()
+        rig.drive_on()  # another cell begins anew

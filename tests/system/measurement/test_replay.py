@@ -1,7 +1,5 @@
 """Runs repeated by simulated devices: the same samples, the same tables."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path as FilePath
@@ -10,19 +8,15 @@ import numpy as np
 import pytest
 
 from driven_cell import Driven, config_of
+from paths_by_hand import path_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.measurement.messages import (
-    FaultReported,
-    MeasurementOrder,
-    RunClosed,
-)
+from truepath.measurement.messages import FaultReported, MeasurementOrder, RunClosed
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.errors import Refused
-from truepath_drivers.interfaces.records import Path
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
@@ -36,7 +30,7 @@ AXES = ("X", "Y", "Z")
 CORNERS = np.array(
     [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]], float
 )
-PATH = Path(AXES, CORNERS, np.full(5, 12_000.0), np.full(5, 1.0))
+PATH = path_of(*CORNERS, feed=12_000.0, dwell_s=1.0)
 POINTS = Configurations(AXES, CORNERS[:4], np.full(4, 2.0))
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 SPEED = 10.0
@@ -71,12 +65,7 @@ def make_run(make_once) -> Callable[[Commanded], FilePath]:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("commanded", "speed"),
-    [
-        (PATH, 1.0),
-        (POINTS, 3.0),
-    ],
-    ids=["path-1", "points-3"],
+    ("commanded", "speed"), [(PATH, 1.0), (POINTS, 3.0)], ids=["path-1", "points-3"]
 )
 def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded, speed):
     recorded = make_run(commanded)
@@ -97,17 +86,12 @@ def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded,
         np.testing.assert_array_equal(again, once)
 
 
-def test_what_the_bytes_hold_is_what_the_run_holds(make_run):
+def test_a_replay_holds_what_the_run_holds_and_answers_as_its_device(make_run):
     run = read_recorded_run(make_run(PATH))
     assert run.is_exact
     assert run.samples == len(open_run(make_run(PATH)).tracker)
     assert len(run.moves) == 1
     assert run.moves[0].goal == pytest.approx(CORNERS[-1])
-
-
-def test_a_replay_refuses_another_rate_and_answers_as_the_recorded_device(
-    make_run,
-):
     with (
         Replay(make_run(PATH), tracker="tcp") as replay,
         StreamingTracker(**replay.tracker_options) as tracker,
@@ -142,17 +126,12 @@ def test_a_run_that_cannot_be_repeated_is_a_clear_line(
     assert said in capsys.readouterr().err
 
 
-def test_a_replay_takes_no_faults(capsys):
-    assert main(["--replay", "run.sqlite", "--fault", "tracker:silence"]) == 2
-    assert "only repeats" in capsys.readouterr().err
-
-
 @pytest.mark.long
 def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
     make_run, tmp_path
 ):
-    position = np.vstack([CORNERS, [[400.0, 300.0, 200.0]]])
-    longer = Path(AXES, position, np.full(6, 12_000.0), np.full(6, 1.0))
+    further = (400.0, 300.0, 200.0)
+    longer = path_of(*CORNERS, further, feed=12_000.0, dwell_s=1.0)
     with (
         Replay(make_run(PATH)) as replay,
         pytest.raises(AssertionError, match="ended-early"),

@@ -18,7 +18,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import turning_paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
+from truepath_simulators.worlds.synthetic import Setting
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 
@@ -128,26 +128,6 @@ def test_turns_that_the_target_does_not_see_cost_only_themselves():
     seen = align(run)
     assert [p.row for p in seen.passes] == list(range(2, len(rows), 2))
     assert np.abs(off_mm(seen)).max() < 0.3
-
-
-def test_a_hold_in_mid_arc_makes_two_passes_of_it():
-    setting = replace(PERFECT, defects=Defects(holds=((6.0, 1.0),)))
-    run, _ = random_path("head-table", setting=setting)
-    seen = align(run)
-    rows = [p.row for p in seen.passes]
-    assert len(rows) == len(set(rows)) + 1
-    assert np.abs(off_mm(seen)).max() < 1e-3
-
-
-def test_lost_frames_breaks_spikes_and_holds_cost_only_themselves_on_arcs():
-    clean, _ = random_path("trunnion")
-    rough, _ = random_path("trunnion", setting=Setting(defects=ROUGH))
-    _, once = np.unique(rough.tracker.device_time_s, return_index=True)
-    kept = replace(rough, tracker=rough.tracker.select(once))
-    a, b = align(clean), align(kept)
-    assert len({p.row for p in a.passes} - {p.row for p in b.passes}) < 3
-    assert b.used > 0.9 * a.used
-    assert np.abs(off_mm(b)).max() < 0.3
 
 
 def test_lines_whose_corner_is_lost_are_told_by_place():

@@ -50,15 +50,22 @@ def test_how_the_stream_is_cut_into_blocks_does_not_matter(sizes):
     assert_same_cells(live.observations(parts), align(run))
 
 
+def feed(run, tracker=None):
+    """Give a stream in blocks of a tenth of a second; tell what came of each."""
+    live = StreamingAlignment(run.machine, run.commanded)
+    tracker = tracker or run.tracker
+    for begin in range(0, len(tracker), 50):
+        block = tracker.select(slice(begin, begin + 50))
+        yield live, live.add(block), block.device_time_s[-1]
+
+
 def test_a_line_is_handed_on_as_soon_as_the_machine_stands_at_its_end(record):
     """And samples are kept for a line or so, however long the Run."""
     run, _ = record(3)
-    live, seen, most = StreamingAlignment(run.machine, run.commanded), {}, 0
-    for begin in range(0, len(run.tracker), 50):
-        for part in live.add(run.tracker.select(slice(begin, begin + 50))):
-            if part.line >= 0:
-                now = run.tracker.device_time_s[begin + 49]
-                seen[part.row] = now - part.cells.time_s[-1]
+    seen, most = {}, 0
+    for live, parts, now_s in feed(run):
+        lines = [part for part in parts if part.line >= 0]
+        seen |= {part.row: now_s - part.cells.time_s[-1] for part in lines}
         most = max(most, live.samples_kept)
     late = [delay for row, delay in seen.items() if row > 5]
     assert len(late) > 10
@@ -130,11 +137,8 @@ def test_another_machines_path_gives_no_pose_and_no_lines(record):
 
 def test_holds_on_the_way_are_not_astray(record):
     holds = tuple((begin_s, 1.0) for begin_s in (61.0, 63.0, 65.0))
-    paused = Setting(defects=Defects(holds=holds))
-    run, _ = record(8, rows=14, feed=2500.0, setting=paused)
-    live, most = StreamingAlignment(run.machine, run.commanded), 0
-    for begin in range(0, len(run.tracker), 50):
-        live.add(run.tracker.select(slice(begin, begin + 50)))
+    paused, most = Setting(defects=Defects(holds=holds)), 0
+    for live, _, _ in feed(record(8, rows=14, feed=2500.0, setting=paused)[0]):
         if live.pose is not None:
             most = max(most, len(live._stream.stops) - 1 - live._matched[-1][0])
         assert live.list_astray() == ()
@@ -147,10 +151,7 @@ def test_places_that_are_too_far_ahead_to_be_known_are_not_astray(record):
     first, last = (seen.at.time_s[seen.row == row] for row in (12, 19))
     time_s = run.tracker.device_time_s
     kept = (time_s < first.min() - 1.0) | (time_s > last.max())
-    live = StreamingAlignment(run.machine, run.commanded)
-    tracker = run.tracker.select(np.flatnonzero(kept))
-    for begin in range(0, len(tracker), 50):
-        live.add(tracker.select(slice(begin, begin + 50)))
+    for live, _, _ in feed(run, run.tracker.select(np.flatnonzero(kept))):
         assert live.list_astray() == ()
     assert len(live._stream.stops) - live._matched[-1][0] > 5
 
@@ -162,10 +163,7 @@ def test_what_was_astray_stays_said_where_places_are_known_again(record):
     first, last = (seen.at.time_s[seen.row == row] for row in (12, 15))
     away = (time_s > first.min()) & (time_s < last.max())
     place_mm[away] += [3.0, -2.0, 4.0]
-    live = StreamingAlignment(run.machine, run.commanded)
-    tracker = replace(run.tracker, position_mm=place_mm)
-    for begin in range(0, len(tracker), 50):
-        live.add(tracker.select(slice(begin, begin + 50)))
+    *_, (live, _, _) = feed(run, replace(run.tracker, position_mm=place_mm))
     (one,) = live.list_astray()
     assert one.row in (12, 13)
     assert first.min() - 1.0 < one.begin_s < one.end_s < last.max() + 1.0

@@ -64,12 +64,8 @@ class GoodTracker(Tracker):
         self.read_s = host_clock.now_s()
         number = self.number + np.arange(10)
         self.number += 10
-        return TrackerSamples(
-            number,
-            self.stamp(number),
-            self.place + self.measure(number),
-            np.full(10, self.status, np.int64),
-        )
+        place, status = self.place + self.measure(number), np.full(10, self.status)
+        return TrackerSamples(number, self.stamp(number), place, status)
 
     def measure(self, number):
         return 1e-3 * np.random.default_rng(int(number[0])).normal(size=(10, 3))
@@ -108,14 +104,8 @@ class GoodController(MotionController):
 
     def connect(self) -> Identity:
         self.connected = True
-        return Identity(
-            "maker",
-            "model",
-            "1",
-            "0",
-            has_watchdog=not self.feeds,
-            stops_unasked=self.feeds,
-        )
+        who = Identity("maker", "model", "1", "0")
+        return replace(who, has_watchdog=not self.feeds, stops_unasked=self.feeds)
 
     def close(self) -> None:
         if self.at.state is MotionState.RUNNING:
@@ -200,12 +190,9 @@ class GoodController(MotionController):
 
     def finish(self) -> None:
         line = 0 if self.path is None else len(self.path) - 1
-        self.at = replace(
-            self.at,
-            state=MotionState.FINISHED,
-            position=self.target,
-            line=self.first_line + line * self.counts_lines,
-        )
+        line = self.first_line + line * self.counts_lines
+        ended = MotionState.FINISHED
+        self.at = replace(self.at, state=ended, position=self.target, line=line)
 
 
 def share_machine(make):
@@ -335,13 +322,8 @@ def block(machine):
     machine.blocked = True
 
 
-TROUBLES = dict(
-    zip(
-        motion.PROVOKED_CHECKS,
-        (bring("alarm"), bring("door"), bring("unhomed"), does(), block),
-        strict=True,
-    )
-)
+PROVOKES = bring("alarm"), bring("door"), bring("unhomed"), does(), block
+TROUBLES = dict(zip(motion.PROVOKED_CHECKS, PROVOKES, strict=True))
 ALARM, DOOR, UNHOMED, LOST, BLOCKED = motion.PROVOKED_CHECKS
 
 
@@ -359,8 +341,8 @@ def fall_back(self):
     return replace(status, line=-self.beats) if running else status
 
 
-def hide(self):
-    return replace(GoodController.status(self), state=MotionState.IDLE)
+def tell(**changes):
+    return lambda self: replace(GoodController.status(self), **changes)
 
 
 def mistake(self):
@@ -369,18 +351,14 @@ def mistake(self):
     return replace(status, state=MotionState.ALARM) if door else status
 
 
-def be_silent(self):
-    return replace(GoodController.status(self), alarm="")
-
-
 def take_time(self):
     host_clock.sleep_s(10.0)
     return GoodController.status(self)
 
 
 FAULTY_IN_TROUBLE = [
-    (ALARM, "status", hide),
-    (ALARM, "status", be_silent),
+    (ALARM, "status", tell(state=MotionState.IDLE)),
+    (ALARM, "status", tell(alarm="")),
     (ALARM, "need_able", does()),
     (DOOR, "status", mistake),
     (UNHOMED, "need_able", does()),
@@ -392,7 +370,7 @@ FAULTY_IN_TROUBLE = [
 
 
 def with_fault(base, name, fault):
-    return type("Faulty", (base,), {name: fault})
+    return type("Faulty", (base,), {name: fault} if name else {})
 
 
 @pytest.mark.parametrize(("check", "name", "fault"), FAULTY_TRACKERS)
@@ -436,7 +414,7 @@ def test_a_faulty_controller_is_caught(clock, check, name, fault):
         check(make)
 
 
-def test_a_file_left_open_and_a_constructor_that_opens_are_caught(clock, tmp_path):
+def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
     left = []
 
     def leave_open(self):
@@ -452,81 +430,68 @@ def test_a_file_left_open_and_a_constructor_that_opens_are_caught(clock, tmp_pat
         )
     for file in left:
         file.close()
-
-
-def test_a_device_that_answers_where_none_is_is_caught():
     with pytest.raises(NotConforming, match="not there"):
         device.a_device_that_is_not_there_is_a_device_error(GoodTracker)
 
 
-class ScriptedThermometers(Thermometers):
-    """A driver of another make; `wrong` says what it does wrong."""
+class GoodThermometers(Thermometers):
+    """Keeps everything, in memory."""
 
-    def __init__(self, wrong):
-        self.wrong, self._is_open = wrong, False
-        self._stamp_s = 0.0
-
-    @property
-    def channels(self):
-        return (Channel("X_degC"),) * (2 if self.wrong == "name-twice" else 1)
-
-    @property
-    def period_s(self):
-        return 0.01
+    channels = (Channel("X_degC"),)
+    period_s = 0.01
+    is_open = False
 
     def connect(self):
-        self._is_open = True
-        return Identity("Us", "scripted", "", "")
+        self.is_open = True
+        return Identity("Us", "in memory", "", "")
 
     def close(self):
-        self._is_open = False
+        self.is_open = False
 
     def read(self):
-        if not self._is_open and self.wrong != "reads-closed":
+        if not self.is_open:
             raise ConnectionLost("connect first")
-        clock = host_clock.wall_s if self.wrong == "wall-clock" else host_clock.now_s
-        if self.wrong == "frozen-stamp":
-            self._stamp_s = self._stamp_s or clock()
-            clock = lambda: self._stamp_s  # noqa: E731
-        if self.wrong == "hangs":
-            host_clock.sleep_s(4.5)
-        value, fault, name = 20.0, "", "X_degC"
-        match self.wrong:
-            case "kelvin":
-                value = 293.15
-            case "old-value-with-a-fault":
-                fault = "no answer"
-            case "silent-nan":
-                value = math.nan
-            case "other-channel":
-                name = "Y_degC"
-            case "never-reads":
-                return ()
-        return (Reading(name, clock(), value, fault),)
+        return self.show()
+
+    def show(self, value=20.0, fault="", name="X_degC", time_s=None):
+        time_s = host_clock.now_s() if time_s is None else time_s
+        return (Reading(name, time_s, value, fault),)
 
 
-WRONG = [
-    "name-twice",
-    "reads-closed",
-    "wall-clock",
-    "frozen-stamp",
-    "kelvin",
-]
-WRONG += [
-    "old-value-with-a-fault",
-    "silent-nan",
-    "other-channel",
-    "never-reads",
-]
+def shows(*given):
+    return lambda self: GoodThermometers.show(self, *given)
 
 
-@pytest.mark.parametrize("wrong", [*WRONG, "hangs", ""])
+def read_late(self):
+    host_clock.sleep_s(4.5)
+    return GoodThermometers.read(self)
+
+
+FAULTY_THERMOMETERS = {
+    "name-twice": ("channels", (Channel("X_degC"),) * 2),
+    "reads-closed": ("read", GoodThermometers.show),
+    "wall-clock": (
+        "show",
+        lambda self: GoodThermometers.show(self, time_s=host_clock.wall_s()),
+    ),
+    "frozen-stamp": ("show", shows(20.0, "", "X_degC", 0.0)),
+    "kelvin": ("show", shows(293.15)),
+    "old-value-with-a-fault": ("show", shows(20.0, "no answer")),
+    "silent-nan": ("show", shows(math.nan)),
+    "other-channel": ("show", shows(20.0, "", "Y_degC")),
+    "never-reads": ("show", does(())),
+    "hangs": ("read", read_late),
+    "": ("", None),
+}
+
+
+@pytest.mark.parametrize("wrong", FAULTY_THERMOMETERS)
 def test_the_checks_catch_wrong_thermometers_and_let_right_ones_pass(clock, wrong):
-    caught = []
+    kind, caught = with_fault(GoodThermometers, *FAULTY_THERMOMETERS[wrong]), []
     with on_terms(patience_s=0.1):
         for check in THERMOMETER_CHECKS:
             try:
-                check(lambda: ScriptedThermometers(wrong))
+                check(kind)
             except NotConforming:
                 caught.append(check.__name__)
     assert bool(caught) == bool(wrong)

@@ -21,8 +21,8 @@ from truepath.kinematics.effects.location_error import (
 )
 from truepath.kinematics.effects.rotary_eccentricity import RotaryEccentricity
 from truepath.kinematics.effects.tool_growth import ToolGrowth
-from truepath.kinematics.machine.machine import find_local_directions
 from truepath.kinematics.machine.symbols import (
+    SQUARENESS,
     describe_symbol,
     find_unit,
     list_error_motions,
@@ -30,7 +30,6 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.rotary_joint import local_frame
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
@@ -41,6 +40,9 @@ CHAINS = [
     "w-b-X-Y-Z-C-A-t",
     "w-X-Y-Z-C-B-b-t",
     "w-b-C-X-Y-Z-t",
+    "w-b-X-Y-Z-t",
+    "w-Y-b-X-Z-t",
+    "w-Y-X-b-Z-t",
 ]
 INCLINED = {"B": [0.0, 1.0, 1.0], "C": [0.2, -0.1, -1.0], "A": [-1.0, 0.0, 0.0]}
 TURNING = {
@@ -146,7 +148,7 @@ def test_errors_and_locations_are_nothing_at_the_axis_zero(chain):
         assert np.abs(columns[:, :, model.slices[name]]).max() < 1e-9
 
 
-def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
+def test_a_full_turn_is_cyclic_and_motions_across_the_axis_have_no_mean():
     machine = machine_from_json(content(CHAINS[0]))
     table = make_error_motion("EXC", machine.rotary_axes[1], 12)
     head = make_error_motion("EXB", machine.rotary_axes[0], 12)
@@ -154,10 +156,6 @@ def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
     assert np.allclose(ends[0], ends[1])
     ends = head.rows(np.array([-30.0, 110.0]))
     assert not np.allclose(ends[0], ends[1])
-
-
-def test_motions_across_the_axis_have_no_mean():
-    machine = machine_from_json(content(CHAINS[0]))
     for axis in machine.rotary_axes:
         s = np.linspace(axis.low, axis.high, 20_001)
         weight = np.ones(len(s))
@@ -168,17 +166,13 @@ def test_motions_across_the_axis_have_no_mean():
             assert (np.abs(mean).max() < 1e-7) == (symbol[1] not in along)
 
 
-def test_directions_of_symbols_are_those_of_the_truth_machine():
-    stated = content("w-C-A-b-X-Y-Z-B-t", inclined=True)
-    file, machine = parse_machine(stated), machine_from_json(stated)
-    for mine, theirs in zip(machine.rotary_axes, file.rotary_axes, strict=True):
-        assert np.allclose(find_local_directions(mine), local_frame(theirs), atol=1e-12)
-
-
-def test_symbols_of_rotary_axes_have_meanings_and_units():
-    symbols = [s for a in "BC" for s in (*list_error_motions(a), *list_locations(a))]
-    assert len({describe_symbol(s) for s in symbols}) == 20
+def test_every_symbol_has_a_meaning_and_a_unit():
+    symbols = [s for a in "XYZBC" for s in list_error_motions(a)]
+    symbols += [*SQUARENESS, *list_locations("B"), *list_locations("C")]
+    assert len({describe_symbol(s) for s in symbols}) == 41
     meanings = {
+        "EYX": "straightness of X in Y",
+        "EAX": "roll of X",
         "ECC": "positioning of C",
         "EXC": "radial motion of C in X",
         "EZC": "axial motion of C in Z",
@@ -186,6 +180,7 @@ def test_symbols_of_rotary_axes_have_meanings_and_units():
         "XOC": "shift of the axis of C in X",
     }
     assert {symbol: describe_symbol(symbol) for symbol in meanings} == meanings
+    assert {find_unit(s) for s in symbols} == {"um", "urad"}
     assert [find_unit(s) for s in ("XOC", "AOC", "EXC", "ECC")] == ["um", "urad"] * 2
 
 

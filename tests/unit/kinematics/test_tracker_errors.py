@@ -87,10 +87,7 @@ BODIES = {
     "index_urad": (1e6, [misread(elevation=lambda p: np.ones(len(p)))]),
     "eccentricity_urad": (1e6, circle(1)),
     "encoder_urad": (1e6, circle(2)),
-    "tilt_urad": (
-        1e6,
-        [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)],
-    ),
+    "tilt_urad": (1e6, [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)]),
     "beam_offset_um": (
         1e3,
         [lambda p: aim(p, beside=(SMALL, 0.0)), lambda p: aim(p, beside=(0.0, SMALL))],
@@ -117,15 +114,9 @@ def test_each_error_of_a_specification_moves_points_as_axes_and_beams_do(
 ):
     unit, causes = BODIES[name]
     none = dict.fromkeys((f.name for f in fields(TrackerSpecification)), 0.0)
-    machine = replace(
-        seen.machine,
-        tracker=replace(
-            seen.machine.tracker,
-            specification=TrackerSpecification(**{**none, name: unit}),
-            face=face,
-        ),
-    )
-    seen = replace(seen, machine=machine)
+    stated = TrackerSpecification(**{**none, name: unit})
+    tracker = replace(seen.machine.tracker, specification=stated, face=face)
+    seen = replace(seen, machine=replace(seen.machine, tracker=tracker))
     (effect,) = list_instrument_errors([seen])
     columns = np.moveaxis(effect.jacobian(seen), 2, 0)
     polar = to_spherical(seen.recorded.tracker_mm)

@@ -1,7 +1,5 @@
 """Circles that were held or not seen whole are driven again by themselves."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import numpy as np
@@ -17,7 +15,9 @@ from truepath.measurement.messages import (
 from truepath.motion.configurations import append_part
 from truepath.service.api.models.results.result_run import InterruptionsOut
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.records import Arc, Path
+from truepath_drivers.interfaces.records import Arc
+
+pytestmark = pytest.mark.usefixtures("clock")
 
 HALF = Arc("XY", (210.0, 110.0), 180.0)
 ARC_ROW = 2
@@ -47,9 +47,8 @@ def arc_order(order) -> MeasurementOrder:
 
 def reach_line(running: Running, line: int) -> None:
     """Wait for the motion along a line, counted from 1."""
-    told = running.journal.of
     running.until(
-        lambda: any(p.done == line - 1 for p in told(MeasurementProgress)[-1:])
+        lambda: any(p.done == line - 1 for p in running.told(MeasurementProgress)[-1:])
     )
 
 
@@ -60,12 +59,6 @@ def finish(running: Running, motion: SlowMotion) -> Run:
     return running.run
 
 
-def list_again(path: Path, rows: int) -> list[Arc]:
-    """Return the arcs that were driven after so many rows."""
-    return [arc for arc in path.arc[rows:] if arc]
-
-
-@pytest.mark.usefixtures("clock")
 def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
     begin, arc_order, motion
 ):
@@ -74,27 +67,23 @@ def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
     running.pause_and_resume()
     run = finish(running, motion)
     rows = len(arc_order.commanded)
-    (damaged,) = running.journal.of(LinesDamaged)
+    (damaged,) = running.told(LinesDamaged)
     assert damaged.row == ARC_ROW
-    assert isinstance(run.commanded, Path)
-    assert list_again(run.commanded, rows)[-1] == HALF
+    assert [arc for arc in run.commanded.arc[rows:] if arc][-1] == HALF
     assert np.array_equal(
         run.commanded.position[-2:], arc_order.commanded.position[ARC_ROW - 1 :][:2]
     )
     summary = summarize_run(run)
     assert summary.driven_again == (f"circles to rows {ARC_ROW + 1}",)
-    stated = {
-        **asdict(summary.interruptions),
-        "driven_again": list(summary.driven_again),
-    }
-    InterruptionsOut.model_validate(stated)
-    assert running.journal.faults == []
+    stated = asdict(summary.interruptions)
+    again = list(summary.driven_again)
+    InterruptionsOut.model_validate({**stated, "driven_again": again})
+    assert running.faults == []
     assert motion.calls.count("start") == 2
 
 
-@pytest.mark.usefixtures("clock")
 def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
-    begin, arc_order, motion, tracker, journal
+    begin, arc_order, motion, tracker
 ):
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
@@ -105,44 +94,34 @@ def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
         blocks.add(tracker.health.frames)
         host_clock.sleep_s(0.001)
     tracker.beam = True
-    looks = len(running.told(MeasurementProgress))
-    journal.wait(lambda: len(running.told(MeasurementProgress)) > looks + 8)
+    running.look(8)
     run = finish(running, motion)
     assert "paused" not in running.states
-    assert list_again(run.commanded, len(arc_order.commanded))[-1] == HALF
+    again = run.commanded.arc[len(arc_order.commanded) :]
+    assert [arc for arc in again if arc][-1] == HALF
 
 
-@pytest.mark.usefixtures("clock")
 def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order, motion):
     running = begin(arc_order)
     reach_line(running, 1)
     running.pause_and_resume()
     run = finish(running, motion)
-    assert running.journal.of(LinesDamaged) == []
+    assert running.told(LinesDamaged) == []
     assert len(run.commanded) == len(arc_order.commanded)
 
 
-def read_driven(journal, order: MeasurementOrder) -> Path:
-    """Return all rows that are driven so far."""
-    driven = order.commanded
-    for each in journal.of(LinesDamaged):
-        driven = append_part(driven, each.again)
-    assert isinstance(driven, Path)
-    return driven
-
-
-@pytest.mark.usefixtures("clock")
 def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
-    begin, arc_order, motion, journal
+    begin, arc_order, motion
 ):
-    running = begin(arc_order)
+    running, driven = begin(arc_order), arc_order.commanded
     reach_line(running, ARC_ROW)
     for times in range(1, 4):
         running.pause_and_resume()
         motion.speed = 2000.0
-        journal.wait(lambda n=times: len(running.told(LinesDamaged)) == n)
-        reach_line(running, len(read_driven(journal, arc_order)) - 1)
+        running.until(lambda n=times: len(running.told(LinesDamaged)) == n)
+        driven = append_part(driven, running.told(LinesDamaged)[-1].again)
+        reach_line(running, len(driven) - 1)
     running.pause_and_resume()
     finish(running, motion)
-    assert len(running.journal.of(LinesDamaged)) == 3
-    assert running.journal.faults == []
+    assert len(running.told(LinesDamaged)) == 3
+    assert running.faults == []

@@ -1,7 +1,5 @@
 """What a driver of somebody else breaks or lies about is found at its border."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Sensors during a measurement: in the Run, never in the way, never wrong unsaid."""
 
-from __future__ import annotations
-
 import math
 import struct
 import threading
@@ -23,7 +21,6 @@ from truepath.measurement.monitors.channel_judge import (
     STUCK,
     ChannelJudge,
 )
-from truepath.measurement.monitors.environment_reader import EnvironmentReader
 from truepath.measurement.progress import LiveView
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
@@ -46,20 +43,15 @@ HENE = Light(633.0, is_group=False)
 class FakeThermometers(Thermometers):
     """Sensors in this process."""
 
-    def __init__(self) -> None:
+    channels = tuple(Channel(name) for name in NAMES)
+    period_s = 0.02
+
+    def __init__(self):
         self.shows, self.faults = dict(USUAL), dict[str, str]()
         self.dead = self.is_open = False
         self.hangs = threading.Event()
         self.hangs.set()
         self.broken: Exception | None = None
-
-    @property
-    def channels(self):
-        return tuple(Channel(name) for name in NAMES)
-
-    @property
-    def period_s(self):
-        return 0.02
 
     def connect(self):
         if self.dead:
@@ -76,13 +68,9 @@ class FakeThermometers(Thermometers):
         host_clock.wait(self.hangs, 20.0)
         if self.broken is not None:
             raise self.broken
-        now_s = host_clock.now_s()
-        return tuple(
-            Reading(n, now_s, math.nan, self.faults[n])
-            if n in self.faults
-            else Reading(n, now_s, v)
-            for n, v in self.shows.items()
-        )
+        shown = self.shows | dict.fromkeys(self.faults, math.nan)
+        now_s, faults = host_clock.now_s(), self.faults
+        return tuple(Reading(n, now_s, v, faults.get(n, "")) for n, v in shown.items())
 
 
 def judged(values, *, step_s=1.0, channel=None):
@@ -223,27 +211,24 @@ def test_a_run_holds_what_its_sensors_showed(measure, sensors, tmp_path):
     np.testing.assert_array_equal(again.air.pressure_hpa, run.air.pressure_hpa)
 
 
-def test_sensors_that_are_dead_from_the_start_cost_themselves(
-    measure, sensors, journal, motion
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"dead": True}, "no valid reply"),
+        ({"broken": ZeroDivisionError("of a driver")}, "has failed"),
+    ],
+)
+def test_sensors_that_are_dead_or_of_a_broken_driver_cost_themselves(
+    measure, sensors, journal, motion, given, said
 ):
-    sensors.dead = True
-    run = measure(sensors)
+    vars(sensors).update(given)
+    summary = summarize_run(measure(sensors))
     told = {f.text for f in journal.of(FaultReported)}
-    assert len([text for text in told if "no valid reply" in text]) == len(NAMES)
-    assert summarize_run(run).sensors_told
+    assert any(said in text for text in told)
+    assert not sensors.dead or len([t for t in told if said in t]) == len(NAMES)
+    assert summary.sensors_told
     assert "hold" not in motion.calls
-    assert not any(one.is_used for one in summarize_run(run).sensors)
-
-
-@pytest.mark.fault_row(12)
-def test_a_wire_that_breaks_is_told_and_never_a_temperature(measure, sensors, journal):
-    sensors.shows["X_degC"] = 327.67
-    run = measure(sensors)
-    assert "sensor-implausible" in {f.code for f in journal.of(FaultReported)}
-    facts = {one.name: one for one in summarize_run(run).sensors}
-    assert facts["X_degC"].readings == 0
-    assert facts["air_degC"].readings > 0
-    assert "X" not in summarize_run(run).temperature_degc
+    assert not any(one.is_used for one in summary.sensors)
 
 
 @pytest.mark.fault_row(14)
@@ -260,13 +245,19 @@ def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
 
 
 @pytest.mark.fault_row(43)
-def test_what_was_left_out_is_counted_in_the_run_with_its_reason(measure, sensors):
+def test_what_was_left_out_is_counted_in_the_run_with_its_reason(
+    measure, sensors, journal
+):
     sensors.shows["X_degC"] = swap_words(20.5)
     sensors.shows["pressure_hPa"] = 746.0  # of mercury, in mm
     run = measure(sensors)
     told = summarize_run(run).sensors_told
     for words in ("nearly 0", "a site whose altitude is not stated"):
         assert any("readings not used" in text and words in text for text in told)
+    readings = {one.name: one.readings for one in summarize_run(run).sensors}
+    assert readings["X_degC"] == 0 < readings["air_degC"]
+    assert "X" not in summarize_run(run).temperature_degc
+    assert "sensor-implausible" in {f.code for f in journal.of(FaultReported)}
 
 
 def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path):
@@ -275,12 +266,6 @@ def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path
     again = read_bundle(tmp_path / "bundle")
     assert again.temperature.names == ("air",)
     assert any("X_degC: no reply" in t for t in summarize_run(again).sensors_told)
-
-
-def test_a_driver_with_a_defect_costs_its_readings(measure, sensors, journal):
-    sensors.broken = ZeroDivisionError("of a driver")
-    measure(sensors)
-    assert any("has failed" in f.text for f in journal.of(FaultReported))
 
 
 class WithStation(AirExchange):
@@ -293,11 +278,8 @@ class WithStation(AirExchange):
         return Air(22.0, 990.0, math.nan)
 
 
-def test_the_station_of_a_tracker_is_read_where_nothing_else_is(
-    measure, sensors, tracker
-):
-    kind = type("Station", (WithStation, type(tracker)), {})
-    tracker.__class__ = kind
+def test_the_station_of_a_tracker_is_read_where_nothing_else_is(measure, tracker):
+    tracker.__class__ = type("Station", (WithStation, type(tracker)), {})
     run = measure(None)
     assert run.temperature.names == ("air",)
     assert run.temperature.celsius[0, 0] == 22.0
@@ -346,19 +328,6 @@ def test_readings_come_on_the_trackers_clock_and_outlive_their_writer(tmp_path, 
     assert np.isnan(run.temperature.celsius[-1, 1])
 
 
-def test_a_run_of_before_has_no_sensors_and_a_reader_that_is_stopped_reads_none(
-    tmp_path, header, sensors
-):
-    file = tmp_path / "run.sqlite"
-    recorder = Recorder(file, replace(header, channels=()), reserve_bytes=0)
-    reader = EnvironmentReader([sensors], recorder, lambda _: None)
-    reader.start()
-    reader.stop()
-    reader.stop()
-    recorder.close("finished")
-    assert open_run(file).temperature is None
-
-
 # Refraction
 
 
@@ -385,12 +354,9 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
             again.tracker.position_mm, run.tracker.position_mm
         )
         run = again
-
-
-def test_what_nobody_says_how_to_correct_is_left(tmp_path, header):
-    run = corrected(tmp_path, header, None)
+    run = corrected(tmp_path, header, None, "left")
     assert run.refraction.by == "unknown"
-    np.testing.assert_array_equal(run.tracker.position_mm[0], block(0).position_mm[0])
+    np.testing.assert_array_equal(run.tracker.position_mm[0], raw_mm)
 
 
 @pytest.mark.parametrize("altitude_m", [None, 400.0])

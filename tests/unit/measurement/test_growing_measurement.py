@@ -1,7 +1,5 @@
 """A measurement whose path grows: parts, one after another, in one Run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -54,6 +52,8 @@ def conclude(until_asked):
 def test_a_path_grows_in_the_same_run(
     waiting, part, square, motion, until_asked, conclude
 ):
+    np.testing.assert_array_equal(motion.status().position, square.position[-1])
+    assert motion.calls[-1] == "start"  # it stands while it waits
     waiting.obey(part)
     until_asked(2)
     np.testing.assert_array_equal(motion.loaded.position, part.position)
@@ -65,12 +65,6 @@ def test_a_path_grows_in_the_same_run(
     done = [p.done for p in waiting.told(MeasurementProgress)]
     assert done == sorted(done)
     assert (done[-1], waiting.told(MeasurementProgress)[-1].total) == (5, 5)
-
-
-def test_a_machine_that_waits_for_a_part_stands(waiting, square, motion, conclude):
-    np.testing.assert_array_equal(motion.status().position, square.position[-1])
-    assert motion.calls[-1] == "start"
-    assert len(conclude(waiting, 1).commanded) == 4
 
 
 def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
@@ -85,24 +79,28 @@ def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
     assert done == [f"row {i}" for i in range(1, 6)]
 
 
-def test_a_part_out_of_travel_is_never_loaded(waiting, order, motion):
-    waiting.obey(along(order, [ON[0], (510.0, 60.0, -40.0)]).commanded)
-    assert waiting.ended() == "failed"
-    assert "row 2: X = 510 mm exceeds 500 mm" in waiting.fault.text
+@pytest.mark.parametrize(
+    ("rows", "states", "said"),
+    [
+        ([ON[0], (510.0, 60.0, -40.0)], ("failed",), "row 2: X = 510 mm exceeds 500"),
+        (ON[1:], ("failed", "faulted"), ""),  # begins elsewhere
+    ],
+)
+def test_a_part_out_of_travel_or_elsewhere_is_never_loaded(
+    waiting, order, motion, rows, states, said
+):
+    waiting.obey(along(order, rows).commanded)
+    assert waiting.ended() in states
+    assert said in waiting.fault.text
     assert motion.calls.count("load") == 1
     assert len(waiting.run.commanded) == 4
 
 
-def test_a_part_that_begins_elsewhere_is_never_loaded(waiting, order, motion):
-    waiting.obey(along(order, ON[1:]).commanded)
-    assert waiting.ended() in ("failed", "faulted")
-    assert motion.calls.count("load") == 1
-
-
-def test_a_pause_between_parts_keeps_the_next_one_waiting(
+def test_a_pause_between_parts_keeps_the_next_one_waiting_though_it_is_moved_by_hand(
     waiting, part, motion, conclude
 ):
     waiting.pause()
+    motion.here = motion.here + 2.0
     waiting.obey(part)
     waiting.look()
     assert motion.calls.count("load") == 1
@@ -115,17 +113,6 @@ def test_a_machine_that_leaves_its_last_row_while_it_waits_is_a_fault(waiting, m
     motion.here = motion.here + 2.0
     waiting.ends("faulted", "runs-on")
     assert motion.calls.count("load") == 1
-
-
-def test_a_machine_that_is_moved_by_hand_in_a_pause_is_no_fault(
-    waiting, part, motion, conclude
-):
-    waiting.pause()
-    motion.here = motion.here + 2.0
-    waiting.look()
-    waiting.obey(CellVerb.RESUME)
-    waiting.obey(part)
-    conclude(waiting)
 
 
 def test_parts_of_another_mode_or_place_are_refused(order, square, part):

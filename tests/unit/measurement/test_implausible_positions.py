@@ -1,19 +1,12 @@
 """Positions with good status that cannot be: of the axes, and of the target."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from measurement_fixtures import (
-    FakeMotion,
-    draw_rows,
-    standing_at,
-    there_and_back,
-)
+from measurement_fixtures import FakeMotion, draw_rows, standing_at, there_and_back
 from truepath.measurement.messages import (
     CellVerb,
     FaultReported,
@@ -22,7 +15,6 @@ from truepath.measurement.messages import (
     MeasurementOrder,
 )
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.transport.modbus_link import DeviceBusy
 
 pytestmark = pytest.mark.usefixtures("clock")
@@ -247,11 +239,3 @@ def test_a_polled_point_without_a_number_is_a_lost_beam(
     _, run = measure(points)
     assert run.points.row.tolist() == [0]
     assert journal.faults == ["beam-lost"]
-
-
-def test_samples_of_a_block_that_are_nowhere_are_lost_and_the_others_good():
-    position = np.array([[1.0, 2.0, 3.0], [np.nan, 2.0, 3.0], [1e300, 2.0, 3.0]])
-    block = TrackerSamples(
-        np.arange(3), 0.002 * np.arange(3), position, np.zeros(3, int)
-    )
-    assert (block.status == 0).tolist() == [True, False, False]

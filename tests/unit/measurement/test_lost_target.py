@@ -3,8 +3,6 @@
 Where it should be is known from where it was seen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,7 @@ from measurement_fixtures import (
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import CellVerb, LinesDamaged, MeasurementOrder
 from truepath.measurement.target import target_search
-from truepath.measurement.target.target_search import ExpectedPlace, SeenPlaces
+from truepath.measurement.target.target_search import SeenPlaces
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers import host_clock
@@ -86,14 +84,9 @@ class FindingTracker(FakeTracker, TargetFinder):
 
 
 @pytest.fixture
-def finder(motion) -> FindingTracker:
+def tracker(motion) -> FindingTracker:
     motion.speed = 3.0
     return FindingTracker(motion)
-
-
-@pytest.fixture
-def tracker(finder) -> FindingTracker:
-    return finder
 
 
 @pytest.fixture
@@ -128,22 +121,23 @@ def until_resumed(running: Running) -> None:
 
 @pytest.mark.fault_row(9)
 def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
-    moving, finder, motion, order, measured
+    moving, tracker, motion, order, measured
 ):
-    finder.failures = [BeamLost("no target near the beam")]
-    finder.beam = False
+    tracker.failures = [BeamLost("no target near the beam")]
+    tracker.beam = False
     moving.until(lambda: "paused" in moving.states)
-    place_mm = finder.place_mm
+    place_mm = tracker.place_mm
     motion.speed = 5000.0
     assert moving.ended() == "finished"
     run = moving.run
     assert moving.faults == ["beam-lost"]
-    azimuth, elevation = finder.aimed[-1]
+    azimuth, elevation = tracker.aimed[-1]
     x, y, z = place_mm
     level = np.hypot(x, y)
-    assert level * abs(azimuth - np.arctan2(y, x)) < 150.0
+    beside_mm = level * abs(azimuth - np.arctan2(y, x))
+    assert beside_mm < 150.0
     assert level * abs(elevation - np.arctan2(z, level)) < 150.0
-    assert len(finder.aimed) == 2
+    assert len(tracker.aimed) == 2
     (failed,), (found,) = moving.texts("search"), moving.texts("found")
     assert "try 1 of 3" in failed
     assert "no target near the beam" in failed
@@ -151,7 +145,6 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
     again = moving.told(LinesDamaged)[0].again
     assert again is not None
     assert len(run.commanded) > len(order.commanded)
-    beside_mm = level * abs(azimuth - np.arctan2(y, x))
     measured(f"aimed {beside_mm:.0f} mm beside it, found at try 2")
     assert motion.calls.count("start") == 2
     suffered = summarize_run(run).interruptions
@@ -160,40 +153,40 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
 
 
 def test_a_target_that_stays_lost_is_told_with_its_tries_and_waits_for_somebody(
-    moving, finder, motion
+    moving, tracker, motion
 ):
-    finder.failures = [BeamLost("nothing there") for _ in range(9)]
-    finder.beam = False
+    tracker.failures = [BeamLost("nothing there") for _ in range(9)]
+    tracker.beam = False
     moving.until(lambda: len(moving.faults) == 2)
     told = moving.fault
     assert told.code == "beam-lost"
     assert "try 3 of 3" in told.text
     assert "Resume" in told.action
-    assert len(finder.aimed) == 3
+    assert len(tracker.aimed) == 3
     assert moving.states[-1] == "paused"
-    finder.beam = True
+    tracker.beam = True
     motion.speed = 5000.0
     until_resumed(moving)
 
 
 @pytest.mark.fault_row(9)
-def test_another_target_is_never_taken_for_the_lost_one(moving, finder):
-    finder.finds_another = True
-    finder.beam = False
+def test_another_target_is_never_taken_for_the_lost_one(moving, tracker):
+    tracker.finds_another = True
+    tracker.beam = False
     moving.until(lambda: len(moving.faults) == 2)
     assert "another one, " in moving.fault.text
-    moving.pass_until(lambda: not finder.beam)
+    moving.pass_until(lambda: not tracker.beam)
     assert moving.states[-1] == "paused"
     moving.obey(CellVerb.ABORT)
     moving.ended()
     assert len(moving.texts("search")) == 3
 
 
-def test_a_device_without_the_verb_is_as_any_other(moving, finder):
-    finder.failures = [NotOffered("speaks version 1")]
-    finder.beam = False
+def test_a_device_without_the_verb_is_as_any_other(moving, tracker):
+    tracker.failures = [NotOffered("speaks version 1")]
+    tracker.beam = False
     moving.until(lambda: "paused" in moving.states)
-    moving.pass_until(lambda: not finder.failures)
+    moving.pass_until(lambda: not tracker.failures)
     host_clock.sleep_s(0.1)  # silence can only be waited for
     assert moving.faults == ["beam-lost"]
     moving.obey(CellVerb.ABORT)
@@ -201,38 +194,38 @@ def test_a_device_without_the_verb_is_as_any_other(moving, finder):
     assert moving.texts("search") == ["speaks version 1"]
 
 
-def test_a_beam_that_comes_back_by_itself_waits_for_somebody(moving, finder, motion):
-    finder.failures = [BeamLost("somebody stands in the beam")]
-    finder.beam = False
-    moving.pass_until(lambda: not finder.failures)
-    finder.beam = True
+def test_a_beam_that_comes_back_by_itself_waits_for_somebody(moving, tracker, motion):
+    tracker.failures = [BeamLost("somebody stands in the beam")]
+    tracker.beam = False
+    moving.pass_until(lambda: not tracker.failures)
+    tracker.beam = True
     motion.speed = 5000.0
     host_clock.sleep_s(0.5)  # the next try would have been by then
     assert moving.states[-1] == "paused"
-    assert len(finder.aimed) == 1
+    assert len(tracker.aimed) == 1
     until_resumed(moving)
 
 
-def test_a_target_that_is_found_too_late_waits_for_somebody(begin, finder, order):
+def test_a_target_that_is_found_too_late_waits_for_somebody(begin, tracker, order):
     timeouts = replace(SETTINGS.timeouts, search_s=0.1)
     running = begin(order, settings=replace(SETTINGS, timeouts=timeouts))
     running.until_done()
-    finder.failures = [BeamLost("nothing there")]
-    finder.beam = False
+    tracker.failures = [BeamLost("nothing there")]
+    tracker.beam = False
     running.until(lambda: len(running.faults) == 2)
     assert "after 1 tries" in running.fault.text
-    assert len(finder.aimed) == 1
+    assert len(tracker.aimed) == 1
     assert running.states[-1] == "paused"
 
 
 def test_a_standstill_point_is_measured_again_once_the_target_is_found(
-    begin, finder, order, motion
+    begin, tracker, order, motion
 ):
     motion.speed = 2000.0
     position = draw_rows(5)
     running = begin(standing_at(order, position, 6.0))
     running.until_done()
-    finder.beam = False
+    tracker.beam = False
     assert running.ended() == "finished"
     assert len(running.texts("found")) == 1
     rows = [text for text in running.texts("point") if "until" in text]
@@ -254,8 +247,7 @@ class FindingPolled(FakePolledTracker, TargetFinder):
         pass
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
-        place = TO_TRACKER.apply(self._motion.here[None])[0]
-        x, y, z = place
+        x, y, z = TO_TRACKER.apply(self._motion.here[None])[0]
         assert azimuth_rad == pytest.approx(np.arctan2(y, x), abs=1e-6)
         assert elevation_rad == pytest.approx(np.arctan2(z, np.hypot(x, y)), abs=1e-6)
 
@@ -291,89 +283,43 @@ def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
 
 
 def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line_and_not_silent(
-    begin, finder, motion, order
+    begin, tracker, motion, order
 ):
     motion.speed = 5000.0
-    finder.refusal, home = NotHomed("not initialised"), finder.home
+    tracker.refusal, home = NotHomed("not initialised"), tracker.home
 
     def home_slowly() -> None:
         host_clock.sleep_s(20.0)
         home()
 
-    finder.home = home_slowly
+    tracker.home = home_slowly
     patience = StreamTimeouts(silent_s=15.0, dead_s=18.0, late_s=1000.0)
     running = begin(order, settings=replace(SETTINGS, timeouts=patience))
     running.ended()
     assert running.states == ["running", "finished"]
-    assert finder.homed == 1
+    assert tracker.homed == 1
     assert running.faults == ["tracker-homed"]
     kinds = [event.kind for event in running.run.events]
     assert kinds.index("tracker-homed") < kinds.index("start")
 
 
 def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
-    begin, finder, motion, order
+    begin, tracker, motion, order
 ):
-    finder.refusal, finder.is_mended_by_home = NotHomed("not initialised"), False
+    tracker.refusal, tracker.is_mended_by_home = NotHomed("not initialised"), False
     motion.speed = 5000.0
     assert begin(order).ended() == "failed"
-    assert finder.homed == 1
+    assert tracker.homed == 1
     assert "start" not in motion.calls
 
 
-def see(position: np.ndarray) -> np.ndarray:
-    return TO_TRACKER.apply(position[None])[0]
-
-
-def name_axes(position: np.ndarray) -> dict[str, float]:
-    return dict(zip("XYZ", position.tolist(), strict=True))
-
-
-def remember(places: SeenPlaces, position: np.ndarray, *, stands: bool) -> None:
-    shift = 0.0 if stands else 10.0  # axes and place are not of one moment
-    place = see(position) + shift
-    places.remember(name_axes(position), "", place, stands=stands)
-
-
-def foretell(places: SeenPlaces, position: np.ndarray) -> ExpectedPlace:
-    expected = places.foretell(name_axes(position), "")
-    assert expected is not None
-    return expected
-
-
-def test_nothing_is_foretold_of_a_target_that_was_never_seen(mill):
-    assert SeenPlaces(mill).foretell(name_axes(np.zeros(3)), "") is None
-
-
-def test_a_few_standstills_tell_where_it_is_anywhere(mill, rng):
-    places = SeenPlaces(mill)
-    for position in rng.uniform(0.0, 300.0, (6, 3)):
-        remember(places, position, stands=True)
-        remember(places, position + 20.0, stands=False)
-    there = np.array([400.0, -100.0, 350.0])
-    expected = foretell(places, there)
-    np.testing.assert_allclose(expected.place_mm, see(there), atol=1e-6)
-    x, y, z = see(there)
-    direction = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-    assert expected.direction_rad == pytest.approx(direction)
-
-
-def test_lines_tell_roughly_where_it_is(mill, rng):
-    places = SeenPlaces(mill)
-    for position in rng.uniform(0.0, 300.0, (6, 3)):
-        remember(places, position, stands=False)
-    there = np.array([400.0, -100.0, 350.0])
-    expected = foretell(places, there)
-    assert np.linalg.norm(expected.place_mm - see(there)) < expected.reach_mm
-    assert expected.basis == "as the lines have it"
-
-
-def test_one_line_tells_where_it_was_seen_last_and_how_far_it_may_be(mill):
-    places = SeenPlaces(mill)
+def test_of_one_line_is_known_where_it_was_seen_last_and_how_far_it_may_be(mill):
+    places, there = SeenPlaces(mill), {"X": 160.0, "Y": 160.0, "Z": 70.0}
+    assert places.foretell(there, "") is None
     for x in (0.0, 40.0, 80.0, 120.0, 160.0):
-        remember(places, np.array([x, x, 0.0]), stands=True)
-    there = np.array([160.0, 160.0, 70.0])
-    expected = foretell(places, there)
+        seen = TO_TRACKER.apply(np.array([[x, x, 0.0]]))[0]
+        places.remember({"X": x, "Y": x, "Z": 0.0}, "", seen, stands=True)
+    expected = places.foretell(there, "")
     assert expected.basis == "where it was seen last"
-    np.testing.assert_allclose(expected.place_mm, see(np.array([160.0, 160.0, 0.0])))
+    np.testing.assert_allclose(expected.place_mm, seen)
     assert expected.reach_mm > 70.0

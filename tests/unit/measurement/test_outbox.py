@@ -1,7 +1,5 @@
 """What a cell says to its parent: in order, the latest, and no state is dropped."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Runs on disk: written batch by batch, closed, killed, damaged, full disks."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import threading
@@ -60,7 +58,7 @@ def block(first: int, count: int = 50) -> TrackerSamples:
     )
 
 
-def fill(recorder: Recorder, blocks: int = 20) -> TrackerSamples:
+def fill(recorder, blocks=20):
     made = [block(1000 + 50 * i) for i in range(blocks)]
     for i, one in enumerate(made):
         recorder.put_tracker(one, b"%03d" % i * 20)
@@ -72,13 +70,6 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
-
-
-def assert_same(first: TrackerSamples, second: TrackerSamples) -> None:
-    np.testing.assert_array_equal(first.sequence, second.sequence)
-    np.testing.assert_array_equal(first.device_time_s, second.device_time_s)
-    np.testing.assert_array_equal(first.position_mm, second.position_mm)
-    np.testing.assert_array_equal(first.status, second.status)
 
 
 def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
@@ -96,7 +87,9 @@ def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
     assert closed.sha256 == hash_file(file)
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
     run = open_run(file)
-    assert_same(run.tracker, written)
+    for name in ("sequence", "device_time_s", "position_mm", "status"):
+        kept, put = getattr(run.tracker, name), getattr(written, name)
+        np.testing.assert_array_equal(kept, put)
     link = b"".join(b"%03d" % i * 20 for i in range(20))
     assert read_link_bytes(file) == link + b"noise"
     assert run.name == "monday"
@@ -186,26 +179,22 @@ def test_a_display_that_fails_does_not_stop_the_recording(
     ]
 
 
-def test_a_file_that_exists_or_cannot_be_written_is_named(
-    recorder, file, header, tmp_path
+def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
+    recorder, file, header, tmp_path, monkeypatch
 ):
     with pytest.raises(MeasurementFailed, match="exists; give the Run another name"):
         Recorder(file, header, reserve_bytes=0)
     (tmp_path / "text").write_text("not a folder")
     with pytest.raises(MeasurementFailed, match="cannot be written"):
         Recorder(tmp_path / "text" / "a.sqlite", header, reserve_bytes=0)
-
-
-def test_a_full_disk_refuses_to_begin_and_one_that_fills_up_is_noticed(
-    file, header, monkeypatch
-):
+    other = file.with_name("tuesday.sqlite")
     monkeypatch.setattr(recorder_module, "SPACE_CHECK_S", 0.0)
     free = [10 << 20]
     monkeypatch.setattr(Recorder, "_free_bytes", lambda _: free[0])
     with pytest.raises(MeasurementFailed, match="less than 500 MiB are free"):
-        Recorder(file, header)
+        Recorder(other, header)
     free[0] = 1 << 40
-    recorder = Recorder(file, header)
+    recorder = Recorder(other, header)
     recorder.put_tracker(block(0))
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
@@ -304,7 +293,8 @@ def damage(file: Path, needle: bytes, offset: int = 0) -> None:
     file.write_bytes(data)
 
 
-def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
+@pytest.mark.fault_row(26)
+def test_a_flipped_bit_costs_one_batch_is_named_and_the_run_salvaged(closed_file):
     lost = block(1000 + 50 * 7)
     damage(closed_file, lost.position_mm[10].tobytes())
     run = open_run(closed_file)
@@ -313,6 +303,18 @@ def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
     texts = {e.kind: e.text for e in run.events}
     assert texts["bad-batch"] == "batch of tracker at 1350: its CRC does not match"
     assert texts["gap"] == "gap: 50 samples after sequence 1349"
+    before = closed_file.read_bytes()
+    closed = repair_run(closed_file)
+    assert "CRC does not match" in closed.failure
+    assert closed.samples == 39 * 50
+    assert closed.lost_samples == 50
+    torn = closed_file.with_name("monday.sqlite.torn")
+    assert torn.read_bytes() == before
+    assert closed.sha256 == hash_file(closed_file)
+    run = open_run(closed_file)
+    assert len(run.tracker) == 39 * 50
+    assert [e.kind for e in run.events] == ["start", "gap"]
+    assert run.provenance["outcome"] == "finished"
 
 
 @pytest.mark.fault_row(26)
@@ -348,24 +350,6 @@ def test_lost_pages_leave_the_rest_readable(closed_file):
     run = open_run(closed_file)
     assert 50 * 20 < len(run.tracker) < 50 * 40
     assert any(e.kind == "bad-batch" for e in run.events)
-
-
-@pytest.mark.fault_row(26)
-def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
-    damaged_at = block(1000 + 50 * 7).position_mm[10].tobytes()
-    damage(closed_file, damaged_at)
-    before = closed_file.read_bytes()
-    closed = repair_run(closed_file)
-    assert "CRC does not match" in closed.failure
-    assert closed.samples == 39 * 50
-    assert closed.lost_samples == 50
-    torn = closed_file.with_name("monday.sqlite.torn")
-    assert torn.read_bytes() == before
-    assert closed.sha256 == hash_file(closed_file)
-    run = open_run(closed_file)
-    assert len(run.tracker) == 39 * 50
-    assert [e.kind for e in run.events] == ["start", "gap"]
-    assert run.provenance["outcome"] == "finished"
 
 
 def test_a_damaged_manifest_is_an_error_and_a_damaged_event_is_left_out(closed_file):

@@ -1,7 +1,5 @@
 """Several targets on one machine: the tracker chooses, and each point is checked."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 
@@ -35,45 +33,38 @@ OFFSET_MM = {"T1": (0.0, 0.0, -100.0), "T2": (120.0, 40.0, -100.0)}
 TURNS = ("T1", "T2", "T2", "T1")
 
 
-class ChoosingStream(FakeTracker, TargetChoice):
-    """Streams the place of the target that it was told."""
+class Choosing(TargetChoice):
+    """Turns to the target that it was told, unless a test makes it do otherwise."""
 
-    def __init__(self, motion) -> None:
+    def __init__(self, motion):
         super().__init__()
-        self._motion, self.asked, self.on = motion, list[str](), "T1"
-        self.failure: Exception | None = None
-        self.goes_to: dict[str, str] = {}
-
-    def select_target(self, name: str) -> None:
-        self.asked.append(name)
-        if self.failure is not None:
-            raise self.failure
-        assert self._motion.status().state != "running" or len(self.asked) == 1
-        self.on = self.goes_to.get(name, name)
-
-    def _new(self):
-        samples = super()._new()
-        place = PLACE_MM + self._motion.here + OFFSET_MM[self.on]
-        return replace(samples, position_mm=np.tile(place, (len(samples), 1)))
-
-
-class ChoosingTracker(FakePolledTracker, TargetChoice):
-    """Measures the target that it was told, unless a test makes it do otherwise."""
-
-    def __init__(self, motion) -> None:
         self.motion, self.asked, self.on = motion, list[str](), "T1"
-        self.failures = list[Exception]()
-        self.goes_to: dict[str, str] = {}
+        self.failures, self.goes_to = list[Exception](), dict[str, str]()
 
-    def select_target(self, name: str) -> None:
+    def select_target(self, name):
         self.asked.append(name)
         if self.failures:
             raise self.failures.pop(0)
         self.on = self.goes_to.get(name, name)
 
-    def measure(self, dwell_s: float) -> PointMeasurement:
-        place = PLACE_MM + self.motion.here + OFFSET_MM[self.on]
-        return PointMeasurement.average(np.array([0.0]), place[None])
+    @property
+    def seen_mm(self):
+        return PLACE_MM + self.motion.here + OFFSET_MM[self.on]
+
+
+class ChoosingStream(Choosing, FakeTracker):
+    def select_target(self, name):
+        super().select_target(name)
+        assert self.motion.status().state != "running" or len(self.asked) == 1
+
+    def _new(self):
+        samples = super()._new()
+        return replace(samples, position_mm=np.tile(self.seen_mm, (len(samples), 1)))
+
+
+class ChoosingTracker(Choosing, FakePolledTracker):
+    def measure(self, dwell_s):
+        return PointMeasurement.average(np.array([0.0]), self.seen_mm[None])
 
 
 @pytest.fixture
@@ -110,47 +101,32 @@ def measure(begin, order, journal):
     return made
 
 
-def assert_measured(running) -> None:
-    """Each point is of its target."""
-    assert running.journal.states[-1] == "finished"
+@pytest.mark.parametrize(
+    ("given", "by_hand", "asked", "faults"),
+    [
+        ({}, [], "T1 T2 T1", []),
+        ({"failures": [BeamLost("not near")]}, [], "T1 T1 T2 T1", ["beam-lost"]),
+        ({"failures": [NotOffered("v1")]}, ["T2", "T1"], "T1", ["wrong-target"] * 2),
+        ({"goes_to": {"T2": "T1"}}, ["T2"], "T1 T2 T1", ["wrong-target"]),
+    ],
+    ids=["chooses", "does not see it", "cannot choose", "is at another one"],
+)
+def test_each_point_is_of_its_target_chosen_or_brought_by_hand(
+    measure, tracker, journal, given, by_hand, asked, faults
+):
+    vars(tracker).update(given)
+    hands = iter(by_hand)
+
+    def aim_by_hand():
+        tracker.on = next(hands, tracker.on)
+
+    running = measure(aim_by_hand)
+    assert journal.states[-1] == "finished"
     run, offsets = running.run, np.array([OFFSET_MM[name] for name in TURNS])
     places = PLACE_MM + run.commanded.position + offsets
     np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
-
-
-def test_it_is_told_each_target_once_it_changes(measure, tracker, journal):
-    assert_measured(measure())
-    assert tracker.asked == ["T1", "T2", "T1"]
-    assert journal.faults == []
-
-
-def test_a_wrong_target_holds_and_is_never_recorded(measure, tracker, journal):
-    tracker.goes_to = {"T2": "T1"}
-
-    def aim_by_hand():
-        tracker.on = "T2"
-
-    assert_measured(measure(aim_by_hand))
-    assert journal.faults == ["wrong-target"]
-
-
-def test_one_that_cannot_choose_asks_for_another_target(measure, tracker, journal):
-    tracker.failures = [NotOffered("speaks version 1")]
-    hands = iter(("T2", "T1"))
-
-    def aim_by_hand():
-        tracker.on = next(hands)
-
-    assert_measured(measure(aim_by_hand))
-    assert tracker.asked == ["T1"]
-    assert journal.faults == ["wrong-target"] * 2
-
-
-def test_a_target_that_is_not_seen_holds_and_is_chosen_again(measure, tracker, journal):
-    tracker.failures = [BeamLost("no target near the beam")]
-    assert_measured(measure())
-    assert tracker.asked == ["T1", "T1", "T2", "T1"]
-    assert journal.faults == ["beam-lost"]
+    assert tracker.asked == asked.split()
+    assert journal.faults == faults
 
 
 def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
@@ -163,13 +139,11 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
 class SlowTracker(ChoosingTracker):
     """Takes 1.5 s to turn."""
 
-    def __init__(self, motion) -> None:
-        super().__init__(motion)
-        self.limit_s, self.turned = 0.0, threading.Event()
+    verb_limit_s = 0.0
 
-    @property
-    def verb_limit_s(self) -> float:
-        return self.limit_s
+    def __init__(self, motion):
+        super().__init__(motion)
+        self.turned = threading.Event()
 
     def select_target(self, name: str) -> None:
         host_clock.wait(self.turned, 1.5)
@@ -183,7 +157,7 @@ def test_a_target_is_waited_for_as_long_as_its_driver_says(
     begin, motion, order, journal, limit_s, state
 ):
     tracker = SlowTracker(motion)
-    tracker.limit_s, motion.speed = limit_s, 2000.0
+    tracker.verb_limit_s, motion.speed = limit_s, 2000.0
     assert begin(order, tracker=tracker).ended() == state
     assert journal.faults == ([] if state == "finished" else ["tracker-silent"])
     tracker.turned.set()
@@ -205,31 +179,25 @@ def drive(measure, motion, order):
     return driven
 
 
-def test_lines_of_several_targets_need_nobody_where_the_tracker_can_choose(
-    drive, motion, journal
+@pytest.mark.parametrize(
+    ("failures", "asked", "programs"),
+    [([], "T1 T2 T1", 3), ([NotOffered("speaks version 1")], "T1", 1)],
+    ids=["can choose", "cannot"],
+)
+def test_lines_of_several_targets_need_nobody_one_program_for_each_that_is_chosen(
+    drive, motion, journal, failures, asked, programs
 ):
     tracker = ChoosingStream(motion)
+    tracker.failures = failures
     running = drive(tracker)
     assert journal.states == ["running", "finished"]
-    assert tracker.asked == ["T1", "T2", "T1"]
+    assert tracker.asked == asked.split()
     assert journal.faults == []
-    assert motion.calls.count("load") == motion.calls.count("start") == 3
+    assert motion.calls.count("load") == motion.calls.count("start") == programs
     assert len(running.run.commanded) == 8
-    last = journal.of(MeasurementProgress)[-1]
-    assert (last.done, last.total) == (7, 7)
-    rows = [p.done for p in journal.of(MeasurementProgress)]
-    assert rows == sorted(rows)
-
-
-def test_lines_of_several_targets_are_one_program_where_it_cannot(
-    drive, motion, journal
-):
-    tracker = ChoosingStream(motion)
-    tracker.failure = NotOffered("speaks version 1")
-    drive(tracker)
-    assert tracker.asked == ["T1"]
-    assert motion.calls.count("load") == 1
-    assert journal.states == ["running", "finished"]
+    done = [(p.done, p.total) for p in journal.of(MeasurementProgress)]
+    assert done[-1] == (7, 7)
+    assert done == sorted(done)
 
 
 def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of
 from truepath.errors import BundleError, OutOfTravel, PlanningError
 from truepath.files.bundle.commanded_file import (
     decode_commanded,
@@ -35,10 +36,9 @@ def circles(mill):
 @pytest.fixture
 def half_turn():
     """Half a turn of 100 mm radius, far beyond what its ends span."""
-    position = np.array([[100.0, 50.0, -50.0], [300.0, 50.0, -50.0]])
+    ends = (100.0, 50.0, -50.0), (300.0, 50.0, -50.0)
     arc = Arc("XY", (200.0, 50.0), 180.0)
-    two = np.full(2, 3000.0)
-    return Path(("X", "Y", "Z"), position, two, np.ones(2), arc=(None, arc))
+    return path_of(*ends, feed=3000.0, dwell_s=1.0, arc=(None, arc))
 
 
 def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles):
@@ -49,14 +49,11 @@ def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles
     assert turning[:2] == pytest.approx([one_s + 1.0] * 2, abs=0.2)
 
 
-def test_an_arc_that_leaves_the_travel_between_its_ends_is_refused(mill, half_turn):
+def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill, half_turn):
     with pytest.raises(OutOfTravel, match="row 2: Y = -50 mm is below 0 mm"):
         check_travel(mill, half_turn)
     turned = replace(half_turn, arc=(None, replace(half_turn.arc[1], turn_deg=-180.0)))
     check_travel(mill, turned)
-
-
-def test_an_arc_through_a_keep_out_box_is_refused_by_its_row(mill, half_turn):
     box = Box((195.0, -60.0, -60.0), (205.0, -40.0, -40.0))
     with pytest.raises(PlanningError, match="the way to row 2 enters the keep-out box"):
         Workspace(keep_out=(box,)).refuse(mill, half_turn)
@@ -65,7 +62,7 @@ def test_an_arc_through_a_keep_out_box_is_refused_by_its_row(mill, half_turn):
     assert set(row.tolist()) == {0, 1}
 
 
-def test_arcs_survive_their_files(mill, circles):
+def test_arcs_survive_their_files_unless_they_do_not_lead_to_their_row(mill, circles):
     data = encode_commanded(circles)
     for again in (
         decode_commanded(data, mill, "path.csv", is_path=True),
@@ -74,21 +71,23 @@ def test_arcs_survive_their_files(mill, circles):
         assert isinstance(again, Path)
         assert again.arc == circles.arc
         assert np.array_equal(again.position, circles.position)
-
-
-def test_an_arc_that_does_not_lead_to_its_row_is_refused_by_row(mill, circles):
     text = encode_commanded(circles).decode().replace(",732.0", ",720.0", 1)
     with pytest.raises(BundleError, match=r"row 4.*from where its arc leads to"):
         decode_commanded(text.encode(), mill, "path.csv", is_path=True)
 
 
-def test_a_circle_is_driven_back_and_forth_when_it_is_driven_again(circles):
+def test_a_circle_is_driven_back_and_forth_when_it_is_driven_again_and_again(circles):
     whole = append_part(circles, drive_again(circles, 3))
     added = whole.arc[len(circles) :]
     back = [None if a is None else replace(a, turn_deg=-a.turn_deg) for a in added]
     half = len(added) // 2
     assert list(added[half:]) == back[:half][::-1]
     assert list(added[half:]) == list(circles.arc[3:])
+    once = append_part(circles, drive_arcs_again(circles, {2}))
+    (row,) = [k for k in range(len(circles), len(once)) if once.arc[k]]
+    twice = drive_arcs_again(once, {row})
+    assert len(twice) == 3
+    assert twice.arc[1:] == (replace(circles.arc[2], turn_deg=-732.0), circles.arc[2])
 
 
 @pytest.mark.parametrize("broken", [{2}, {3}, {2, 3}, {2, 11}, {6}])
@@ -118,14 +117,6 @@ def test_a_broken_circle_is_driven_again_whole_and_no_other_one(mill, circles, b
     for k in range(1, len(part)):
         ends = [tuple(at) for at in part.position[k - 1 : k + 1].tolist()]
         assert part.arc[k] or set(ends) in driven
-
-
-def test_circles_are_driven_again_after_one_has_been_already(circles):
-    once = append_part(circles, drive_arcs_again(circles, {2}))
-    (row,) = [k for k in range(len(circles), len(once)) if once.arc[k]]
-    twice = drive_arcs_again(once, {row})
-    assert len(twice) == 3
-    assert twice.arc[1:] == (replace(circles.arc[2], turn_deg=-732.0), circles.arc[2])
 
 
 def test_what_drives_no_arcs_says_so(mill, circles):

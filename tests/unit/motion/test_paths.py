@@ -1,14 +1,13 @@
 """Default paths and points, their order and times, the travel check, driven again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from truepath.errors import OutOfTravel, PlanningError
+from paths_by_hand import path_of
+from truepath.errors import BadInput, OutOfTravel, PlanningError
 from truepath.kinematics.machine.machine import LinearAxis, MotionLimits, RotaryAxis
 from truepath.motion.configurations import Configurations, append_part
 from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
@@ -18,8 +17,15 @@ from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.paths.default_points import default_points
 from truepath.motion.paths.driven_again import drive_again
 from truepath.motion.paths.feeds import check_feed
+from truepath.motion.paths.verification_kinds import VerificationKind
+from truepath.motion.paths.verification_points import (
+    RANDOM_POINTS,
+    make_verification_points,
+    make_verification_rows,
+)
+from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.travel import check_travel
-from truepath_drivers.interfaces.records import Path
+from truepath.motion.workspace.workspace import Workspace
 
 
 @pytest.fixture
@@ -27,13 +33,6 @@ def with_table(mill):
     table = RotaryAxis("C", 10.0, 350.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     axes, side = (*mill.axes, table), ("C", *mill.workpiece_side)
     return replace(mill, axes=axes, workpiece_side=side)
-
-
-def line(*rows, axes="XYZ", feed=6000.0, target=()) -> Path:
-    n = len(rows)
-    return Path(
-        tuple(axes), np.array(rows, float), np.full(n, feed), np.zeros(n), target
-    )
 
 
 def test_points_turn_every_rotary_axis_and_measure_every_target(with_table, trunnion):
@@ -81,15 +80,14 @@ def test_corner_lines_join_corners_or_run_along_one_axis(mill):
 
 
 def test_travel_time_counts_lines_stops_and_dwells():
-    path = line((0, 0, 0), (100, 0, 0), (100, 100, 0))
-    path = replace(path, dwell_s=np.array([1.0, 2.0, 3.0]))
+    path = path_of((0, 0, 0), (100, 0, 0), (100, 100, 0), dwell_s=(1.0, 2.0, 3.0))
     # 100 mm at 100 mm/s and 1000 mm/s²: 1.0 s and 0.1 s for the two ramps.
     assert travel_time_s(path) == pytest.approx(6.0 + 2.2)
     np.testing.assert_allclose(row_times_s(path), [1.0, 3.1, 4.1])
     # A line too short for its feed takes its two ramps; turning counts in degrees.
-    short = line((0, 0, 0), (4, 0, 0))
+    short = path_of((0, 0, 0), (4, 0, 0))
     assert travel_time_s(short) == pytest.approx(2 * (4 / 1000) ** 0.5)
-    turn = line((0, 0, 0, 0), (0, 0, 0, 90), axes="XYZC", feed=1800.0)
+    turn = path_of((0, 0, 0, 0), (0, 0, 0, 90), axes="XYZC", feed=1800.0)
     assert travel_time_s(turn) == pytest.approx(90 / 30 + 30 / 1000)
 
 
@@ -112,7 +110,7 @@ def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(
     mill, measured
 ):
     with pytest.raises(OutOfTravel) as caught:
-        check_travel(mill, line((0, 0, 0), (612.4, 0, 0)))
+        check_travel(mill, path_of((0, 0, 0), (612.4, 0, 0)))
     text = str(caught.value)
     assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
     assert "shorten the plan" in text
@@ -135,29 +133,28 @@ def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill, feed_mm_min)
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        (line((0, 0, -301), (0, 0, 0)), r"row 1: Z = -301 mm is below -300 mm"),
-        (line((0, 0, 0), (1, np.nan, 0)), r"row 2: Y is not a finite number"),
-        (line((0, 0, 0, 355), axes="XYZC"), r"C = 355 deg exceeds 350 deg"),
-        (line((0, 0, 0, 0), axes="XYZA"), r"axis A.*its axes are X, Y, Z, C"),
+        (path_of((0, 0, -301), (0, 0, 0)), r"row 1: Z = -301 mm is below -300 mm"),
+        (path_of((0, 0, 0), (1, np.nan, 0)), r"row 2: Y is not a finite number"),
+        (path_of((0, 0, 0, 355), axes="XYZC"), r"C = 355 deg exceeds 350 deg"),
+        (path_of((0, 0, 0, 0), axes="XYZA"), r"axis A.*its axes are X, Y, Z, C"),
     ],
 )
 def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows, said):
-    with pytest.raises(OutOfTravel, match=said):
-        check_travel(with_table, rows)
     points = Configurations(rows.axes, rows.position, rows.dwell_s)
-    with pytest.raises(OutOfTravel, match=said):
-        check_travel(with_table, points)
+    for commanded in (rows, points):
+        with pytest.raises(OutOfTravel, match=said):
+            check_travel(with_table, commanded)
 
 
 def test_the_rounding_of_a_file_is_not_out_of_travel(mill):
     axes = (LinearAxis("X", 0.0, 499.99996), *mill.axes[1:])
-    check_travel(replace(mill, axes=axes), line((0, 0, 0), (500.0, 0, 0)))
+    check_travel(replace(mill, axes=axes), path_of((0, 0, 0), (500.0, 0, 0)))
 
 
 def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
     names = ("T1", "T1", "T1", "T2", "T2", "T1")
-    path = line(*np.arange(18.0).reshape(6, 3), target=names)
-    path = replace(path, feed_mm_min=np.arange(100.0, 106.0))
+    rows, feeds = np.arange(18.0).reshape(6, 3), np.arange(100.0, 106.0)
+    path = path_of(*rows, feed=feeds, target=names)
     stretches = cut_by_target(path)
     assert [stretch.row for stretch in stretches] == [0, 2, 4]
     targets = [stretch.path.target for stretch in stretches]
@@ -172,15 +169,14 @@ def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
         np.testing.assert_array_equal(stretch.path.position, whole.position)
 
 
-def test_lines_are_driven_back_and_forth_each_at_its_own_feed(square):
+def test_lines_and_points_are_driven_again_as_they_were_around_a_box(
+    square,
+):
     feeds = np.array([6000.0, 1000.0, 2000.0, 3000.0])
     path = replace(square, feed_mm_min=feeds)
     whole = append_part(path, drive_again(path, 2))
     assert np.array_equal(whole.position[3:], path.position[[3, 2, 1, 2, 3]])
     assert whole.feed_mm_min[4:].tolist() == [3000.0, 2000.0, 2000.0, 3000.0]
-
-
-def test_points_are_measured_again_in_their_order_or_gone_back_to_around_a_box(square):
     points = Configurations(square.axes, square.position, square.dwell_s)
     assert np.array_equal(drive_again(points, 2).position, points.position[2:])
     asked = []
@@ -192,3 +188,61 @@ def test_points_are_measured_again_in_their_order_or_gone_back_to_around_a_box(s
     again = drive_again(points, 1, is_free)
     assert np.array_equal(again.position, points.position[[2, 1, 2, 3]])
     assert asked == [(points.position[3].tolist(), points.position[1].tolist())]
+
+
+def test_verification_points_stay_in_the_travel_and_are_not_mixed_with_circles(mill):
+    for kind in VerificationKind:
+        points = make_verification_rows(mill, [kind], 3)
+        check_travel(mill, points)
+        minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
+        assert minutes < 8.0
+    with pytest.raises(BadInput, match="ask for each by itself"):
+        make_verification_rows(mill, list(VerificationKind), 1)
+
+
+def make_points(mill, kind, seed=1, *workspace):
+    return make_verification_points(mill, [kind], seed, *workspace)
+
+
+def test_a_seed_draws_the_same_points_again_and_another_one_others(mill):
+    kind = VerificationKind.RANDOM_POINTS
+    first, again, other = (make_points(mill, kind, seed).position for seed in (1, 1, 2))
+    assert first.shape == (RANDOM_POINTS, 3)
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 1.0
+
+
+def test_random_points_and_the_ways_between_them_keep_clear_of_boxes(mill):
+    low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
+    middle, size = (low + high) / 2, (high - low) / 4
+    vice = Box(tuple(middle - size), tuple(middle + size), "vice")
+    workspace = Workspace(keep_out=(vice,))
+    for seed in range(5):
+        points = make_points(mill, VerificationKind.RANDOM_POINTS, seed, workspace)
+        assert len(points) == RANDOM_POINTS
+        workspace.refuse(mill, points)
+    full = Workspace(keep_out=(Box(tuple(low), tuple(high)),))
+    with pytest.raises(PlanningError, match="leaves room for 0 of 30 random points"):
+        make_points(mill, VerificationKind.RANDOM_POINTS, 1, full)
+
+
+def test_every_target_of_an_axis_is_come_to_five_times_from_both_sides(mill):
+    points = make_points(mill, VerificationKind.BIDIRECTIONAL)
+    step = np.diff(points.position, axis=0)
+    for column in range(3):
+        alone = (np.abs(np.delete(step, column, axis=1)) < 1e-9).all(axis=1)
+        moves = alone & (np.abs(step[:, column]) > 0.0)
+        target = points.position[1:][moves, column]
+        up = step[moves, column] > 0.0
+        both = [
+            (int((up & (target == one)).sum()), int((~up & (target == one)).sum()))
+            for one in np.unique(target)
+        ]
+        assert len([pair for pair in both if pair == (5, 5)]) >= 5
+
+
+def test_four_body_diagonals_are_driven_from_corner_to_corner(mill):
+    points = make_points(mill, VerificationKind.DIAGONALS)
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    at_corner = ((points.position == low) | (points.position == high)).all(axis=1)
+    assert len(np.unique(points.position[at_corner], axis=0)) == 8

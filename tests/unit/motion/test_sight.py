@@ -37,8 +37,7 @@ def blocked_by_sampling(machine, box, begin, end):
 
 
 @given(
-    seed=st.integers(0, 10_000),
-    carried_by=st.sampled_from(["", "base", "X", "Y", "Z"]),
+    seed=st.integers(0, 10_000), carried_by=st.sampled_from(["", "base", "X", "Y", "Z"])
 )
 @settings(deadline=None, max_examples=60)
 @pytest.mark.parametrize("chain", ["w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-X-b-Z-t"])
@@ -65,9 +64,9 @@ def test_a_body_that_the_tool_carries_blocks_exactly(mill):
     """A plate beside the tool, on the far side of the target or on the near one."""
     begin, end = np.array([[50.0, 50.0, -250.0]]), np.array([[450.0, 350.0, -50.0]])
     x, y, z = mill.target().offset_mm
-    far = Box((x - 50.0, y + 1.0, z - 50.0), (x + 50.0, y + 90.0, z + 50.0), "", "Z")
-    near = Box((x - 50.0, y - 90.0, z - 50.0), (x + 50.0, y - 1.0, z + 50.0), "", "Z")
-    for box, seen in ((far, True), (near, False)):
+    for near, far, seen in ((1.0, 90.0, True), (-90.0, -1.0, False)):
+        ends = (x - 50.0, y + near, z - 50.0), (x + 50.0, y + far, z + 50.0)
+        box = Box(*ends, "", "Z")
         workspace = Workspace(tracker_mm=TRACKER, blocks_sight=(box,))
         assert workspace.allows(mill, begin, end)[0] == seen
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -130,7 +128,7 @@ def moving(master):
     return master
 
 
-def test_a_path_is_driven_from_start_to_end(master):
+def test_a_path_is_driven_again_and_a_long_one_goes_over_in_blocks(master, rng):
     assert master.load(LINE) is Result.DONE
     assert master.state is MotionState.READY
     assert master.value("path_rows") == 2
@@ -141,9 +139,7 @@ def test_a_path_is_driven_from_start_to_end(master):
     np.testing.assert_allclose(master.position, LINE[-1])
     assert master.value("line") == 1
     assert master.command(Command.START) is Result.DONE
-
-
-def test_a_long_path_goes_over_in_blocks(master, rng):
+    master.wait_still()
     corners = rng.uniform(0.0, 300.0, (4096, 3)).round(4).tolist()
     assert master.load(corners) is Result.DONE
     assert master.value("path_rows") == 4096
@@ -151,63 +147,22 @@ def test_a_long_path_goes_over_in_blocks(master, rng):
     assert master.timelines[-1].end_s > 4096
 
 
-def test_a_hold_brakes_and_a_resume_goes_on(moving):
-    assert moving.command(Command.HOLD) is Result.DONE
-    assert moving.hold_reason is HoldReason.NONE
-    moving.wait(0.5)
-    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.COMMAND)
-    rest = moving.position
-    assert 100.0 < rest[0] < 400.0
-    moving.wait(5.0)
-    np.testing.assert_array_equal(moving.position, rest)
-    assert moving.command(Command.RESUME) is Result.DONE
-    assert moving.hold_reason is HoldReason.NONE
-    assert moving.wait_still() is MotionState.FINISHED
-    np.testing.assert_allclose(moving.position, LINE[-1])
-
-
-def test_a_resume_while_still_braking_is_not_lost(moving):
+@pytest.mark.parametrize(
+    ("verb", "ended"),
+    [(Command.RESUME, MotionState.FINISHED), (Command.ABORT, MotionState.ABORTED)],
+)
+def test_an_order_while_braking_for_a_hold_is_not_lost(moving, verb, ended):
     moving.command(Command.HOLD)
-    assert moving.command(Command.RESUME) is Result.DONE
+    assert moving.command(verb) is Result.DONE
     moving.wait(0.5)
-    assert moving.state is MotionState.RUNNING
-    assert moving.wait_still() is MotionState.FINISHED
-
-
-def test_an_abort_while_braking_for_a_hold_wins(moving):
-    moving.command(Command.HOLD)
-    moving.command(Command.ABORT)
-    assert moving.wait_still() is MotionState.ABORTED
     assert moving.hold_reason is HoldReason.NONE
+    assert moving.wait_still() is ended
 
 
-def test_an_abort_stops_and_forgets_the_path(moving):
-    assert moving.command(Command.ABORT) is Result.DONE
-    assert moving.wait_still() is MotionState.ABORTED
-    assert moving.position[0] < 400.0
-    assert moving.value("path_rows") == 0
-    assert moving.command(Command.START) is Result.NO_PATH
-
-
-@pytest.mark.fault_row(23)
-def test_silence_in_motion_is_held_by_the_watchdog(moving):
-    moving.wait(0.9, beating=False)
-    assert moving.state is MotionState.RUNNING
-    moving.wait(0.4, beating=False)
-    assert (moving.state, moving.hold_reason) == (MotionState.HELD, HoldReason.WATCHDOG)
-    moving.wait(1.0)
-    assert moving.state is MotionState.HELD
-    assert moving.command(Command.RESUME) is Result.DONE
-    assert moving.wait_still() is MotionState.FINISHED
-
-
-@pytest.mark.parametrize("asked_ms", [0, 99, 10_001])
-def test_an_unreasonable_patience_is_not_taken(master, asked_ms):
-    master.write("watchdog", asked_ms)
-    assert master.value("watchdog") == 1000
-
-
-def test_the_patience_of_the_watchdog_can_be_written(moving):
+def test_the_patience_of_the_watchdog_can_be_written_within_reason(moving):
+    for asked_ms in (0, 99, 10_001):
+        moving.write("watchdog", asked_ms)
+        assert moving.value("watchdog") == 1000
     moving.write("watchdog", 300)
     moving.wait(0.6, beating=False)
     assert moving.hold_reason is HoldReason.WATCHDOG
@@ -243,21 +198,18 @@ def test_a_running_machine_takes_no_other_motion(moving):
         assert moving.command(verb) is Result.WRONG_STATE
 
 
-def test_the_same_number_runs_nothing_twice(master):
-    assert master.move_to([100.0, 0.0, 0.0]) is Result.DONE
-    published = len(master.timelines)
-    master.number -= 1
-    master.move_to([100.0, 0.0, 0.0])
-    assert len(master.timelines) == published
-
-
-def test_orders_that_mean_nothing_do_nothing(master):
+def test_orders_that_mean_nothing_or_were_heard_already_do_nothing(master):
     for verb in (Command.HOLD, Command.RESUME):  # nothing runs
         assert master.command(verb) is Result.DONE
         assert master.state is MotionState.IDLE
     assert master.command(99) is Result.UNKNOWN_COMMAND
     master.registers.write(BY_NAME["command_sequence"].address, [0, Command.ABORT])
     assert master.state is MotionState.IDLE
+    assert master.move_to([100.0, 0.0, 0.0]) is Result.DONE
+    published = len(master.timelines)
+    master.number -= 1
+    master.move_to([100.0, 0.0, 0.0])
+    assert len(master.timelines) == published
 
 
 def test_a_path_that_is_not_what_was_meant_is_refused(master):
@@ -269,9 +221,6 @@ def test_a_path_that_is_not_what_was_meant_is_refused(master):
     for first, count in ((0, 0), (0, 8), (4090, 7)):  # beyond the map
         assert master.command(Command.PUT_ROWS, first, count) is Result.BAD_ARGUMENT
     assert master.state is MotionState.IDLE
-
-
-def test_rows_from_the_first_on_forget_the_path(master):
     master.load(LINE)
     master.command(Command.PUT_ROWS, 0, 1, rows=row_words(LINE)[:1])
     assert master.state is MotionState.IDLE
@@ -349,13 +298,22 @@ def test_no_change_reaches_into_what_was_already_seen(moving):
         np.testing.assert_allclose(before.positions(t), after.positions(t), atol=1e-9)
 
 
-def test_what_is_not_in_the_map_cannot_be_read_nor_what_is_only_told_written(master):
+def test_registers_that_are_not_there_and_verbs_without_arguments_are_refused(master):
     for address, count in ((78, 1), (70, 10), (318, 1), (900, 1)):
         with pytest.raises(ModbusError, match="2"):
             master.registers.read(address, count)
     for name in ("magic", "state", "position", "path_crc"):
         with pytest.raises(ModbusError, match="2"):
             master.registers.write(BY_NAME[name].address, [1])
+    address = BY_NAME["command_sequence"].address
+    short = {Command.MOVE_TO: 21, Command.PUT_ROWS: 21, Command.COMMIT: 5}
+    short |= {Command.START: 5, Command.RESUME: 1, Command.HOLD: 1}
+    for verb, words in short.items():
+        request = [master.number + 1, int(verb), 0, 1, *[0] * 40][:words]
+        master.write("command", int(verb))
+        with pytest.raises(ModbusError):
+            master.registers.write(address, request)
+        assert master.value("command_ack") == master.number
 
 
 def test_a_number_alone_never_replays_a_verb_with_edited_arguments(master):
@@ -370,23 +328,6 @@ def test_a_number_alone_never_replays_a_verb_with_edited_arguments(master):
     assert master.state is MotionState.FINISHED
     assert master.value("position") == here
     assert master.value("command_ack") == master.number
-
-
-def test_a_verb_without_all_its_arguments_is_refused(master):
-    address = BY_NAME["command_sequence"].address
-    for verb, words in (
-        (Command.MOVE_TO, 21),
-        (Command.PUT_ROWS, 21),
-        (Command.COMMIT, 5),
-        (Command.START, 5),
-        (Command.RESUME, 1),
-        (Command.HOLD, 1),
-    ):
-        request = [master.number + 1, int(verb), 0, 1, *[0] * 40][:words]
-        master.write("command", int(verb))
-        with pytest.raises(ModbusError):
-            master.registers.write(address, request)
-        assert master.value("command_ack") == master.number
 
 
 def test_readiness_tells_reference_and_compensation(master):

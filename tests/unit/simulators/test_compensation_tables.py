@@ -73,16 +73,13 @@ def test_a_positive_leadscrew_value_moves_the_axis_in_the_negative_direction():
     np.testing.assert_allclose(added[:, 0], [0.0, -0.005, -0.01, -0.02])
 
 
-def test_leadscrew_tables_act_on_the_measuring_system_that_is_active():
+def test_leadscrew_tables_act_on_the_measuring_system_that_is_active_on_each_axis():
     second = LEADSCREW.replace("[0,", "[1,")
     added = add({"x.ini": second}, at_x(100.0), rules=Rules(measuring_system=2))
     np.testing.assert_allclose(added[:, 0], [-0.02])
     for text, system in ((LEADSCREW, 2), (second, 1)):
         with pytest.raises(SimulatorError, match=f"measuring system {system}; a table"):
             add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system=system))
-
-
-def test_the_active_measuring_system_may_differ_from_axis_to_axis():
     text = LEADSCREW + LEADSCREW.replace("[0,", "[1,").replace("X1", "Y1")
     for rule in ("X=1,Y=2", "Y=2"):
         add({"x.ini": text}, at_x(0.0), rules=Rules(measuring_system=rule))
@@ -185,9 +182,8 @@ def test_fanuc_increments_sum_up_from_the_reference_point():
 
 def test_fanuc_tables_of_both_directions_have_their_own_value_at_the_reference():
     files = fanuc([1, 1], 5, 4, "N03605A1P00000001\nN03626A1P20\nN03627A1P-6\n")
-    files["c-pitch.txt"] = files["c-pitch.txt"].replace(
-        "%\n", "%\nN10020P2\nN10021P0\n", 1
-    )
+    points = "%\nN10020P2\nN10021P0\n"
+    files["c-pitch.txt"] = files["c-pitch.txt"].replace("%\n", points, 1)
     up, down = (1e3 * add(files, at_x(0, 50, 100), d)[:, 0] for d in (1.0, -1.0))
     np.testing.assert_allclose(up, [0, 1, 2], atol=1e-9)
     np.testing.assert_allclose(down, [-6, -4, -4], atol=1e-9)
@@ -209,8 +205,7 @@ Z  X  EZX
 300 100 0.006
 """
     added = add(
-        {"v.csv": text},
-        [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]],
+        {"v.csv": text}, [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]]
     )
     # Lever arm of EBX is Z; C0Y turns Y about Z; EZX grows with Z.
     np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
@@ -315,7 +310,7 @@ def test_the_machine_errs_less_with_its_own_error_taken_away():
     np.testing.assert_allclose(twice[:, 0], 2.0 * error, atol=1e-4)
 
 
-def test_an_axis_keeps_its_direction_while_it_stands():
+def test_a_direction_is_kept_while_an_axis_stands_and_across_motions():
     x = np.array([[100.0, 0.0, 0.0], [50.0, 0.0, 0.0], [50.0, 80.0, 0.0]])
     program = Program(x, np.full(3, 50.0), np.full(3, 1.0))
     timeline = follow(program, np.zeros(3), 0.0, Limits())
@@ -323,9 +318,6 @@ def test_an_axis_keeps_its_direction_while_it_stands():
     at = timeline.start_s[np.flatnonzero(np.diff(timeline.row))] + 0.5
     headings = motion.headings(np.array([*at, timeline.end_s]))
     assert headings.tolist() == [[1, 0, 0], [-1, 0, 0], [-1, 1, 0]]
-
-
-def test_tables_of_a_direction_remember_the_motion_before():
     text = "0 0 -0.01\n500 500 499.99\n"  # 10 µm of lost motion coming down
     follower = MotionFollower(MACHINE, remembers=False)
     follower.correct(LoadedTables({"c-X.tbl": text}).correct(MACHINE))

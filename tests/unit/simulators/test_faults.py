@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +10,7 @@ from truepath_simulators.faults import KINDS, Fault, Schedule, parse_fault
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        (
-            "tracker:silence@12s+0.5s",
-            Fault("tracker", "silence", 12.0, "s", 0.5, 0.0),
-        ),
+        ("tracker:silence@12s+0.5s", Fault("tracker", "silence", 12.0, "s", 0.5, 0.0)),
         (
             "tracker:bit-flip@5s+10s*0.01",
             Fault("tracker", "bit-flip", 5.0, "s", 10.0, 0.01),
@@ -47,7 +42,7 @@ def struck(schedule: Schedule, kind: str, time_s: np.ndarray) -> list[float]:
     ]
 
 
-def test_time_counts_from_the_begin_and_what_has_none_is_there_at_once():
+def test_time_counts_from_the_begin_or_from_when_a_fault_is_added():
     schedule = Schedule([parse_fault("tracker:silence@2s+1s")])
     moments = np.arange(0.0, 10.0, 0.5)
     assert struck(schedule, "silence", moments) == []
@@ -56,17 +51,21 @@ def test_time_counts_from_the_begin_and_what_has_none_is_there_at_once():
     lasting = Schedule([parse_fault("cnc:wrong-identity")])
     assert lasting.strikes("wrong-identity", 0.0)
     assert not lasting.strikes("silence", 0.0)
+    schedule = Schedule([])
+    schedule.add(parse_fault("tracker:silence+1s"), 50.0)
+    schedule.add(parse_fault("tracker:delay@5s+1s"), 50.0)
+    assert schedule.strikes("silence", 50.0)
+    assert not schedule.strikes("silence", 51.0)
+    assert not schedule.strikes("delay", 54.0)
+    assert schedule.strikes("delay", 55.0)
 
 
-def test_without_a_duration_a_frame_fault_strikes_once():
+def test_a_fault_can_begin_with_a_sample_or_a_row_and_strikes_once_without_a_duration():
     schedule = Schedule([parse_fault("tracker:drop@1s")])
     schedule.begin(0.0)
     assert struck(schedule, "drop", np.arange(0.0, 1.0, 0.25)) == []
     assert struck(schedule, "drop", np.arange(1.0, 2.0, 0.25)) == [1.0]
     assert struck(schedule, "drop", np.arange(2.0, 3.0, 0.25)) == []
-
-
-def test_a_fault_can_begin_with_a_sample_or_a_row():
     schedule = Schedule(
         [parse_fault("tracker:spike@3n"), parse_fault("cnc:alarm@row2+9s")]
     )
@@ -76,16 +75,6 @@ def test_a_fault_can_begin_with_a_sample_or_a_row():
     assert schedule.strikes("alarm", 2.0, 2)
     assert schedule.strikes("alarm", 10.9, 3)
     assert not schedule.strikes("alarm", 11.1, 3)
-
-
-def test_an_added_fault_counts_from_now():
-    schedule = Schedule([])
-    schedule.add(parse_fault("tracker:silence+1s"), 50.0)
-    schedule.add(parse_fault("tracker:delay@5s+1s"), 50.0)
-    assert schedule.strikes("silence", 50.0)
-    assert not schedule.strikes("silence", 51.0)
-    assert not schedule.strikes("delay", 54.0)
-    assert schedule.strikes("delay", 55.0)
 
 
 def test_time_counts_anew_for_what_has_not_struck_yet():

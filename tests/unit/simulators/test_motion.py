@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import replace
@@ -11,11 +9,11 @@ from hypothesis import strategies as st
 
 from truepath_simulators.motion import interruption
 from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.driven_motion import along, follow
+from truepath_simulators.motion.driven_motion import follow
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.motion.profile import Limits, brake, rest_to_rest
+from truepath_simulators.motion.profile import Limits, rest_to_rest
 from truepath_simulators.motion.program import Program
-from truepath_simulators.timeline import Timeline, standing
+from truepath_simulators.timeline import Timeline
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)
@@ -87,20 +85,27 @@ def test_a_line_takes_the_time_of_its_feed_and_its_ramps(length, feed, limits):
     assert t.sum() >= length / feed * (1 - 1e-9)
 
 
-def test_a_long_line_cruises_at_its_feed_and_dwells_as_long_as_ordered():
+def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
     timeline = follow(one_line(500.0, 100.0), np.zeros(3), 0.0, JERKY)
     t = np.linspace(0.0, timeline.end_s - 0.5, 1000)
     share = np.mean(np.abs(timeline.speeds(t) - 100.0) < 1e-9)
     assert share > 0.95
     long = follow(one_line(500.0, 100.0, 1.7), np.zeros(3), 0.0, JERKY)
     assert long.end_s - timeline.end_s == pytest.approx(1.2)
-
-
-def test_equal_waypoints_only_dwell():
     program = Program(np.zeros((3, 3)), np.full(3, 10.0), np.full(3, 0.5))
     timeline = follow(program, np.zeros(3), 1.0, JERKY)
     assert timeline.end_s == pytest.approx(2.5)
     assert not timeline.speeds(np.linspace(0, 3, 50)).any()
+    program = one_line(50.0, 100.0, 2.0)
+    timeline = follow(program, np.zeros(3), 0.0, JERKY)
+    arrival = timeline.end_s - 2.0
+    at = arrival + 0.5
+    left = interruption.find_rest(timeline, program, at)
+    assert left.dwell_s[0] == pytest.approx(1.5)
+    whole = interruption.resume_motion(
+        interruption.hold_motion(timeline, at, JERKY), left, 10.0, JERKY
+    )
+    assert whole.end_s == pytest.approx(11.5)
 
 
 @settings(max_examples=60, deadline=None)
@@ -137,19 +142,6 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
     assert np.ptp(whole.positions(t), axis=0).max() < 1e-9
 
 
-def test_a_dwell_that_was_held_goes_on_with_its_rest():
-    program = one_line(50.0, 100.0, 2.0)
-    timeline = follow(program, np.zeros(3), 0.0, JERKY)
-    arrival = timeline.end_s - 2.0
-    at = arrival + 0.5
-    left = interruption.find_rest(timeline, program, at)
-    assert left.dwell_s[0] == pytest.approx(1.5)
-    whole = interruption.resume_motion(
-        interruption.hold_motion(timeline, at, JERKY), left, 10.0, JERKY
-    )
-    assert whole.end_s == pytest.approx(11.5)
-
-
 @settings(max_examples=50, deadline=None)
 @given(lengths, feeds, feeds, shares, limits)
 def test_the_feed_changes_under_way_within_the_limits(
@@ -178,15 +170,6 @@ def test_what_has_ended_can_be_forgotten(rng):
         timeline.since(20.0).positions(t), timeline.positions(t)
     )
     assert len(timeline.since(20.0)) < len(timeline)
-
-
-def test_a_standing_machine_stands_and_braking_it_is_nothing(rng):
-    place = rng.uniform(0.0, 100.0, 3)
-    t = np.array([-5.0, 0.0, 1e6])
-    stands = standing(place, 0.0, 4)
-    np.testing.assert_array_equal(stands.positions(t), np.tile(place, (3, 1)))
-    assert brake(0.0, 0.0, JERKY) == []
-    assert len(along([], stands.state(2.0), 2.0, None)) == 1
 
 
 def two_turns() -> Program:

@@ -1,7 +1,5 @@
 """Options of `truepath simulate` that cannot be."""
 
-from importlib.metadata import entry_points
-
 import pytest
 
 from truepath_simulators.bench.command import main
@@ -19,6 +17,7 @@ from truepath_simulators.bench.command import main
         (["--modbus-port", "-5"], "modbus-port"),
         (["--error-scale", "inf"], "error-scale"),
         (["--protocol", "t2sa"], "over TCP alone"),
+        (["--replay", "run.sqlite", "--fault", "tracker:silence"], "only repeats"),
     ],
 )
 def test_bad_input_is_exit_status_2_and_a_clear_line(options, said, capsys):
@@ -28,11 +27,6 @@ def test_bad_input_is_exit_status_2_and_a_clear_line(options, said, capsys):
         status = end.code
     assert status == 2
     assert said in capsys.readouterr().err
-
-
-def test_it_is_found_by_its_entry_point():
-    (point,) = entry_points(group="truepath.simulators", name="command")
-    assert point.load() is main
 
 
 def test_a_file_of_somebody_else_is_not_touched(tmp_path, capsys):

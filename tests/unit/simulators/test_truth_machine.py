@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any
@@ -8,9 +6,8 @@ import numpy as np
 import pytest
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.machine.linear_joint import LinearJoint
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
 from truepath_simulators.scenario import list_machines, load_machine
 
@@ -35,32 +32,21 @@ def somewhere(
     return rng.uniform(machine.low_mm, machine.high_mm, (n, 3))
 
 
-def linear_form_mm(truth: TruthMachine, q: np.ndarray) -> np.ndarray:
+def linear_form_mm(truth, q):
     """Sum over the axes of E_i + omega_i x L_i, as the file formats state it."""
-    machine = truth.machine
-    order = machine.workpiece_side + machine.tool_side
+    machine, s = truth.machine, truth.squareness_rad
+    # Turns of the direction of travel: C0Y and B0Z, A0Z about Z, Y and X.
+    slopes = {"Y": [-s["C0Y"], 0.0, 0.0], "Z": [s["B0Z"], -s["A0Z"], 0.0]}
     deviation = np.zeros_like(q)
     arm = np.tile(machine.reflector().offset_mm, (len(q), 1))
-    for name in reversed(order):
-        joint = truth.joints[name]
-        assert isinstance(joint, LinearJoint)
-        k = "XYZ".index(name)
+    for name in reversed(machine.workpiece_side + machine.tool_side):
+        joint, k = truth.joints[name], "XYZ".index(name)
         shift = np.stack([m.at(q[:, k]) for m in joint.translation], axis=1)
-        shift += np.outer(q[:, k], squareness_slope(truth, name))
+        shift += np.outer(q[:, k], slopes.get(name, np.zeros(3)))
         turn = np.stack([m.at(q[:, k]) for m in joint.rotation], axis=1)
         deviation += shift + np.cross(turn, arm)
         arm[:, k] += q[:, k]
     return deviation
-
-
-def squareness_slope(truth: TruthMachine, axis: str) -> np.ndarray:
-    """Turn of the direction of travel: C0Y and B0Z, A0Z about Z, Y and X."""
-    s = truth.squareness_rad
-    return {
-        "X": np.zeros(3),
-        "Y": np.array([-s["C0Y"], 0.0, 0.0]),
-        "Z": np.array([s["B0Z"], -s["A0Z"], 0.0]),
-    }[axis]
 
 
 @pytest.mark.parametrize("chain", CHAINS)
@@ -95,32 +81,6 @@ def test_reflectors_on_one_tool_keep_their_distance(demo, rng, chain):
     np.testing.assert_allclose(distance, np.linalg.norm(b - a), rtol=1e-12)
 
 
-def test_a_reflector_on_the_workpiece_rests_there_and_moves_before_the_base(demo, rng):
-    machine = with_chain(demo, "w-X-Y-b-Z-t")
-    truth = random_machine(machine, 2)
-    q = somewhere(rng, machine)
-    place = Reflector("", "workpiece", (1.0, 2.0, 3.0))
-    np.testing.assert_array_equal(truth.point_mm(q, place)[:, 2], 3.0)
-    nominal = np.array([1.0, 2.0, 3.0]) - q * [1.0, 1.0, 0.0]
-    seen = truth.point_mm(q, place, "base")
-    np.testing.assert_allclose(
-        truth.nominal_point_mm(q, place, "base"), nominal, atol=1e-9
-    )
-    assert 1e-3 < np.abs(seen - nominal).max() < 1.0
-
-
-def test_from_the_base_only_axes_of_the_tool_side_move_the_tool(demo, rng):
-    machine = with_chain(demo, "w-X-b-Y-Z-t")
-    truth = random_machine(machine, 2)
-    q = somewhere(rng, machine)
-    moved = q.copy()
-    moved[:, 0] = 0.0
-    reflector = machine.reflector()
-    np.testing.assert_array_equal(
-        truth.point_mm(q, reflector, "base"), truth.point_mm(moved, reflector, "base")
-    )
-
-
 def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_tools(
     demo, machine
 ):
@@ -149,16 +109,13 @@ def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_to
     assert abs(truth.error_motions()["EXX"].at(np.array([100.0]))[0]) < 1e-12
 
 
-def test_a_seed_says_which_machine_it_is(machine, rng):
+def test_a_seed_says_the_machine_and_many_points_are_as_one_by_one(machine, rng):
     q = somewhere(rng, machine)
     first, again, other = (
         random_machine(machine, s).deviation_mm(q) for s in (7, 7, 8)
     )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 1e-3
-
-
-def test_many_points_are_the_same_as_one_by_one(machine, rng):
     truth = random_machine(machine, 1)
     q = somewhere(rng, machine, 45_000)
     some = [0, 19_999, 20_000, 44_999]

@@ -1,7 +1,5 @@
 """CNCs behind registers, within the test's process."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

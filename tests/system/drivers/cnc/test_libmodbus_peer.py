@@ -4,26 +4,18 @@ The C program beside this file was written from the page of the register map; it
 is libmodbus's. Debian: apt-get install gcc libc6-dev libmodbus-dev socat.
 """
 
-from __future__ import annotations
-
 import shutil
-import signal
 import subprocess
-import threading
 import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path as FilePath
 
-import numpy as np
 import pytest
 
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.conformance import motion
-from truepath_drivers.interfaces.errors import (
-    DeviceTimeout,
-    WrongDevice,
-)
-from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.interfaces.errors import DeviceTimeout, WrongDevice
+from truepath_drivers.interfaces.records import MotionState
 
 CHECKS = motion.MOTION_CHECKS
 SLOW = (motion.hold_and_resume_are_absolute,)
@@ -61,7 +53,6 @@ def start(*command):
         try:
             yield process, process.stdout.readline().split()
         finally:
-            process.send_signal(signal.SIGCONT)
             process.kill()
 
 
@@ -110,40 +101,6 @@ def controller(server):
 def tcp_controller(tcp_server):
     with ModbusController(**tcp_server.options) as controller:
         yield controller
-
-
-def zigzag(rows):
-    along = np.linspace(0, 20, rows)
-    position = np.stack([along, 5 + along % 3, -along], axis=1)
-    return Path(("X", "Y", "Z"), position, np.full(rows, 30_000.0), np.full(rows, 0.02))
-
-
-def test_it_moves_runs_a_path_row_by_row_holds_resumes_and_aborts(controller):
-    assert controller.connect().maker == "libmodbus"
-    assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
-    controller.move_to([1.2345, 2.0, -3.0], 6000)
-    status = controller.wait(5.0)
-    assert status.state is MotionState.FINISHED
-    assert status.position == pytest.approx((1.2345, 2.0, -3.0), abs=1e-9)
-    path = zigzag(20)
-    controller.load(path)
-    controller.start()
-    lines = {0}
-    while (status := controller.status()).state is MotionState.RUNNING:
-        controller.send_heartbeat()
-        lines.add(status.line)
-    assert (status.state, status.line) == (MotionState.FINISHED, 19)
-    assert status.position == pytest.approx(tuple(path.position[-1]), abs=1e-4)
-    assert len(lines) > 4
-    controller.move_to([400, 0, 0], 6000)
-    controller.hold()
-    held = controller.status()
-    assert (held.state, held.hold_reason) == (MotionState.HELD, "command")
-    assert controller.status().position == held.position
-    controller.resume()
-    assert controller.status().state is MotionState.RUNNING
-    controller.abort()
-    assert controller.status().state is MotionState.ABORTED
 
 
 @pytest.mark.parametrize(
@@ -237,19 +194,3 @@ def connects(controller):
         return controller.connect().maker == "libmodbus"
     except DeviceTimeout:
         return False
-
-
-def test_a_device_whose_program_stands_is_told_within_half_a_second(
-    tcp_server, tcp_controller, until
-):
-    tcp_controller.move_to([400, 1, -1], 600)
-    tcp_server.process.send_signal(signal.SIGSTOP)
-    waking = threading.Timer(1.1, tcp_server.process.send_signal, [signal.SIGCONT])
-    waking.start()
-    began_s = time.monotonic()
-    with pytest.raises(DeviceTimeout):
-        tcp_controller.status()
-    assert time.monotonic() - began_s < 0.9  # no second reply is waited for
-    waking.join()
-    until(lambda: tcp_controller.status().state is MotionState.HELD)
-    assert tcp_controller.status().hold_reason == "watchdog"

@@ -1,24 +1,17 @@
 """The driver of LinuxCNC against a real one: its planner, limits and watchdog."""
 
-from __future__ import annotations
-
-import os
-import signal
-import subprocess
-import sys
-import threading
 import time
-from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of, two_turns
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.conformance import motion
 from truepath_drivers.interfaces.errors import ConnectionLost, MotionFault, Refused
-from truepath_drivers.interfaces.records import Arc, MotionState, Path
+from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 from truepath_simulators.scenario import load_machine
@@ -55,7 +48,7 @@ def refusals_of(driver):
     texts = []
     for verb in (
         lambda: driver.move_to((1, 1, -1), 6000),
-        lambda: driver.load(path_to((1, 1, -1))),
+        lambda: driver.load(path_of((1, 1, -1))),
         lambda: driver.wait(1.0),
     ):
         with pytest.raises(MotionFault) as refused:
@@ -77,12 +70,6 @@ def driver(rig):
         driver.wait(10.0)
         yield driver
         driver.abort()
-
-
-def path_to(*rows, feed=6000.0, dwell=None):
-    n = len(rows)
-    dwell_s = np.zeros(n) if dwell is None else np.array(dwell, float)
-    return Path(("X", "Y", "Z"), np.array(rows, float), np.full(n, feed), dwell_s)
 
 
 @pytest.mark.parametrize(
@@ -122,18 +109,15 @@ CYCLE_MM = 0.15
 
 @pytest.mark.long
 def test_a_circle_is_one_motion_on_its_radius(driver):
-    end = 40.0 * np.cos(np.radians(12.0)), 40.0 * np.sin(np.radians(12.0))
-    places = [(90.0, 50.0, -10.0), (50.0 + end[0], 50.0 + end[1], -10.0)]
-    path = path_to(*np.round([*places, places[0]], 4), feed=9000.0, dwell=(0.3,) * 3)
-    arcs = Arc("XY", (50.0, 50.0), 732.0), Arc("XY", (50.0, 50.0), -732.0)
-    driver.load(replace(path, arc=(None, *arcs)))
+    path = two_turns(50.0, 50.0, 40.0, -10.0, feed=9000.0, dwell_s=0.3)
+    driver.load(path)
     driver.start()
     seen = {1: [], 2: []}
     while (status := driver.status()).state is MotionState.RUNNING:
         driver.send_heartbeat()
         if status.line in seen:
             seen[status.line].append(status.position[:2])
-    assert status.position == pytest.approx(places[0], abs=1e-3)
+    assert status.position == pytest.approx(tuple(path.position[0]), abs=1e-3)
     for sign, places_mm in zip((1.0, -1.0), seen.values(), strict=True):
         out = np.array(places_mm) - 50.0
         off_mm = np.abs(np.hypot(*out.T) - 40.0)
@@ -144,27 +128,8 @@ def test_a_circle_is_one_motion_on_its_radius(driver):
 
 
 @pytest.mark.long
-def test_rows_are_told_while_they_are_driven_and_dwelt_at(driver):
-    driver.load(
-        path_to((20, 10, -10), (30, 10, -10), (40, 10, -10), dwell=(0.3, 0, 0.3))
-    )
-    assert driver.status().line == 0
-    driver.start()
-    seen = {}
-    while (status := driver.status()).state is MotionState.RUNNING:
-        driver.send_heartbeat()
-        seen.setdefault(status.line, []).append(status.position[0])
-    assert status.state is MotionState.FINISHED
-    assert status.line == 2
-    assert list(seen) == [0, 1, 2]
-    for row, at in seen.items():
-        assert 10 * (row + 1) - 0.2 <= at[-1] <= 10 * (row + 2) + 0.2
-    assert sum(abs(x - 20.0) < 1e-3 for x in seen[0]) > 5
-
-
-@pytest.mark.long
 def test_a_program_held_by_command_or_without_beats_goes_on_by_resume(driver):
-    driver.load(path_to((50, 10, -10), (10, 10, -10), feed=1200))
+    driver.load(path_of((50, 10, -10), (10, 10, -10), feed=1200))
     driver.start()
     time.sleep(0.1)
     driver.hold()
@@ -185,40 +150,6 @@ def test_a_program_held_by_command_or_without_beats_goes_on_by_resume(driver):
     assert driver.wait(10.0).state is MotionState.FINISHED
 
 
-@pytest.mark.long
-def test_held_is_told_only_when_it_stands(driver):
-    driver.move_to((110, 10, -10), 12_000)
-    time.sleep(0.1)
-    threading.Thread(target=driver.hold).start()
-    while driver.status().state is MotionState.RUNNING:
-        driver.send_heartbeat()
-    first = driver.status().position
-    time.sleep(0.1)
-    assert driver.status().position == first
-
-
-def test_the_watchdog_holds_what_a_killed_host_has_begun(rig, driver):
-    begin = (
-        "import sys, time; from truepath_drivers.cnc.linuxcnc.driver import *\n"
-        f"d = LinuxCncController(**{rig.motion_options!r}); d.connect()\n"
-        "d.move_to((300, 10, -10), 1200); print('moves', flush=True)\n"
-        "while True: d.send_heartbeat(); time.sleep(0.1)"
-    )
-    host = subprocess.Popen([sys.executable, "-c", begin], stdout=subprocess.PIPE)
-    assert host.stdout.readline() == b"moves\n"
-    time.sleep(1.1)
-    assert driver.status().state is MotionState.RUNNING
-    os.kill(host.pid, signal.SIGKILL)
-    killed_s = time.monotonic()
-    host.wait()
-    host.stdout.close()
-    status = driver.wait(5.0)
-    assert time.monotonic() - killed_s < 1.5
-    assert (status.state, status.hold_reason) == (MotionState.HELD, "watchdog")
-    driver.abort()
-    assert driver.wait(5.0).state is MotionState.ABORTED
-
-
 def test_hold_and_abort_take_the_command_back(rig, driver):
     driver.move_to((40, 10, -10), 1200)
     with LinuxCncController(**rig.motion_options) as other:
@@ -237,7 +168,7 @@ def test_what_linuxcnc_refuses_is_refused_in_its_words(rig, driver):
         with pytest.raises(Refused, match="exceed X's positive limit"):
             other.move_to((590, 10, -10), 6000)
         assert other.status().position == pytest.approx((10, 10, -10))
-        other.load(path_to((12, 10, -10), (590, 10, -10)))
+        other.load(path_of((12, 10, -10), (590, 10, -10)))
         with pytest.raises(Refused, match="exceed X's positive limit"):
             other.start()
         assert other.wait(5.0).state is MotionState.READY
@@ -248,7 +179,7 @@ def test_what_linuxcnc_refuses_is_refused_in_its_words(rig, driver):
 def test_a_program_that_somebody_opened_meanwhile_is_not_run(rig, driver):
     strange = FilePath(rig.motion_options["program_folder"]) / "strange.ngc"
     strange.write_text("G21 G90 G94 F6000\nG53 G1 X200\nM2\n")
-    driver.load(path_to((20, 10, -10)))
+    driver.load(path_of((20, 10, -10)))
     driver._session.demand(f"open {strange}")
     driver.start()
     status = driver.wait(5.0)
@@ -288,7 +219,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
         "net kinstype motion.analog-out-03 => motion.switchkins-type\n",
     )
     goal = (30.0, 20.0, -10.0, 10.0, 5.0)
-    path = Path(tuple(travel), np.array([goal]), np.array([6000.0]), np.zeros(1))
+    path = path_of(goal, axes=travel)
     switched = {"prologue": "M68 E3 Q0; M66 E0 L0"}
     with LinuxCncRig(machine) as rig:
         with LinuxCncController(**rig.motion_options, **READY) as driver:
@@ -313,8 +244,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
             driver.move_to((0, 0, 0, 0, 0), 6000)
             driver.wait(10.0)
         # With the table at zero, coordinates do not tell that the tip is followed.
-        rows = np.array([goal, (0.0,) * 5])
-        there_and_back = Path(tuple(travel), rows, np.full(2, 3000.0), np.zeros(2))
+        there_and_back = path_of(goal, (0.0,) * 5, axes=travel, feed=3000.0)
         for options in ({}, {"prologue": "G21"}):
             with LinuxCncController(**rig.motion_options, **options) as driver:
                 driver._session.enter_mode("mdi")

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from paths_by_hand import path_of, two_turns
 from register_peers import ABORT, COMMIT, HOLD, MOVE_TO, PUT_ROWS, START
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import (
@@ -20,7 +21,7 @@ from truepath_drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath_drivers.interfaces.records import Arc, Identity, MotionState, Path
+from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
 
 
@@ -36,15 +37,10 @@ def tcp_controller(tcp_peer):
         yield controller
 
 
-def path_of(position, feed_mm_min=3000.0, dwell_s=0.0, axes=("X", "Y", "Z")) -> Path:
-    position = np.asarray(position, np.float64)
-    n = len(position)
-    return Path(axes, position, np.full(n, feed_mm_min), np.full(n, dwell_s))
-
-
 def zigzag(rows: int) -> Path:
     along = np.linspace(0, 100, rows)
-    return path_of(np.stack([along, along % 7, -along], axis=1), dwell_s=0.25)
+    rows_mm = np.stack([along, along % 7, -along], axis=1)
+    return path_of(*rows_mm, feed=3000.0, dwell_s=0.25)
 
 
 def popped(items: list) -> bool:
@@ -109,7 +105,7 @@ def test_a_path_is_loaded_row_by_row_and_runs_whatever_the_order_of_its_columns(
     assert peer.model.executed == [PUT_ROWS] * blocks + [COMMIT, START]
 
 
-def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
+def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controller):
     sent = len(peer.requests)
     for position, text in (
         ([500.001, 0, 0], r"X = 500\.0010 is outside -10\.0000 to 500\.0000"),
@@ -119,48 +115,24 @@ def test_out_of_travel_is_refused_before_the_first_byte(peer, controller):
     ):
         with pytest.raises(OutOfTravel, match=text):
             controller.move_to(position, 1000)
-        path = path_of([[0, 0, 0], [1, 1, -1], position])
+        path = path_of((0, 0, 0), (1, 1, -1), position)
         with pytest.raises(OutOfTravel, match="row 3: " + text):
             controller.load(path)
-    assert len(peer.requests) == sent
-
-
-def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
-    tcp_peer, tcp_controller
-):
-    sent = len(tcp_peer.requests)
     for path, text in (
-        (path_of([[0, 0, 0]], feed_mm_min=0.0), "row 1: a feed of 0 mm/min"),
-        (path_of([[0, 0, 0]], feed_mm_min=30_001.0), "up to 30000 are"),
-        (path_of([[0, 0, 0]], feed_mm_min=float("nan")), "feed of nan"),
-        (path_of([[0, 0, 0]], dwell_s=-1.0), "dwell of -1 s"),
-        (path_of([[0, 0, 0]], dwell_s=float("inf")), "dwell of inf"),
-        (path_of([[0, 0]], axes=("X", "Y")), "the machine X Y Z"),
-        (path_of(np.empty((0, 3))), "0 rows, 1 to 4096 fit"),
+        (path_of((0, 0, 0), feed=0.0), "row 1: a feed of 0 mm/min"),
+        (path_of((0, 0, 0), feed=30_001.0), "up to 30000 are"),
+        (path_of((0, 0, 0), feed=float("nan")), "feed of nan"),
+        (path_of((0, 0, 0), dwell_s=-1.0), "dwell of -1 s"),
+        (path_of((0, 0, 0), dwell_s=float("inf")), "dwell of inf"),
+        (path_of((0, 0), axes=("X", "Y")), "the machine X Y Z"),
+        (path_of(), "0 rows, 1 to 4096 fit"),
         (zigzag(4097), "4097 rows, 1 to 4096 fit"),
     ):
         with pytest.raises(Refused, match=text):
-            tcp_controller.load(path)
+            controller.load(path)
     with pytest.raises(Refused, match="positions have 2 values"):
-        tcp_controller.move_to([1.0, 2.0], 1000)
-    assert len(tcp_peer.requests) == sent
-
-
-def test_wait_feeds_the_watchdog_and_without_beats_it_holds(peer, controller, until):
-    peer.model.words[181] = 200
-    peer.model.motion_s = 0.6
-    controller.move_to([1, 1, -1], 1000)
-    controller.send_heartbeat()
-    first = peer.model.words[180]
-    controller.send_heartbeat()
-    assert peer.model.words[180] != first
-    assert controller.wait(3.0).state is MotionState.FINISHED
-    peer.model.motion_s = 5.0
-    controller.move_to([1, 1, -1], 1000)
-    with pytest.raises(DeviceTimeout, match=r"still in motion after 0\.05 s"):
-        controller.wait(0.05)
-    until(lambda: controller.status().state is MotionState.HELD)
-    assert controller.status().hold_reason == "watchdog"
+        controller.move_to([1.0, 2.0], 1000)
+    assert len(peer.requests) == sent
 
 
 def test_an_alarm_is_a_fault_with_its_text_or_number(peer, controller):
@@ -196,7 +168,7 @@ def test_results_of_the_device_are_told_in_words(tcp_peer, tcp_controller):
 
 
 @pytest.mark.fault_row(17)
-def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
+def test_rows_that_are_damaged_or_lost_on_the_way_are_not_driven(peer, controller):
     sent = peer.model.written
 
     def damaged(first, count):
@@ -207,11 +179,7 @@ def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
     peer.model.written = damaged
     with pytest.raises(Refused, match="arrived damaged"):
         controller.load(zigzag(3))
-
-
-@pytest.mark.fault_row(17)
-def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
-    peer.model.loses_rows = True
+    peer.model.written, peer.model.loses_rows = sent, True
     with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
         controller.load(zigzag(3))
 
@@ -241,8 +209,7 @@ def test_a_lost_reply_runs_the_command_once(peer, controller):
     peer.mangle = mangle
     peer.model.words[104] = 1
     controller.start()
-    assert lose == []
-    assert peer.model.executed == [START]
+    assert (lose, peer.model.executed) == ([], [START])
 
 
 @pytest.mark.fault_row(14)
@@ -316,13 +283,21 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 
 @pytest.mark.fault_row(14)
-def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
+def test_a_damaged_or_short_reply_is_never_taken(rtu_peer, tcp_peer, tcp_controller):
     with ModbusController(**rtu_peer.options) as controller:
         rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
         with pytest.raises(DeviceTimeout):
             controller.status()
         rtu_peer.mangle = lambda reply: reply
         assert controller.status().position == (0.0, 0.0, 0.0)
+
+    def shortened(reply):
+        fewer = bytes([3, 2, 0, 6])
+        return reply[:4] + struct.pack(">HB", len(fewer) + 1, 1) + fewer
+
+    tcp_peer.mangle = shortened
+    with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
+        tcp_controller.status()
 
 
 @pytest.mark.fault_row(15)
@@ -408,19 +383,16 @@ def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text, measured)
     measured(f"“{text}”")
 
 
-def test_a_device_without_the_map_is_the_wrong_one(peer):
+@pytest.mark.fault_row(7)
+def test_the_wrong_device_by_its_serial_number_or_another_map_is_refused(peer):
+    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
+        ModbusController(serial_number="CNC-2", **peer.options).connect()
+    with ModbusController(serial_number="CNC-1", **peer.options) as controller:
+        assert controller.axes
     for code in (1, 2, 3):
         peer.exceptions = [code]
         with pytest.raises(WrongDevice, match="check unit number and register map"):
             ModbusController(**peer.options).connect()
-
-
-@pytest.mark.fault_row(7)
-def test_another_serial_number_is_the_wrong_device(tcp_peer):
-    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
-        ModbusController(serial_number="CNC-2", **tcp_peer.options).connect()
-    with ModbusController(serial_number="CNC-1", **tcp_peer.options) as controller:
-        assert controller.axes
 
 
 @pytest.mark.fault_row(15)
@@ -546,16 +518,6 @@ def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
     assert tcp_peer.model.executed.count(COMMIT) == 30
 
 
-def test_a_reply_with_too_few_registers_is_not_taken(tcp_peer, tcp_controller):
-    def shortened(reply):
-        fewer = bytes([3, 2, 0, 6])
-        return reply[:4] + struct.pack(">HB", len(fewer) + 1, 1) + fewer
-
-    tcp_peer.mangle = shortened
-    with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
-        tcp_controller.status()
-
-
 @pytest.fixture(scope="module")
 def bench():
     with Bench(speed=4.0) as bench:
@@ -600,21 +562,6 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     assert controller.wait(5.0).state is MotionState.FINISHED
 
 
-@pytest.mark.fault_row(20)
-def test_an_override_of_nothing_is_one_where_the_device_tells_it(
-    bench, bench_controller, tcp_peer, until
-):
-    assert bench_controller.status().override == 1.0
-    bench.inject("cnc:override+6s*0")
-    until(lambda: bench_controller.status().override == 0.0)
-    until(lambda: bench_controller.status().override == 1.0)
-    with ModbusController(**tcp_peer.options) as controller:
-        tcp_peer.model.words[107] = 0
-        assert controller.status().override is None
-        tcp_peer.model.words[107] = 500
-        assert controller.status().override == 0.5
-
-
 @pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
 def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
     with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
@@ -626,49 +573,10 @@ def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
         controller.limit_override(1.0)
 
 
-def two_turns() -> Path:
-    """From beside a circle a little more than twice round it, and back."""
-    end = np.radians(12.0)
-    places = [[110.0, 60.0, 0.0], [0.0, 0.0, 0.0], [110.0, 60.0, 0.0]]
-    places[1][:2] = 60.0 + 50.0 * np.cos(end), 60.0 + 50.0 * np.sin(end)
-    arcs = Arc("XY", (60.0, 60.0), 732.0), Arc("XY", (60.0, 60.0), -732.0)
-    path = path_of(np.round(places, 4), feed_mm_min=6000.0)
-    return replace(path, arc=(None, *arcs))
-
-
-def test_a_circle_is_driven_whole_and_held_on_its_arc(bench_controller, until):
-    controller = bench_controller
-    assert controller.connect().drives_arcs
-    controller.move_to((110.0, 60.0, 0.0), 20_000.0)
-    controller.wait(30.0)
-    controller.load(two_turns())
-    controller.start()
-    out_mm = []
-
-    def turns_on(row: int) -> bool:
-        controller.send_heartbeat()
-        status = controller.status()
-        x, y, _ = status.position
-        out_mm.append(np.hypot(x - 60.0, y - 60.0))
-        return status.line == row and x < 40.0
-
-    until(lambda: turns_on(1))
-    controller.hold()
-    held = controller.wait(10.0)
-    assert held.state is MotionState.HELD
-    x, y, _ = held.position
-    assert np.hypot(x - 60.0, y - 60.0) == pytest.approx(50.0, abs=1e-3)
-    controller.resume()
-    until(lambda: turns_on(2))
-    assert controller.wait(60.0).position == (110.0, 60.0, 0.0)
-    assert np.abs(np.array(out_mm) - 50.0).max() < 1e-3
-
-
-def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(
-    bench_controller,
-):
+def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
+    assert bench_controller.connect().drives_arcs
     low, high = bench_controller.travel[1]
-    path = two_turns()
+    path = two_turns(60.0, 60.0, 50.0)
     shift = np.array([0.0, low - 15.0, 0.0])
     arcs = [arc and replace(arc, centre_mm=(60.0, 45.0 + low)) for arc in path.arc]
     moved = replace(path, position=path.position + shift, arc=tuple(arcs))
@@ -680,13 +588,17 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(
         bench_controller.load(replace(path, arc=(None, wrong, path.arc[2])))
 
 
-def test_a_device_that_does_not_offer_arcs_is_sent_none(controller, peer):
-    assert not controller.connect().drives_arcs
-    with pytest.raises(Refused, match="arcs, which this control does not offer"):
-        controller.load(two_turns())
-
-
-def test_an_override_is_lowered_and_never_raised(bench, bench_controller, until):
+@pytest.mark.fault_row(20)
+def test_an_override_is_lowered_never_raised(bench, bench_controller, tcp_peer, until):
+    assert bench_controller.status().override == 1.0
+    bench.inject("cnc:override+6s*0")
+    until(lambda: bench_controller.status().override == 0.0)
+    until(lambda: bench_controller.status().override == 1.0)
+    with ModbusController(**tcp_peer.options) as controller:
+        tcp_peer.model.words[107] = 0
+        assert controller.status().override is None
+        tcp_peer.model.words[107] = 500
+        assert controller.status().override == 0.5
     bench.inject("cnc:override*1.2")
     until(lambda: bench_controller.status().override == 1.2)
     for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):

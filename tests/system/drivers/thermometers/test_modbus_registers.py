@@ -1,9 +1,12 @@
 """Sensors by a register list: every type, TCP and RTU, and what goes wrong."""
 
 import math
+import shutil
+import subprocess
 import threading
 import time
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 
@@ -12,9 +15,7 @@ from truepath_drivers.conformance.device import (
 )
 from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
-from truepath_drivers.thermometers.modbus_registers.driver import (
-    ModbusRegisters,
-)
+from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
 from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Schedule, parse_fault
@@ -127,17 +128,13 @@ def test_a_silent_unit_is_asked_once_in_a_call(gateway):
 
 
 @pytest.mark.fault_row(13)
-def test_a_gateway_that_refuses_costs_its_readings_only(gateway):
+@pytest.mark.fault_row(16)
+def test_a_gateway_that_refuses_or_drops_the_link_costs_its_readings_only(gateway):
     with ModbusRegisters(**gateway.options) as group:
         gateway.inject("thermometers:exception+10s*4")
         assert all(r.fault and math.isnan(r.value) for r in read_once(group).values())
         gateway.at_s = 20.0
         assert not any(reading.fault for reading in read_once(group).values())
-
-
-@pytest.mark.fault_row(16)
-def test_a_lost_connection_comes_back_by_itself(gateway):
-    with ModbusRegisters(**gateway.options) as group:
         gateway.inject("thermometers:disconnect")
         time.sleep(0.05)
         faults = [r.fault for r in read_once(group).values()]
@@ -150,3 +147,60 @@ def test_nothing_is_asked_before_it_is_due(gateway):
     with ModbusRegisters(**{**gateway.options, "registers": rows}) as group:
         assert len(group.read()) == len(group.channels)
         assert group.read() == ()
+
+
+SOURCE = Path(__file__).with_name("sensor_server.c")
+ROWS = [
+    {"name": "X_degC", "address": 0, "scale": 0.1},
+    {"name": "coolant_degC", "address": 1, "scale": 0.1},
+    {"name": "air_degC", "address": 10, "function": "holding", "type": "float32"},
+    {
+        "name": "pressure_hPa",
+        "address": 12,
+        "function": "holding",
+        "type": "float32",
+        "word_order": "little",
+    },
+]
+
+
+@pytest.fixture(scope="module")
+def options(tmp_path_factory):
+    if not Path("/usr/include/modbus/modbus.h").exists() or not shutil.which("cc"):
+        pytest.fail("libmodbus is absent: apt-get install gcc libc6-dev libmodbus-dev")
+    built = tmp_path_factory.mktemp("sensors") / "sensor_server"
+    command = ["cc", "-O1", "-Wall", "-Werror", "-o", built, SOURCE, "-lmodbus"]
+    subprocess.run(command, check=True, timeout=60)
+    rows = [{**row, "period_s": PERIOD_S} for row in ROWS]
+    with subprocess.Popen([built], stdout=subprocess.PIPE, text=True) as process:
+        port = int(process.stdout.readline().split()[1])
+        yield {"host": "127.0.0.1", "port": port, "registers": rows}
+        process.kill()
+
+
+def test_words_of_libmodbus_are_the_temperatures_that_were_put_there(options):
+    with ModbusRegisters(**options) as group:
+        shown = {reading.channel: reading.value for reading in group.read()}
+    assert shown == pytest.approx(
+        {
+            "X_degC": 20.5,
+            "coolant_degC": -1.5,
+            "air_degC": 21.5,
+            "pressure_hPa": 1002.25,
+        }
+    )
+
+
+@pytest.mark.fault_row(18)
+@pytest.mark.fault_row(43)
+@pytest.mark.parametrize(("row", "right"), [(2, "big"), (3, "little")])
+def test_a_clearly_wrong_order_of_words_is_refused_by_name(options, row, right):
+    wrong = {"big": "little", "little": "big"}[right]
+    rows = [{**options["registers"][row], "word_order": wrong}]
+    with pytest.raises(Refused, match=f'{rows[0]["name"]}.*word_order = "{right}"'):
+        ModbusRegisters(**{**options, "registers": rows}).connect()
+
+
+@pytest.mark.parametrize("check", THERMOMETER_CHECKS)
+def test_it_conforms_on_libmodbus(options, check):
+    check(lambda: ModbusRegisters(**options))

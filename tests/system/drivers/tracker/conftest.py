@@ -1,7 +1,5 @@
 """A tracker that streams, on either kind of wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

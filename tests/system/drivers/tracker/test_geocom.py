@@ -1,7 +1,5 @@
 """GeoCOM: geocompy as client of our instrument, our driver byte for byte like it."""
 
-from __future__ import annotations
-
 import math
 import operator
 import re
@@ -21,13 +19,8 @@ from truepath_drivers.interfaces.errors import (
 )
 from truepath_drivers.interfaces.tracker_records import Air, TrackerEventKind
 from truepath_drivers.tracker.geocom import codec
-from truepath_drivers.tracker.geocom.codec import (
-    encode_request,
-    to_cartesian_mm,
-)
-from truepath_drivers.tracker.geocom.driver import (
-    GeoComTracker,
-)
+from truepath_drivers.tracker.geocom.codec import encode_request, to_cartesian_mm
+from truepath_drivers.tracker.geocom.driver import GeoComTracker
 from truepath_simulators.bench.bench import Bench
 from wires import PtyWire
 

@@ -1,7 +1,5 @@
 """T2SA: the dialogue of its public client, and what must never be taken for a point."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 
@@ -113,7 +111,7 @@ def test_a_reply_without_our_point_is_an_error(application, tracker, reply, fami
         tracker.measure(0.0)
 
 
-def test_a_late_reply_is_never_taken_for_that_of_the_next_request(application, tracker):
+def test_a_reply_to_an_earlier_request_is_never_taken(application, tracker):
     release = threading.Event()
 
     def late(reply: str) -> str:
@@ -127,9 +125,6 @@ def test_a_late_reply_is_never_taken_for_that_of_the_next_request(application, t
     release.set()
     assert tracker.measure(0.0).position_mm[0] == 1500.5
     assert application.wire.connections == 2
-
-
-def test_a_reply_that_was_already_there_is_left_out(application, tracker):
     application.say = lambda reply: reply + "\r\n" + POINT.format("7777.7,0,0") + "\r\n"
     assert tracker.measure(0.0).position_mm[0] == 1500.5
     application.say = lambda reply: reply + "\r\n"

@@ -1,7 +1,5 @@
 """LinuxCNC's own interpreter, run alone, reads our programs as the path says."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,10 +1,9 @@
 """What linuxcncrsh says word for word, programs and INI files, without a machine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
+from ports_by_hand import HandPort
 from truepath.motion.nc_programs.linuxcnc import LinuxCnc
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
 from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
@@ -13,7 +12,6 @@ from truepath_drivers.cnc.linuxcnc.program import Program, write_program
 from truepath_drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused, WrongDevice
 from truepath_drivers.interfaces.records import MotionState, Path
-from truepath_drivers.transport.byte_port import BytePort
 
 MACHINE = parse_travel("X 0 500, Y 0 400, Z -300 0")
 AT = "10.000000 5.000000 -2.000000 0.000000 0.000000 0.000000"
@@ -177,26 +175,15 @@ WELCOME = [
 ]
 
 
-class AnsweringPort(BytePort):
-    """Gives the next answer after each request, without a wire."""
-
-    name = "wire"
+class AnsweringPort(HandPort):
+    """Gives the next answer after each request."""
 
     def __init__(self, answers):
-        self._answers, self._due = list(answers), b""
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
+        super().__init__()
+        self._answers = list(answers)
 
     def write(self, data):
-        self._due += self._answers.pop(0)
-
-    def read(self, timeout_s):
-        due, self._due = self._due, b""
-        return due
+        self.due += self._answers.pop(0)
 
 
 @pytest.mark.parametrize(

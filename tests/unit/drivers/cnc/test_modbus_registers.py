@@ -7,27 +7,19 @@ import zlib
 from dataclasses import replace
 from pathlib import Path as File
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from paths_by_hand import path_of
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.controller_map import Controller, parse_status
 from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
 from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
 from truepath_drivers.interfaces.errors import WrongDevice
-from truepath_drivers.interfaces.records import Identity, MotionState, Path
+from truepath_drivers.interfaces.records import Identity, MotionState
 
-BLOCKS = [
-    r.IDENTITY,
-    r.STATUS,
-    r.READINESS,
-    r.ALARM_TEXT,
-    r.CONTROL,
-    r.LIMITS,
-    r.COMMAND,
-]
+BLOCKS = r.IDENTITY, r.STATUS, r.READINESS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND
 DOCS = File(__file__).parents[4] / "docs"
 
 
@@ -75,12 +67,8 @@ def test_texts_come_back_without_padding_and_a_question_mark_for_what_is_no_asci
 
 
 def test_rows_are_big_endian_counts():
-    path = Path(
-        ("X", "Y", "Z"),
-        np.array([[1.23456, -2.0, 300.0], [0.0, 0.0, -0.00006]]),
-        np.array([2500.0, 15000.5]),
-        np.array([0.0, 1.5]),
-    )
+    rows = (1.23456, -2.0, 300.0), (0.0, 0.0, -0.00006)
+    path = path_of(*rows, feed=(2500.0, 15000.5), dwell_s=(0.0, 1.5))
     words = path_words(path)
     first = struct.pack(">6i2I", 12346, -20000, 3_000_000, 0, 0, 0, 2_500_000, 0)
     second = struct.pack(">6i2I", 0, 0, -1, 0, 0, 0, 15_000_500, 1500)

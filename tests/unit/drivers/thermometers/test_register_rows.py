@@ -30,28 +30,26 @@ GOOD_ROW = {"name": "X_degC", "address": 0}
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "rows",
     [
-        {"name": "temperature"},
-        {"address": 65535, "type": "float32"},
-        {"type": "int64"},
-        {"function": "coil"},
-        {"scale": 0.0},
-        {"period_s": 0.0},
-        {"low": 50.0, "high": 10.0},
-        {"addres": 0},
+        *(
+            [GOOD_ROW | wrong]
+            for wrong in (
+                {"name": "temperature"},
+                {"address": 65535, "type": "float32"},
+                {"type": "int64"},
+                {"function": "coil"},
+                {"scale": 0.0},
+                {"period_s": 0.0},
+                {"low": 50.0, "high": 10.0},
+                {"addres": 0},
+            )
+        ),
+        [{"name": "X_degC"}],
+        [],
+        [GOOD_ROW, GOOD_ROW],
     ],
 )
-def test_a_row_that_cannot_be_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"register|channel"):
-        ModbusRegisters(host="127.0.0.1", registers=[GOOD_ROW | wrong])
-
-
-def test_a_row_without_an_address_a_name_twice_and_no_row_at_all_are_refused():
-    for rows, said in (
-        ([{"name": "X_degC"}], "register"),
-        ([], "each name once"),
-        ([GOOD_ROW, GOOD_ROW], "each name once"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            ModbusRegisters(host="127.0.0.1", registers=rows)
+def test_rows_that_cannot_be_are_refused(rows):
+    with pytest.raises(ValueError, match=r"register|channel|each name once"):
+        ModbusRegisters(host="127.0.0.1", registers=rows)

@@ -51,27 +51,6 @@ def test_stuffing_is_that_of_the_paper_holds_no_zero_and_comes_back(data):
     assert cobs_decode(stuffed) == data
 
 
-@pytest.mark.parametrize(
-    ("plain", "stuffed"),
-    [
-        ("", "01"),
-        ("00", "01 01"),
-        ("00 00", "01 01 01"),
-        ("11 22 00 33", "03 11 22 02 33"),
-        ("11 22 33 44", "05 11 22 33 44"),
-        ("11 00 00 00", "02 11 01 01 01"),
-    ],
-)
-def test_stuffing_of_known_bytes(plain, stuffed):
-    assert cobs_encode(bytes.fromhex(plain)) == bytes.fromhex(stuffed)
-
-
-def test_a_run_of_254_bytes_needs_no_zero_after_it():
-    run = bytes(range(1, 255))
-    assert cobs_decode(b"\xff" + run) == run
-    assert cobs_decode(cobs_encode(run + b"\0\x07")) == run + b"\0\x07"
-
-
 @pytest.mark.parametrize("broken", ["05 11", "02", "02 11 00 01", "ff 01"])
 def test_stuffing_that_ends_early_or_holds_a_zero_is_refused(broken):
     assert cobs_decode(bytes.fromhex(broken)) is None
@@ -94,14 +73,6 @@ def test_frames_of_the_bridge_kit_are_those_of_the_driver(size, rng):
         frame = gst_bridge.encode_frame(body)
         assert check_frame(frame.strip(b"\0")) == body
         assert len(frame) <= len(encode_frame(body)) + 1
-
-
-@given(st.lists(bodies, min_size=2, max_size=6))
-@pytest.mark.fault_row(4)
-def test_one_byte_at_a_time_is_no_different(sent):
-    reader = FrameReader()
-    wire = b"".join(map(encode_frame, sent))
-    assert [b for byte in wire for b in reader.feed(bytes([byte]))] == sent
 
 
 @given(

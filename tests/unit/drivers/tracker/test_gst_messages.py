@@ -15,7 +15,6 @@ from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
 from truepath_drivers.tracker.streaming.measurements import (
     RawSamples,
     encode_measurements,
-    spherical_to_cartesian_mm,
 )
 from truepath_drivers.tracker.streaming.message_codec import (
     encode_message,
@@ -155,21 +154,6 @@ def test_no_body_breaks_the_decoder(body):
     decoder = StreamDecoder()
     decoder.feed(encode_frame(body))
     assert decoder.health.frames == 1
-
-
-@pytest.mark.parametrize(
-    ("azimuth_rad", "elevation_rad", "direction"),
-    [
-        (0.0, 0.0, [1, 0, 0]),
-        (np.pi / 2, 0.0, [0, 1, 0]),
-        (np.pi, 0.0, [-1, 0, 0]),
-        (0.0, np.pi / 2, [0, 0, 1]),
-        (np.pi / 2, -np.pi / 2, [0, 0, -1]),
-    ],
-)
-def test_angles_point_where_the_page_says(azimuth_rad, elevation_rad, direction):
-    position = spherical_to_cartesian_mm([2.0], [azimuth_rad], [elevation_rad])
-    np.testing.assert_allclose(position, [np.multiply(direction, 2000.0)], atol=1e-9)
 
 
 def test_short_frames_keep_10_nm_and_3_nrad():

@@ -31,11 +31,16 @@ def test_the_frame_is_right_handed_with_z_up_and_both_faces_see_one_point():
     )
 
 
-def test_replies_that_are_none_are_no_replies():
+def test_lines_that_are_no_replies_are_none_of_geocom_or_t2sa():
     for line in (b"", b"%R1P,0,1", b"R1P,0,1:0", b"%R1P,a,1:0", b"%R1Q,2108,1:5,1"):
         assert parse_reply(line) is None
     assert parse_reply(b"%R1P,0,3:0,1.5,2").values == (b"1.5", b"2")
     assert parse_reply(b"%R1P,0,3,48213:1292").code == 1292
+    assert t2sa.parse_reply(b"ACK300") is None
+    assert t2sa.parse_reply(b"ERR-305 no").code == t2sa.ErrorCode.POINT_FAILED
+    assert (
+        t2sa.parse_place("Single Point Measurement p result 1,2,x a b c", "p") is None
+    )
 
 
 def test_a_wet_bulb_is_below_a_dry_one_unless_the_air_is_full():
@@ -48,11 +53,3 @@ def test_values_are_split_at_commas_outside_of_quotes(values):
     reply = parse_reply(b"%R1P,0,4:0," + values)
     assert b",".join(reply.values) == values
     assert len(reply.values) == re.sub(rb'"[^"]*"', b"", values).count(b",") + 1
-
-
-def test_lines_of_t2sa_that_are_none_are_no_replies():
-    assert t2sa.parse_reply(b"ACK300") is None
-    assert t2sa.parse_reply(b"ERR-305 no").code == t2sa.ErrorCode.POINT_FAILED
-    assert (
-        t2sa.parse_place("Single Point Measurement p result 1,2,x a b c", "p") is None
-    )

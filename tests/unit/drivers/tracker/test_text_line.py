@@ -3,43 +3,28 @@
 import numpy as np
 import pytest
 
+from ports_by_hand import HandPort
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused
 from truepath_drivers.interfaces.tracker_records import Clock
 from truepath_drivers.tracker.text_line import driver
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
-from truepath_drivers.transport.byte_port import BytePort
 
 
-class SentText(BytePort):
-    """What a sender has sent, without a wire; it comes to whoever waits."""
-
-    name = "wire"
-
-    def __init__(self, text):
-        self._data = text.encode("latin-1")
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
-
-    def write(self, data):
-        pass
+class SentText(HandPort):
+    """What a sender has sent comes to whoever waits."""
 
     def read(self, timeout_s):
-        if timeout_s == 0.0 or not self._data:
+        if timeout_s == 0.0 or not self.due:
             host_clock.sleep_s(timeout_s)
             return b""
-        data, self._data = self._data, b""
-        return data
+        return super().read(timeout_s)
 
 
 def read_lines(lines, rate_hz=500.0, **options):
     """Return the samples of lines after half a one, and the health."""
     tracker = TextLineTracker(1, host="h", rate_hz=rate_hz, **options)
-    tracker._port = SentText("\n".join(["half a line", *lines, ""]))
+    tracker._port = SentText("\n".join(["half a line", *lines, ""]).encode("latin-1"))
     tracker.connect()
     tracker.start(rate_hz)
     return tracker.read(0.0), tracker.health

@@ -3,8 +3,6 @@
 The programs here follow the controls' manuals, not our writers.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

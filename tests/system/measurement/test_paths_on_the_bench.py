@@ -1,0 +1,106 @@
+"""Several targets, five axes and circles: driven by simulated devices, recognised."""
+
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from driven_cell import Driven, measure_undisturbed
+from paths_by_hand import path_of, two_turns
+from truepath.alignment.align import align
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.nominal_path import compute_nominal_path
+from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.run import Run
+from truepath.measurement.messages import LinesDamaged, MeasurementOrder
+from truepath.measurement.run_file.run_reading import open_run
+from truepath.motion.configurations import Commanded, Configurations
+from truepath_drivers.interfaces.records import Path
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.scenario import load_machine
+
+
+def measure(
+    content: dict, commanded: Commanded, folder: FilePath, **given
+) -> tuple[Run, Observations, Driven]:
+    """Return the Run, what is recognised of it, and the cell."""
+    machine, file = machine_from_json(content), folder / "run.sqlite"
+    order = MeasurementOrder(
+        "bench", str(file), machine, commanded, feed_mm_min=20_000.0
+    )
+    driven = measure_undisturbed(order, content, folder, **given)
+    run = open_run(file)
+    return run, align(run), driven
+
+
+def find_farthest_mm(seen: Observations) -> float:
+    """How far cells lie from their nominal place, at most."""
+    return np.abs(seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm).max()
+
+
+@pytest.mark.long
+def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
+    content = load_machine("demo")
+    offset_mm = content.pop("tool_offset_mm")
+    content["targets"] = {
+        "T1": {"on": "tool", "offset_mm": offset_mm},
+        "T2": {"on": "tool", "offset_mm": [offset_mm[0] + 150.0, *offset_mm[1:]]},
+    }
+    machine = machine_from_json(content)
+    low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
+    share = np.random.default_rng(2).uniform(0.2, 0.8, (12, 3))
+    names = ("T1",) * 4 + ("T2",) * 5 + ("T1",) * 3
+    position = low + share * (high - low)
+    points = Configurations(machine.axis_names, position, np.full(12, 2.0), names)
+    _, seen, _ = measure(content, points, tmp_path)
+    assert sorted(set(seen.row.tolist())) == list(range(12))
+    assert find_farthest_mm(seen) < 0.4
+
+
+def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp_path):
+    content = load_machine("head-table")
+    program = turning_path(parse_machine(content), 6, 12, 20_000.0)
+    path = path_of(
+        *program.position,
+        feed=60.0 * program.feed_mm_s,
+        dwell_s=program.dwell_s,
+        axes=machine_from_json(content).axis_names,
+        target=program.target,
+    )
+    run, seen, _ = measure(content, path, tmp_path)
+    length = compute_nominal_path(run.machine, run.commanded).length_mm
+    found = [p.row for p in seen.passes]
+    # On a busy computer the hastened stream ends a little before the motion.
+    assert found == np.flatnonzero(length > 1.0).tolist()[: len(found)]
+    assert len(found) > 8
+    assert find_farthest_mm(seen) < 0.4
+    write_bundle(run, tmp_path / "bundle")
+    back = read_bundle(tmp_path / "bundle")
+    assert back.commanded.target == run.commanded.target
+    np.testing.assert_allclose(back.commanded.position, run.commanded.position)
+    assert len(align(back)) == len(seen)
+
+
+def make_small_circles() -> Path:
+    """Return two circles of 60 mm radius, six seconds each, between straight lines."""
+    circles = two_turns(250.0, 200.0, 60.0, 150.0)
+    corners = [(100.0, 100.0, 50.0), (400.0, 320.0, 250.0)]
+    more = [(100.0, 320.0, 250.0), (400.0, 100.0, 50.0)]
+    rows = [*corners, *circles.position, *more, *corners]
+    arc = (None, None, *circles.arc, *(None,) * 4)
+    return path_of(*rows, feed=7500.0, dwell_s=1.0, arc=arc)
+
+
+@pytest.mark.long
+def test_a_beam_break_in_a_circle_of_simulated_devices_costs_nothing(tmp_path):
+    content, path = load_machine("demo"), make_small_circles()
+    faults = ["tracker:beam-break@14s+0.2s"]
+    run, seen, driven = measure(content, path, tmp_path, speed=4.0, faults=faults)
+    (first,) = driven.of(LinesDamaged)
+    assert path.arc[first.row]
+    arcs = run.commanded.arc
+    again = [row for row in range(len(path), len(arcs)) if arcs[row]]
+    whole = {arcs[arc.row] for arc in seen.arcs if arc.row in again}
+    assert path.arc[first.row] in whole
