@@ -108,10 +108,8 @@ def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
     assert "quer zur Fahrt" in said
     assert unseen.startswith("Längs X wurde nichts gemessen")
     air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
-    runs = [{"length_scale_ppm": 270.0}] * 2
-    _, uncorrected, _, scale = german(
-        run_verdict=verdict_json(Verdict((air,))), runs=runs
-    )
+    judged, runs = verdict_json(Verdict((air,))), [{"length_scale_ppm": 270.0}] * 2
+    _, uncorrected, _, scale = german(run_verdict=judged, runs=runs)
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
     assert "270,00 ppm" in scale
 
@@ -119,11 +117,9 @@ def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
 def test_what_settles_the_scale_of_a_result_is_said_with_its_expanded_uncertainty():
     figure = {"value_um": 5.0, "uncertainty_um": 0.2}
     spread = dict.fromkeys(("mean", "p95", "largest"), figure)
-    known = {"count": 3, "off_ppm": -61.5, "uncertainty_ppm": 0.7}
+    known = KnownLengthsFile(count=3, off_ppm=-61.5, uncertainty_ppm=0.7)
     volume = {"before": spread, "after_expected": spread}
-    result = SimpleNamespace(
-        length_scale_ppm=0.8, known_lengths=KnownLengthsFile(**known)
-    )
+    result = SimpleNamespace(length_scale_ppm=0.8, known_lengths=known)
     found = SimpleNamespace(content={"volumetric_error": volume}, result=result)
     note = describe_brief(SimpleNamespace(found=found, left=None), GERMAN)["scale_note"]
     assert "bekannte Längen fest (3)" in note
@@ -290,20 +286,18 @@ def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, text
 
 def test_numbers_of_a_statement_stand_in_its_german_words():
     said = say_unobservable(MERGED, GERMAN)
-    assert said.startswith(
-        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und"
-    )
-    assert "mindestens 180 mm seitlich" in said
-    assert "auf 3,4 µrad bekannt (k = 2)" in said
-    shape = PoorlyObservableShape(
-        ("EXX", "C0Y"), 0.73, 2.4e-3, "an S of the error along X"
-    )
-    said = say_poorly_observable(str(shape), GERMAN)
-    assert said.startswith(
-        "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung"
-    )
-    assert "73 % dessen" in said
-    assert "2,4 µm (k = 1)" in said
+    form = "an S of the error along X"
+    poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
+    for words in (
+        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und",
+        *("mindestens 180 mm seitlich", "auf 3,4 µrad bekannt (k = 2)"),
+    ):
+        assert words in said
+    for words in (
+        "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung",
+        *("73 % dessen", "2,4 µm (k = 1)"),
+    ):
+        assert words in say_poorly_observable(poor, GERMAN)
 
 
 @pytest.mark.parametrize("say", [say_unobservable, say_poorly_observable])

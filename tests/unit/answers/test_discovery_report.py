@@ -66,6 +66,8 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_p
     write_discovery(knocked, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"discovery.json", "model.json", "report.html"}
+    earlier = read_prior_model(tmp_path / "model.json")
+    assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)
 
 
 def test_what_is_counted_as_noise_beyond_the_stated_is_said(knocked):
@@ -76,12 +78,6 @@ def test_what_is_counted_as_noise_beyond_the_stated_is_said(knocked):
     assert (
         "they are counted as noise, 2 times what the tracker is stated to have" in said
     )
-
-
-def test_an_analysis_says_what_of_a_model_ended_with_its_run(knocked, tmp_path):
-    write_discovery(knocked, tmp_path)
-    earlier = read_prior_model(tmp_path / "model.json")
-    assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)
 
 
 def test_lines_to_drive_next_come_with_programs_until_nothing_is_asked(

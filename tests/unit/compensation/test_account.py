@@ -148,7 +148,9 @@ def test_a_result_without_measured_range_or_direction_says_so_in_account_and_fil
 
 
 @pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
-def test_account_and_file_say_what_was_not_measured(half_measured, choice):
+def test_unmeasured_ranges_are_said_in_account_and_file_or_the_file_is_refused(
+    half_measured, choice
+):
     export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
     (said,) = export.account["unmeasured"]
     assert said.startswith("X not measured from 50 to 300 mm")
@@ -158,9 +160,6 @@ def test_account_and_file_say_what_was_not_measured(half_measured, choice):
     left = export.account["volumetric_error_um"]
     assert left["after_where_measured"]["mean"] < 0.5 * left["after"]["mean"]
     assert export.account["left_um"]["unmeasured_range"] > 1.0
-
-
-def test_or_the_file_is_refused_with_the_range(half_measured):
     with pytest.raises(BadInput, match="X not measured from 50 to 300 mm"):
         export_result(half_measured, "isg-csv", "c", unmeasured=Unmeasured.REFUSE)
 
@@ -169,11 +168,10 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
     """Siemens tables hold their last value: only beyond the measured part they err."""
     middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
     whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    results = (replace(source.result, measured=one) for one in (middle, whole))
     part, every = (
-        export_result(
-            replace(source, result=replace(source.result, measured=one)), "siemens", "c"
-        ).account
-        for one in (middle, whole)
+        export_result(replace(source, result=result), "siemens", "c").account
+        for result in results
     )
     left = part["volumetric_error_um"]
     after = every["volumetric_error_um"]["after"]

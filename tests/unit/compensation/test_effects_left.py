@@ -1,6 +1,7 @@
 """What files leave of each effect: lost motion across or about an axis stays."""
 
 import json
+import re
 from dataclasses import replace
 from functools import cache, partial
 
@@ -36,11 +37,9 @@ def source(loaded):
 
 
 def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
-    return replace(
-        loaded,
-        half_across={symbol: (AT_MM, np.full(2, half))},
-        half_across_u={symbol: np.full(2, sigma)},
-    )
+    half_across = {symbol: (AT_MM, np.full(2, half))}
+    sigmas = {symbol: np.full(2, sigma)}
+    return replace(loaded, half_across=half_across, half_across_u=sigmas)
 
 
 def export(result, name):
@@ -52,10 +51,8 @@ def test_no_table_has_a_straightness_that_depends_on_direction(loaded, source, n
     lost = map_errors(lose_across(loaded, "EYX", HALF_UM))
     made = tabulate(source, name, 60.0)
     assert made.write(lost) == made.write(source)
-    assert any(
-        words in made.kind.not_carried
-        for words in ("lost motion across", "what depends on direction", "straightness")
-    )
+    words = "lost motion across|what depends on direction|straightness"
+    assert re.search(words, made.kind.not_carried)
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "csv"])
@@ -127,28 +124,20 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
     }
     result = result_from_json(json.loads(json.dumps(content)))
     assert set(result.half_difference_um) == {"X"}
-    assert {s: v.tolist() for s, (_, v) in result.half_across.items()} == {
-        "EYX": [6.0, 6.0],
-        "EAZ": [20.0, 21.0],
-    }
+    across = {s: v.tolist() for s, (_, v) in result.half_across.items()}
+    assert across == {"EYX": [6.0, 6.0], "EAZ": [20.0, 21.0]}
     assert result.half_across_u["EYX"].tolist() == [0.2, 0.3]
-    assert [one.tolist() for one in result.half_turn_urad["C"]] == [
-        [0.0, 90.0],
-        [12.0, 13.0],
-    ]
+    at_deg, half_urad = result.half_turn_urad["C"]
+    assert (at_deg.tolist(), half_urad.tolist()) == ([0.0, 90.0], [12.0, 13.0])
     assert result.half_turn_u_urad == {}
 
 
 DEMO = machine_from_json(load_machine("demo"), file="machine.json")
+SAG = {"axis": "X", "by": "Y", "direction": "Z"}
 EFFECTS = (
     (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
     (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
-    (
-        ElasticSagFamily(),
-        {"axis": "X", "by": "Y", "direction": "Z"},
-        {},
-        [0.02],
-    ),
+    (ElasticSagFamily(), SAG, {}, [0.02]),
     (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
 )
 
@@ -174,7 +163,9 @@ def find_left(account):
     return {e["name"]: (e["rms_um"]["before"], e["rms_um"]["after"]) for e in effects}
 
 
-def test_tables_of_both_directions_carry_lost_motion_and_waves_but_no_sag(catalogued):
+def test_a_table_of_the_mean_leaves_lost_motion_and_those_of_both_directions_sag(
+    catalogued,
+):
     account = catalogued("linuxcnc").account
     found = find_left(account)
     lost, wave, sag = (found[n] for n in ("backlash", "screw-cyclic", "elastic-sag"))
@@ -185,6 +176,9 @@ def test_tables_of_both_directions_carry_lost_motion_and_waves_but_no_sag(catalo
     assert found["servo-mismatch"] == (0.0, 0.0)  # it depends on speed
     lag = next(e for e in account["effects"] if e["name"] == "servo-mismatch")
     assert "no table has it" in lag["note"]
+    found = find_left(catalogued("siemens-lec").account)
+    assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)
+    assert found["screw-cyclic"][1] < 0.1 * found["screw-cyclic"][0]
 
 
 def test_blocks_of_two_axes_carry_the_sag_of_a_guide(catalogued):
@@ -197,9 +191,3 @@ def test_blocks_of_two_axes_carry_the_sag_of_a_guide(catalogued):
     tables = [block for block in text.split("#") if "Y  X" in block]
     assert len(tables) == 1
     assert len(tables[0].splitlines()) <= 1010
-
-
-def test_a_table_of_the_mean_leaves_lost_motion(catalogued):
-    found = find_left(catalogued("siemens-lec").account)
-    assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)
-    assert found["screw-cyclic"][1] < 0.1 * found["screw-cyclic"][0]

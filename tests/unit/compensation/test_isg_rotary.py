@@ -68,18 +68,3 @@ def test_the_account_states_the_error_over_all_axes(erring):
             is_turned = angle["after"] < left * angle["before"]
             assert is_turned == (name == "linuxcnc")
             assert bool(one["not_in_files"]) == is_turned
-
-
-def test_the_file_names_centres_locations_and_the_tip(erring):
-    _, errors = erring
-    (text,) = tabulate(errors, "isg-csv", 5.0).write(errors).values()
-    lines = text.splitlines()
-    assert "P0X  P0Y  P0Z" in lines
-    for axis in errors.machine.rotary_axes:
-        own = axis.name
-        at = lines.index(f"PX{own}  PY{own}  PZ{own}")
-        assert [float(one) for one in lines[at + 1].split()] == list(axis.origin_mm)
-        head = f"{own}  EX{own}  EY{own}  EZ{own}  EA{own}  EB{own}  EC{own}"
-        first = lines[lines.index(head) + 1].split()
-        assert float(first[0]) == axis.low
-    assert any(line.startswith(("X0C", "X0B")) for line in lines)

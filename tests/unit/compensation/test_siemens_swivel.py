@@ -55,12 +55,11 @@ def describe(chain):
 
 def draw_place(axis, rng):
     """Return a place of an axis that is off in each way it can be."""
-    size = {True: 0.02, False: 6e-5}
-    errors = {
-        one: size[one[0] in "XYZ"] * rng.choice([-1.0, 0.7, 1.2])
+    off = {
+        one: (0.02 if one[0] in "XYZ" else 6e-5) * rng.choice([-1.0, 0.7, 1.2])
         for one in list_locations(axis.name)
     }
-    return AxisPlace(axis, errors)
+    return AxisPlace(axis, off)
 
 
 def draw_machine(chain):
@@ -101,13 +100,9 @@ def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displa
 
 def test_the_file_has_the_kind_of_machine_and_its_axes_in_order(displaced):
     chain, _, tables = displaced
-    text = FORMAT.write(tables)[f"c{SWIVEL}"]
     letter, axes = CHAINS[chain]
     said = f'; $TC_CARR23[1] is to be "{letter}", the axes {" and ".join(axes.split())}'
-    assert said in text
-    assert text.startswith("; by hand\n")
-    assert text.endswith("M30\n")
-    assert "trial: probe the centre of a ball" in text
+    assert said in FORMAT.write(tables)[f"c{SWIVEL}"]
 
 
 def test_the_account_says_that_the_control_knows_the_places():
@@ -180,21 +175,9 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
         FORMAT.read_locations({"a.mpf": text, "b.mpf": text}, machine)
     with pytest.raises(BadInput, match="type T wants"):
         FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
+    files = {"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}
     with pytest.raises(SimulatorError, match=r"row 1: .* is not understood"):
-        LoadedTables({"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}).correct(
-            parse_machine(content)
-        )
-
-
-def test_the_file_says_what_has_to_hold_before_it_is_run():
-    text = " ".join(write_trunnion()[2].replace("\n; ", " ").split())
-    for said in (
-        "as right as the offset of the first target",
-        "run with CYCLE800(), TCARR=0 and TRAFOOF",
-        "is not to be replaced",  # a chain that does not close
-        "$TC_CARR24, 25, 41 to 46, 55 to 60, 64 and 65 are to be 0",
-    ):
-        assert said in text
+        LoadedTables(files).correct(parse_machine(content))
 
 
 def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():

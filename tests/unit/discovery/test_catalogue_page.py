@@ -21,19 +21,9 @@ UNIT = re.compile(
 )
 DOCS = Path(__file__).parents[3] / "docs"
 CONTRACT = (
-    "backlash",
-    "lateral-backlash",
-    "screw-cyclic",
-    "thermal-growth",
-    "table-drift",
-    "elastic-sag",
-    "servo-mismatch",
-    "reversal-spike",
-    "squareness",
-    "tracker-eccentricity",
-    "tracker-range-offset",
-    "vibration",
-    "setup-step",
+    *("backlash", "lateral-backlash", "screw-cyclic", "thermal-growth", "table-drift"),
+    *("elastic-sag", "servo-mismatch", "reversal-spike", "squareness", "vibration"),
+    *("tracker-eccentricity", "tracker-range-offset", "setup-step"),
 )
 
 

@@ -1,15 +1,13 @@
 """Machines with rotary axes: arcs hide nothing and make nothing up."""
 
-import numpy as np
 import pytest
 
+from recorded import record_path
 from results_fixtures import shorten
 from truepath.discovery.discover import discover
 from truepath.discovery.extended_model import extend_model
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.planning.lines.default_path import default_path
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.hidden.turning import (
@@ -18,9 +16,8 @@ from truepath_simulators.hidden.turning import (
     SwivelSag,
     TurningBacklash,
 )
-from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -43,14 +40,9 @@ HEAD = {
 
 def drive(content, hidden, lines=None, reference=None):
     """Drive the default path of a machine, arcs of its rotary axes included."""
-    machine = machine_from_json(content)
-    path = default_path(machine, 6000.0, lines=lines, seed=3)
-    program = Program(path.position, path.feed_mm_min / 60, path.dwell_s, path.target)
-    setting = synthetic.Setting(hidden=hidden)
-    made = synthetic.record(content, program, 3, "otf", setting)
-    number = np.arange(len(made))
-    samples = TrackerSamples(number, made.time_s, made.position_mm, made.status)
-    return discover([Run(content["name"], machine, path, samples)], reference)
+    path = default_path(machine_from_json(content), 6000.0, lines=lines, seed=3)
+    run, _ = record_path(content, path, setting=Setting(hidden=hidden))
+    return discover([run], reference)
 
 
 @pytest.fixture(scope="module")

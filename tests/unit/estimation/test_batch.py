@@ -72,10 +72,9 @@ def test_the_estimate_does_not_depend_on_where_the_tracker_stands(few):
 
 def test_perpendicular_only_does_not_see_what_lies_along_the_travel(few):
     seen = few[1]
-    pushed = (
-        seen.pose.rotation @ (seen.direction * 0.01 * np.sin(seen.at.time_s)[:, None]).T
-    )
-    moved = replace(seen, tracker_mm=seen.tracker_mm + pushed.T)
+    along_mm = 0.01 * np.sin(seen.at.time_s)[:, None] * seen.direction
+    moved_mm = seen.tracker_mm + along_mm @ seen.pose.rotation.T
+    moved = replace(seen, tracker_mm=moved_mm)
     a, b = (estimate(each, perpendicular_only=True) for each in (seen, moved))
     assert np.abs(a.theta - b.theta).max() < 2e-7 + 0.01 * np.abs(a.theta).max()
 
@@ -110,3 +109,12 @@ def test_progress_grows_and_is_complete_only_after_the_last_work(few, monkeypatc
     assert told[-4:] == [0.9, *works, 1.0]
     shares = [share for share in told if isinstance(share, float)]
     assert shares == sorted(shares)
+
+
+def test_errors_of_a_millimetre_are_found_to_a_micrometre(record):
+    run, truth = record(5, rows=40, setting=Setting(error_scale=25.0))
+    left, _ = judge(run, truth)
+    true_mm = truth.deviation_mm(truth.recording.commanded_mm[::500])
+    assert np.linalg.norm(true_mm, axis=1).max() > 0.8
+    assert left.left_mm < 1.5e-3
+    assert left.inside > 0.85

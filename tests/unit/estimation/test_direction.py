@@ -34,17 +34,13 @@ def with_backlash(seen, shape=lambda y: np.ones_like(y)):
 
 
 def halves(result):
-    found = compute_half_differences(result)
-    return {half.symbol: half for half in found}
+    return {half.symbol: half for half in compute_half_differences(result)}
 
 
-def test_a_machine_without_backlash_is_not_given_one(seen):
-    result = estimate(seen)
-    assert result.direction == "none"
-    assert not halves(result)
-
-
-def test_a_lost_motion_is_found_with_its_size_and_axis(seen):
+def test_a_lost_motion_is_found_with_its_size_and_axis_and_nowhere_else(seen):
+    sound = estimate(seen)
+    assert sound.direction == "none"
+    assert not halves(sound)
     result = estimate(with_backlash(seen))
     assert result.direction == "constant"
     found = halves(result)

@@ -1,37 +1,25 @@
 """The live estimate knows what the tracker may be off by, as the batch does."""
 
-from dataclasses import asdict, replace
-
 import numpy as np
 import pytest
 
 from estimating import judge_map
 from following import follow, list_blocks
-from recorded import load_small, record_run
+from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.estimation.checks.change_search import KNOCK, RANGE
 from truepath.kinematics.effects.instrument import is_of_instrument
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
 
-ROWS, POINTS, FEED = 24, 50, 6000.0
 LOST_S = 0.4
 
 
 def measure(seed, mode="otf", specification=None):
     """Return the Run of a tracker that errs within its specification, and the truth."""
-    content = load_small("demo", 0.5)
-    stated = asdict(TrackerSpecification()) if specification is None else specification
-    content["tracker"]["specification"] = stated
-    machine = parse_machine(content)
-    if mode == "otf":
-        program = paths.chord_path(machine, seed, ROWS, FEED)
-    else:
-        program = paths.standstill_points(machine, seed, POINTS, dwell_s=0.5)
+    content = load_erring(specification)
     setting = Setting(machine_seed=seed)
+    program = choose_program(content, seed, mode)
     run, made = record_run(content, program, seed, mode, setting)
     return run, made.truth
 
@@ -44,7 +32,7 @@ def lose_beam(run, off_mm, share=0.6):
     late = time_s >= lost_s
     status = np.where(late & (time_s < lost_s + LOST_S), 1, tracker.status)
     moved = tracker.position_mm + late[:, None] * off_mm(tracker.position_mm)
-    return replace(run, tracker=replace(tracker, position_mm=moved, status=status))
+    return with_samples(run, position_mm=moved, status=status)
 
 
 def lengthen(by_mm):

@@ -38,7 +38,7 @@ def trials(fit):
 
 
 def under(trials, noise):
-    """The same trials of a measurement of another noise."""
+    """Return the same trials of a measurement of another noise."""
     return replace(trials, runs=tuple(replace(r, noise=noise) for r in trials.runs))
 
 
@@ -100,16 +100,13 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
     assert (quick < 0.96 * remembered).all()
 
 
-def test_who_computes_a_block_does_not_change_it(trials):
+def test_each_block_is_a_draw_of_its_own_whoever_computes_it(trials, fit):
     def draw(number):
         return draw_outputs(trials, number, 500)
 
     with ThreadPoolExecutor(3) as pool:
         shared = list(pool.map(draw, range(3)))
     np.testing.assert_array_equal([draw(number) for number in range(3)], shared)
-
-
-def test_another_seed_or_block_is_another_draw(fit, trials):
     other = prepare_trials(fit, squareness(fit)[0], TrialPlan(seed=2))
     drawn = draw_outputs(trials, 0, 10)
     assert not np.allclose(drawn, draw_outputs(other, 0, 10))

@@ -10,14 +10,14 @@ import itertools
 import numpy as np
 import pytest
 
+from mills import build_mill
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.symbols import list_error_motions
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.splines import natural_spline
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 KNOTS = 6
 ONE = [(0.0, 0.0, -100.0)]
@@ -35,9 +35,7 @@ OBLIQUE = [(np.zeros(3), np.array([0.6, 1.0, 0.0]))]
 
 
 def machine(travel):
-    axes = tuple(LinearAxis(a, 0.0, t) for a, t in zip("XYZ", travel, strict=True))
-    target = Target("T", "tool", ONE[0])
-    return Machine("m", (), ("X", "Y", "Z"), axes, (target,), TrackerNoise())
+    return build_mill(ONE[0], travel_mm=travel)
 
 
 def every_motion(of):
@@ -133,15 +131,51 @@ def test_phase_and_speed_of_each_line_left_free_cost_no_rank(travel):
     assert rank(np.concatenate([across, curved])) == 73
 
 
+CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
+
+
+@pytest.mark.parametrize("sides", CHAINS)
 @pytest.mark.parametrize(
-    ("offsets", "turns", "expected"), [(ONE, 0, 73), (TWO, 2, 85), (THREE, 3, 96)]
+    ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
-def test_the_model_that_is_solved_has_this_rank_less_the_rigid_motions(
-    offsets, turns, expected
+def test_tool_offsets_decide_how_many_motions_are_told_apart(
+    sides, offsets, known, rank
 ):
-    """Those of the volume, and of the targets where their places are known exactly."""
-    model, _ = build_identifiable_model(
-        machine(TRAVELS[1]), np.array(offsets), intervals=KNOTS - 1
+    """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
+
+    And less the turns of how the targets sit: each sits by itself.
+    """
+    last = "XYZ".index("".join(sides)[-1])
+    lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
+    mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])
+    model, merged = build_identifiable_model(mill, lengths, intervals=5)
+    motions = model.identifiable_motions
+    assert len(motions) == known
+    assert len(motions) + len(merged) == 18
+    assert model.size == rank + 3 * (len(offsets) - 1)
+
+
+def test_what_merges_is_named_with_what_it_merges_into_or_that_it_moves_nothing():
+    aside, on_axis = (
+        {m.symbol: str(m) for m in build_identifiable_model(machine(TRAVELS[0]), at)[1]}
+        for at in (np.array([(30.0, 20.0, -100.0)]), np.array(ONE))
     )
-    seats = 3 * (len(offsets) - 1)
-    assert model.size - seats + turns + 6 == expected
+    assert set(aside) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert "EXZ" in aside["EBZ"]
+    assert "another tool length" in aside["EBZ"]
+    assert "does not move the target" in on_axis["ECZ"]
+
+
+def test_how_other_targets_sit_is_no_error_of_the_first_one():
+    # T1 is the last in any order of coordinates.
+    offsets = [(60.0, 50.0, -20.0), (0.0, 0.0, -200.0), (0.0, 60.0, -90.0)]
+    mill = build_mill(*offsets, travel_mm=TRAVELS[0])
+    model, _ = build_identifiable_model(mill, np.array(offsets), intervals=4)
+    seats = [name for name in model.slices if name.startswith("seat")]
+    assert seats == ["seat-T2", "seat-T3"]
+    for name, at in zip(("T1", "T2", "T3"), offsets, strict=True):
+        still = make_standstill(mill, np.full((1, 3), 50.0), np.array([at]))
+        moved = {s: model.jacobian(still)[:, :, model.slices[s]].any() for s in seats}
+        assert moved == {s: s == f"seat-{name}" for s in seats}
+        error = build_volumetric_map(model, name).jacobian(still)
+        assert not any(error[:, :, model.slices[s]].any() for s in seats)

@@ -55,13 +55,10 @@ def table_sigma(machine, path, symbol):
     return np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows).mean())
 
 
-def driven_with_both(machine, path):
-    n = len(path)
-    twice = {
-        name: np.concatenate([getattr(path, name)] * 2)
-        for name in ("position", "feed_mm_min", "dwell_s")
-    }
-    return replace(path, **twice, target=("T1",) * n + ("T2",) * n)
+def driven_with_both(path):
+    columns = ("position", "feed_mm_min", "dwell_s")
+    twice = {name: np.concatenate([getattr(path, name)] * 2) for name in columns}
+    return replace(path, **twice, target=("T1",) * len(path) + ("T2",) * len(path))
 
 
 @pytest.mark.parametrize("symbol", ["EBZ", "ECZ"])
@@ -70,26 +67,23 @@ def test_the_second_tool_tells_the_turn_as_well_as_promised(symbol):
     way = np.array([0.6, 0.8, 0.0] if symbol == "ECZ" else [0.0, 0.0, -1.0])
     second = tuple((np.array(FIRST) + float(length) * way).tolist())
     machine = mill(FIRST, second)
-    path = driven_with_both(machine, default_path(machine))
+    path = driven_with_both(default_path(machine))
     promised = 0.5e-6 * float(expanded)
     assert table_sigma(machine, path, symbol) == pytest.approx(promised, rel=0.35)
 
 
-def test_statements_begin_with_the_symbol_and_name_partners_and_length():
+def test_statements_name_partners_and_length_or_that_a_target_has_to_move_aside():
     said = statements(mill(FIRST))
     assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
     assert "EBZ (turn of Z about Y) cannot be told from EXZ" in said["EBZ"]
     assert "a second tool at least" in said["EBZ"]
     assert "to the side, in X or Y," in said["ECZ"]
-
-
-def test_a_target_on_the_spindle_axis_is_told_to_move_aside():
     said = statements(mill((0.0, 0.0, -100.0)))
     assert "does not move the target" in said["ECZ"]
     assert "to the side, in X or Y, shows it" in said["ECZ"]
     # And that alone where two lengths of tools are measured.
     machine = mill((0.0, 0.0, -100.0), (0.0, 0.0, -250.0))
-    path = driven_with_both(machine, default_path(machine))
+    path = driven_with_both(default_path(machine))
     said = graded(machine, path).unobservable
     assert [s[:3] for s in said] == ["ECY", "ECZ"]
     assert all("to the side" in s for s in said)
@@ -105,11 +99,11 @@ def test_three_offsets_leave_nothing_to_separate():
 
 def test_longer_tools_are_asked_for_where_less_is_measured():
     machine = mill(FIRST)
-    lengths = [
-        float(SAID.search(said)[1]) * float(SAID.search(said)[2])
+    few, many = (
+        np.prod([float(one) for one in SAID.search(said).groups()])
         for said in (statements(machine, lines=n)["EBZ"] for n in (14, 40))
-    ]
-    assert lengths[0] > 1.3 * lengths[1]  # length times uncertainty: √2 u of EXZ
+    )
+    assert few > 1.3 * many  # length times uncertainty: √2 u of EXZ
 
 
 def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():

@@ -1,10 +1,9 @@
 """Knocks of the set-up are told apart from drift and from one another."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from following import shift
 from truepath.alignment.align import align_all
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.estimation.checks.run_parts import RunPart, join_empty, split_at_all
@@ -26,34 +25,31 @@ def check(run, shift_mm):
     """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    moved = run.tracker.position_mm + shift_mm(share)
-    run = replace(run, tracker=replace(run.tracker, position_mm=moved))
-    (seen,) = align_all([run], ["run"])
+    (seen,) = align_all([shift(run, shift_mm(share))], ["run"])
     found = estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
 def test_two_knocks_are_found_where_they_are(standing):
+    first_mm, second_mm = [0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]
     found, time_s = check(
         standing,
         lambda share: (
-            np.outer(share > 0.3, [0.03, -0.02, 0.01])
-            + np.outer(share > 0.65, [-0.01, -0.03, 0.03])
+            np.outer(share > 0.3, first_mm) + np.outer(share > 0.65, second_mm)
         ),
     )
-    told = [knock.time_s for knock in found.knocks]
-    assert told == pytest.approx(time_s, abs=2.5)
+    assert [knock.time_s for knock in found.knocks] == pytest.approx(time_s, abs=2.5)
     moved_um = [1e3 * knock.moved_mm for knock in found.knocks]
     assert moved_um == pytest.approx([37.4, 43.6], abs=3.0)
 
 
-def test_a_small_knock_is_no_drift(standing):
-    found, time_s = check(
-        standing, lambda share: np.outer(share > 0.65, [0.006, -0.006, 0.004])
-    )
-    assert [knock.time_s for knock in found.knocks] == pytest.approx(
-        time_s[1:], abs=2.5
-    )
+def test_a_small_knock_is_no_drift_and_a_drift_no_row_of_knocks(standing):
+    small_mm = [0.006, -0.006, 0.004]
+    found, time_s = check(standing, lambda share: np.outer(share > 0.65, small_mm))
+    (knock,) = found.knocks
+    assert knock.time_s == pytest.approx(time_s[1], abs=2.5)
+    found, _ = check(standing, lambda share: np.outer(share, [0.02, -0.01, 0.01]))
+    assert found.knocks == ()
 
 
 def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
@@ -61,10 +57,9 @@ def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
     found, _ = check(moving, lambda share: np.outer(share > late, [0.02, -0.02, 0.01]))
     time_s = moving.tracker.device_time_s
     moment_s = time_s[0] + late * (time_s[-1] - time_s[0])
-    assert [knock.time_s for knock in found.knocks] == pytest.approx(
-        [moment_s], abs=0.2
-    )
-    assert 1e3 * found.knocks[0].moved_mm == pytest.approx(30.0, abs=1.5)
+    (knock,) = found.knocks
+    assert knock.time_s == pytest.approx(moment_s, abs=0.2)
+    assert 1e3 * knock.moved_mm == pytest.approx(30.0, abs=1.5)
     assert not any(misfit.unseen for misfit in found.misfits)
 
 
@@ -83,8 +78,3 @@ def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
     assert said.begin_s == pytest.approx(time_s[first + 6], abs=0.2)
     assert said.off_mm == pytest.approx(0.1)
     assert before.seen.offered + after.seen.offered == seen.offered  # none is lost
-
-
-def test_a_drift_is_no_row_of_knocks(standing):
-    found, _ = check(standing, lambda share: np.outer(share, [0.02, -0.01, 0.01]))
-    assert found.knocks == ()

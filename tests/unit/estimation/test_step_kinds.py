@@ -1,39 +1,28 @@
 """A step of the set-up has the name of what happened, with a tracker that errs."""
 
-from dataclasses import asdict, replace
-
 import numpy as np
 import pytest
 
 from estimating import judge_map
-from recorded import load_small, record_run
+from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.alignment.align import align_all
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.results.verdict import judge
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
-ROWS, POINTS, FEED = 20, 50, 6000.0
 PLACE_MM = np.array([0.03, -0.02, 0.025])
 TILT_RAD = np.array([3e-5, -4e-5, 1e-5])
 RANGE_MM = -0.06
 LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
-def measure(seed, mode, defects=None):
+def measure(seed, mode, **setting):
     """Return a Run of a small machine whose tracker errs as is typical; its truth."""
-    content = load_small("demo", 0.5)
-    content["tracker"]["specification"] = asdict(TrackerSpecification())
-    machine = parse_machine(content)
-    program = paths.standstill_points(machine, seed, POINTS, dwell_s=0.5)
-    if mode == "otf":
-        program = paths.chord_path(machine, seed, ROWS, FEED)
-    setting = Setting(defects=defects or Defects())
-    run, made = record_run(content, program, seed, mode, setting)
+    content = load_erring()
+    program = choose_program(content, seed, mode, rows=20)
+    run, made = record_run(content, program, seed, mode, Setting(**setting))
     return run, made.truth
 
 
@@ -43,23 +32,23 @@ def check(run):
     return estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
 
 
-def shift(position_mm):
-    return position_mm + PLACE_MM
-
-
-def tilt(position_mm):
-    return position_mm + np.cross(TILT_RAD, position_mm)
-
-
-def lock_again(position_mm):
-    return to_cartesian(to_spherical(position_mm) + LONGER)
-
-
 # What is done, how large it is, and which reason of the verdict says it.
 KINDS = {
-    "place": (shift, 1e3 * np.linalg.norm(PLACE_MM), "set-up-moved"),
-    "tilt": (tilt, 1e6 * np.linalg.norm(TILT_RAD), "tracker-tilted"),
-    "range": (lock_again, 1e3 * RANGE_MM, "range-offset-changed"),
+    "place": (
+        lambda position_mm: position_mm + PLACE_MM,
+        1e3 * np.linalg.norm(PLACE_MM),
+        "set-up-moved",
+    ),
+    "tilt": (
+        lambda position_mm: position_mm + np.cross(TILT_RAD, position_mm),
+        1e6 * np.linalg.norm(TILT_RAD),
+        "tracker-tilted",
+    ),
+    "range": (
+        lambda position_mm: to_cartesian(to_spherical(position_mm) + LONGER),
+        1e3 * RANGE_MM,
+        "range-offset-changed",
+    ),
 }
 SAID = {said for _, _, said in KINDS.values()}
 
@@ -72,9 +61,7 @@ def disturb(run, kind, share, broken_s=0.0):
     moved, status = run.tracker.position_mm.copy(), run.tracker.status.copy()
     moved[late] = KINDS[kind][0](moved[late])
     status[first:][~late[first:]] = BEAM_BROKEN
-    return replace(
-        run, tracker=replace(run.tracker, position_mm=moved, status=status)
-    ), at_s
+    return with_samples(run, position_mm=moved, status=status), at_s
 
 
 @pytest.mark.parametrize(
@@ -106,7 +93,7 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
 
 def test_a_new_lock_within_the_specification_is_no_step():
     lost = Defects(beam_breaks=((30.0, 0.4),))
-    run, truth = measure(53, "otf", lost)
+    run, truth = measure(53, "otf", defects=lost)
     found = check(run)
     assert found.knocks == ()
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75

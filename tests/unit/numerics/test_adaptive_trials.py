@@ -114,13 +114,10 @@ def test_it_stops_where_each_result_is_certain_to_a_fifth_of_the_tolerance():
     assert all(unsure(h) > limit for h in range(2, len(results)))
 
 
-def test_one_more_digit_takes_many_more_trials():
+def test_one_more_digit_takes_many_more_trials_and_those_that_do_not_settle_say_so():
     coarse = propagate(blocks(rectangles([9.0])), TrialPlan(digits=1))
     fine = propagate(blocks(rectangles([9.0])), TrialPlan(digits=2, most_blocks=40))
     assert fine.trials >= 4 * coarse.trials
-
-
-def test_trials_that_do_not_settle_are_ended_and_say_so():
     told = propagate(blocks(normal_sum), TrialPlan(digits=2, most_blocks=3))
     assert told.trials == 3 * BLOCK
     assert not told.settled
@@ -131,12 +128,8 @@ def test_who_shares_the_work_and_works_ahead_does_not_change_the_answer():
     alone = propagate(blocks(normal_sum, 4), plan)
     with ThreadPoolExecutor(3) as pool:
         shared = propagate(blocks(normal_sum, 4), plan, pool.map)
-    for one, other in zip(
-        (alone.mean, alone.sigma, alone.low, alone.high),
-        (shared.mean, shared.sigma, shared.low, shared.high),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(one, other)
+    for what in ("mean", "sigma", "low", "high"):
+        np.testing.assert_array_equal(getattr(alone, what), getattr(shared, what))
 
 
 def test_the_share_done_only_grows_and_ends_at_one():

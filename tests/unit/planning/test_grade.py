@@ -112,10 +112,8 @@ def test_the_line_asked_for_lowers_the_number_it_promises(demo):
 def test_a_path_in_two_runs_is_worth_hardly_less_than_in_one(demo):
     path = plan(demo, lines=24)
     half = len(path) // 2
-    parts = [
-        path_of(demo, rows)
-        for rows in (path.position[: half + 1], path.position[half:])
-    ]
+    halves = path.position[: half + 1], path.position[half:]
+    parts = [path_of(demo, rows) for rows in halves]
     together = grade_together(demo, [SetUp(demo, part, STATION_MM) for part in parts])
     alone = grade(demo, parts[0], station_mm=STATION_MM)
     whole = grade(demo, path, station_mm=STATION_MM)
@@ -136,13 +134,12 @@ def test_a_run_with_a_longer_tool_tells_what_the_first_could_not(demo):
 @pytest.mark.parametrize(
     "rows", [[[0, 0, 0], [400, 300, 200]], [[0, 0, 0], [400, 0, 0]]]
 )
-def test_a_set_up_that_tells_next_to_nothing_is_poor_and_no_error(demo, rows):
+def test_a_set_up_that_tells_next_to_nothing_is_poor_and_one_of_nothing_refused(
+    demo, rows
+):
     assert grade(demo, path_of(demo, rows)).number > 5.0
     stood = Configurations(demo.axis_names, np.array(rows[:1], float), np.ones(1))
     assert grade(demo, stood).verdict == "poor"
-
-
-def test_nothing_at_all_is_no_set_up(demo):
     stood = Configurations(demo.axis_names, np.zeros((1, 3)), np.zeros(1))
     with pytest.raises(PlanningError, match="nothing would be measured"):
         grade(demo, stood)

@@ -39,16 +39,10 @@ def judge(small_mill, lines):
     def make(specification, face=1):
         machine = specify(small_mill, specification, face)
         found = forecast(machine, lines, HERE_MM)
-        remedies = find_set_up_remedies(
-            machine,
-            lines,
-            found,
-            Assumptions(),
-            here_mm=HERE_MM,
-            elsewhere_mm=[ELSEWHERE_MM],
-            takes_s=60.0,
-            move_s=600.0,
-        )
+        places = {"here_mm": HERE_MM, "elsewhere_mm": [ELSEWHERE_MM]}
+        times = {"takes_s": 60.0, "move_s": 600.0}
+        told = machine, lines, found, Assumptions()
+        remedies = find_set_up_remedies(*told, **places, **times)
         return found, {one.change: one for one in remedies}
 
     return make

@@ -48,10 +48,9 @@ def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mil
     here = Workspace((), tuple(second.station_mm.tolist()), 200.0)
     order = PlanOrder(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)
     alone = make_plan(small_mill, order)
-    beside = forecast(
-        small_mill, alone.commanded, alone.station_mm, before=first.forecast
-    ).volumetric_sigma_mm
-    assert planned.uncertainty_um < 1e3 * beside
+    lines = alone.commanded, alone.station_mm
+    beside = forecast(small_mill, *lines, before=first.forecast)
+    assert planned.uncertainty_um < 1e3 * beside.volumetric_sigma_mm
 
 
 def test_the_document_tells_of_each_station(planned):

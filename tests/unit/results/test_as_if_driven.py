@@ -17,7 +17,7 @@ def judge(machine, change):
     """Judge a machine without errors that drove a changed program."""
     q = make_grid(machine.axes, 5, 3)
     place = make_standstill(machine, q).point_mm
-    driven = make_standstill(machine, change(q.copy())).point_mm
+    driven = make_standstill(machine, change(q)).point_mm
     error_um = 1e3 * (driven - place)
     none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
     return {
@@ -27,24 +27,15 @@ def judge(machine, change):
 
 
 def add(axis, by):
-    def change(q):
-        q[:, axis] += by
-        return q
-
-    return change
+    return lambda q: q + by * np.eye(q.shape[1])[axis]
 
 
 def lengthen(axis, factor):
-    def change(q):
-        q[:, axis] *= factor
-        return q
-
-    return change
+    return lambda q: q + (factor - 1.0) * q * np.eye(q.shape[1])[axis]
 
 
 def lean(q):
-    q[:, 1] += 0.002 * q[:, 0]
-    return q
+    return q + 0.002 * q[:, :1] * [0.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize(

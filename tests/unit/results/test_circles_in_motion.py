@@ -1,8 +1,11 @@
 """Circles driven on the fly, on simulated machines whose effects are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from recorded import record_path
 from results_fixtures import load_small
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import ArcDrive
@@ -23,19 +26,15 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.motion.configurations import append_part
 from truepath.motion.paths.circle_path import make_circle_path
 from truepath.motion.paths.driven_again import drive_arcs_again
 from truepath.numerics.rigid import RigidTransform
 from truepath.service.api.models.results.verification import VerificationOut
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import Backlash
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
-from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Defects, Setting
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
 HIDDEN = (
@@ -46,35 +45,17 @@ HIDDEN = (
 ANGLE = np.radians(list_sector_angles())
 
 
-def drive(machine, *, hidden=(), holds=(), seed=7, setting=None, again=()):
-    """Return the Run of the circle path on a machine that errs by these effects.
+def drive(machine, *, seed=7, again=(), **setting):
+    """Return the Run of the circle path on a machine.
 
     again : rows of circles that are driven a second time at its end
+    setting : what a Setting takes
     """
     path = make_circle_path(machine)
     if again:
         path = append_part(path, drive_arcs_again(path, again))
-    arcs = tuple(
-        arc
-        and Arc(
-            tuple("XYZ".index(name) for name in arc.axes),
-            arc.centre_mm,
-            float(np.radians(arc.turn_deg)),
-        )
-        for arc in path.arc
-    )
-    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs)
-    setting = setting or synthetic.Setting(
-        error_scale=0.0, hidden=hidden, defects=synthetic.Defects(holds=holds)
-    )
-    recording = synthetic.record(load_small(), program, seed, "otf", setting)
-    samples = TrackerSamples(
-        np.arange(len(recording)),
-        recording.time_s,
-        recording.position_mm,
-        recording.status,
-    )
-    return Run("circles", machine, path, samples)
+    run, _ = record_path(load_small(), path, seed, setting=Setting(**setting))
+    return replace(run, machine=machine)
 
 
 def evaluate(run):
@@ -115,15 +96,14 @@ def measured_again(calibrated):
     """Drive the circles on the machine that was calibrated."""
 
     def measure(holds=(), again=()):
-        defects = synthetic.Defects(holds=holds)
-        setting = synthetic.Setting(machine_seed=1, defects=defects)
-        return drive(calibrated.machine, seed=12, setting=setting, again=again)
+        how = {"machine_seed": 1, "defects": Defects(holds=holds)}
+        return drive(calibrated.machine, seed=12, again=again, **how)
 
     return measure
 
 
 def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo):
-    planes, stated, broken = evaluate(drive(demo, hidden=HIDDEN))
+    planes, stated, broken = evaluate(drive(demo, error_scale=0.0, hidden=HIDDEN))
     assert not broken
     assert set(planes) == {"XY", "YZ", "ZX"}
 
@@ -171,7 +151,7 @@ def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
 
 
 def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
-    _, stated, _ = evaluate(drive(demo))
+    _, stated, _ = evaluate(drive(demo, error_scale=0.0))
     for one in stated.values():
         assert one.own_um["H"] > 1.0
         assert one.value_um["H"] <= 2.0 * one.uncertainty_um["H"]

@@ -237,9 +237,8 @@ def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
 
 
 def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
-    found = decide_places(
-        np.array([1.0, 9.9, 20.0]), np.array([0.1, 5.0, 0.1]), MANY, 10.0
-    )
+    length, sigma = np.array([1.0, 9.9, 20.0]), np.array([0.1, 5.0, 0.1])
+    found = decide_places(length, sigma, MANY, 10.0)
     assert (found.conformity, found.worst) == ("outside", 2)
     for length_um, decision in ((3.0, "undecided"), (20.0, "outside")):
         length, sigma = np.array([length_um]), np.array([0.1])
@@ -247,13 +246,12 @@ def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
         assert found.conformity == decision
 
 
-def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
+def test_so_many_places_lie_within_together_in_95_of_100_cases_by_known_noise_or_not(
+    rng,
+):
     k = compute_joint_factor(30, MANY)
     within = np.abs(rng.standard_normal((20_000, 30))).max(axis=1) <= k
     assert within.mean() == pytest.approx(0.95, abs=0.005)
-
-
-def test_a_noise_known_by_few_data_widens_what_is_said():
     assert compute_joint_factor(1, MANY) == pytest.approx(1.96, abs=0.01)
     assert compute_joint_factor(1, 8.0) == pytest.approx(2.306, abs=0.001)  # Student
 

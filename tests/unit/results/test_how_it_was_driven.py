@@ -22,10 +22,8 @@ def said_of(run) -> Verdict:
 
 def at_feed(run, share):
     """The same recording, of a path whose feeds were so much higher."""
-    commanded = run.commanded
-    return replace(
-        run, commanded=replace(commanded, feed_mm_min=commanded.feed_mm_min / share)
-    )
+    path = run.commanded
+    return replace(run, commanded=replace(path, feed_mm_min=path.feed_mm_min / share))
 
 
 def values_of(verdict):
@@ -48,26 +46,19 @@ def lengthened(path, rng, rows=6):
     """A path that goes on where the machine was stopped."""
     low, high = path.position.min(axis=0), path.position.max(axis=0)
     more = rng.uniform(low, high, (rows, len(low)))
-    return Path(
-        path.axes,
-        np.vstack([path.position, more]),
-        np.append(path.feed_mm_min, np.full(rows, path.feed_mm_min[-1])),
-        np.append(path.dwell_s, np.full(rows, path.dwell_s[-1])),
+    feed, dwell_s = (
+        np.append(column, np.full(rows, column[-1]))
+        for column in (path.feed_mm_min, path.dwell_s)
     )
+    return Path(path.axes, np.vstack([path.position, more]), feed, dwell_s)
 
 
 def ended_at(run, rows, share):
     """The same recording, of a path that ends so far on the way to its last row."""
-    path = run.commanded
-    position = path.position[:rows].copy()
+    path = select_rows(run.commanded, slice(rows))
+    position = path.position.copy()
     position[-1] = position[-2] + share * (position[-1] - position[-2])
-    commanded = replace(
-        path,
-        position=position,
-        feed_mm_min=path.feed_mm_min[:rows],
-        dwell_s=path.dwell_s[:rows],
-    )
-    return replace(run, commanded=commanded)
+    return replace(run, commanded=replace(path, position=position))
 
 
 @pytest.mark.parametrize("seed", [6, 7])
@@ -86,10 +77,9 @@ def test_an_override_is_told_in_percent(record, share):
 
 def test_an_override_of_some_lines_names_these_lines(record):
     run, _ = record(6)
-    feed = run.commanded.feed_mm_min.copy()
-    feed[8:11] /= 0.7
-    turned = replace(run, commanded=replace(run.commanded, feed_mm_min=feed))
-    lines = values_of(said_of(turned))["other-feed"]["lines"].split(", ")
+    share = np.ones(len(run.commanded))
+    share[8:11] = 0.7
+    lines = values_of(said_of(at_feed(run, share)))["other-feed"]["lines"].split(", ")
     assert set(lines) <= {"8", "9", "10"}
 
 
@@ -115,9 +105,8 @@ def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
         for rows in (slice(None), slice(23, None))
     )
     seen = align(first)
-    further = replace(
-        seen, row=seen.row.clip(max=driven), driving=Driving(0, driven, 7, {}, ())
-    )
+    driving = Driving(0, driven, 7, {}, ())
+    further = replace(seen, row=seen.row.clip(max=driven), driving=driving)
     found = drop_measured_elsewhere([first, rest], [seen, further])
     said = judge_driving([found[0].driving, None], ["first", "rest"]).reasons
     assert [reason.values for reason in said] == (

@@ -1,43 +1,26 @@
 """What a tracker within its specification does is in what is stated."""
 
-from dataclasses import asdict, replace
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimating import judge_map
-from recorded import load_small, record_run
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from following import shift
+from recorded import choose_program, load_erring, load_small, record_run
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
-
-ROWS, FEED = 24, 6000.0
-
-
-def content():
-    """A small machine whose tracker errs as is typical, and says so."""
-    made = load_small("demo", 0.5)
-    made["tracker"]["specification"] = asdict(TrackerSpecification())
-    return made
 
 
 def measure(seed, mode="otf", places=1):
-    """Return the findings of a machine, and its truth."""
-    made = content()
-    machine = parse_machine(made)
-    if mode == "otf":
-        program = paths.chord_path(machine, seed, ROWS, FEED)
-    else:
-        program = paths.standstill_points(machine, seed, 50, dwell_s=0.5)
+    """Return the findings of a small machine, and its truth."""
+    content, setting = load_erring(), Setting(machine_seed=seed)
+    program = choose_program(content, seed, mode)
     recorded = [
-        record_run(made, program, seed + k, mode, Setting(machine_seed=seed))
-        for k in range(places)
+        record_run(content, program, seed + k, mode, setting) for k in range(places)
     ]
     return analyse(*(run for run, _ in recorded)), recorded[0][1].truth
 
@@ -60,23 +43,19 @@ def test_the_budget_tells_what_is_the_trackers_and_a_second_place_takes_it_away(
         result_json(measure(14, places=places)[0])["uncertainty_budget"]
         for places in (1, 2)
     )
-    share = [
-        each["sources_um"]["instrument"]["volume"] / each["total_um"]["volume"]
-        for each in (one, two)
-    ]
-    assert share[0] > 0.5
-    assert two["total_um"]["volume"] < 0.8 * one["total_um"]["volume"]
+    whole_um = one["total_um"]["volume"]
+    assert one["sources_um"]["instrument"]["volume"] > 0.5 * whole_um
+    assert two["total_um"]["volume"] < 0.8 * whole_um
 
 
 SIGNED = {"index_urad": 60.0, "tilt_urad": 30.0, "transit_offset_um": 40.0}
 
 
 def test_a_run_in_the_other_face_takes_away_what_changes_its_sign_in_it():
-    made = content()
-    made["tracker"]["specification"] = SIGNED
-    machine = parse_machine(made)
-    program = paths.chord_path(machine, 17, ROWS, FEED)
-    setting = Setting(machine_seed=17, pose=random_pose(machine, 17))
+    made = load_erring(SIGNED)
+    program = choose_program(made, 17)
+    pose = random_pose(parse_machine(made), 17)
+    setting = Setting(machine_seed=17, pose=pose)
     recorded = []
     for face in (1, 2):
         made["tracker"]["face"] = face
@@ -102,8 +81,7 @@ def test_errors_of_the_tracker_are_no_errors_of_the_machine():
 def still():
     """A Run of a perfect tracker, and its recording."""
     made = load_small("demo", 0.5)
-    program = paths.chord_path(parse_machine(made), 21, 40, FEED)
-    return record_run(made, program, 21)
+    return record_run(made, choose_program(made, 21, rows=40), 21)
 
 
 def disturb(recorded, across_mm):
@@ -112,8 +90,7 @@ def disturb(recorded, across_mm):
     points = run.tracker.position_mm
     side = np.cross([0.0, 0.0, 1.0], points)
     side /= np.linalg.norm(side, axis=1)[:, None]
-    moved = replace(run.tracker, position_mm=points + across_mm[:, None] * side)
-    found = analyse(replace(run, tracker=moved))
+    found = analyse(shift(run, across_mm[:, None] * side))
     return found, judge_map(found.estimate, made.truth.deviation_mm).inside
 
 

@@ -39,20 +39,14 @@ def draw_result(estimate, seed, shift=0.0):
     signs = np.resize([1.0, -1.0], sigma.shape)
     theta[part] += shift * sigma * signs
     runs = [{"name": f"run {seed}", "input_sha256": f"{seed:064d}"}]
-    provenance = {"runs": runs}
-    return CalibrationResult(
-        estimate.model, theta, estimate.covariance, provenance=provenance
-    )
+    told = estimate.model, theta, estimate.covariance
+    return CalibrationResult(*told, provenance={"runs": runs})
 
 
 def count_false(estimate, pairs):
     """How many pairs of an unchanged machine are said to have changed."""
-    return sum(
-        find_changes(
-            draw_result(estimate, 2 * k), draw_result(estimate, 2 * k + 1)
-        ).is_significant
-        for k in range(pairs)
-    )
+    drawn = ([draw_result(estimate, 2 * k + i) for i in (0, 1)] for k in range(pairs))
+    return sum(find_changes(*pair).is_significant for pair in drawn)
 
 
 @pytest.mark.timeout(120)
@@ -84,14 +78,9 @@ def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
     assert 2.5 < change.factor < 4.5
 
 
-def test_results_that_share_a_run_are_not_held_against_each_other(estimate):
+def test_results_of_one_run_or_of_other_targets_are_not_compared(estimate, construct):
     with pytest.raises(BadInput, match="come from one Run"):
         find_changes(draw_result(estimate, 1), draw_result(estimate, 1))
-
-
-def test_results_of_different_targets_are_not_held_against_each_other(
-    estimate, construct
-):
     other = construct((Target("", "tool", (20.0, 30.0, -250.0)),))
     with pytest.raises(BadInput, match="different targets"):
         find_changes(draw_result(estimate, 1), draw_result(other, 2))
@@ -190,11 +179,8 @@ def test_a_tolerance_is_judged_with_the_uncertainty(calibrate, p95, state):
 
 
 def test_machines_are_compared_by_what_is_sure(calibrate):
-    newest = [
-        calibrate("mill", 1, p95=20.0),
-        calibrate("lathe", 2, p95=9.0),
-        calibrate("press", 3, p95=9.5),
-    ]
+    known = {"mill": 20.0, "lathe": 9.0, "press": 9.5}
+    newest = [calibrate(name, k, p95) for k, (name, p95) in enumerate(known.items(), 1)]
     found = comparison_json(newest, "volumetric", None, {"mill": 15.0})
     assert [m["machine"] for m in found["machines"]] == ["lathe", "press", "mill"]
     more = {m["machine"]: m["is_more_than"] for m in found["machines"]}

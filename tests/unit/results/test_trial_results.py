@@ -35,26 +35,24 @@ def held(estimated):
     return run_trials(estimated, PLAN)
 
 
-def named(held, name):
-    return next(q for q in held.quantities if q.name == name)
-
-
-def test_every_table_and_squareness_is_held_where_it_is_stated(estimated, held):
-    stated = build_error_tables(estimated)
+def test_every_table_and_squareness_is_held_where_it_is_stated_and_agrees(
+    estimated, held
+):
+    stated, by_name = (
+        build_error_tables(estimated),
+        {q.name: q for q in held.quantities},
+    )
     for table in stated.tables:
-        quantity = named(held, table.symbol)
+        quantity = by_name[table.symbol]
         np.testing.assert_array_equal(quantity.position[:, 0], table.position_mm)
         np.testing.assert_allclose(quantity.value, table.value, atol=1e-9)
         np.testing.assert_allclose(quantity.linear, table.uncertainty, atol=1e-6)
     for lean in stated.squareness:
-        quantity = named(held, lean.symbol)
+        quantity = by_name[lean.symbol]
         assert quantity.value[0] == pytest.approx(lean.value)
         assert quantity.linear[0] == pytest.approx(lean.uncertainty)
-    assert named(held, MAP).position.shape == (27, 3)
-    assert named(held, MAP).value.shape == (81,)
-
-
-def test_the_trials_agree_with_the_linear_law_in_tables_and_map(held):
+    assert by_name[MAP].position.shape == (27, 3)
+    assert by_name[MAP].value.shape == (81,)
     assert held.trials == 10_000
     assert held.disagreement < 0.05
     assert held.agreeing > 0.85 * held.numbers

@@ -1,7 +1,5 @@
 """Discovery held against worlds that hide something; the whole draw is `long`."""
 
-import importlib
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,6 @@ import pytest
 from truepath.errors import Unidentifiable
 
 ROOT = Path(__file__).resolve().parents[3]
-FOLDER = str(ROOT / "validation")
 SHORT = (14, 14)
 QUICK = [
     ("single", 25),  # spindle-growth
@@ -20,18 +17,6 @@ QUICK = [
     ("clean", 1),
     ("off-catalogue", 4),  # coolant-cycle
 ]
-
-
-@pytest.fixture(scope="module")
-def validation():
-    """Import one of the scripts by its name."""
-    before = set(sys.modules)
-    sys.path.insert(0, FOLDER)
-    yield importlib.import_module
-    sys.path.remove(FOLDER)
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(FOLDER):
-            del sys.modules[name]
 
 
 def effect(name, value=1.0, sigma=0.1, others=(), **keys):
@@ -165,17 +150,14 @@ def test_the_draw_covers_every_effect_and_kind(validation):
     script, worlds = validation("discovery_worlds"), validation("hidden_worlds")
     tasks = script.draw_tasks(script.COUNTS)
     assert len(set(tasks)) == len(tasks) >= 300
-    singles = {
-        worlds._choose_names(seed, kind) for seed, kind in tasks if kind == "single"
-    }
-    assert {name for (name,) in singles} == set(worlds.CATALOGUED)
+    named = [(kind, set(worlds._choose_names(seed, kind))) for seed, kind in tasks]
+    singles = set().union(*(names for kind, names in named if kind == "single"))
+    assert singles == set(worlds.CATALOGUED)
+    assert all(len(names) == 2 for kind, names in named if kind == "pair")
     improved = script.draw_tasks(script.COUNTS, 0)
     reported = script.draw_tasks(script.COUNTS, script.REPORTED)
     near = {seed % worlds._APART for seed, _ in improved}
     assert not near & {seed % worlds._APART for seed, _ in reported}
-    assert all(
-        len(set(worlds._choose_names(s, k))) == 2 for s, k in tasks if k == "pair"
-    )
 
 
 def test_the_page_holds_a_table_of_each_kind():
@@ -199,10 +181,8 @@ def test_a_mark_that_is_missed_is_said_with_its_number(validation):
     assert summary.list_missed_marks(good) == []
     (said,) = summary.list_missed_marks(replace(good, within=0.85))
     assert said == "parameters within 2 u: 85.0 %, asked for 90 to 99 %"
-    assert (
-        len(summary.list_missed_marks(replace(good, pairs_right=0.8, misnamed=0.1)))
-        == 2
-    )
+    two = replace(good, pairs_right=0.8, misnamed=0.1)
+    assert len(summary.list_missed_marks(two)) == 2
 
 
 def test_a_gap_is_closed_when_clean_worlds_show_as_much(validation):

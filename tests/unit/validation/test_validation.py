@@ -1,8 +1,6 @@
 """The document of the validation, and its marks on fewer machines."""
 
-import importlib
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +8,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "validation.md"
-
-
-@pytest.fixture(scope="module")
-def validation():
-    """Import one of the scripts by its name."""
-    before = set(sys.modules)
-    sys.path.insert(0, str(ROOT / "validation"))
-    yield importlib.import_module
-    sys.path.remove(str(ROOT / "validation"))
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(
-            str(ROOT / "validation")
-        ):
-            del sys.modules[name]
 
 
 def test_every_section_of_the_document_holds_a_table():
