@@ -86,10 +86,8 @@ def test_it_is_discovered_with_its_own_keys_and_words(discovered):
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
-    report = render_discovery_report(
-        discovered.found, discovered.model, discovered.asked, ASK
-    )
-    assert TITLE in report
+    found = discovered.found, discovered.model, discovered.asked
+    assert TITLE in render_discovery_report(*found, ASK)
 
 
 def test_an_analysis_by_the_model_file_estimates_it_and_its_report_names_it(run, model):

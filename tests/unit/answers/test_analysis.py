@@ -70,9 +70,18 @@ def test_progress_never_goes_back_and_three_files_are_written_and_replaced_by_th
     assert sorted(os.listdir(folder)) == files
 
 
-def test_the_written_map_removes_the_error_of_the_machine(
-    recorded, folder, volume, rigid_free, tmp_path
+def test_the_written_file_predicts_what_the_analysis_does_and_removes_the_error(
+    analysis, folder, recorded, volume, rigid_free, tmp_path
 ):
+    read = read_result(folder / "result.json")
+    whole = analysis.found.volumetric
+    assert json.loads((folder / "result.json").read_text("utf-8")) == analysis.result
+    grid = predict(read, whole.position_mm)
+    assert grid.error_um == pytest.approx(whole.error_um, abs=1e-8)
+    assert grid.uncertainty_um == pytest.approx(whole.uncertainty_um, rel=1e-6)
+    alignment = analysis.result["alignment"]
+    assert alignment["matched_lines"] == alignment["lines"] == 23
+    assert alignment["rows_without_data"] == []
     run, truth = recorded
     q = volume(run.machine)
     asked, answered = tmp_path / "p.csv", tmp_path / "d.csv"
@@ -90,25 +99,6 @@ def test_the_written_map_removes_the_error_of_the_machine(
     size, whole = (np.linalg.norm(each, axis=1).mean() for each in (left, before))
     assert size < 0.1 * whole
     assert 0.8 < (np.abs(left) < 2 * sigma).mean() <= 1.0
-
-
-def test_the_file_predicts_what_the_analysis_predicts(analysis, folder):
-    read = read_result(folder / "result.json")
-    whole = analysis.found.volumetric
-    assert json.loads((folder / "result.json").read_text("utf-8")) == analysis.result
-    grid = predict(read, whole.position_mm)
-    assert grid.error_um == pytest.approx(whole.error_um, abs=1e-8)
-    assert grid.uncertainty_um == pytest.approx(whole.uncertainty_um, rel=1e-6)
-    alignment = analysis.result["alignment"]
-    assert alignment["matched_lines"] == alignment["lines"] == 23
-    assert alignment["rows_without_data"] == []
-
-
-def test_a_stream_of_another_path_is_refused(recorded, record):
-    run, _ = recorded
-    other, _ = record(32, rows=24)
-    with pytest.raises(AlignmentError):
-        analyse(replace(run, commanded=other.commanded))
 
 
 def test_a_result_that_cannot_be_one_is_refused(folder, tmp_path):
@@ -158,7 +148,9 @@ def test_the_mode_is_that_of_the_run_with_most_samples_used(of_both):
     assert result_from_json(result).mode == result["mode"]
 
 
-def test_each_run_has_alignment_residuals_noise_and_origin(of_both, runs):
+def test_every_run_has_alignment_residuals_noise_and_origin_and_its_part_of_the_report(
+    of_both, runs
+):
     result = of_both.result
     left = result["volumetric_uncertainty_um"]
     digest = result["provenance"]["input_sha256"]
@@ -180,9 +172,6 @@ def test_each_run_has_alignment_residuals_noise_and_origin(of_both, runs):
     square = sum(line["cells"] * line["rms_um"] ** 2 for line in lines)
     whole = np.sqrt(square / sum(line["cells"] for line in lines))
     assert residuals["rms_um"] == pytest.approx(whole)
-
-
-def test_the_report_shows_every_run(of_both):
     page = of_both.report_html
     for words in (
         "Runs on &lt;the&gt; fly (on the fly), points (at standstill)",
@@ -238,7 +227,7 @@ def analysed(request, tmp_path_factory):
     return folder, analysis, made.truth
 
 
-def test_tables_of_rotary_axes_are_over_deg_and_say_where_the_axes_are(analysed):
+def test_tables_of_rotary_axes_are_over_deg_in_result_csv_and_report(analysed):
     folder, _, truth = analysed
     result = json.loads((folder / "result.json").read_text())
     tables = result["error_tables"]
@@ -250,10 +239,6 @@ def test_tables_of_rotary_axes_are_over_deg_and_say_where_the_axes_are(analysed)
     assert set(result["axis_location"]["XOC"]) == {"value_um", "uncertainty_um"}
     assert set(result["axis_location"]["AOC"]) == {"value_urad", "uncertainty_urad"}
     assert summarise_result(result, folder)["axis_location"] == result["axis_location"]
-
-
-def test_csv_and_report_show_every_axis_and_keep_deg_apart_from_mm(analysed):
-    folder, *_ = analysed
     rows = list(csv.DictReader(io.StringIO((folder / "error_tables.csv").read_text())))
     for row in rows:
         turning = row["error"].startswith("E") and row["error"][2] in "BC"

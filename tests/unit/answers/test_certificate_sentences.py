@@ -102,7 +102,7 @@ def test_a_compensation_that_explains_all_sends_nobody_to_the_tracker():
     assert "Die Kompensation der Steuerung ist anders als angegeben" in control
 
 
-def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
+def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     across = "three at standstills, the two across the travel on lines"
     _, said, unseen, _ = german(components=across, unseen_directions=["X"])
     assert "quer zur Fahrt" in said
@@ -112,9 +112,6 @@ def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
     _, uncorrected, _, scale = german(run_verdict=judged, runs=runs)
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
     assert "270,00 ppm" in scale
-
-
-def test_what_settles_the_scale_of_a_result_is_said_with_its_expanded_uncertainty():
     figure = {"value_um": 5.0, "uncertainty_um": 0.2}
     spread = dict.fromkeys(("mean", "p95", "largest"), figure)
     known = KnownLengthsFile(count=3, off_ppm=-61.5, uncertainty_ppm=0.7)
@@ -126,18 +123,6 @@ def test_what_settles_the_scale_of_a_result_is_said_with_its_expanded_uncertaint
     assert "um −61,50 ppm zu lang, mit U = 1,40 ppm" in note
 
 
-def test_a_line_has_one_name_in_german_a_number_a_true_minus_and_a_date_its_hyphens():
-    texts = {**GERMAN.own, **GERMAN.shared}
-    assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
-    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
-
-
-def test_a_file_that_states_less_is_quoted():
-    quoted = ["The machine fails."]
-    assert word_findings(VERIFICATION, BRITISH) == quoted
-    assert german(conformity={"measured": {"k": 2}}) == quoted
-
-
 U = ("", "_uncertainty")
 LENGTHS = [f"{name}{u}" for name in ("mean", "p95", "largest") for u in U]
 NUMBERS = {
@@ -146,13 +131,19 @@ NUMBERS = {
 }
 
 
-def test_numbers_of_a_verification_are_in_words_and_not_in_keys_of_its_file():
+def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted():
     view = describe(NUMBERS)
     assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
     assert view["lengths"][0][1] == "0,5 ± 1,0"
     rows = dict(view["rows"])
     assert rows["Toleranz an jeder Stelle"] == "5,00 µm"
     assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
+    texts = {**GERMAN.own, **GERMAN.shared}
+    assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
+    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
+    quoted = ["The machine fails."]
+    assert word_findings(VERIFICATION, BRITISH) == quoted
+    assert german(conformity={"measured": {"k": 2}}) == quoted
 
 
 @pytest.mark.parametrize("decision", ["within", "outside", "undecided"])

@@ -61,7 +61,7 @@ def test_ticks_have_one_number_of_places_and_a_true_minus(ticks, text):
     assert Scale(-1.0, 1.0, 0.0, 1.0).name_ticks(np.array(ticks)) == text
 
 
-def test_the_grid_stays_inside_the_frame_and_data_at_one_number_have_one():
+def test_curves_and_grid_stay_in_the_frame_and_words_bring_no_markup():
     across = FRAME.make_x(0.0, 800.0)
     drawn = FRAME.draw_axes(across, FRAME.make_y(0.0, 0.0), "X, mm", "µm")
     assert "nan" not in drawn
@@ -71,9 +71,6 @@ def test_the_grid_stays_inside_the_frame_and_data_at_one_number_have_one():
     x, y = np.array(re.findall(r"[\d.]+", grid), float).reshape(-1, 2).T
     assert FRAME.left <= x.min() < x.max() <= FRAME.right
     assert FRAME.top <= y.min() < y.max() <= FRAME.bottom
-
-
-def test_a_curve_goes_through_its_points_and_words_bring_no_markup():
     drawn = draw_curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
     assert 'd="M1.00 3.00L2.00 4.50"' in drawn
     assert "<script" not in write_label(0.0, 0.0, "<script>")

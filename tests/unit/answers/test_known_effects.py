@@ -17,7 +17,6 @@ from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.answers.calibration.analysis_files import render_analysis
 from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import discover
-from truepath.errors import BundleError
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.monte_carlo import draw_outputs, prepare_trials
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
@@ -220,12 +219,6 @@ def test_lost_motion_of_a_model_stands_among_both_directions(run_of):
     assert result["direction"]["model"] == "constant"
     assert list(result["direction"]["half_difference"]) == ["EYY"]
     assert half["value_um"][0] == pytest.approx(-4.0, abs=3 * half["uncertainty_um"][0])
-
-
-def test_a_model_of_another_machine_is_refused(told, record):
-    other = record(3, rows=12)[0]
-    with pytest.raises(BundleError, match=r"machine.kinematic_chain: w-X-b-Y-Z-t"):
-        analyse(other, model=told(LAG).earlier)
 
 
 @pytest.mark.long

@@ -124,7 +124,9 @@ def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
     assert np.mean(held) >= 0.9
 
 
-def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated_for_the_tracker(
+    worlds,
+):
     held: list[bool] = []
     for world in worlds:
         run = world.drive_circles(world.compensated)
@@ -132,9 +134,7 @@ def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
             value, sigma = one.measured.value_um, one.measured.uncertainty_um
             held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
     assert np.mean(held) >= 0.9
-
-
-def test_radii_are_known_less_well_by_a_tracker_that_may_err(worlds):
+    # A perfect tracker knows radii better.
     world = worlds[0]
     run = world.drive_circles(world.compensated)
     perfect = replace(run.machine.tracker, specification=PERFECT)

@@ -9,7 +9,8 @@ import pytest
 from pyLSV2 import NCTable
 
 from known_machines import tabulate
-from truepath.compensation.export import export_result
+from plugin_site import NAME, install
+from truepath.compensation.export import export_result, write_output
 from truepath.compensation.formats.etalon_exchange import EtalonExchange
 from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
@@ -180,9 +181,7 @@ def test_sag_is_a_product_of_two_cross_tables_and_left_by_an_etalon_file(sagging
     assert "sag" in EtalonExchange.not_carried
 
 
-def test_formats_and_choices_that_are_not_there_are_answered_with_those_that_are(
-    source,
-):
+def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(source):
     def refused(said, name="siemens", **choices):
         with pytest.raises(BadInput, match=said):
             export_result(source, name, "c", choices=choices)
@@ -192,6 +191,9 @@ def test_formats_and_choices_that_are_not_there_are_answered_with_those_that_are
     refused("no choice of control; it has nothing", "linuxcnc", control="828d")
     refused("control of siemens: 'X=828d' is none", control="X=828d")
     refused("no axis A; it has X, Y, Z", measuring_system="A=2")
+    tiny = replace(source.result, theta=2e-3 * source.result.theta)
+    with pytest.raises(BadInput, match="below what it resolves"):
+        export_result(map_errors(tiny), "fanuc", "comp")
 
 
 def test_only_formats_with_all_motions_correct_the_whole_volume(export):
@@ -204,9 +206,8 @@ def test_only_formats_with_all_motions_correct_the_whole_volume(export):
     assert max(share[one] for one in whole) < 0.01
     assert share["isg-csv"] < share["heidenhain"] < alone
     assert share["linuxcnc"] == pytest.approx(share["siemens-lec"], rel=1e-3)
-    both, *each = (
-        accounts[name]["volumetric_error_um"]["after"]["mean"] for name in SIEMENS
-    )
+    siemens = (accounts[name]["volumetric_error_um"]["after"] for name in SIEMENS)
+    both, *each = (one["mean"] for one in siemens)
     assert both < 0.8 * min(each)
 
 
@@ -249,12 +250,6 @@ def test_rows_fit_into_the_controller(source, name):
     most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
     for table in content.tables:
         assert len(table.position_mm) <= most.get(name, 1000)
-
-
-def test_a_machine_without_errors_worth_a_table_gets_none(source):
-    tiny = replace(source.result, theta=2e-3 * source.result.theta)
-    with pytest.raises(BadInput, match="below what it resolves"):
-        export_result(map_errors(tiny), "fanuc", "comp")
 
 
 LEADSCREW = """%_N_AX_EEC_INI
@@ -348,12 +343,8 @@ def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, 
 
 
 def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
-    steps = [
-        int(line.partition("P")[2])
-        for line in export("fanuc").files["comp-pitch.txt"].split()
-        if line.startswith("N")
-    ]
-    assert max(map(abs, steps)) <= 7
+    steps = re.findall(r"\bN\d+P(-?\d+)", export("fanuc").files["comp-pitch.txt"])
+    assert max(abs(int(step)) for step in steps) <= 7
     larger = replace(source.result, theta=60.0 * source.result.theta)
     account = export_result(map_errors(larger), "fanuc", "comp").account
     after = account["volumetric_error_um"]
@@ -464,3 +455,64 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
     cut = {**files, "config.cma": "NR ACTIVE\n"}
     with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
         Heidenhain().read(cut, source.machine)
+
+
+FORMATS = """
+    import math
+    from truepath.compensation.formats.generic import GenericCsv
+    from truepath.compensation.formats.linuxcnc import LinuxCnc
+
+    class Climbing(LinuxCnc):
+        def write(self, content):
+            return {"../" + name: text for name, text in super().write(content).items()}
+
+    class Hollow(GenericCsv):
+        def write(self, content):
+            files = super().write(content)
+            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
+
+    class Raising(GenericCsv):
+        def write(self, content):
+            raise ZeroDivisionError("no axis")
+
+    class Nothing(GenericCsv):
+        def write(self, content):
+            return None
+
+    class Blind(GenericCsv):
+        def read(self, files, machine):
+            return lambda position, direction: math.nan * position[:, :3]
+
+    class Unread(GenericCsv):
+        def read(self, files, machine):
+            raise KeyError("X")
+"""
+
+
+def export_into(folder, loaded, name):
+    made = export_result(map_errors(loaded), name, "c", spacing_mm=50.0)
+    place, source = folder / "deep" / "out" / "c", folder / "result.json"
+    write_output(made.files, made.account, place, "c", source=source)
+
+
+@pytest.mark.fault_row(49)
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("climbing", "no plain file name"),
+        ("hollow", "nan"),
+        ("raising", "no axis"),
+        ("nothing", r"write\(\)"),
+        ("blind", "finite"),
+        ("unread", r"read\(\)"),
+    ],
+)
+def test_a_format_that_breaks_writes_nothing_and_is_named(
+    loaded, tmp_path, monkeypatch, name, said
+):
+    points = {"compensation_formats": {name: f"formats_here:{name.capitalize()}"}}
+    site = install(tmp_path / "site", points, formats_here=FORMATS)
+    monkeypatch.syspath_prepend(site)
+    with pytest.raises(BadInput, match=rf"{name}. of {NAME}.*{said}"):
+        export_into(tmp_path, loaded, name)
+    assert not [*tmp_path.rglob("*.csv"), *tmp_path.rglob("*.tbl")]

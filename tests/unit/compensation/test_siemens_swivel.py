@@ -27,11 +27,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
 FORMAT = load_format("siemens")
-ORIGINS = {
-    "A": [260.0, 220.0, -120.0],
-    "B": [15.0, -8.0, 90.0],
-    "C": [250.0, 225, -170],
-}
+ORIGINS = {"A": [260.0, 220, -120], "B": [15.0, -8, 90], "C": [250.0, 225, -170]}
 CHAINS = {
     "w-C-A-b-X-Y-Z-t": ("P", "A C"),
     "w-C-B-X-b-Y-Z-t": ("P", "B C"),
@@ -67,13 +63,10 @@ def draw_machine(chain):
     content, rng = describe(chain), np.random.default_rng(5)
     machine = machine_from_json(content, file="machine.json")
     at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
-    tables = tuple(
-        AxisTable(axis, at, 0, none, none, none, none) for axis in machine.linear_axes
-    )
+    tables = tuple(AxisTable(x, at, 0, *[none] * 4) for x in machine.linear_axes)
     places = tuple(draw_place(axis, rng) for axis in machine.rotary_axes)
-    return content, CompensationTables(
-        "c", machine, tables, ("by hand",), places=places
-    )
+    told = "c", machine, tables, ("by hand",)
+    return content, CompensationTables(*told, places=places)
 
 
 @pytest.fixture(scope="module", params=CHAINS)
@@ -90,16 +83,12 @@ def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
 
 
 def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displaced):
-    _, content, tables = displaced
+    chain, content, tables = displaced
     truth = displace(content, tables.places)
     position = spread(tables.machine.axes, 300)
     before, after = measure_left(truth, FORMAT.write(tables), position)
     assert before.max() > 0.02
     assert after.max() < 2e-4  # products of two small turns and shifts
-
-
-def test_the_file_has_the_kind_of_machine_and_its_axes_in_order(displaced):
-    chain, _, tables = displaced
     letter, axes = CHAINS[chain]
     said = f'; $TC_CARR23[1] is to be "{letter}", the axes {" and ".join(axes.split())}'
     assert said in FORMAT.write(tables)[f"c{SWIVEL}"]
@@ -180,7 +169,7 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
         LoadedTables(files).correct(parse_machine(content))
 
 
-def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():
+def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
     machine = machine_from_json(describe("w-Y-b-X-Z-B-t"), file="machine.json")
     (axis,) = machine.rotary_axes
     place = AxisPlace(axis, {"XOB": 0.01, "ZOB": 0.02})
@@ -189,9 +178,6 @@ def test_what_was_not_measured_is_named_and_one_axis_alone_leaves_no_other():
     assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
         f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
     ]
-
-
-def test_vectors_of_the_drawing_replace_nobodys():
     machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
     a, c = machine.rotary_axes
     told = AxisPlace(a, {"YOA": 0.01})

@@ -67,10 +67,8 @@ def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
     few = at.select(np.arange(0, len(at), 25))  # names do not depend on the data
     for candidate in family.propose(few):
         size = len(candidate.usual)
-        numbers = family.state(
-            CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
-        )
-        for name in numbers:
+        found = CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
+        for name in family.state(found):
             whole = UNIT.sub("", name.partition("[")[0])
             for language in LANGUAGES:
                 assert f"parameter.{whole}" in catalogue(language), name

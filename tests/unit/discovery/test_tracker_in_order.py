@@ -63,15 +63,12 @@ def test_a_tracker_that_errs_is_no_lost_motion_and_no_lag_of_the_machine(errors)
     assert found.gap.after_um < 1.05 * found.gap.noise_floor_um
 
 
-def test_play_is_certain_where_no_error_of_the_tracker_does_as_much(worn):
+def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model(worn):
     (found,) = worn.findings
     assert found.candidate.label == "backlash Y"
     assert found.grade == CERTAIN
     width = found.parameters["width_um"]
     assert abs(width.value - WIDTH_UM) < 3.0 * width.uncertainty
-
-
-def test_errors_of_the_tracker_are_no_part_of_the_next_model(worn):
     said = str(build_next_model(worn, None).content["model"])
     assert "backlash" in said
     assert "tracker" not in said

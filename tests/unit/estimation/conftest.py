@@ -32,11 +32,9 @@ def _deviations(result, truth):
 
 @pytest.fixture(scope="session")
 def deviations():
-    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
     return _deviations
 
 
 @pytest.fixture(scope="session")
 def record_small():
-    """Record a Run of a small machine, each once."""
     return recorded.record_small

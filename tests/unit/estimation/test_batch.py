@@ -80,10 +80,9 @@ def test_perpendicular_only_does_not_see_what_lies_along_the_travel(few):
 
 
 def test_along_path_information_halves_what_corner_paths_leave(record_small):
-    recorded = record_small(27, corners=True)
-    along, across = (
-        judge(*recorded, perpendicular_only=only)[0] for only in (False, True)
-    )
+    run, truth = record_small(27, corners=True)
+    along, _ = judge(run, truth)
+    across, _ = judge(run, truth, perpendicular_only=True)
     assert along.share < 0.6 * across.share
 
 

@@ -37,7 +37,7 @@ def halves(result):
     return {half.symbol: half for half in compute_half_differences(result)}
 
 
-def test_a_lost_motion_is_found_with_its_size_and_axis_and_nowhere_else(seen):
+def test_a_lost_motion_is_found_with_its_size_axis_and_shape_and_nowhere_else(seen):
     sound = estimate(seen)
     assert sound.direction == "none"
     assert not halves(sound)
@@ -50,9 +50,7 @@ def test_a_lost_motion_is_found_with_its_size_and_axis_and_nowhere_else(seen):
     assert eyy.uncertainty[0] < 0.5
     clear = [s for s, h in found.items() if abs(h.value[0]) > 5 * h.uncertainty[0]]
     assert clear == ["EYY"]
-
-
-def test_a_lost_motion_that_changes_along_the_axis_asks_for_tables(seen):
+    # One that changes along the axis asks for tables.
     result = estimate(with_backlash(seen, lambda u: 1.0 + 1.5 * np.sin(5.0 * u)))
     assert result.direction == "tables"
     eyy = halves(result)["EYY"]

@@ -84,7 +84,7 @@ def test_a_gantry_of_six_metres_is_determined():
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
 
 
-def test_a_smooth_machine_has_few_knots_and_a_rack_of_pieces_as_many_as_it_needs():
+def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
     at = np.linspace(0.0, LONG[0], 601)
     smooth, _ = _record(LONG, 40)
     pieces, truth = _record_pieces()
@@ -95,12 +95,8 @@ def test_a_smooth_machine_has_few_knots_and_a_rack_of_pieces_as_many_as_it_needs
     value, sigma, true = _curves(found, truth, "EXX", at)
     assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
-
-
-def test_a_discovery_compares_with_a_model_that_has_the_knots_of_a_rack():
-    run, _ = _record_pieces()
-    seen = add_surroundings(align(run), run.commanded)
-    models = build_baseline_models(run.machine, [seen.at])
+    seen = add_surroundings(align(pieces), pieces.commanded)
+    models = build_baseline_models(pieces.machine, [seen.at])
     _assert_knots_of_a_rack(fit_baseline(*models, [seen]).model)
 
 

@@ -27,16 +27,11 @@ def clean(run):
     return follow(run, with_notices=True)
 
 
-def test_the_last_live_tables_are_those_of_the_batch(run, clean):
-    off = compare_tables(clean.last, estimate(align(run)))
+def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
+    last = clean.last
+    off = compare_tables(last, estimate(align(run)))
     assert np.abs(off).max() < 1.0
     assert np.sqrt(np.mean(off**2)) < 0.3
-
-
-def test_the_volumetric_uncertainty_falls_line_by_line_and_is_that_of_the_map(
-    run, clean
-):
-    last = clean.last
     sigma = [now.volumetric_sigma_mm for now in clean.on_the_way]
     assert sigma[0] > 5 * sigma[-1]
     assert last.volumetric_sigma_mm < 0.003
@@ -47,9 +42,6 @@ def test_the_volumetric_uncertainty_falls_line_by_line_and_is_that_of_the_map(
     done = [now.done for now in clean.on_the_way]
     assert done == sorted(done)
     assert last.done == len(run.commanded) - 1
-
-
-def test_a_clean_measurement_says_nothing_against_itself_on_the_way(clean):
     for now in [*clean.on_the_way, clean.last]:
         assert judge_live(now.check, now.done).state == "usable"
         assert now.check.knocks == ()
@@ -105,9 +97,8 @@ def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(run, clean):
 
 def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(run):
     spoilt, knocked_s = spoil(run, 0.35, [1.9, -1.9, 1.3])
-    spoilt = replace(
-        spoilt, tracker=spoilt.tracker.select(slice(0, len(run.tracker) * 3 // 4))
-    )
+    some = slice(0, len(run.tracker) * 3 // 4)
+    spoilt = replace(spoilt, tracker=spoilt.tracker.select(some))
     told = [
         (now, reason)
         for now in follow(spoilt).on_the_way
@@ -134,13 +125,12 @@ def test_samples_in_the_wrong_place_are_left_out_at_once(run, clean):
         assert np.sqrt(np.mean(compare_tables(now, clean.last) ** 2)) < 1.5
 
 
-def test_nothing_is_said_before_the_pose_is_known(run):
+def test_nothing_is_said_before_the_pose_is_known_and_it_goes_on_where_nothing_fits(
+    run,
+):
     live = LiveEstimator(run.machine, run.commanded)
     assert live.estimate() is None
     assert not live.finish()
-
-
-def test_where_nothing_fits_anything_the_estimate_still_goes_on(run):
     count = len(run.tracker)
     places = np.random.default_rng(2).normal(0.0, 3.0, (count // 80 + 1, 3))
     astray = shift(run, np.repeat(places, 80, axis=0)[:count])
@@ -157,24 +147,18 @@ def measured(record):
     return align_earlier([earlier]), run
 
 
-def test_the_live_estimate_adds_what_earlier_runs_tell(measured):
+def test_earlier_runs_add_what_they_tell_and_their_minutes_are_off(measured):
     earlier, run = measured
-    alone, both = (
-        follow(run, blocks=[run.tracker], earlier=some).last for some in ((), earlier)
-    )
-    assert both.volumetric_sigma_mm < 0.75 * alone.volumetric_sigma_mm
-
-
-def test_what_earlier_runs_took_is_off_the_minutes_that_are_left(measured):
-    earlier, run = measured
-    followed = follow(run, blocks=[run.tracker], earlier=earlier)
+    blocks = [run.tracker]
+    alone, both = (follow(run, blocks=blocks, earlier=x) for x in ((), earlier))
+    sigma_mm = both.last.volumetric_sigma_mm
+    assert sigma_mm < 0.75 * alone.last.volumetric_sigma_mm
     whole = AdaptivePlanner(run.machine, run.commanded, PlanOrder(minutes=60.0))
     order = PlanOrder(minutes=whole._used_s / 60.0 + 0.5)
 
     def choose(earlier):
         planner = AdaptivePlanner(run.machine, run.commanded, order, earlier)
-        sigma_mm = followed.last.volumetric_sigma_mm
-        return planner.next(followed.live.findings(), sigma_mm)
+        return planner.next(both.live.findings(), sigma_mm)
 
     assert choose(()).commanded is not None
     assert choose(earlier).commanded is None

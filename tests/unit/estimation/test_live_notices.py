@@ -24,11 +24,14 @@ def usual(record):
     return run, (time_s - time_s[0]) / (time_s[-1] - time_s[0])
 
 
-def test_nothing_is_noticed_where_nothing_changes(usual):
-    run, _ = usual
+def test_nothing_is_noticed_where_nothing_changes_and_a_drift_is_no_knock(usual):
+    run, share = usual
     told = follow_lines(run)
     assert len(told) > 25
     assert not any(notices for _, notices in told)
+    told = follow_lines(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
+    assert [n.kind for n in told[-1][1] if not n.is_over] == ["set-up-drifts"]
+    assert KNOCK not in {n.kind for _, notices in told for n in notices}
 
 
 @pytest.mark.fault_row(11)
@@ -62,13 +65,6 @@ def test_a_knock_half_way_on_a_line_is_one_change(usual):
     assert shown[-1] == [KNOCK]
 
 
-def test_a_drift_is_no_knock(usual):
-    run, share = usual
-    told = follow_lines(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
-    assert [n.kind for n in told[-1][1] if not n.is_over] == ["set-up-drifts"]
-    assert KNOCK not in {n.kind for _, notices in told for n in notices}
-
-
 def change(kind, onset, margin=30.0, size_mm=0.01, axis=""):
     return Change(kind, axis, onset, 100.0, 50.0, margin, size_mm, 0.001)
 
@@ -86,7 +82,7 @@ def test_the_grade_is_how_much_worse_the_next_kind_is(margin, grade):
     assert (notice.kind, notice.axis, notice.grade) == (LOST_MOTION, "Y", grade)
 
 
-def test_a_notice_keeps_its_number_when_it_gets_its_name_and_may_have_begun_elsewhere():
+def test_a_notice_keeps_its_number_when_named_may_have_begun_elsewhere_and_ends():
     first = revise((), [change(LINE, 15, margin=1.0)], ROWS[:16], 9.0)
     (later,) = revise(first, [change(KNOCK, 14, size_mm=0.02)], ROWS, 30.0)
     assert (later.number, later.noticed_s, later.noticed_row) == (1, 9.0, 16)
@@ -96,9 +92,6 @@ def test_a_notice_keeps_its_number_when_it_gets_its_name_and_may_have_begun_else
     assert (later.number, later.kind, later.since_row) == (1, KNOCK, 15)
     both = revise((later,), [change(KNOCK, 14), change(KNOCK, 6)], ROWS, 40.0)
     assert [n.since_row for n in both] == [15, 7]
-
-
-def test_what_no_longer_shows_is_over_and_stays():
     first = revise((), [change(KNOCK, 15)], ROWS, 9.0)
     (over,) = revise(first, [], ROWS, 12.0)
     assert over == replace(first[0], is_over=True)

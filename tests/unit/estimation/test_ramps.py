@@ -80,13 +80,12 @@ def test_ramps_of_a_sound_machine_are_used_as_other_cells_are_and_none_is_left_o
     assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
 
 
-def test_carriages_that_bend_under_acceleration_cost_next_to_nothing(clean, judge):
+def test_carriages_that_bend_cost_next_to_nothing_and_swinging_counts_less(
+    clean, judge, without
+):
     left_mm, inside, _ = judge(31, bends(8.0))
     assert inside > 0.88
     assert left_mm < 1.2 * clean[0]
-
-
-def test_ramps_on_which_the_machine_swings_count_for_less(clean, without, judge):
     left_mm, inside, checked = judge(31, bends(20.0, frequency_hz=15.0))
     noise, usual = checked.estimate.runs[0].noise, clean[2].estimate.runs[0].noise
     assert noise.ramp_sigma_mm > 0.001 > usual.ramp_sigma_mm

@@ -85,13 +85,17 @@ def test_a_line_at_a_time_gives_the_batch_and_asking_on_the_way_changes_nothing(
     assert_same(sums.information(), expected)
 
 
-def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
+def test_the_sums_do_not_grow_with_the_lines_and_refuse_cells_out_of_order(moving):
     about = about_of(moving)
     first = moving.select(np.flatnonzero(moving.at.line == 0))
     one, every = (RecursiveEstimator.start(about).add(seen) for seen in (first, moving))
     # The timing of a line under way is among them; that of finished ones is not.
     for sums in (one.sums, every.sums):
         assert about.size + 1 <= len(sums.total) <= about.size + 3
+    later = moving.select(np.arange(20, 30))
+    sums = RecursiveEstimator.start(about_of(moving)).add(later)
+    with pytest.raises(EstimationError, match="order of time"):
+        sums.add(moving.select(np.arange(10)))
 
 
 @pytest.mark.parametrize("cells", [1, 60, 10_000])
@@ -125,14 +129,11 @@ def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
     assert_same(sums.information(), all_at_once(about, seen))
 
 
-def test_white_noise_needs_no_tail(moving):
+def test_white_noise_needs_no_tail_and_across_the_travel_timing_is_no_unknown(moving):
     about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 2e-4))
     sums = added_in_parts(about, moving, [10, 11, 200])
     assert sums.sums.state is None
     assert_same(sums.information(), all_at_once(about, moving))
-
-
-def test_across_the_travel_alone_timing_is_no_unknown(moving):
     about = about_of(moving, replace(NOISE, along_sigma_mm=np.inf))
     a, b = (
         OwnParameters.of(sums.information(), about.machine_model.size).eliminate()
@@ -140,10 +141,3 @@ def test_across_the_travel_alone_timing_is_no_unknown(moving):
     )
     assert np.allclose(a.matrix, b.matrix, rtol=1e-7)
     assert np.linalg.eigvalsh(a.matrix).min() > -1e-6 * np.linalg.norm(a.matrix)
-
-
-def test_cells_out_of_order_are_refused(moving):
-    later = moving.select(np.arange(20, 30))
-    sums = RecursiveEstimator.start(about_of(moving)).add(later)
-    with pytest.raises(EstimationError, match="order of time"):
-        sums.add(moving.select(np.arange(10)))

@@ -154,7 +154,7 @@ def two_lengths():
     return estimate(align(replace(run, machine=machine))), truth
 
 
-def test_turns_about_the_line_of_a_heads_targets_leave_its_place_to_the_prior(
+def test_turns_about_the_line_of_a_heads_targets_are_left_to_the_prior_and_held_by_u(
     two_lengths,
 ):
     result, truth = two_lengths
@@ -163,10 +163,6 @@ def test_turns_about_the_line_of_a_heads_targets_leave_its_place_to_the_prior(
     for symbol in ("XOB", "ZOB", "AOB", "COB", "XOC", "YOC", "AOC", "BOC"):
         theta, covariance = result.part(symbol)
         assert abs(theta[0] - known[symbol]) < 3.0 * covariance[0, 0] ** 0.5
-
-
-def test_tables_of_what_is_partly_told_hold_the_truth(two_lengths):
-    result, truth = two_lengths
     motions, off = truth.error_motions(), []
     for table in build_error_tables(result).tables:
         if table.symbol[2] in "BC":
@@ -195,7 +191,9 @@ def test_u_covers_a_tool_that_nobody_measured(two_lengths):
     assert other > 1.2**2 * own
 
 
-def test_a_further_target_is_asked_for_and_tells(two_lengths):
+def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_is_missing(
+    two_lengths,
+):
     """What the hint asks for brings the rank: no tool is called useless."""
     result, _ = two_lengths
     said = result.observability.unobservable
@@ -207,9 +205,6 @@ def test_a_further_target_is_asked_for_and_tells(two_lengths):
     position = np.zeros((len(offsets), len(machine.axes)))
     runs = [make_standstill(machine, position, offsets)]
     assert not build_run_models(machine, runs).nested.whole.confounded
-
-
-def test_a_plan_knows_what_its_targets_do_not_tell():
     machine = machine_from_json(content_of(MEASURED[:4]))
     drive, at_mm = Drive.of_machine(machine, 1.0), np.array([-900.0, 200.0, 100.0])
     design = start_design(PointDesignState, machine, at_mm, drive, target="T1")

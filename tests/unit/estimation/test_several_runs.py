@@ -1,4 +1,4 @@
-"""Several Runs of one machine in one estimate, against exact truth."""
+"""Several Runs of one machine in one estimate, and what uncertainty is made of."""
 
 from dataclasses import replace
 
@@ -9,8 +9,10 @@ from estimating import estimate, judge_map
 from recorded import record_run
 from truepath.alignment.align import align
 from truepath.errors import BundleError, Unidentifiable
-from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.noise import NoiseModel, cell_noise
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.solve.budget import SOURCES, split_uncertainty
+from truepath.estimation.solve.contributions import find_contributions
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath_simulators.machine.random_machine import random_machine
@@ -105,11 +107,19 @@ def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
     assert 0.3 < noisy.ou_time_s < 1.2
 
 
-def test_a_loud_run_does_not_spoil_a_quiet_one(moving, alone):
+def test_a_loud_or_short_run_beside_another_adds_and_does_not_spoil_it(
+    moving, alone, standing
+):
     loud = seen_of(4, rows=12, noise_scale=5.0)
     joined = estimate(moving, loud)
     assert judge(joined).share < 1.1 * judge(alone).share
     assert volumetric_sigma(joined) < 1.01 * volumetric_sigma(alone)
+    few = standing.select(np.flatnonzero(standing.row < 5))
+    with pytest.raises(Unidentifiable):
+        estimate(few)
+    joined = estimate(moving, few)
+    assert volumetric_sigma(joined) < volumetric_sigma(alone)
+    assert joined.runs[1].lines == 5
 
 
 def test_a_repeated_run_shrinks_the_uncertainty_and_halves_the_variance_of_noise(
@@ -140,15 +150,6 @@ def test_tools_of_separate_runs_are_told_apart_as_in_one():
         left = judge(result, offset)
         assert left.share < 0.1
         assert left.inside > 0.85
-
-
-def test_a_run_that_is_too_short_alone_adds_to_another(moving, standing, alone):
-    few = standing.select(np.flatnonzero(standing.row < 5))
-    with pytest.raises(Unidentifiable):
-        estimate(few)
-    joined = estimate(moving, few)
-    assert volumetric_sigma(joined) < volumetric_sigma(alone)
-    assert joined.runs[1].lines == 5
 
 
 def test_two_machines_are_refused_with_run_and_field(moving, standing):
@@ -183,3 +184,61 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
     assert np.abs((found - expected) / sigma).max() < 1e-5
     combined = np.sqrt(np.diag(np.linalg.inv(data.matrix)))
     assert combined == pytest.approx(sigma, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def longer_and_shorter(record_small):
+    """Estimate from two Runs of one machine, the first the longer one."""
+    runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
+    seen = [align(run) for run in runs]
+    return estimate(*seen, keep_fit=True)
+
+
+@pytest.fixture(scope="module")
+def at_points(record):
+    return estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
+
+
+def by_source(estimate):
+    variance = split_uncertainty(estimate).variance_mm2
+    return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
+
+
+def test_the_sources_add_up_to_the_uncertainty_and_every_run_takes_some_away(
+    longer_and_shorter,
+):
+    found = longer_and_shorter
+    parts = by_source(found)
+    total = sum(parts.values())
+    brought = find_contributions(found, (0, 1))
+    stated = brought.sigma_mm
+    assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
+    gram = compute_volumetric_gram(found.model)
+    assert stated == pytest.approx(np.sqrt(np.sum(gram * found.covariance)))
+    assert min(parts.values()) > -1e-3 * total  # the step of a derivative
+    for source in ("tracker", "air", "alignment", "model"):
+        assert parts[source] > 1e-3 * total, source
+    assert parts["thermal"] == parts["effects"] == 0.0
+    without_long, without_short = brought.without_mm
+    assert stated < without_short < without_long
+    # Parts of one Run have nothing to be held against.
+    assert find_contributions(found, (0, 0)).without_mm == ()
+
+
+def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(at_points):
+    """The gain of the solve, written out over all cells, the pose held."""
+    fit = at_points.fit
+    (run,), size = fit.runs, fit.model.size
+    design = run.linearisation.build(run.observations)
+    J = design.columns[:, :, :size].reshape(-1, size)
+    whitened = design.whiten(run.noise).apply(design.columns[:, :, :size])
+    whitened = whitened.reshape(-1, size)
+    prior = fit.prior.precision_matrix(size)
+    gain = np.linalg.solve(J.T @ whitened + prior, whitened.T)
+    precision, _ = cell_noise(run.observations, run.noise, design.travel)
+    gain = gain.reshape(size, -1, 3)
+    spread = np.einsum("pni,nij,qnj->pq", gain, np.linalg.inv(precision), gain)
+    gram = compute_volumetric_gram(fit.model)
+    assert by_source(at_points)["tracker"] == pytest.approx(
+        np.sum(gram * spread), rel=1e-3
+    )

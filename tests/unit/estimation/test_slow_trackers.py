@@ -58,13 +58,10 @@ def polled():
     return poll(*slowly(2))
 
 
-def test_a_stream_of_5_hz_with_dwells_of_2_s_finds_the_map():
+def test_a_stream_of_5_hz_and_points_of_a_polled_tracker_find_the_map(polled):
     left = judge(*slowly(1))
     assert left.share < 0.15
     assert 0.85 < left.inside <= 1.0
-
-
-def test_points_of_a_polled_tracker_find_the_map(polled):
     left = judge(polled, slowly(2)[1])
     assert left.share < 0.12
     assert 0.85 < left.inside <= 1.0
@@ -77,7 +74,7 @@ def test_means_without_a_covariance_stand_on_the_trackers_own_figures(polled):
     assert align(polled).scatter == pytest.approx([1.0, 1.0], abs=0.15)
 
 
-def test_points_that_are_not_where_their_row_is_are_left_out_and_named(polled):
+def test_points_are_told_by_their_row_each_time_they_are_measured(polled):
     row = polled.points.row.copy()
     row[[10, 40]] = row[[40, 10]]
     seen = align(replace(polled, points=replace(polled.points, row=row)))
@@ -85,18 +82,14 @@ def test_points_that_are_not_where_their_row_is_are_left_out_and_named(polled):
     missing = {each.row for each in seen.left_out if each.cause == "no-stop"}
     assert astray == missing == {10, 40}
     assert not np.isin(seen.row, [10, 40]).any()
-
-
-def test_a_point_measured_twice_counts_twice(polled):
     twice = np.insert(np.arange(len(polled.tracker)), 21, 20)
-    points = PointRows(
-        polled.points.row[twice],
-        polled.points.count[twice],
-        polled.points.covariance_mm2[twice],
-    )
-    seen = align(replace(polled, tracker=polled.tracker.select(twice), points=points))
-    assert (seen.row == 20).sum() == 2
-    assert not seen.left_out
+    told = polled.points.row, polled.points.count, polled.points.covariance_mm2
+    points = PointRows(*(column[twice] for column in told))
+    # One that is measured twice counts twice.
+    samples = polled.tracker.select(twice)
+    twice_seen = align(replace(polled, tracker=samples, points=points))
+    assert (twice_seen.row == 20).sum() == 2
+    assert not twice_seen.left_out
 
 
 def test_metres_are_refused_by_name(polled):
@@ -129,9 +122,8 @@ def shots(record) -> Run:
     seen = align(run)
     row, one = np.unique(seen.row, return_index=True)
     n, time_s = len(row), seen.at.time_s[one]
-    samples = TrackerSamples(
-        np.arange(n), time_s, seen.tracker_mm[one], np.zeros(n, np.int64)
-    )
+    place, status = seen.tracker_mm[one], np.zeros(n, np.int64)
+    samples = TrackerSamples(np.arange(n), time_s, place, status)
     points = PointRows(row, seen.count[one].astype(np.int64), np.zeros((n, 3, 3)))
     return replace(run, tracker=samples, points=points)
 
@@ -184,7 +176,7 @@ def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(shots):
     assert judge_live(last.check, last.done).state == "doubtful"
 
 
-def test_points_astray_are_left_out_and_said(shots):
+def test_points_astray_are_left_out_and_said_the_first_as_well(shots):
     aligned = PointAlignment(shots.machine, shots.commanded)
     parts = []
     for block in list_blocks(move(shots, 20, 21, [0.0, 30.0, 0.0])):
@@ -193,9 +185,6 @@ def test_points_astray_are_left_out_and_said(shots):
     assert [part.row for part in parts] == [row for row in rows if row != rows[20]]
     said = aligned.observations(parts).left_out
     assert [(x.cause, x.row) for x in said] == [("astray", rows[20])]
-
-
-def test_a_first_point_astray_is_no_reason_to_say_nothing(shots):
     on_the_way, last = follow_points(move(shots, 1, 2, [0.0, 0.0, 40.0]))
     assert len(on_the_way) > 0.7 * ROWS
     assert last.done == len(shots.tracker) - 1

@@ -62,14 +62,9 @@ def test_the_examples_of_9_2_have_their_intervals_and_verdicts(
     assert bool(fits[0]) == is_validated
 
 
-def test_the_factor_is_that_of_the_normal_distribution():
-    assert pytest.approx(norm.ppf(0.975), abs=1e-6) == NORMAL_FACTOR
-
-
 def test_the_shortest_interval_of_a_skewed_output_begins_at_its_mode():
-    shortest = propagate(
-        blocks(exponential, interval="shortest"), TrialPlan(interval="shortest")
-    )
+    plan = TrialPlan(interval="shortest")
+    shortest = propagate(blocks(exponential, interval="shortest"), plan)
     symmetric = propagate(blocks(exponential), TrialPlan())
     assert shortest.low[0] == pytest.approx(0.0, abs=0.01)
     assert shortest.high[0] == pytest.approx(-np.log(0.05), abs=0.1)
@@ -139,10 +134,11 @@ def test_the_share_done_only_grows_and_ends_at_one():
     assert shares[-1] == pytest.approx(1.0)
 
 
-def test_the_tolerance_is_half_a_unit_of_the_last_digit_that_counts():
+def test_the_tolerance_is_half_a_unit_of_the_last_digit_and_the_factor_the_normal_one():
     u = np.array([0.00035, 2.0, 9.9, 10.1])
     np.testing.assert_allclose(numerical_tolerance(u, 2), [0.5e-5, 0.05, 0.05, 0.5])
     np.testing.assert_allclose(numerical_tolerance(u, 1), [0.5e-4, 0.5, 0.5, 5.0])
+    assert pytest.approx(norm.ppf(0.975), abs=1e-6) == NORMAL_FACTOR
 
 
 def test_what_is_fixed_by_convention_agrees_whatever_rounding_leaves_of_it():

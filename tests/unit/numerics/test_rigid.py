@@ -18,8 +18,8 @@ def points(rng):
     return rng.uniform(0, 500, (10, 3))
 
 
-def test_motions_are_undone_and_a_small_one_first_moves_points_before_the_pose(
-    points, motion
+def test_motions_are_undone_and_small_ones_move_points_before_the_pose(
+    points, motion, rng
 ):
     assert np.allclose(motion.invert().apply(motion.apply(points)), points)
     rotation, translation = np.array([1e-5, -2e-5, 3e-5]), np.array([0.01, -0.02, 0.03])
@@ -29,11 +29,8 @@ def test_motions_are_undone_and_a_small_one_first_moves_points_before_the_pose(
         motion.apply(moved),
         atol=1e-6,
     )
-
-
-def test_cross_matrix_turns_points(points, rng):
-    rotation = rng.normal(size=3)
-    assert np.allclose(cross_matrix(points) @ rotation, np.cross(rotation, points))
+    turn = rng.normal(size=3)
+    assert np.allclose(cross_matrix(points) @ turn, np.cross(turn, points))
 
 
 def test_a_rigid_motion_is_found_from_its_points_and_a_mirror_image_when_asked(

@@ -156,7 +156,9 @@ def test_lines_go_straight_turn_and_do_both_over_all_the_travel(path: Path) -> N
     assert np.ptp(path.position[:, 4]) == 360.0
 
 
-def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None:
+def test_the_first_target_is_measured_again_after_all_others_unless_by_a_single_line(
+    path,
+):
     target = np.array(path.target)
     change = np.flatnonzero(target[1:] != target[:-1]) + 1
     assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
@@ -168,9 +170,7 @@ def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None
     # The machine waits while the target changes.
     assert (path.dwell_s[change] >= 5.0).all()
     assert (path.position[change] == path.position[change - 1]).all()
-
-
-def test_a_single_line_of_the_first_target_is_not_halved() -> None:
+    # A single line of the first target is not halved.
     targets = default_path(trunnion(), 6000.0, lines=3).target
     assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
     assert targets[-1] == "W1"

@@ -19,12 +19,19 @@ def moving_at(machine, **stated):
     return machine_from_json({**machine_to_json(machine), "motion": stated})
 
 
-def test_a_machine_file_keeps_what_the_machine_can(mill):
+def test_a_machine_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(
+    mill,
+):
     stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
     machine = moving_at(mill, **stated)
     assert machine_to_json(machine)["motion"] == stated
     assert machine.motion.assumed == ("acceleration_mm_s2",)
     assert "motion" not in machine_to_json(mill)
+    sluggish = moving_at(mill, max_feed_mm_min=40_000, acceleration_mm_s2=200)
+    feeds = PlanOrder().feeds(sluggish)
+    assert max(feeds) < 15_000.0
+    longest_mm = np.linalg.norm([500.0, 400.0, 300.0])
+    assert Drive.of_machine(sluggish, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
 
 
 @pytest.mark.parametrize("jerk_mm_s3", [np.inf, 3e4, 3e3])
@@ -56,12 +63,6 @@ def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned)
     assert max(planned.feeds_worth.values()) < 1.08
 
 
-def test_a_machine_that_states_no_motion_is_planned_with_the_usual_and_told(small_mill):
-    document = plan_document(make_plan(small_mill, PlanOrder(minutes=0.4)))
-    assert document["motion"]["max_feed_mm_min"] == 10_000.0
-    assert any("10000" in text for text in document["motion"]["assumed"])
-
-
 def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
     small_mill, mill
 ):
@@ -70,6 +71,9 @@ def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
     assert plan.commanded.feed_mm_min.max() <= 2400.0
     with pytest.raises(PlanningError, match="give 1 to 2400 mm"):
         make_plan(slow, PlanOrder(minutes=1.0, feeds_mm_min=(6000.0,)))
+    document = plan_document(make_plan(small_mill, PlanOrder(minutes=0.4)))
+    assert document["motion"]["max_feed_mm_min"] == 10_000.0
+    assert any("10000" in text for text in document["motion"]["assumed"])
 
 
 @pytest.mark.parametrize(
@@ -83,14 +87,6 @@ def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
 def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
     with pytest.raises(BundleError, match=rf"motion\.{name} is .*; "):
         moving_at(mill, **{name: value})
-
-
-def test_a_machine_too_sluggish_for_its_highest_feed_is_planned_at_lower_ones(mill):
-    machine = moving_at(mill, max_feed_mm_min=40_000, acceleration_mm_s2=200)
-    feeds = PlanOrder().feeds(machine)
-    assert max(feeds) < 15_000.0
-    longest_mm = np.linalg.norm([500.0, 400.0, 300.0])
-    assert Drive.of_machine(machine, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
 
 
 def test_no_feed_is_chosen_above_the_one_asked_for_or_that_controls_do_not_read(mill):

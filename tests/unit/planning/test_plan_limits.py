@@ -29,9 +29,8 @@ def workspaces(draw):
     tracker = np.array([draw(st.floats(-200, 700)), draw(st.floats(-1500, -300)), 0.0])
     blocks = draw(st.lists(boxes(tracker, HIGH + OFFSET), max_size=1))
     nearest, farthest = draw(st.floats(0, 500)), draw(st.floats(600, 2500))
-    return Workspace(
-        tuple(keep_out), tuple(tracker.tolist()), nearest, farthest, tuple(blocks)
-    )
+    at, reach = tuple(tracker.tolist()), (nearest, farthest)
+    return Workspace(tuple(keep_out), at, *reach, tuple(blocks))
 
 
 def limits_of(workspace):

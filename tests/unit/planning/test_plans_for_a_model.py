@@ -85,11 +85,8 @@ def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
 def test_what_is_foretold_is_what_the_measurement_then_states(planned, model, run_of):
     plan = planned[True]
     path = plan.commanded
-    hidden = (
-        Backlash("X", 4.0),
-        ServoMismatch("X", 0.05),
-        ElasticSag("X", "Y", "Z", 12.0),
-    )
+    play, lag = Backlash("X", 4.0), ServoMismatch("X", 0.05)
+    hidden = (play, lag, ElasticSag("X", "Y", "Z", 12.0))
     program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
     setting = Setting(machine_seed=6, hidden=hidden)
     run = run_of(synthetic.record(SMALL, program, 7, "otf", setting))

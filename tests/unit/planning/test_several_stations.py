@@ -27,11 +27,18 @@ def planned(small_mill):
     return make_plan(small_mill, order)
 
 
-def test_stations_share_the_time_and_stand_apart(planned):
+def test_stations_share_the_time_stand_apart_and_each_is_in_the_document(planned):
     first, second = planned.at_stations
     assert first.duration_s + second.duration_s <= 36.0
     assert np.linalg.norm(first.station_mm - second.station_mm) > 300.0
     assert planned.uncertainty_um == second.uncertainty_um < first.uncertainty_um
+    document = plan_document(planned)
+    rows = [station["rows"] for station in document["at_stations"]]
+    assert sum(rows) == document["rows"]
+    assert document["curve"][-1]["row"] == document["rows"]
+    assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
+    left = document["stations"]["options"][1]["random_um"]
+    assert left == pytest.approx(1e3 * planned.outcome.random_mm)
 
 
 def test_the_forecast_is_that_of_all_stations_whatever_their_order(planned, small_mill):
@@ -51,16 +58,6 @@ def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mil
     lines = alone.commanded, alone.station_mm
     beside = forecast(small_mill, *lines, before=first.forecast)
     assert planned.uncertainty_um < 1e3 * beside.volumetric_sigma_mm
-
-
-def test_the_document_tells_of_each_station(planned):
-    document = plan_document(planned)
-    rows = [station["rows"] for station in document["at_stations"]]
-    assert sum(rows) == document["rows"]
-    assert document["curve"][-1]["row"] == document["rows"]
-    assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
-    left = document["stations"]["options"][1]["random_um"]
-    assert left == pytest.approx(1e3 * planned.outcome.random_mm)
 
 
 def test_known_points_are_seen_from_every_station(mill, square):

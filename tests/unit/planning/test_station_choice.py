@@ -1,16 +1,21 @@
-"""The tracker stands where the same time leaves least; more stations pay or do not."""
+"""Where the tracker stands, how often, and what else takes its own errors away."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
 from truepath.errors import PlanningError
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.planning.forecast import Assumptions, forecast
 from truepath.planning.plan_making import make_plan
 from truepath.planning.plan_order import PlanOrder
+from truepath.planning.remedies import find_set_up_remedies
+from truepath_drivers.interfaces.records import Path
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
 PERFECT = TrackerSpecification(*[0.0] * 13)
@@ -45,7 +50,7 @@ def perfect(plan_of):
     return plan_of(areas=(FLOOR,))
 
 
-def test_the_place_is_allowed_near_and_no_place_is_better(perfect):
+def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(perfect):
     advice = perfect.stations
     assert advice.chosen
     assert perfect.order.workspace.stations.allow(perfect.station_mm[None])[0]
@@ -55,17 +60,12 @@ def test_the_place_is_allowed_near_and_no_place_is_better(perfect):
     assert advice.judged > 60
     # The angle's noise is what grows with the distance; far places lose by it.
     assert np.linalg.norm(perfect.station_mm - [125.0, 100.0, -75.0]) < 1500.0
-
-
-def test_without_systematic_errors_moving_to_further_stations_does_not_pay(
-    perfect,
-):
-    left = perfect.stations.options[0].left
-    assert left.random_mm == pytest.approx(perfect.forecast.random_mm)
-    assert left.systematic_mm == 0.0
-    assert left.seen == 1.0
-    assert [len(option.place_mm) for option in perfect.stations.options] == [1, 2, 3]
-    assert len(perfect.stations.recommended.place_mm) == 1
+    # What time averages from one station is that of the plan; more do not pay.
+    assert first.random_mm == pytest.approx(perfect.forecast.random_mm)
+    assert first.systematic_mm == 0.0
+    assert first.seen == 1.0
+    assert [len(option.place_mm) for option in advice.options] == [1, 2, 3]
+    assert len(advice.recommended.place_mm) == 1
 
 
 def test_systematic_errors_make_further_stations_pay(plan_of):
@@ -115,3 +115,108 @@ def test_nests_are_places_to_choose_from_for_lines_and_points(plan_of, mode):
 def test_areas_out_of_range_are_refused(plan_of):
     with pytest.raises(PlanningError, match="in range and in sight; correct"):
         plan_of(areas=(FLOOR,), farthest_mm=300.0)
+
+
+HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
+
+
+def specify(machine, specification, face=1):
+    tracker = replace(machine.tracker, specification=specification, face=face)
+    return replace(machine, tracker=tracker)
+
+
+@pytest.fixture(scope="module")
+def lines(small_mill):
+    low, high = np.array([(axis.low, axis.high) for axis in small_mill.axes]).T
+    position = np.random.default_rng(4).uniform(low, high, (16, 3))
+    return Path(small_mill.axis_names, position, np.full(16, 6000.0), np.full(16, 0.4))
+
+
+@pytest.fixture(scope="module")
+def judge(small_mill, lines):
+    """Return forecast and remedies, by their names, of a tracker."""
+
+    def make(specification, face=1):
+        machine = specify(small_mill, specification, face)
+        found = forecast(machine, lines, HERE_MM)
+        places = {"here_mm": HERE_MM, "elsewhere_mm": [ELSEWHERE_MM]}
+        times = {"takes_s": 60.0, "move_s": 600.0}
+        told = machine, lines, found, Assumptions()
+        remedies = find_set_up_remedies(*told, **places, **times)
+        return found, {one.change: one for one in remedies}
+
+    return make
+
+
+def test_of_a_perfect_tracker_nothing_has_to_be_taken_away(judge):
+    perfect, remedies = judge(PERFECT)
+    typical, _ = judge(TrackerSpecification())
+    assert not remedies
+    # The air is still known to half a ppm.
+    by_air_mm2 = perfect.volumetric_sigma_mm**2 - perfect.random_mm**2
+    assert 0.0 < by_air_mm2 < (1e-6 * 500.0) ** 2
+    assert typical.random_mm == pytest.approx(perfect.random_mm)
+    assert typical.volumetric_sigma_mm > 1.1 * typical.random_mm
+
+
+def test_a_second_place_leaves_what_a_forecast_of_both_places_leaves(
+    small_mill, lines, judge
+):
+    first, remedies = judge(TrackerSpecification())
+    one = remedies["second-place"]
+    machine = specify(small_mill, TrackerSpecification())
+    both, again = (
+        forecast(machine, lines, place, before=first).volumetric_sigma_mm
+        for place in (ELSEWHERE_MM, HERE_MM)
+    )
+    assert one.sigma_mm == pytest.approx(both, rel=0.01)
+    assert one.sigma_mm < 0.95 * again
+    assert one.added_s == 660.0
+
+
+def test_each_remedy_takes_away_what_it_changes(judge):
+    """A turned base uses other parts of the azimuth circle; the zero of elevation,
+    and axes that are not square, change their sign in the other face alone."""
+    left = {}
+    for name, fault in (
+        ("circle", {"eccentricity_urad": 40.0}),
+        ("axes", {"index_urad": 1000.0, "tilt_urad": 400.0}),
+    ):
+        found, remedies = judge(replace(PERFECT, **fault))
+        left[name] = {
+            change: one.sigma_mm / found.volumetric_sigma_mm
+            for change, one in remedies.items()
+        }
+    assert left["circle"]["turned-base"] < 0.8 * left["axes"]["turned-base"]
+    assert left["axes"]["other-face"] < 0.8 * left["axes"]["turned-base"]
+
+
+def test_another_face_is_named_only_where_the_tracker_has_two(judge):
+    _, remedies = judge(TrackerSpecification(), None)
+    assert set(remedies) == {"second-place", "turned-base"}
+
+
+def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_mill):
+    wall = Box((-400.0, -2000.0, -2000.0), (-300.0, 2000.0, 2000.0), "wall")
+    workspace = Workspace((), tuple(HERE_MM.tolist()), 200.0, blocks_sight=(wall,))
+    order = PlanOrder(minutes=0.2, feeds_mm_min=(6000.0,), workspace=workspace)
+    document = plan_document(make_plan(small_mill, order))
+    errors = document["predicted"]["tracker_errors"]
+    parts = errors["random_um"] ** 2 + errors["systematic_um"] ** 2
+    expected = pytest.approx(document["predicted"]["volumetric_uncertainty_um"])
+    assert parts**0.5 == expected
+    remedies = {one["change"]: one for one in errors["remedies"]}
+    rate = [one["removed_um_per_minute"] for one in remedies.values()]
+    assert rate == sorted(rate, reverse=True)
+    assert min(rate) > 0.0
+    # Rows are not seen from behind the wall.
+    assert remedies["second-place"]["position_mm"][0] > -300.0
+    assert errors["statement"][1] in render_plan_report(document)
+
+
+@pytest.mark.long
+def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
+    plan = make_plan(small_mill, PlanOrder(target_um=0.2, feeds_mm_min=(6000.0,)))
+    assert plan.reached is False
+    assert plan.outcome.random_mm < 0.4 * plan.outcome.volumetric_sigma_mm
+    assert plan.duration_s < 1000.0

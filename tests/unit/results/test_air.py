@@ -81,13 +81,10 @@ def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run
     assert dies["longest_without_s"] == pytest.approx(400.0, abs=2.0)
     assert sensors["Z_degC"]["mean"] is None
     assert stated["told"] == ["Y_degC: no valid reply"]
-
-
-def test_a_sensor_that_dies_early_in_a_short_run_is_not_used(run):
     at_s = np.arange(100.0, 156.0, 4.0)
-    dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
+    early_dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
     few = run.tracker.select(run.tracker.device_time_s < 155.0)
-    temperature = TemperatureSamples(("X",), at_s, dies)
+    temperature = TemperatureSamples(("X",), at_s, early_dies)
     early = replace(run, tracker=few, temperature=temperature)
     assert not summarize_run(early).sensors[0].is_used
 
@@ -114,16 +111,13 @@ def test_the_scale_is_uncertain_by_what_the_air_is_mistaken(run, by):
     assert "positioning errors of all axes" in describe_scale(corrected.refraction)
 
 
-def test_who_has_corrected_is_said_in_words():
+def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtful():
     assert "instrument" in describe_refraction(Refraction("instrument"))
     done = Refraction("truepath", LIGHT, 1.00027137, (20.0, 1013.0, 50.0))
     assert "271.37" in describe_refraction(done)
     assert "NOT" in describe_refraction(Refraction("nobody", LIGHT, why="no pressure"))
     assert "not known" in describe_refraction(Refraction())
     assert state_scale_ppm(Refraction())[0] > 0.4
-
-
-def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
     assert judge_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
     (reason,) = judge_air([BY_NOBODY], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
@@ -250,9 +244,8 @@ def as_it_is(recorded):
 def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
     recorded, as_it_is
 ):
-    wrong = with_samples(
-        recorded, position_mm=(1.0 + WRONG) * recorded.tracker.position_mm
-    )
+    longer_mm = (1.0 + WRONG) * recorded.tracker.position_mm
+    wrong = with_samples(recorded, position_mm=longer_mm)
     told = analyse(replace(wrong, known_lengths=(bar(WRONG),)))
     assert ("scale-known", "usable") in {
         (reason.kind, reason.state) for reason in told.verdict.reasons
@@ -324,7 +317,9 @@ def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
     assert np.mean(off) < 0.01
 
 
-def test_a_known_length_says_nothing_of_the_air_of_another_run(estimate, provenance):
+def test_a_known_length_says_nothing_of_another_run_and_may_lack_in_a_joint_result(
+    estimate, provenance
+):
     (run,) = (replace(one, refraction=BY_NOBODY) for one in provenance.runs)
     told = replace(run, known_lengths=(bar(0.0),))
     both, one, none = (
@@ -333,14 +328,26 @@ def test_a_known_length_says_nothing_of_the_air_of_another_run(estimate, provena
     )
     assert both < 10.0
     assert one == pytest.approx(none, rel=1e-3)
+    (run,) = provenance.runs
+    told = replace(run, refraction=BY_NOBODY, known_lengths=(bar(200e-6),))
+    both = replace(provenance, runs=(told, run))
+    assert state_findings(estimate, both).length_scale_ppm > 200.0
 
 
-def test_many_rows_of_one_bar_are_no_better_than_the_bar(construct):
+def test_many_bars_of_which_some_are_short_are_no_better_than_the_best(construct):
     estimate = construct()
     rows = [bar(0.0, 0.01, d) for d in np.eye(3).tolist() * 5]
     _, left, told = settle_scale(estimate, 270e-6, [rows])
     assert told.lengths == 15
     assert left > 0.9 * 0.01 / LONG_MM
+    long = bar(0.0, 0.001)
+    ends = tuple(tuple(0.8 * np.array(end)) for end in long.ends_mm)
+    short_mm = 0.2 * LONG_MM
+    short = replace(long, ends_mm=ends, measured_mm=short_mm, length_mm=short_mm)
+    _, _, alone = settle_scale(estimate, 270e-6, [[long] * 5])
+    _, _, both = settle_scale(estimate, 270e-6, [[long] * 5 + [short] * 5])
+    assert both.sigma > 0.99 * 0.001 / LONG_MM
+    assert both.sigma == pytest.approx(alone.sigma, rel=0.1)
 
 
 def test_without_a_known_length_the_scale_is_what_air_and_tracker_leave(construct):
@@ -351,25 +358,3 @@ def test_without_a_known_length_the_scale_is_what_air_and_tracker_leave(construc
     own = build_error_tables(settled, estimate.measured)
     for one, other in zip(own.tables, wider.tables, strict=True):
         np.testing.assert_allclose(one.uncertainty, other.uncertainty)
-
-
-def test_short_lengths_beside_long_ones_say_no_more_than_the_long_ones(construct):
-    estimate = construct()
-    long = bar(0.0, 0.001)
-    ends = tuple(tuple(0.8 * np.array(end)) for end in long.ends_mm)
-    short = replace(
-        long, ends_mm=ends, measured_mm=0.2 * LONG_MM, length_mm=0.2 * LONG_MM
-    )
-    _, _, alone = settle_scale(estimate, 270e-6, [[long] * 5])
-    _, _, both = settle_scale(estimate, 270e-6, [[long] * 5 + [short] * 5])
-    assert both.sigma > 0.99 * 0.001 / LONG_MM
-    assert both.sigma == pytest.approx(alone.sigma, rel=0.1)
-
-
-def test_what_one_run_had_wrong_may_be_in_the_lengths_of_a_joint_result(
-    estimate, provenance
-):
-    (run,) = provenance.runs
-    told = replace(run, refraction=BY_NOBODY, known_lengths=(bar(200e-6),))
-    both = replace(provenance, runs=(told, run))
-    assert state_findings(estimate, both).length_scale_ppm > 200.0

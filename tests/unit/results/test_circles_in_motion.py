@@ -37,11 +37,8 @@ from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
-HIDDEN = (
-    Backlash("X", BACKLASH_UM),
-    ServoMismatch("Z", LAG_MS),
-    Squareness("A0Z", LEAN_URAD),
-)
+PLAY, LAG = Backlash("X", BACKLASH_UM), ServoMismatch("Z", LAG_MS)
+HIDDEN = (PLAY, LAG, Squareness("A0Z", LEAN_URAD))
 ANGLE = np.radians(list_sector_angles())
 
 
@@ -67,9 +64,8 @@ def evaluate(run):
         commanded = read_commanded(run, run.commanded, arc.row)
         inside = slice(arc.first, arc.last)
         stream = run.tracker.device_time_s[inside], run.tracker.position_mm[inside]
-        driven = reduce_to_sectors(
-            commanded, arc, *stream, seen.pose, noise, run.machine.tracker
-        )
+        seen_from = seen.pose, noise, run.machine.tracker
+        driven = reduce_to_sectors(commanded, arc, *stream, *seen_from)
         if driven is not None:
             whole.add(arc.row)
             planes.setdefault(commanded.plane, {})[commanded.sense] = driven
@@ -118,9 +114,8 @@ def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo)
     # Radii by the angle t: lean r sin t cos t, and lag v sin t cos t by the sense.
     check("XY", "H", BACKLASH_UM)
     check("YZ", "H", lag_um)
-    senses = sorted(
-        stated["YZ"].value_um[f"G_{s}"] for s in ("clockwise", "counterclockwise")
-    )
+    in_yz = stated["YZ"].value_um
+    senses = sorted([in_yz["G_clockwise"], in_yz["G_counterclockwise"]])
     assert senses[0] == pytest.approx(abs(lean_um - lag_um), abs=2.0)
     assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
 
@@ -206,10 +201,8 @@ def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
     factor = np.linalg.cholesky(covariance)
     inside, trials = 0, 12
     for _ in range(trials):
-        seen = {
-            name: one + factor @ rng.standard_normal(SECTORS)
-            for name, one in true.items()
-        }
+        noise = (factor @ rng.standard_normal(SECTORS) for _ in true)
+        seen = {name: true[name] + one for name, one in zip(true, noise, strict=True)}
         found = state_figures(seen, dict.fromkeys(true, covariance))
         inside += sum(
             abs(found.value_um[name] - 1e3 * exact[name][0])
@@ -221,9 +214,8 @@ def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
 
 def reduced(demo, places_mm, duration_s, turn_deg, radius_mm):
     """What comes of a circle about the origin that was driven without noise."""
-    commanded = CommandedCircle(
-        "XY", np.zeros(3), np.eye(2, 3), radius_mm, 0.0, turn_deg, 3000.0
-    )
+    about = "XY", np.zeros(3), np.eye(2, 3)
+    commanded = CommandedCircle(*about, radius_mm, 0.0, turn_deg, 3000.0)
     time_s = np.arange(0.0, duration_s, 2e-3)
     points = np.column_stack([places_mm(time_s / time_s[-1]), np.zeros(len(time_s))])
     pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))

@@ -41,9 +41,8 @@ def found(clean):
 def assert_states_the_same(spoilt, found):
     """A spoilt measurement is usable, and its error that of the clean one."""
     assert spoilt.verdict.state == "usable"
-    stated_um, clean_um = (
-        each.volumetric.before.mean.value_um for each in (spoilt, found)
-    )
+    stated_um = spoilt.volumetric.before.mean.value_um
+    clean_um = found.volumetric.before.mean.value_um
     assert stated_um == pytest.approx(clean_um, rel=0.02)
     return stated_um, clean_um
 
@@ -218,12 +217,8 @@ def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
     knocked = analyse(shift(run, late * KNOCK_MM))
     (knock,) = knocked.knocks
     assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
-    seats = [
-        seat
-        for part in knocked.runs
-        for seat in part.estimate.seats
-        if seat.target.name == "W1"
-    ]
+    every = [seat for part in knocked.runs for seat in part.estimate.seats]
+    seats = [seat for seat in every if seat.target.name == "W1"]
     assert seats
     for seat in seats:
         assert (np.abs(seat.shift_mm - SEAT_MM) < 3.0 * seat.sigma_mm).all()

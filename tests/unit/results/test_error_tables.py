@@ -69,6 +69,13 @@ def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
     for square in tables.squareness:
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
         assert square.value == pytest.approx(1e6 * angle)
+    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    # An effect that is no error motion has no table.
+    theta = np.append(estimate.theta, np.ones(6))
+    covariance = np.pad(estimate.covariance, (0, 6))
+    more = build_error_tables(EstimatedModel(model, theta, covariance))
+    assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
+    assert len(more.squareness) == 3
 
 
 def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
@@ -105,15 +112,6 @@ def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
     assert len(every.tables) == 18
     assert every.any_tool
     assert every.targets == three_targets
-
-
-def test_an_effect_that_is_no_error_motion_has_no_table(estimate, tables):
-    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
-    theta = np.append(estimate.theta, np.ones(6))
-    covariance = np.pad(estimate.covariance, (0, 6))
-    more = build_error_tables(EstimatedModel(model, theta, covariance))
-    assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
-    assert len(more.squareness) == 3
 
 
 def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
@@ -172,9 +170,8 @@ def test_what_nobody_measured_is_not_in_the_figures(estimate):
     value_um = 1e3 * motion.rows(np.linspace(low, high, 401)) @ own
     half_at = np.array([-200.0, low, high, 300.0])
     half = HalfDifference(half_at, np.array([90.0, 3.0, 3.0, 90.0]), np.zeros(4))
-    (one, *others) = compute_positioning_figures(
-        estimate, {"EXX": half}, {"X": (low, high)}
-    )
+    measured = {"X": (low, high)}
+    (one, *others) = compute_positioning_figures(estimate, {"EXX": half}, measured)
     assert one.range == (low, high)
     assert np.isclose(one.mean_range.value, np.ptp(value_um), rtol=0.03)
     assert np.isclose(one.reversal.value, 6.0)

@@ -19,9 +19,8 @@ def measure(seed, mode="otf", places=1):
     """Return the findings of a small machine, and its truth."""
     content, setting = load_erring(), Setting(machine_seed=seed)
     program = choose_program(content, seed, mode)
-    recorded = [
-        record_run(content, program, seed + k, mode, setting) for k in range(places)
-    ]
+    order = mode, setting
+    recorded = [record_run(content, program, seed + k, *order) for k in range(places)]
     return analyse(*(run for run, _ in recorded)), recorded[0][1].truth
 
 

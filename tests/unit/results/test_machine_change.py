@@ -86,16 +86,6 @@ def test_results_of_one_run_or_of_other_targets_are_not_compared(estimate, const
         find_changes(draw_result(estimate, 1), draw_result(other, 2))
 
 
-def test_where_the_tracker_stood_is_no_change(estimate):
-    """A rigid motion of the whole volume alone changes no entry and no volume."""
-    before = draw_result(estimate, 1)
-    digest = [{"name": "later", "input_sha256": "f" * 64}]
-    change = find_changes(before, replace(before, provenance={"runs": digest}))
-    assert not change.is_significant
-    assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
-    assert change.volume.change_um == 0.0
-
-
 def stretch(result, scale):
     """The result of the same machine by lengths that are all too long."""
     theta = result.theta.copy()
@@ -110,7 +100,7 @@ def stretch(result, scale):
     return replace(result, theta=theta)
 
 
-def test_another_scale_of_the_air_is_no_change_of_the_machine(estimate):
+def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(estimate):
     certain = replace(estimate, covariance=1e-4 * estimate.covariance)
     before = draw_result(certain, 1)
     # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
@@ -120,6 +110,13 @@ def test_another_scale_of_the_air_is_no_change_of_the_machine(estimate):
     change = find_changes(*pair)
     assert change.volume.is_significant
     assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
+    # A rigid motion of the whole volume alone changes no entry and no volume.
+    before = draw_result(estimate, 1)
+    digest = [{"name": "later", "input_sha256": "f" * 64}]
+    change = find_changes(before, replace(before, provenance={"runs": digest}))
+    assert not change.is_significant
+    assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
+    assert change.volume.change_um == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +175,7 @@ def test_a_tolerance_is_judged_with_the_uncertainty(calibrate, p95, state):
     assert "tolerance of 10 µm" in judged.text
 
 
-def test_machines_are_compared_by_what_is_sure(calibrate):
+def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibrate):
     known = {"mill": 20.0, "lathe": 9.0, "press": 9.5}
     newest = [calibrate(name, k, p95) for k, (name, p95) in enumerate(known.items(), 1)]
     found = comparison_json(newest, "volumetric", None, {"mill": 15.0})
@@ -187,9 +184,6 @@ def test_machines_are_compared_by_what_is_sure(calibrate):
     assert more == {"lathe": [], "press": [], "mill": ["lathe", "press"]}
     with pytest.raises(BadInput, match="give the position of one"):
         comparison_json(newest, "EXX", None, {})
-
-
-def test_the_more_machines_the_more_two_have_to_differ():
     entries = [Entry("", None, "", 0.0, 1.0)] * 2
     two, _ = list_differing(entries)
     eight, _ = list_differing(entries * 4)

@@ -32,9 +32,8 @@ def free_gauge(loaded):
             theta.append(part)
     free = MachineModel(model.machine, tuple(effects))
     theta = np.concatenate(theta)
-    return replace(
-        loaded, model=free, theta=theta, covariance=np.zeros((free.size, free.size))
-    )
+    none = np.zeros((free.size, free.size))
+    return replace(loaded, model=free, theta=theta, covariance=none)
 
 
 def rigid_motion(model, shift_mm, turn_rad):

@@ -52,9 +52,8 @@ class World:
             off[part] *= np.hypot(1.0, scatter)
             theta = self.estimate.theta + (celsius - 20.0) * self.coefficient + off
             runs = [{"name": f"{k}", "input_sha256": f"{seed}-{k}"}]
-            result = CalibrationResult(
-                self.model, theta, self.covariance, provenance={"runs": runs}
-            )
+            told = self.model, theta, self.covariance
+            result = CalibrationResult(*told, provenance={"runs": runs})
             shown = celsius + sigma_k * rng.standard_normal()
             time_s = None if times is None else times[k]
             found.append(ResultAtTemperature(f"r{k}", result, shown, sigma_k, time_s))
@@ -71,10 +70,8 @@ def name_dependent(study):
 
 
 def count_false(world, rounds, **how):
-    return sum(
-        bool(name_dependent(study_temperature(world.draw(k, **how))))
-        for k in range(rounds)
-    )
+    studies = (study_temperature(world.draw(k, **how)) for k in range(rounds))
+    return sum(bool(name_dependent(study)) for study in studies)
 
 
 def find_expansion(study):
@@ -136,9 +133,8 @@ def test_an_unseen_temperature_is_told_better_by_the_line_than_by_the_mean(world
     truth = world.estimate.theta + 3.5 * world.coefficient
     mean = np.mean([one.result.theta for one in results], axis=0)
     part = world.model.slices[SHIFTED]
-    line_off, mean_off = (
-        float(np.linalg.norm((theta - truth)[part])) for theta in (at.theta, mean)
-    )
+    off = at.theta - truth, mean - truth
+    line_off, mean_off = (np.linalg.norm(one[part]) for one in off)
     assert line_off < 0.3 * mean_off
 
 

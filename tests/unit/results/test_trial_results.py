@@ -38,10 +38,8 @@ def held(estimated):
 def test_every_table_and_squareness_is_held_where_it_is_stated_and_agrees(
     estimated, held
 ):
-    stated, by_name = (
-        build_error_tables(estimated),
-        {q.name: q for q in held.quantities},
-    )
+    by_name = {q.name: q for q in held.quantities}
+    stated = build_error_tables(estimated)
     for table in stated.tables:
         quantity = by_name[table.symbol]
         np.testing.assert_array_equal(quantity.position[:, 0], table.position_mm)
@@ -89,7 +87,9 @@ def test_the_file_states_trials_beside_the_linear_law(held):
     assert len(stated["volumetric_error"]["uncertainty_um"]) == 81
 
 
-def test_an_analysis_carries_the_trials_into_file_and_report(run):
+def test_an_analysis_carries_trials_into_file_and_report_or_says_nothing_of_them(
+    run, found
+):
     stages = []
     asked = {"monte_carlo": PLAN, "on_progress": lambda *report: stages.append(report)}
     analysis = render_analysis(analyse(run, **asked))
@@ -99,9 +99,6 @@ def test_an_analysis_carries_the_trials_into_file_and_report(run):
     assert shares == sorted(shares)
     order = list(dict.fromkeys(stage for _, stage in stages))
     assert order == ["aligning", "estimating", "validating", "reporting"]
-
-
-def test_an_analysis_without_trials_says_nothing_of_them(found):
     analysis = render_analysis(found)
     assert analysis.result["monte_carlo"] is None
     assert "held against trials" not in analysis.report_html
