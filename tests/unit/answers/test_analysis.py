@@ -127,7 +127,6 @@ def test_points_or_a_result_that_are_not_there_or_bad_are_named(folder, tmp_path
 
 @pytest.fixture(scope="module")
 def runs(record):
-    """Two measurements of a machine: the seed makes the machine, the mode the rest."""
     moving, _ = record(61, rows=24, travel_mm=TRAVEL_MM)
     standing, _ = record(61, "standstill", rows=30, travel_mm=TRAVEL_MM)
     return replace(moving, name="on <the> fly"), replace(standing, name="points")

@@ -17,10 +17,7 @@ from truepath.answers.certificate.closing_sections import (
 )
 from truepath.answers.certificate.issue import Certificate, Source
 from truepath.answers.certificate.language import load_language
-from truepath.answers.certificate.limits import (
-    say_poorly_observable,
-    say_unobservable,
-)
+from truepath.answers.certificate.limits import say_poorly_observable, say_unobservable
 from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification.circles import polar_figure
 from truepath.answers.verification.circles.circle_figures import (

@@ -48,12 +48,10 @@ MACHINES = (3, 5)
 
 
 def stated(*runs, **options):
-    """Return the content of `result.json` of an analysis."""
     return result_json(analyse(*runs, **options))
 
 
 def taken(content) -> PriorModel:
-    """Return a result or model as it comes back from disk."""
     loaded = result_from_json(json.loads(json.dumps(content)), file="model.json")
     return PriorModel(loaded, "model.json", "abc")
 

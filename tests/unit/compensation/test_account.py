@@ -363,7 +363,6 @@ EFFECTS = (
 
 @pytest.fixture(scope="module")
 def catalogued():
-    """A machine of four effects, and how a format exports it."""
     effects = tuple(restore_effect(f, DEMO, keys, n) for f, keys, n, _ in EFFECTS)
     model = MachineModel(DEMO, effects)
     theta = np.concatenate([values for *_, values in EFFECTS])
@@ -377,7 +376,6 @@ def catalogued():
 
 
 def find_left(account):
-    """Return root mean squares before and after, by effect."""
     effects = account["effects"]
     return {e["name"]: (e["rms_um"]["before"], e["rms_um"]["after"]) for e in effects}
 

@@ -24,7 +24,6 @@ DIFFERENCE = {"backlash_reading": "difference"}
 
 @pytest.fixture
 def written(tmp_path):
-    """Files whose BACKLASH is the difference of both directions."""
     files = []
     for name, text in write_files("heidenhain-difference").items():
         (tmp_path / name).write_text(text)

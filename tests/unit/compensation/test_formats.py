@@ -44,7 +44,6 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def export(source):
-    """Export the result, once a format."""
     return cache(lambda name: export_result(source, name, "comp"))
 
 
@@ -89,7 +88,6 @@ def sagging():
 
 
 def along(source, axis, at):
-    """Positions along the middle of the other axes."""
     place = np.tile(source.middle_mm, (len(at), 1))
     place[:, source.machine.axis_names.index(axis)] = at
     return place

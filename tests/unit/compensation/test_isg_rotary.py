@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from known_machines import (
-    build_model,
-    map_known,
-    spread,
-    tabulate,
-    write,
-)
+from known_machines import build_model, map_known, spread, tabulate, write
 from truepath.kinematics.conditions import make_standstill
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
@@ -19,7 +13,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture(scope="module", params=["trunnion", "head-table"])
 def erring(request):
-    """A machine with every error, of its rotary axes as well."""
     model = build_model(load_machine(request.param))
     size = np.array([5e-3 if p.unit == "mm" else 2e-5 for p in model.parameters])
     theta = size * np.random.default_rng(8).standard_normal(model.size)

@@ -108,7 +108,6 @@ def find_offs(known: KnownMachine) -> np.ndarray:
 
 
 def find_many(count: int, unknown: float) -> np.ndarray:
-    """The same of machines of both kinds in turn."""
     kinds = itertools.islice(itertools.cycle(("trunnion", "head-table")), count)
     machines = (make_machine(kind, k, unknown) for k, kind in enumerate(kinds))
     return np.array([find_offs(one) for one in machines])

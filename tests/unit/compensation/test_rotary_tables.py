@@ -7,13 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from known_machines import (
-    build_model,
-    map_known,
-    measure_left,
-    spread,
-    tabulate,
-)
+from known_machines import build_model, map_known, measure_left, spread, tabulate
 from truepath.compensation.account.rotary_left import RotaryFiles, describe_rotary
 from truepath.compensation.installed import load_format
 from truepath_simulators.compensation.loading import LoadedTables

@@ -5,14 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from known_machines import (
-    build_model,
-    displace,
-    map_known,
-    measure_left,
-    spread,
-    write,
-)
+from known_machines import build_model, displace, map_known, measure_left, spread, write
 from truepath.compensation.format import AxisTable, CompensationTables
 from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
 from truepath.compensation.installed import load_format
@@ -39,7 +32,6 @@ CHAINS = {
 
 
 def describe(chain):
-    """Return the content of a machine of a chain."""
     content = {**load_machine("trunnion"), "kinematic_chain": chain}
     straight = {name: content["axes"][name] for name in "XYZ"}
     turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
@@ -59,7 +51,6 @@ def draw_place(axis, rng):
 
 
 def draw_machine(chain):
-    """Return the content of a machine, and of files of a machine off its places."""
     content, rng = describe(chain), np.random.default_rng(5)
     machine = machine_from_json(content, file="machine.json")
     at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
@@ -118,7 +109,6 @@ def write_trunnion():
 
 
 def set_vector(text, first, *values):
-    """The text with another vector."""
     for k, value in enumerate(values):
         text = re.sub(rf"(CARR{first + k}\[1\]=).*", rf"\g<1>{value}", text)
     return text

@@ -25,7 +25,6 @@ DEGC = (18.0, 25.0, 20.0, 22.0)
 
 
 def make_results(loaded):
-    """Exact results of a machine whose X grows."""
     motion = next(m for m in loaded.model.identifiable_motions if m.symbol == "EXX")
     at_mm = choose_table_positions(motion.axis)
     wanted_mm = 1e-6 * GROWS_UM_PER_M_K * at_mm

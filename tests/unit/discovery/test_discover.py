@@ -23,8 +23,6 @@ KNOCK = SetupStep(KNOCK_S, STEP_UM)
 
 @pytest.fixture(scope="module")
 def drive(record):
-    """Find what lacks in a Run of a machine that hides effects."""
-
     def driven(*hidden):
         setting = Setting(hidden=hidden)
         return discover([record(11, rows=40, travel_mm=150.0, setting=setting)[0]])
@@ -157,11 +155,7 @@ def moment_within(seen: Observations, line: int, share: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("line", "share"),
-    [
-        (12, 0.37),
-        pytest.param(17, 0.8, marks=pytest.mark.long),
-    ],
+    ("line", "share"), [(12, 0.37), pytest.param(17, 0.8, marks=pytest.mark.long)]
 )
 def test_a_knock_while_a_line_is_driven_is_not_taken_for_one_in_a_pause(
     record, line, share

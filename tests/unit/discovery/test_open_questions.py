@@ -95,7 +95,6 @@ def two_sides_of_y(n=40, depth=0.0):
 
 @pytest.fixture(scope="module")
 def calibrated(record):
-    """The machine as a clean Run has shown it before."""
     setting = Setting(machine_seed=MACHINE)
     how = {"rows": 40, "feed": 6000.0, "travel_mm": TRAVEL_MM}
     return baseline_model(discover([record(9, **how, setting=setting)[0]]))

@@ -47,12 +47,10 @@ def drive(content, hidden, lines=None, reference=None):
 
 @pytest.fixture(scope="module")
 def plain():
-    """The head that hides nothing."""
     return drive(HEAD, (), 28)
 
 
 def require_named(found, hidden, label):
-    """Require that the effect is named alone, with its numbers."""
     (finding,) = found.findings
     assert finding.candidate.label == label
     for name, true in hidden.parameters(None).items():

@@ -1,7 +1,5 @@
 """Small recordings, and how far estimates are off the truth, motion by motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -13,14 +13,12 @@ from truepath_simulators.worlds.synthetic import Setting
 
 
 def judge(run, truth, **options):
-    """Return what an estimate has left of the truth, and the estimate."""
     result = estimate(align(run), **options)
     return judge_map(result, truth.deviation_mm), result
 
 
 @pytest.fixture(scope="module")
 def few(record_small):
-    """Return a Run of few lines, its observations and what they tell."""
     run, truth = record_small(30, rows=16)
     return run, align(run), *judge(run, truth)
 

@@ -1,7 +1,5 @@
 """Machines of several metres: determined, with knots where a motion needs them."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 from functools import cache
@@ -138,7 +136,6 @@ def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
 
 @pytest.fixture(scope="module")
 def knocked():
-    """Return a fit of a clean Run, and a knock in its cells."""
     run, _ = _record(LONG, 24)
     fit = estimate(align(run), keep_fit=True).fit
     seen = fit.runs[0].observations

@@ -116,7 +116,6 @@ LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
 def check(run):
-    """Return the checked estimate of a Run."""
     (seen,) = align_all([run], ["run"])
     return estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
 

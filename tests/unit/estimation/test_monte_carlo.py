@@ -38,7 +38,6 @@ def trials(fit):
 
 
 def under(trials, noise):
-    """Return the same trials of a measurement of another noise."""
     return replace(trials, runs=tuple(replace(r, noise=noise) for r in trials.runs))
 
 

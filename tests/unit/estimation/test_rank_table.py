@@ -89,11 +89,7 @@ def test_rank_of_one_two_and_three_tool_offsets(
 @pytest.mark.parametrize("travel", TRAVELS)
 @pytest.mark.parametrize(
     ("lines", "expected"),
-    [
-        (CORNER_LINES, 71),
-        (CORNER_LINES + MID_LINES, 71),
-        (CORNER_LINES + OBLIQUE, 73),
-    ],
+    [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
 def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
     travel, lines, expected
@@ -105,9 +101,7 @@ def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
 
 
 @pytest.mark.parametrize("travel", TRAVELS)
-def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(
-    travel,
-):
+def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(travel):
     model = every_motion(machine(travel))
     full, across = on_lines(model, CORNER_LINES, travel)
     share = np.arange(KNOTS) / (KNOTS - 1)

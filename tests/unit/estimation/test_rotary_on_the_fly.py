@@ -1,7 +1,5 @@
 """Machines with rotary axes, measured on the fly along planned lines and arcs."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from types import SimpleNamespace
 
@@ -14,9 +12,7 @@ from following import compare_tables, list_blocks
 from recorded import load_small, record_path
 from truepath.alignment.align import align
 from truepath.estimation.live.live import LiveEstimator
-from truepath.estimation.problem.normal_equations import (
-    compute_information,
-)
+from truepath.estimation.problem.normal_equations import compute_information
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.planning.lines.default_path import default_path
 
@@ -32,7 +28,6 @@ def measured(name, seed, stands_on="base", share=0.4):
 
 
 def assert_map_is_found(result, truth):
-    """Hold the map of the first target against the truth."""
     left = judge_map(result, partial(truth.deviation_mm, target="T1"), "T1")
     assert left.share < 0.03
     assert left.inside > 0.85

@@ -152,7 +152,6 @@ X = MILL.linear_axes[0]
 
 @pytest.fixture(scope="module")
 def known():
-    """A model and its Gram matrix."""
     model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
     return model, compute_volumetric_gram(model)
 

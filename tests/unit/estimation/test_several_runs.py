@@ -68,7 +68,6 @@ def both(moving, standing):
 
 
 def judge(result, offset_mm=SHORT):
-    """Return what is left of the truth for a tool."""
     truth = random_machine(parse_machine(content_with(offset_mm)), MACHINE)
     targets = result.model.machine.targets
     name = next(t.name for t in targets if t.offset_mm == offset_mm)
@@ -188,7 +187,6 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
 
 @pytest.fixture(scope="module")
 def longer_and_shorter(record_small):
-    """Estimate from two Runs of one machine, the first the longer one."""
     runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
     seen = [align(run) for run in runs]
     return estimate(*seen, keep_fit=True)

@@ -1,7 +1,5 @@
 """Standstill points by trackers that stream slowly or are polled, and live."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -129,7 +127,6 @@ def shots(record) -> Run:
 
 
 def list_blocks(run: Run) -> list[PointBlock]:
-    """Return a block for each point."""
     points, blocks = run.points, []
     for k in range(len(run.tracker)):
         one = slice(k, k + 1)

@@ -32,7 +32,6 @@ def normal_sum(rng):
 
 
 def rectangles(widths):
-    """Return the sum of rectangular quantities of these standard deviations."""
     half = np.sqrt(3.0) * np.array(widths)[:, None]
     return lambda rng: (half * rng.uniform(-1.0, 1.0, (len(half), BLOCK))).sum(axis=0)
 

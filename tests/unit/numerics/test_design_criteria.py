@@ -52,6 +52,7 @@ CASES = {
     "seed": st.integers(0, 2**32 - 1),
     "seen": st.integers(0, 14),
     "log_variance": st.floats(-6.0, 0.5),
+    "values": st.integers(1, 3),
 }
 
 
@@ -72,7 +73,6 @@ def search_densely(known, rows, borders, variance, points=10_000):
 
 
 def assert_exact(known, rows, knots, variance):
-    """The best place equals a dense search."""
     best = find_best_place(known, rows, knots, variance)
     searched = search_densely(known, rows, knots, variance)
     assert abs(best.drop - searched) <= 1e-9 * known.integrated_variance
@@ -81,27 +81,17 @@ def assert_exact(known, rows, knots, variance):
 
 
 @given(**CASES)
-@settings(deadline=None, max_examples=40)
-def test_the_exact_optimum_equals_a_dense_search(knots, seed, seen, log_variance):
-    assert_exact(*a_case(knots, seed, seen, log_variance, 1))
+@settings(deadline=None, max_examples=60)
+def test_the_exact_optimum_equals_a_dense_search(**case):
+    assert_exact(*a_case(**case))
 
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-@given(**CASES, values=st.integers(1, 3))
+@given(**CASES)
 @settings(deadline=None, max_examples=500)
-def test_the_exact_optimum_equals_a_dense_search_in_many_cases(
-    knots, seed, seen, log_variance, values
-):
-    assert_exact(*a_case(knots, seed, seen, log_variance, values))
-
-
-@given(**CASES, values=st.integers(2, 3))
-@settings(deadline=None, max_examples=20)
-def test_several_values_at_once_have_an_exact_optimum_too(
-    knots, seed, seen, log_variance, values
-):
-    assert_exact(*a_case(knots, seed, seen, log_variance, values))
+def test_the_exact_optimum_equals_a_dense_search_in_many_cases(**case):
+    assert_exact(*a_case(**case))
 
 
 def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):
@@ -118,8 +108,12 @@ def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):
     assert fell == pytest.approx(promised, rel=1e-12)
 
 
-def test_what_other_axes_add_leaves_the_optimum_exact(rng):
-    """A stacked axis adds a row that does not change along this one."""
+def test_a_cyclic_axis_and_one_beside_others_have_an_exact_optimum_too(rng):
+    spline = cyclic_spline(np.array([0.0, 1.0, 2.5, 4.0]), 6.0)
+    known = IntegratedVariance(np.diag([1.0, 2.0, 0.5, 1.5]), spline.gram())
+    known = known.update(spline.basis(np.array([0.4]))[0], 0.01)
+    assert_exact(known, spline.basis, np.append(spline.knots, 6.0), 0.01)
+    # A stacked axis adds a row that does not change along this one.
     size = 2 * SPLINE.size
     root = rng.normal(size=(size, size))
     gram = np.kron(np.eye(2), SPLINE.gram())
@@ -130,13 +124,6 @@ def test_what_other_axes_add_leaves_the_optimum_exact(rng):
         return np.hstack([SPLINE.basis(at), np.repeat(other, len(at), axis=0)])
 
     assert_exact(known, rows, KNOTS, 0.01)
-
-
-def test_a_cyclic_axis_has_an_exact_optimum_too(rng):
-    spline = cyclic_spline(np.array([0.0, 1.0, 2.5, 4.0]), 6.0)
-    known = IntegratedVariance(np.diag([1.0, 2.0, 0.5, 1.5]), spline.gram())
-    known = known.update(spline.basis(np.array([0.4]))[0], 0.01)
-    assert_exact(known, spline.basis, np.append(spline.knots, 6.0), 0.01)
 
 
 def test_where_nothing_is_left_to_learn_any_place_will_do():

@@ -1,7 +1,5 @@
 """The default path, of machines with and without rotary axes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -13,11 +13,7 @@ from truepath.files.environment.refraction import Refraction, state_length_ppm
 from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.planning.forecast import (
-    Assumptions,
-    forecast,
-    predict_undetermined,
-)
+from truepath.planning.forecast import Assumptions, forecast, predict_undetermined
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program

@@ -23,7 +23,6 @@ STATION_MM = np.array([-900.0, 200.0, 100.0])
 
 @pytest.fixture(scope="module")
 def demo(record):
-    """Return the machine that recordings are made of."""
     return record(1)[0].machine
 
 

@@ -1,7 +1,5 @@
 """A plan for a machine whose effects are known in part tells these apart as well."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plans of several stations: each knows what the others tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

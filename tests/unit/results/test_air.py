@@ -196,9 +196,7 @@ def find_table(found, symbol):
     return next(table for table in found.tables.tables if table.symbol == symbol)
 
 
-def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(
-    told,
-):
+def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(told):
     known, open_air = (find_table(one, "EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]

@@ -39,7 +39,6 @@ def found(clean):
 
 
 def assert_states_the_same(spoilt, found):
-    """A spoilt measurement is usable, and its error that of the clean one."""
     assert spoilt.verdict.state == "usable"
     stated_um = spoilt.volumetric.before.mean.value_um
     clean_um = found.volumetric.before.mean.value_um

@@ -161,7 +161,6 @@ VALIDATION = pathlib.Path(__file__).parents[3] / "validation"
 
 
 def judge(machine, change):
-    """Judge a machine without errors that drove a changed program."""
     q = make_grid(machine.axes, 5, 3)
     place = make_standstill(machine, q).point_mm
     driven = make_standstill(machine, change(q)).point_mm

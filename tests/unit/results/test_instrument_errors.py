@@ -16,7 +16,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 
 def measure(seed, mode="otf", places=1):
-    """Return the findings of a small machine, and its truth."""
     content, setting = load_erring(), Setting(machine_seed=seed)
     program = choose_program(content, seed, mode)
     order = mode, setting
@@ -78,7 +77,6 @@ def test_errors_of_the_tracker_are_no_errors_of_the_machine():
 
 @pytest.fixture(scope="module")
 def still():
-    """A Run of a perfect tracker, and its recording."""
     made = load_small("demo", 0.5)
     return record_run(made, choose_program(made, 21, rows=40), 21)
 

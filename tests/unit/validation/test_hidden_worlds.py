@@ -46,9 +46,7 @@ class World:
         self.is_catalogued = is_catalogued
 
 
-def test_an_answer_is_right_when_it_says_the_truth_or_that_there_is_nothing(
-    validation,
-):
+def test_an_answer_is_right_when_it_says_the_truth_or_that_there_is_nothing(validation):
     judge = validation("discovery_score").judge
     truth = World(effect("backlash", axis="X"))
     own = judge(truth, said(effect("backlash", 1.3, axis="X")), 0.0)
