@@ -16,8 +16,6 @@ from truepath.kinematics.machine.tracker_specification import TrackerSpecificati
 from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.worlds.synthetic import Setting
 
-WIDTH_UM = 8.0
-
 
 def measure(errors, *hidden, stated=None):
     """Return a Run whose tracker errs typically, or as told; stated : if it lies."""
@@ -27,12 +25,6 @@ def measure(errors, *hidden, stated=None):
         return run
     tracker = replace(run.machine.tracker, specification=stated)
     return replace(run, machine=replace(run.machine, tracker=tracker))
-
-
-@pytest.fixture(scope="module")
-def worn():
-    """Play of one axis, seen by a typical tracker."""
-    return discover([measure(None, Backlash("Y", WIDTH_UM))])
 
 
 def test_what_a_tracker_beyond_its_specification_may_do_is_asked_not_named():
@@ -63,12 +55,13 @@ def test_a_tracker_that_errs_is_no_lost_motion_and_no_lag_of_the_machine(errors)
     assert found.gap.after_um < 1.05 * found.gap.noise_floor_um
 
 
-def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model(worn):
+def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model():
+    worn = discover([measure(None, Backlash("Y", 8.0))])
     (found,) = worn.findings
     assert found.candidate.label == "backlash Y"
     assert found.grade == CERTAIN
     width = found.parameters["width_um"]
-    assert abs(width.value - WIDTH_UM) < 3.0 * width.uncertainty
+    assert abs(width.value - 8.0) < 3.0 * width.uncertainty
     said = str(build_next_model(worn, None).content["model"])
     assert "backlash" in said
     assert "tracker" not in said

@@ -19,8 +19,8 @@ def judge(run, truth, **options):
 
 @pytest.fixture(scope="module")
 def few(record_small):
-    run, truth = record_small(30, rows=16)
-    return run, align(run), *judge(run, truth)
+    run, _ = record_small(30, rows=16)
+    return run, align(run)
 
 
 @pytest.mark.parametrize("chain", ["w-b-X-Y-Z-t", "w-Z-b-Y-X-t"])
@@ -58,7 +58,8 @@ def test_twice_the_noise_is_twice_the_uncertainty(record):
 
 
 def test_the_estimate_does_not_depend_on_where_the_tracker_stands(few):
-    run, _, _, a = few
+    run, seen = few
+    a = estimate(seen)
     # Turned about its own vertical, the instrument's noise stays what it was.
     turn = Rotation.from_rotvec([0.0, 0.0, 1.1])
     samples = replace(run.tracker, position_mm=turn.apply(run.tracker.position_mm))
@@ -69,7 +70,7 @@ def test_the_estimate_does_not_depend_on_where_the_tracker_stands(few):
 
 
 def test_perpendicular_only_does_not_see_what_lies_along_the_travel(few):
-    seen = few[1]
+    _, seen = few
     along_mm = 0.01 * np.sin(seen.at.time_s)[:, None] * seen.direction
     moved_mm = seen.tracker_mm + along_mm @ seen.pose.rotation.T
     moved = replace(seen, tracker_mm=moved_mm)
@@ -82,14 +83,6 @@ def test_along_path_information_halves_what_corner_paths_leave(record_small):
     along, _ = judge(run, truth)
     across, _ = judge(run, truth, perpendicular_only=True)
     assert along.share < 0.6 * across.share
-
-
-def test_more_lines_leave_less(record_small, few):
-    many, b = judge(*record_small(30, rows=40))
-    _, _, left, a = few
-    c0y = a.model.slices["C0Y"]
-    assert b.covariance[c0y, c0y].item() < a.covariance[c0y, c0y].item()
-    assert many.share < left.share
 
 
 def test_progress_grows_and_is_complete_only_after_the_last_work(few, monkeypatch):

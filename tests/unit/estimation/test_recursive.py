@@ -110,13 +110,6 @@ def test_the_batch_made_part_by_part_is_one_dense_problem(
     assert_same(compute_information(moving, about), expected)
 
 
-def test_standstills_add_up_to_the_batch(record):
-    seen = align(record(4, "standstill", rows=30)[0])
-    about = about_of(seen)
-    sums = added_in_parts(about, seen, [3, 4, 50])
-    assert_same(sums.information(), compute_information(seen, about))
-
-
 def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
     # Every third line is taken for a standstill: what it says does not matter here.
     still = moving.at.line % 3 == 0

@@ -95,14 +95,6 @@ def test_statements_name_partners_and_length_or_that_a_target_has_to_move_aside(
     assert all("to the side" in s for s in said)
 
 
-def test_three_offsets_leave_nothing_to_separate():
-    offsets = [(0.0, 0.0, -100.0), (80.0, 0.0, -200.0), (0.0, 80.0, -300.0)]
-    machine = mill(*offsets)
-    path = default_path(machine)
-    path = replace(path, target=tuple(f"T{1 + i % 3}" for i in range(len(path))))
-    assert graded(machine, path).unobservable == ()
-
-
 def test_longer_tools_are_asked_for_where_less_is_measured():
     machine = mill(FIRST)
     few, many = (

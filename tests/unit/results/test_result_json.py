@@ -123,12 +123,10 @@ def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance
     json.dumps(content, allow_nan=False)
 
 
-@pytest.mark.parametrize("targets", ["one", "three"])
-def test_the_file_predicts_what_the_estimate_predicts(
-    construct, load, provenance, travel_points, three_targets, targets
+def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
+    construct, load, provenance, travel_points, three_targets
 ):
-    estimate = construct(three_targets) if targets == "three" else construct()
-    found = state_findings(estimate, provenance)
+    found = state_findings(construct(three_targets), provenance)
     read = result_from_json(json.loads(json.dumps(result_json(found))))
     expected = predict(load(found.estimate), travel_points)
     got = predict(read, travel_points)
