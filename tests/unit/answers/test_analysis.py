@@ -57,11 +57,8 @@ def test_progress_never_goes_back_and_three_files_are_written_and_replaced_by_th
     shares = [share for share, _ in stages]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 0.9)  # the files are left to write
-    assert list(dict.fromkeys(name for _, name in stages)) == [
-        "aligning",
-        "estimating",
-        "reporting",
-    ]
+    order = list(dict.fromkeys(name for _, name in stages))
+    assert order == ["aligning", "estimating", "reporting"]
     files = ["error_tables.csv", "report.html", "result.json"]
     assert sorted(os.listdir(folder)) == files
     (folder / "report.html").write_text("old")

@@ -1,6 +1,8 @@
 """What a certificate says, in its own language."""
 
+import functools
 import inspect
+import operator
 import re
 from datetime import date
 from types import SimpleNamespace
@@ -29,38 +31,20 @@ from truepath.estimation.problem.observability import PoorlyObservableShape
 from truepath.files.earlier.provenance_file import KnownLengthsFile
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
-MEASURED = {
-    "conformity": "outside",
-    "length_um": 5.6,
-    "expanded_uncertainty_um": 0.4,
-    "coverage_factor": 3.2,
-    "tolerance_um": 5.0,
-}
-AGREEMENT = {
-    "consistent": False,
-    "chance": 0.001,
-    "share_within_expanded": 0.8,
-    "chance_of_any_machine": 0.03,
-}
-VERIFICATION = {
-    "statements": ["The machine fails."],
-    "compensated": True,
-    "places": {"row": list(range(30))},
-    "conformity": {"measured": MEASURED},
-    "agreement": AGREEMENT,
-    "map_scale": None,
-}
-
-
+MEASURED = {"conformity": "outside", "length_um": 5.6, "expanded_uncertainty_um": 0.4}
+MEASURED |= {"coverage_factor": 3.2, "tolerance_um": 5.0}
+AGREEMENT = {"consistent": False, "chance": 0.001, "share_within_expanded": 0.8}
+AGREEMENT |= {"chance_of_any_machine": 0.03}
+VERIFICATION = {"statements": ["The machine fails."], "compensated": True}
+VERIFICATION |= {"places": {"row": list(range(30))}, "map_scale": None}
+VERIFICATION |= {"conformity": {"measured": MEASURED}, "agreement": AGREEMENT}
 GERMAN, BRITISH = load_language("de"), load_language("en")
 WRONG_SIGN = "Die Steuerung addiert die Kompensation mit falschem Vorzeichen"
 
 
 def describe(*more):
     """What a certificate has of a verification, of which nothing else is asked."""
-    content = dict(VERIFICATION)
-    for one in more:
-        content |= one
+    content = functools.reduce(operator.or_, more, VERIFICATION)
     source = Source("v.json", content, "0" * 64)
     found = SimpleNamespace(input_sha256="")
     issued = Certificate(found, date(2026, 11, 24), verification=source)
@@ -156,10 +140,8 @@ FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
 ANGLE = np.radians(list_sector_angles())
 RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
 SENSES = ("counterclockwise", "clockwise")
-CIRCLE = {
-    "plane": "ZX",
-    "diameter_mm": 230.4,
-    "feed_mm_min": 3000.0,
+CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
+CIRCLE |= {
     "angle_deg": list_sector_angles().tolist(),
     "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
     "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
@@ -203,10 +185,8 @@ def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers()
     assert np.allclose(out, expected, atol=0.02)
 
 
-LINE = {
-    "axes": "X",
-    "standard": "iso-230-2",
-    "runs": 5,
+LINE = {"axes": "X", "standard": "iso-230-2", "runs": 5}
+LINE |= {
     "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
     "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
     "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},

@@ -84,13 +84,9 @@ def told(run_of):
         recording = driven(21 + machine, 20, setting)
         run = run_of(recording)
         earlier = taken(stated(first, model=only_named(first, hidden)))
-        return SimpleNamespace(
-            run=run,
-            truth=recording.truth,
-            earlier=earlier,
-            without=stated(run),
-            beside=stated(run, model=earlier),
-        )
+        both = {"without": stated(run), "beside": stated(run, model=earlier)}
+        truth = recording.truth
+        return SimpleNamespace(run=run, truth=truth, earlier=earlier, **both)
 
     return lambda hidden, machine=MACHINES[0]: make(hidden, machine)
 

@@ -309,12 +309,9 @@ def test_a_model_states_it_as_an_effect_that_no_table_has(loaded):
     """Of a model file that has the effect alone, and no table of it."""
     keys, numbers = {"axis": "X", "motion": "EYX"}, {"turnover_mm": 0.02}
     effect = restore_effect(LateralBacklashFamily(), loaded.machine, keys, numbers)
-    result = replace(
-        loaded,
-        model=loaded.model.with_effects(effect),
-        theta=np.append(loaded.theta, 1e-3 * HALF_UM),
-        covariance=np.pad(loaded.covariance, (0, 1)),
-    )
+    theta = np.append(loaded.theta, 1e-3 * HALF_UM)
+    covariance = np.pad(loaded.covariance, (0, 1))
+    result = CalibrationResult(loaded.model.with_effects(effect), theta, covariance)
     account = export(result, "csv").account
     (stated,) = account["effects"]
     assert stated["rms_um"]["before"] == pytest.approx(HALF_UM, rel=1e-6)
@@ -331,16 +328,10 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
         "EAZ": at | {"value_urad": [20.0, 21.0], "uncertainty_urad": [1.0, 1.0]},
         "ECC": {"position_deg": [0.0, 90.0], "value_urad": [12.0, 13.0]},
     }
-    content = {
-        "schema": MODEL_SCHEMA,
-        "version": 1.0,
-        "machine": machine_to_json(loaded.machine),
-        "mode": "otf",
-        "direction": {"model": "constant", "half_difference": halves},
-        "observability": {"unobservable": []},
-        "provenance": {},
-        "model": model_to_json(loaded),
-    }
+    content = {"schema": MODEL_SCHEMA, "version": 1.0, "mode": "otf", "provenance": {}}
+    content |= {"direction": {"model": "constant", "half_difference": halves}}
+    content |= {"observability": {"unobservable": []}, "model": model_to_json(loaded)}
+    content |= {"machine": machine_to_json(loaded.machine)}
     result = result_from_json(json.loads(json.dumps(content)))
     assert set(result.half_difference_um) == {"X"}
     across = {s: v.tolist() for s, (_, v) in result.half_across.items()}

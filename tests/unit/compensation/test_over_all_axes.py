@@ -47,15 +47,10 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
     stated = rng.chisquare(FREEDOM) / FREEDOM * np.diag((unknown * size) ** 2)
     ends = {a.name: np.array([a.low, a.high]) for a in machine.rotary_axes}
     half = {a: (at, np.full(2, HALF_URAD)) for a, at in ends.items()}
+    half_u = dict.fromkeys(ends, np.full(2, HALF_U_URAD))
     off = HALF_U_URAD * rng.standard_normal()
-    result = CalibrationResult(
-        model,
-        theta + wrong,
-        stated,
-        half_turn_urad=half,
-        half_turn_u_urad={a: np.full(2, HALF_U_URAD) for a in ends},
-        noise_freedom=FREEDOM,
-    )
+    result = CalibrationResult(model, theta + wrong, stated, noise_freedom=FREEDOM)
+    result = replace(result, half_turn_urad=half, half_turn_u_urad=half_u)
     true = map_known(model, theta)
     return KnownMachine(name, true, map_errors(result), HALF_URAD + off)
 

@@ -78,13 +78,10 @@ def test_our_reader_and_the_simulated_controller_read_the_same(
     aside = np.tile(np.array(across[:n])[:, None], (1, 3))
     turned = np.outer(np.linspace(0.0, 1.0, n) ** 2, [0.0, turn, 0.0])
     none = np.zeros((n, 3))
-    content = tables.make_content(
-        (
-            tables.make_table("X", np.array(own[:n]), aside, lost, turned),
-            tables.make_table("Y", np.array(own[:n][::-1]), none, 0.0, none),
-            tables.make_table("Z", np.zeros(n), none, 0.0, none),
-        )
-    )
+    x = tables.make_table("X", np.array(own[:n]), aside, lost, turned)
+    y = tables.make_table("Y", np.array(own[:n][::-1]), none, 0.0, none)
+    z = tables.make_table("Z", np.zeros(n), none, 0.0, none)
+    content = tables.make_content((x, y, z))
     name, choices = tables.ORDERS[order]
     kind = load_format(name, choices)
     files = kind.write(content)

@@ -103,11 +103,10 @@ FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}
 
 def seat(machine, off_um):
     """Return the machine whose file states targets where they are not."""
-    targets = [
-        replace(t, offset_mm=tuple(np.array(t.offset_mm) - 1e-3 * np.array(off)))
-        for t in machine.targets
-        for off in [off_um.get(t.name, (0.0, 0.0, 0.0))]
-    ]
+    targets = []
+    for one in machine.targets:
+        off_mm = 1e-3 * np.array(off_um.get(one.name, (0.0, 0.0, 0.0)))
+        targets.append(replace(one, offset_mm=tuple(one.offset_mm - off_mm)))
     return replace(machine, targets=tuple(targets))
 
 

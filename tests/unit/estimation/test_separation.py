@@ -106,12 +106,9 @@ def test_longer_tools_are_asked_for_where_less_is_measured():
 
 def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
     table = RotaryAxis("C", 0.0, 360.0, (250.0, 200.0, 0.0), (0.0, 0.0, 1.0))
-    mill_with_table = replace(
-        mill(FIRST),
-        workpiece_side=("C",),
-        axes=(*mill((0.0, 0.0, 0.0)).axes, table),
-        tracker=TrackerNoise(stands_on="base"),
-    )
+    own = {"axes": (*mill(FIRST).axes, table), "workpiece_side": ("C",)}
+    tracker = TrackerNoise(stands_on="base")
+    mill_with_table = replace(mill(FIRST), **own, tracker=tracker)
     said = statements(mill_with_table)
     for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
         assert "targets on the workpiece, three off one line" in said[symbol]

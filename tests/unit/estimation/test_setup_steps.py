@@ -34,13 +34,9 @@ def check(run, shift_mm):
 
 
 def test_knocks_are_found_where_they_are_and_told_from_drift(standing):
-    first_mm, second_mm = [0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]
-    found, time_s = check(
-        standing,
-        lambda share: (
-            np.outer(share > 0.3, first_mm) + np.outer(share > 0.65, second_mm)
-        ),
-    )
+    moved_mm = np.array([[0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]])
+    late = np.array([0.3, 0.65])
+    found, time_s = check(standing, lambda share: (share[:, None] > late) @ moved_mm)
     assert [knock.time_s for knock in found.knocks] == pytest.approx(time_s, abs=2.5)
     moved_um = [1e3 * knock.moved_mm for knock in found.knocks]
     assert moved_um == pytest.approx([37.4, 43.6], abs=3.0)

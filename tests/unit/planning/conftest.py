@@ -48,11 +48,7 @@ def planner() -> Callable[..., Planner]:
         feeds: tuple[float, ...] = (6000.0,),
         perpendicular_only: bool = False,
     ) -> Planner:
-        return Planner(
-            machine,
-            design_of(machine, kind, perpendicular_only),
-            workspace or Workspace(),
-            feeds,
-        )
+        design = design_of(machine, kind, perpendicular_only)
+        return Planner(machine, design, workspace or Workspace(), feeds)
 
     return make

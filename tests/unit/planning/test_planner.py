@@ -81,8 +81,9 @@ def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mi
 
 
 def test_several_feeds_have_their_share_of_the_lines(planner, mill):
-    path = planner(mill, feeds=(3000.0, 6000.0, 12_000.0)).plan(120.0)
-    counts = [(path.feed_mm_min[1:] == feed).sum() for feed in (3000, 6000, 12_000)]
+    feeds = (3000.0, 6000.0, 12_000.0)
+    path = planner(mill, feeds=feeds).plan(120.0)
+    counts = [(path.feed_mm_min[1:] == feed).sum() for feed in feeds]
     assert max(counts) - min(counts) <= 1
 
 

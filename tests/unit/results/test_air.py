@@ -48,25 +48,17 @@ BY_NOBODY = Refraction("nobody", why="no pressure")
 @pytest.fixture
 def run(mill, square):
     time_s = 100.0 + np.arange(0.0, 600.0, 0.5)
-    tracker = TrackerSamples(
-        np.arange(len(time_s)),
-        time_s,
-        np.ones((len(time_s), 3)),
-        np.zeros(len(time_s), np.int64),
-    )
+    n = len(time_s)
+    columns = np.arange(n), time_s, np.ones((n, 3)), np.zeros(n, np.int64)
     at_s = np.arange(100.0, 701.0, 1.0)
     rises = 20.0 + 0.01 * (at_s - 100.0)
     dies = np.where(at_s < 300.0, 21.0, np.nan)
     celsius = np.stack([rises, dies, np.full(len(at_s), np.nan)], axis=1)
-    return Run(
-        "warm",
-        mill,
-        square,
-        tracker,
-        TemperatureSamples(("X", "Y", "Z"), at_s, celsius),
-        AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan)),
-        events=(RunEvent(0, "sensor-silent", "Y_degC: no valid reply"),),
-    )
+    temperature = TemperatureSamples(("X", "Y", "Z"), at_s, celsius)
+    air = AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan))
+    silent = RunEvent(0, "sensor-silent", "Y_degC: no valid reply")
+    streams = TrackerSamples(*columns), temperature, air
+    return Run("warm", mill, square, *streams, events=(silent,))
 
 
 def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run):

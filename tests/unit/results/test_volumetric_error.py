@@ -92,11 +92,9 @@ def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
     effect = make_half_width("EXX", estimate.model.machine.linear("X"))
     covariance = np.pad(estimate.covariance, (0, 1))
     covariance[-1, -1] = SIGMA_MM**2
+    model, theta = estimate.model.with_effects(effect), [*estimate.theta, HALF_MM]
     losing = replace(
-        estimate,
-        model=estimate.model.with_effects(effect),
-        theta=np.append(estimate.theta, HALF_MM),
-        covariance=covariance,
+        estimate, model=model, theta=np.array(theta), covariance=covariance
     )
     mean = compute_volumetric_error(losing).before.mean.value_um
     assert mean == pytest.approx(seen.before.mean.value_um)
