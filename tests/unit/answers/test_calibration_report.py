@@ -66,7 +66,9 @@ def outline(page):
     return Outline(page)
 
 
-def test_the_page_needs_nothing_but_itself_and_is_the_same_again(found, page, outline):
+def test_the_page_needs_nothing_but_itself_and_its_figures_take_its_colours(
+    found, page, outline
+):
     assert {"script", "link", "img", "iframe"}.isdisjoint(outline.tags)
     assert outline.addresses == []
     assert "url(http" not in page
@@ -74,9 +76,6 @@ def test_the_page_needs_nothing_but_itself_and_is_the_same_again(found, page, ou
     named = set(re.findall(r"https?://[^\"' )]+", page))
     assert named <= {"http://www.w3.org/1999/xlink", "http://www.w3.org/2000/svg"}
     assert render_calibration_report(found) == page
-
-
-def test_figures_take_their_colours_from_the_page(page):
     svg = page[page.index("<svg") :]
     assert "var(--accent)" in svg
     assert not [one for one in ("#0101", "#000000", "DejaVu") if one in svg]

@@ -1,10 +1,11 @@
 """What a tracker within its specification adds is in what a verification states."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from tests.unit.results.test_verification import Compensated
 
 from recorded import choose_program, load_erring, record_path, record_run
 from truepath.answers.verification.places.predicted_motion import predict_displacement
@@ -16,24 +17,12 @@ from truepath.motion.paths.circle_path import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 SEEDS = range(1, 6)
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
 PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
-
-
-@dataclass(frozen=True)
-class Compensated(TruthMachine):
-    """A machine whose controller takes off all that it errs by."""
-
-    as_found: TruthMachine | None = None
-
-    def point_mm(self, q, reflector, frame="workpiece", carry=None):
-        right = q - self.as_found.deviation_mm(q)
-        return TruthMachine.point_mm(self, right, reflector, frame, carry)
 
 
 def draw_specification(seed):
@@ -73,7 +62,8 @@ class World:
     @property
     def compensated(self):
         truth = self.truth
-        return Compensated(truth.machine, truth.joints, truth.squareness_rad, truth)
+        known = truth.machine, truth.joints, truth.squareness_rad
+        return Compensated(*known, correction=lambda q: -truth.deviation_mm(q))
 
 
 def count_held(found, truth):

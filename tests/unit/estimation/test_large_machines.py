@@ -1,4 +1,4 @@
-"""Machines of several metres: determined, with knots where a motion needs them."""
+"""Knots where a motion of metres needs them; what lies between them is in u."""
 
 import tracemalloc
 from dataclasses import replace
@@ -12,12 +12,15 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
+from truepath.estimation.checks import ripple
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.estimation.checks.misfit import assess_misfit
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
 from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.results.analysis import analyse
+from truepath_simulators.hidden.screws import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -164,3 +167,39 @@ def test_steps_that_are_tried_are_held_few_times(knocked):
     assert found.steps[0].cell == pytest.approx(0.3 * whole, abs=2)
     sums = 8 * 7 * knocked.runs[0].linearisation.size * (whole - half) / STRIDE
     assert more - less < 5.5 * sums
+
+
+def analyse_with(record, monkeypatch, *hidden):
+    """Return what was added to the variance of error motions, in µm², by symbol."""
+    run, _ = record(33, rows=30, setting=Setting(hidden=hidden))
+    before = []
+
+    def spy(found, runs):
+        before.append(found)
+        return ripple.add_ripple(found, runs)
+
+    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
+    found = analyse(run)
+    (plain,) = before
+    scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)
+    added = np.diag(found.estimate.covariance - scaled.covariance)
+    sizes = {}
+    for motion in plain.model.error_motions:
+        rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 50))
+        own = added[plain.model.slices[motion.name]]
+        sizes[motion.symbol] = 1e6 * float((rows**2 @ own).mean())
+    return found, sizes
+
+
+def test_a_clean_machine_has_none(record, monkeypatch):
+    found, sizes = analyse_with(record, monkeypatch)
+    assert found.verdict.state == "usable"
+    assert max(sizes.values()) < 0.1**2
+
+
+@pytest.mark.parametrize("lead_mm", [5.0, 20.0])
+def test_a_screw_too_short_for_knots_is_found_to_its_size(record, monkeypatch, lead_mm):
+    screw = ScrewCyclic("Y", lead_mm, 1.5, 0.3)
+    _, sizes = analyse_with(record, monkeypatch, screw)
+    assert 0.8 < sizes.pop("EYY") / (1.5**2 / 2.0) < 1.2
+    assert max(sizes.values()) < 0.3**2

@@ -184,17 +184,13 @@ def test_ranges_that_nobody_corrects_decide_no_tolerance(told):
         assert decided[1] is Conformity.UNDECIDED
 
 
-def find_table(found, symbol):
-    return next(table for table in found.tables.tables if table.symbol == symbol)
-
-
 def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(told):
-    known, open_air = (find_table(one, "EXX") for one in told)
+    known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]
     more_um = np.sqrt(open_air.uncertainty**2 - known.uncertainty**2)
     assert more_um == pytest.approx(1e-3 * more_ppm * np.abs(away_mm), abs=1e-6)
-    straight = [find_table(one, "EYX").uncertainty for one in told]
+    straight = [one.tables.table("EYX").uncertainty for one in told]
     assert straight[1] == pytest.approx(straight[0], abs=1e-9)
 
 
@@ -241,7 +237,7 @@ def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
         (reason.kind, reason.state) for reason in told.verdict.reasons
     }
     for symbol in ("EXX", "EYY", "EZZ"):
-        settled, true = find_table(told, symbol), find_table(as_it_is, symbol)
+        settled, true = told.tables.table(symbol), as_it_is.tables.table(symbol)
         off_um = np.abs(settled.value - true.value)
         assert (off_um <= 2.0 * np.hypot(settled.uncertainty, true.uncertainty)).all()
     stated = result_json(told)["provenance"]["known_lengths"]
@@ -256,7 +252,7 @@ def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_t
     told = analyse(replace(open_air, known_lengths=(bar(0.0),)))
     assert analyse(open_air).length_scale_ppm > 250.0
     assert told.length_scale_ppm < 6.0
-    far_um = [find_table(one, "EXX").uncertainty.max() for one in (told, as_it_is)]
+    far_um = [one.tables.table("EXX").uncertainty.max() for one in (told, as_it_is)]
     assert far_um[0] < far_um[1] + 1e-3 * 6.0 * TRAVEL_MM
     left_mm = [one.contributions.sigma_mm for one in (told, as_it_is)]
     assert left_mm[0] < 2.0 * left_mm[1]

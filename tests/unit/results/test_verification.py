@@ -45,6 +45,8 @@ def remeasured(record):
 
 @dataclass(frozen=True)
 class Compensated(TruthMachine):
+    """A machine whose controller adds to commanded positions."""
+
     correction: object = None
 
     def point_mm(self, q, reflector, frame="workpiece", carry=None):
