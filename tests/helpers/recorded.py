@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
 from itertools import cycle
 
+import numpy as np
 from tests.conftest import Truth, _run
 
 from truepath.alignment.streaming import StreamingAlignment
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
+from truepath_simulators.motion.arc import Arc
+from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
@@ -67,3 +72,44 @@ def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
         run, made = record_run(content, program, seed, mode, Setting(**setting))
         _made[key] = run, Truth(made)
     return _made[key]
+
+
+def record_path(content, path, seed=3, mode="otf", setting=None):
+    """Return the Run of a planned path, arcs included, and its recording."""
+    arcs = tuple(
+        arc
+        and Arc(
+            tuple("XYZ".index(name) for name in arc.axes),
+            arc.centre_mm,
+            float(np.radians(arc.turn_deg)),
+        )
+        for arc in path.arc
+    )
+    feed_mm_s = path.feed_mm_min / 60.0
+    program = Program(path.position, feed_mm_s, path.dwell_s, path.target, arcs)
+    run, made = record_run(content, program, seed, mode, setting)
+    return replace(run, commanded=path), made
+
+
+def with_samples(run, **columns):
+    """Return a Run whose tracker has sent other positions, status or times."""
+    return replace(run, tracker=replace(run.tracker, **columns))
+
+
+def load_erring(specification=None):
+    """Return a small machine whose tracker errs as is typical, or as told, and says so.
+
+    specification : what a tracker may be off by, as a machine file has it
+    """
+    content = load_small("demo", 0.5)
+    stated = asdict(TrackerSpecification()) if specification is None else specification
+    content["tracker"]["specification"] = stated
+    return content
+
+
+def choose_program(content, seed, mode="otf", *, rows=24, points=50):
+    """Return random lines at 6 m/min, or short standstills at random places."""
+    machine = parse_machine(content)
+    if mode == "otf":
+        return paths.chord_path(machine, seed, rows, 6000.0)
+    return paths.standstill_points(machine, seed, points, dwell_s=0.5)

@@ -1,3 +1,3 @@
 """Fixtures of this room, for tests of both kinds."""
 
-from answers_fixtures import *  # noqa: F403
+from results_fixtures import *  # noqa: F403

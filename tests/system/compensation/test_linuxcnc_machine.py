@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from linuxcnc_machine import TRAVEL, run_program
+from mills import build_mill
 from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import map_errors
-from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.kinematics.machine.machine import LinearAxis
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.linuxcnc.rig import explain_absence
@@ -21,14 +21,8 @@ pytestmark = [
 ]
 
 # Three rows on one line: what runs through them is no exact stop.
-ROWS = [
-    (10, 10, -10),
-    (60, 10, -10),
-    (110, 10, -10),
-    (110, 60, -60),
-    (10.1234, 10, -10),
-    (60, 10, -10),
-]
+ROWS = [(10, 10, -10), (60, 10, -10), (110, 10, -10)]
+ROWS += [(110, 60, -60), (10.1234, 10, -10), (60, 10, -10)]
 FEED = [6000.0, 6000.0, 3000.0, 6000.0, 6000.0, 6000.0]
 DWELL_S = [0.5, 0.0, 0.3, 0.0, 0.2, 0.4]
 
@@ -44,17 +38,10 @@ def source(loaded):
 @pytest.fixture(scope="module")
 def driven(source):
     """Commanded and motor positions of one program with tables."""
-    machine = Machine(
-        "mill",
-        (),
-        ("X", "Y", "Z"),
-        tuple(LinearAxis(name, *travel) for name, travel in TRAVEL.items()),
-        (Target("", "tool", (0.0, 0.0, -100.0)),),
-        TrackerNoise(),
-    )
-    path = Path(
-        machine.axis_names, np.array(ROWS, float), np.array(FEED), np.array(DWELL_S)
-    )
+    axes = tuple(LinearAxis(name, *travel) for name, travel in TRAVEL.items())
+    machine = replace(build_mill((0.0, 0.0, -100.0)), axes=axes)
+    columns = (np.array(one, float) for one in (ROWS, FEED, DWELL_S))
+    path = Path(machine.axis_names, *columns)
     files = export_result(source, "linuxcnc", "comp").files
     tables = {axis: files[f"comp-{axis}.tbl"] for axis in TRAVEL}
     return (*run_program(write_program(path, machine, "linuxcnc"), tables), tables)

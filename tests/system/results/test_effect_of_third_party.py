@@ -81,35 +81,29 @@ def test_the_example_of_the_page_conforms(check, example):
     check(example.BendingBeamFamily(), example_conditions())
 
 
-def test_it_is_discovered_with_its_own_keys_and_words(discovered):
+def test_it_is_discovered_with_its_own_keys_and_words_and_the_page_has_these(
+    discovered, installed
+):
     (effect,) = discovered.content["effects"]
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
-    report = render_discovery_report(
-        discovered.found, discovered.model, discovered.asked, ASK
-    )
-    assert TITLE in report
+    found = discovered.found, discovered.model, discovered.asked
+    assert TITLE in render_discovery_report(*found, ASK)
+    german = catalogue("de")
+    assert german[f"effect.{NAME}"] == "Biegung eines Balkens"
+    assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")
 
 
-def test_an_analysis_by_the_model_file_estimates_it_and_its_report_names_it(run, model):
+def test_analysis_and_plan_by_the_model_file_tell_it_apart_and_name_it(run, model):
     (known,) = model.result.model.catalogue_effects
     assert (dict(known.keys), known.title) == (KEYS, TITLE)
     found = render_analysis(analyse(run, model=model))
     (effect,) = found.result["effects"]
     assert {key: effect[key] for key in KEYS} == KEYS
     assert TITLE in found.report_html
-
-
-def test_a_plan_tells_it_apart_and_names_it(run, model):
     plan = make_plan(run.machine, PlanOrder(minutes=1.0, model=model))
     document = plan_document(plan)
     (effect,) = document["predicted"]["effects"]
     assert {key: effect[key] for key in KEYS} == KEYS
     assert TITLE in render_plan_report(document)
-
-
-def test_the_page_has_its_words(installed):
-    german = catalogue("de")
-    assert german[f"effect.{NAME}"] == "Biegung eines Balkens"
-    assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")

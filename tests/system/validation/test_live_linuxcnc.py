@@ -12,8 +12,6 @@ from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_points
 from truepath_simulators.linuxcnc.rig import explain_absence
 
-RANDOM_POINTS = VerificationKind.RANDOM_POINTS
-
 ABSENT = explain_absence()
 pytestmark = [
     pytest.mark.long,
@@ -33,14 +31,13 @@ def live(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("case", "lines", "factor"),
-    [("THREE_AXES", 24, 15.0), ("OVER_MODBUS", 24, 15.0), ("FIVE_AXES", 48, 15.0)],
+    ("case", "lines"), [("THREE_AXES", 24), ("OVER_MODBUS", 24), ("FIVE_AXES", 48)]
 )
-def test_linuxcnc_drives_and_the_error_is_found(live, tmp_path, case, lines, factor):
+def test_linuxcnc_drives_and_the_error_is_found(live, tmp_path, case, lines):
     shorter = replace(getattr(live, case), lines=lines)
     outcome = live.run_case(shorter, 7, tmp_path)
     assert outcome.lost == 0
-    assert outcome.factor > factor
+    assert outcome.factor > 15.0
     assert outcome.inside > 0.85
 
 
@@ -57,7 +54,9 @@ def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
     files = {axis: tmp_path / f"comp-{axis}.tbl" for axis in content["axes"]}
     tables = {axis: file.read_text() for axis, file in files.items()}
     with live.live_rig(content, seed, case, tables) as rig:
-        points = make_verification_points(order.machine, [RANDOM_POINTS], 12)
+        points = make_verification_points(
+            order.machine, [VerificationKind.RANDOM_POINTS], 12
+        )
         file = str(tmp_path / "left.sqlite")
         driven = replace(order, run_name="left", run_file=file, commanded=points)
         closed = live.measure(rig, driven, 600.0)

@@ -51,20 +51,14 @@ def folder(analysis, tmp_path):
     return tmp_path / "new" / "result"
 
 
-def test_progress_names_the_stages_in_order_and_never_goes_back(analysis, stages):
+def test_progress_never_goes_back_and_three_files_are_written_and_replaced_by_the_next(
+    analysis, stages, folder
+):
     shares = [share for share, _ in stages]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 0.9)  # the files are left to write
-    assert list(dict.fromkeys(name for _, name in stages)) == [
-        "aligning",
-        "estimating",
-        "reporting",
-    ]
-
-
-def test_three_files_are_written_and_nothing_else_and_replaced_by_the_next(
-    analysis, folder
-):
+    order = list(dict.fromkeys(name for _, name in stages))
+    assert order == ["aligning", "estimating", "reporting"]
     files = ["error_tables.csv", "report.html", "result.json"]
     assert sorted(os.listdir(folder)) == files
     (folder / "report.html").write_text("old")
@@ -73,28 +67,9 @@ def test_three_files_are_written_and_nothing_else_and_replaced_by_the_next(
     assert sorted(os.listdir(folder)) == files
 
 
-def test_the_written_map_removes_the_error_of_the_machine(
-    recorded, folder, volume, rigid_free, tmp_path
+def test_the_written_file_predicts_what_the_analysis_does_and_removes_the_error(
+    analysis, folder, recorded, volume, rigid_free, tmp_path
 ):
-    run, truth = recorded
-    q = volume(run.machine)
-    asked, answered = tmp_path / "p.csv", tmp_path / "d.csv"
-    np.savetxt(asked, q, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
-    told = predict_points(folder / "result.json", asked, answered)
-    assert told.warnings == ()
-    with answered.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    predicted = np.array([[float(r[f"d{k}_um"]) for k in "xyz"] for r in rows])
-    sigma = np.array([[float(r[f"u{k}_um"]) for k in "xyz"] for r in rows])
-    before = rigid_free(q, 1e3 * truth.deviation_mm(q))
-    left = before - rigid_free(q, predicted)
-    assert np.linalg.norm(left, axis=1).mean() < 0.1 * (
-        np.linalg.norm(before, axis=1).mean()
-    )
-    assert 0.8 < (np.abs(left) < 2 * sigma).mean() <= 1.0
-
-
-def test_the_file_predicts_what_the_analysis_predicts(analysis, folder):
     read = read_result(folder / "result.json")
     whole = analysis.found.volumetric
     assert json.loads((folder / "result.json").read_text("utf-8")) == analysis.result
@@ -104,36 +79,30 @@ def test_the_file_predicts_what_the_analysis_predicts(analysis, folder):
     alignment = analysis.result["alignment"]
     assert alignment["matched_lines"] == alignment["lines"] == 23
     assert alignment["rows_without_data"] == []
+    run, truth = recorded
+    q = volume(run.machine)
+    asked, answered = tmp_path / "p.csv", tmp_path / "d.csv"
+    np.savetxt(asked, q, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    told = predict_points(folder / "result.json", asked, answered)
+    assert told.warnings == ()
+    with answered.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    predicted, sigma = (
+        np.array([[float(row[f"{what}{k}_um"]) for k in "xyz"] for row in rows])
+        for what in "du"
+    )
+    before = rigid_free(q, 1e3 * truth.deviation_mm(q))
+    left = before - rigid_free(q, predicted)
+    size, whole = (np.linalg.norm(each, axis=1).mean() for each in (left, before))
+    assert size < 0.1 * whole
+    assert 0.8 < (np.abs(left) < 2 * sigma).mean() <= 1.0
 
 
-def test_a_stream_of_another_path_is_refused(recorded, record):
-    run, _ = recorded
-    other, _ = record(32, rows=24)
-    with pytest.raises(AlignmentError):
-        analyse(replace(run, commanded=other.commanded))
-
-
-@pytest.mark.parametrize("missing", ["result", "points"])
-def test_a_file_that_is_not_there_is_named(folder, tmp_path, missing):
-    asked, result = tmp_path / "p.csv", folder / "result.json"
-    asked.write_text("x_mm,y_mm,z_mm\n1,2,3\n")
-    if missing == "result":
-        result = tmp_path / "none.json"
-    else:
-        asked = tmp_path / "none.csv"
-    said = r"none\.(json|csv): cannot be read \(No such"
-    with pytest.raises(BundleError, match=said):
-        predict_points(result, asked, tmp_path / "d.csv")
-
-
-def test_a_result_that_is_cut_short_is_refused(folder, tmp_path):
+def test_a_result_that_cannot_be_one_is_refused(folder, tmp_path):
     cut = tmp_path / "cut.json"
     cut.write_bytes((folder / "result.json").read_bytes()[:5000])
     with pytest.raises(BundleError, match=r"cut\.json, row 1: is not JSON"):
         read_result(cut)
-
-
-def test_a_file_too_large_to_be_a_result_is_not_read(tmp_path):
     large = tmp_path / "large.json"
     with large.open("wb") as file:
         file.truncate((1 << 30) + 1)
@@ -141,17 +110,20 @@ def test_a_file_too_large_to_be_a_result_is_not_read(tmp_path):
         read_result(large)
 
 
-def test_bad_points_leave_no_answer_behind(folder, tmp_path):
+def test_points_or_a_result_that_are_not_there_or_bad_are_named(folder, tmp_path):
     asked, answered = tmp_path / "p.csv", tmp_path / "d.csv"
     asked.write_text("x_mm,y_mm,z_mm\n1,2,nan\n")
     with pytest.raises(BundleError, match=r"p\.csv, row 2, column z_mm"):
         predict_points(folder / "result.json", asked, answered)
     assert not answered.exists()
+    asked.write_text("x_mm,y_mm,z_mm\n1,2,3\n")
+    for files in (("none.json", asked), ("result.json", tmp_path / "none.csv")):
+        with pytest.raises(BundleError, match=r"none\..*: cannot be read \(No such"):
+            predict_points(folder / files[0], files[1], answered)
 
 
 @pytest.fixture(scope="module")
 def runs(record):
-    """Two measurements of a machine: the seed makes the machine, the mode the rest."""
     moving, _ = record(61, rows=24, travel_mm=TRAVEL_MM)
     standing, _ = record(61, "standstill", rows=30, travel_mm=TRAVEL_MM)
     return replace(moving, name="on <the> fly"), replace(standing, name="points")
@@ -172,12 +144,12 @@ def test_the_mode_is_that_of_the_run_with_most_samples_used(of_both):
     assert result_from_json(result).mode == result["mode"]
 
 
-def test_each_run_has_alignment_residuals_noise_and_origin(of_both, runs):
+def test_every_run_has_alignment_residuals_noise_and_origin_and_its_part_of_the_report(
+    of_both, runs
+):
     result = of_both.result
-    left, digest = (
-        result["volumetric_uncertainty_um"],
-        result["provenance"]["input_sha256"],
-    )
+    left = result["volumetric_uncertainty_um"]
+    digest = result["provenance"]["input_sha256"]
     for stated, run in zip(result["runs"], runs, strict=True):
         assert stated["name"] == run.name
         assert stated["samples"] == len(run.tracker)
@@ -196,9 +168,6 @@ def test_each_run_has_alignment_residuals_noise_and_origin(of_both, runs):
     square = sum(line["cells"] * line["rms_um"] ** 2 for line in lines)
     whole = np.sqrt(square / sum(line["cells"] for line in lines))
     assert residuals["rms_um"] == pytest.approx(whole)
-
-
-def test_the_report_shows_every_run(of_both):
     page = of_both.report_html
     for words in (
         "Runs on &lt;the&gt; fly (on the fly), points (at standstill)",
@@ -209,20 +178,11 @@ def test_the_report_shows_every_run(of_both):
     assert page.count("<h3>Run points</h3>") == 3
 
 
-def test_runs_of_one_name_are_numbered():
-    assert number_names(["a", "b"]) == ["a", "b"]
-    assert number_names(["run", "run"]) == ["run (1)", "run (2)"]
-
-
-def test_a_run_that_cannot_be_aligned_is_named(runs, record):
+def test_runs_that_do_not_belong_together_are_refused_by_name(runs, record):
     moving, standing = runs
     other = record(62, "standstill", rows=30, travel_mm=TRAVEL_MM)[0]
     with pytest.raises(AlignmentError, match=r"^points: "):
         analyse(moving, replace(standing, commanded=other.commanded))
-
-
-def test_another_machine_is_refused_before_any_work(runs):
-    moving, standing = runs
     machine = replace(standing.machine, workpiece_side=("X",), tool_side=("Y", "Z"))
     with pytest.raises(
         BundleError, match=r"points/machine\.json: kinematic_chain is w-X-b-Y-Z-t, but"
@@ -230,14 +190,17 @@ def test_another_machine_is_refused_before_any_work(runs):
         analyse(moving, replace(standing, machine=machine))
 
 
-def test_targets_without_a_name_take_that_of_their_run(runs):
+def test_targets_without_a_name_take_that_of_their_run_and_runs_of_one_name_a_number(
+    runs,
+):
     moving, standing = runs
     # What is said of the offset is wrong here; only how it is named counts.
-    longer = replace(
-        standing.machine, targets=(Target("", "tool", (20.0, 30.0, -250.0)),)
-    )
+    target = Target("", "tool", (20.0, 30.0, -250.0))
+    longer = replace(standing.machine, targets=(target,))
     result = result_json(analyse(moving, replace(standing, machine=longer)))
     assert set(result["machine"]["targets"]) == {"on <the> fly", "points"}
+    assert number_names(["a", "b"]) == ["a", "b"]
+    assert number_names(["run", "run"]) == ["run (1)", "run (2)"]
 
 
 pytestmark = pytest.mark.timeout(300)
@@ -260,7 +223,7 @@ def analysed(request, tmp_path_factory):
     return folder, analysis, made.truth
 
 
-def test_tables_of_rotary_axes_are_over_deg_and_say_where_the_axes_are(analysed):
+def test_tables_of_rotary_axes_are_over_deg_in_result_csv_and_report(analysed):
     folder, _, truth = analysed
     result = json.loads((folder / "result.json").read_text())
     tables = result["error_tables"]
@@ -272,10 +235,6 @@ def test_tables_of_rotary_axes_are_over_deg_and_say_where_the_axes_are(analysed)
     assert set(result["axis_location"]["XOC"]) == {"value_um", "uncertainty_um"}
     assert set(result["axis_location"]["AOC"]) == {"value_urad", "uncertainty_urad"}
     assert summarise_result(result, folder)["axis_location"] == result["axis_location"]
-
-
-def test_csv_and_report_show_every_axis_and_keep_deg_apart_from_mm(analysed):
-    folder, *_ = analysed
     rows = list(csv.DictReader(io.StringIO((folder / "error_tables.csv").read_text())))
     for row in rows:
         turning = row["error"].startswith("E") and row["error"][2] in "BC"
@@ -292,9 +251,8 @@ def test_the_error_is_predicted_at_five_axes_from_the_result_alone(analysed):
     q = np.random.default_rng(2).uniform(machine.low, machine.high, (60, 5)).round(4)
     header = "x_mm,y_mm,z_mm,b_deg,c_deg"
     np.savetxt(folder / "p.csv", q, "%.4f", ",", header=header, comments="")
-    predicted = predict_points(
-        folder / "result.json", folder / "p.csv", folder / "out.csv"
-    )
+    files = (folder / name for name in ("result.json", "p.csv", "out.csv"))
+    predicted = predict_points(*files)
     first = (folder / "out.csv").read_text().splitlines()[0]
     assert first == f"{header},dx_um,dy_um,dz_um,ux_um,uy_um,uz_um"
     direct = read_result(folder / "result.json")

@@ -30,20 +30,23 @@ VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
 
 
 class Outline(HTMLParser):
-    """Texts and tags of a page; every tag that opens has to close."""
+    """Text and tags of a page; every tag that opens has to close."""
 
-    def __init__(self) -> None:
+    def __init__(self, page: str) -> None:
         super().__init__()
         self.open, self.texts, self.tags, self.addresses = [], [], set(), []
+        self.feed(page)
+        assert self.open == []
+        self.text = re.sub(r"\s+", " ", " ".join(self.texts))
 
     def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        self.addresses += [v for k, v in attrs if k in ("src", "href") and v]
+        self.handle_startendtag(tag, attrs)
         if tag not in VOID:
             self.open.append(tag)
 
     def handle_startendtag(self, tag, attrs):
         self.tags.add(tag)
+        self.addresses += [v for k, v in attrs if k in ("src", "href") and v]
 
     def handle_endtag(self, tag):
         if tag not in VOID:
@@ -51,17 +54,6 @@ class Outline(HTMLParser):
 
     def handle_data(self, data):
         self.texts.append(data)
-
-    @property
-    def text(self) -> str:
-        return re.sub(r"\s+", " ", " ".join(self.texts))
-
-
-def read(page: str) -> Outline:
-    outline = Outline()
-    outline.feed(page)
-    assert outline.open == []
-    return outline
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +63,12 @@ def page(found):
 
 @pytest.fixture(scope="module")
 def outline(page):
-    return read(page)
+    return Outline(page)
 
 
-def test_the_page_needs_nothing_but_itself_and_is_the_same_again(found, page, outline):
+def test_the_page_needs_nothing_but_itself_and_its_figures_take_its_colours(
+    found, page, outline
+):
     assert {"script", "link", "img", "iframe"}.isdisjoint(outline.tags)
     assert outline.addresses == []
     assert "url(http" not in page
@@ -82,9 +76,6 @@ def test_the_page_needs_nothing_but_itself_and_is_the_same_again(found, page, ou
     named = set(re.findall(r"https?://[^\"' )]+", page))
     assert named <= {"http://www.w3.org/1999/xlink", "http://www.w3.org/2000/svg"}
     assert render_calibration_report(found) == page
-
-
-def test_figures_take_their_colours_from_the_page(page):
     svg = page[page.index("<svg") :]
     assert "var(--accent)" in svg
     assert not [one for one in ("#0101", "#000000", "DejaVu") if one in svg]
@@ -106,20 +97,17 @@ def test_errors_figures_and_provenance_stand_in_it(found, outline):
             assert stated in outline.text
 
 
-def test_what_cannot_be_told_is_said_in_words(estimate, outline):
+def test_what_cannot_be_told_is_said_in_words_and_where_all_is_told_that_is_said(
+    estimate, outline, construct, three_targets, provenance
+):
     assert estimate.observability.unobservable
     for statement in estimate.observability.unobservable:
         assert statement in outline.text
     assert "hold for the measured target offset only" in outline.text
     assert outline.text.count("not observable") >= 2 * 4
-
-
-def test_where_all_is_told_apart_the_report_says_so(
-    construct, three_targets, provenance
-):
     all_told = state_findings(construct(three_targets), provenance)
     assert "all error motions were identified" in render_section("limits", all_told)
-    text = read(render_section("error_motions", all_told)).text
+    text = Outline(render_section("error_motions", all_told)).text
     assert "hold for any tool" in text
     assert "not observable" not in text
 
@@ -144,9 +132,8 @@ def test_residuals_above_the_noise_are_a_warning(
 
 
 def test_a_standstill_run_speaks_of_points(estimate, provenance):
-    run = replace(
-        provenance.runs[0], mode="standstill", feed_mm_min=None, temperature_degc={}
-    )
+    points = {"mode": "standstill", "feed_mm_min": None, "temperature_degc": {}}
+    run = replace(provenance.runs[0], **points)
     at_rest = state_findings(estimate, replace(provenance, runs=(run,)))
     assert "measured at standstill" in render_calibration_report(at_rest)
     text = render_section("machine", at_rest)
@@ -179,31 +166,26 @@ def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
     machine = replace(estimate.model.machine, name=evil)
     model = replace(estimate.model, machine=machine)
     run = replace(provenance.runs[0], name=evil, source={evil: evil})
-    page = render_calibration_report(
-        state_findings(replace(estimate, model=model), replace(provenance, runs=(run,)))
-    )
+    named = replace(estimate, model=model), replace(provenance, runs=(run,))
+    page = render_calibration_report(state_findings(*named))
     assert "<script" not in page
     assert "&lt;script&gt;" in page
 
 
 def test_an_axis_of_which_nothing_is_known_has_no_values(estimate, provenance):
     model = estimate.model
-    kept = tuple(
-        e for e in model.effects if not e.name.endswith("Z") or e.name[0] != "E"
-    )
+    kept = tuple(e for e in model.effects if not re.fullmatch("E.Z", e.name))
     rows = np.concatenate([np.r_[model.slices[e.name]] for e in kept])
-    thin = replace(
-        estimate,
-        model=replace(model, effects=kept),
-        theta=estimate.theta[rows],
-        covariance=estimate.covariance[np.ix_(rows, rows)],
-    )
-    text = read(render_section("error_motions", state_findings(thin, provenance))).text
+    told = estimate.theta[rows], estimate.covariance[np.ix_(rows, rows)]
+    fewer = replace(model, effects=kept)
+    thin = replace(estimate, model=fewer, theta=told[0], covariance=told[1])
+    found = state_findings(thin, provenance)
+    text = Outline(render_section("error_motions", found)).text
     assert "Values of axis X" in text
     assert "Values of axis Z" not in text
-    none = np.zeros_like(estimate.theta), np.zeros_like(estimate.covariance)
-    perfect = replace(estimate, theta=none[0], covariance=none[1])
-    read(render_section("volume", state_findings(perfect, provenance)))
+    nothing = 0.0 * estimate.theta, 0.0 * estimate.covariance
+    perfect = replace(estimate, theta=nothing[0], covariance=nothing[1])
+    Outline(render_section("volume", state_findings(perfect, provenance)))
 
 
 def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
@@ -277,21 +259,16 @@ def graded(partly, provenance):
     return state_findings(partly, provenance, None, poor)
 
 
-def test_every_extrapolated_value_is_marked_in_the_csv_file(graded):
-    rows = list(
-        csv.DictReader(io.StringIO(error_tables_csv(graded.tables, graded.verdict)))
-    )
+def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(graded):
+    text = error_tables_csv(graded.tables, graded.verdict)
+    rows = list(csv.DictReader(io.StringIO(text)))
     for row in rows:
+        beyond = ""
         if row["position_mm"]:
             low, high = MEASURED[row["error"][2]]
-            beyond = not low <= float(row["position_mm"]) <= high
-            assert row["extrapolated"] == str(int(beyond))
-        else:
-            assert row["extrapolated"] == ""
+            beyond = str(int(not low <= float(row["position_mm"]) <= high))
+        assert row["extrapolated"] == beyond
     assert {row["extrapolated"] for row in rows} == {"0", "1", ""}
-
-
-def test_the_result_marks_them_and_a_reader_finds_them_again(graded):
     content = json.loads(json.dumps(result_json(graded)))
     table = content["error_tables"]["EYX"]
     beyond = np.array(table["position_mm"]) < -100.0
@@ -302,9 +279,8 @@ def test_the_result_marks_them_and_a_reader_finds_them_again(graded):
     again = build_error_tables(loaded, loaded.measured).table("EYX")
     assert again.extrapolated.tolist() == beyond.tolist()
     del content["measured_range"]
-    loaded = result_from_json(content)
-    assert loaded.measured == {}
-    unmarked = build_error_tables(loaded, loaded.measured).table("EYX")
+    assert result_from_json(content).measured == {}
+    unmarked = build_error_tables(loaded, {}).table("EYX")
     assert not unmarked.extrapolated.any()
 
 
@@ -319,9 +295,6 @@ def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
         assert words in page.replace("−", "-")
     assert result_json(found)["grade"] is None
     assert "Grade of the set-up" not in render_calibration_report(found)
-
-
-def test_the_grade_says_in_words_what_to_add(graded):
     said = in_words(graded.grade)
     assert said.startswith(f"{graded.grade.number:.2f}, {graded.grade.verdict}: ")
     assert f"which makes it {graded.grade.improved:.2f}." in said

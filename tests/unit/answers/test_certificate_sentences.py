@@ -1,6 +1,8 @@
 """What a certificate says, in its own language."""
 
+import functools
 import inspect
+import operator
 import re
 from datetime import date
 from types import SimpleNamespace
@@ -17,10 +19,7 @@ from truepath.answers.certificate.closing_sections import (
 )
 from truepath.answers.certificate.issue import Certificate, Source
 from truepath.answers.certificate.language import load_language
-from truepath.answers.certificate.limits import (
-    say_poorly_observable,
-    say_unobservable,
-)
+from truepath.answers.certificate.limits import say_poorly_observable, say_unobservable
 from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification.circles import polar_figure
 from truepath.answers.verification.circles.circle_figures import (
@@ -32,38 +31,20 @@ from truepath.estimation.problem.observability import PoorlyObservableShape
 from truepath.files.earlier.provenance_file import KnownLengthsFile
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
-MEASURED = {
-    "conformity": "outside",
-    "length_um": 5.6,
-    "expanded_uncertainty_um": 0.4,
-    "coverage_factor": 3.2,
-    "tolerance_um": 5.0,
-}
-AGREEMENT = {
-    "consistent": False,
-    "chance": 0.001,
-    "share_within_expanded": 0.8,
-    "chance_of_any_machine": 0.03,
-}
-VERIFICATION = {
-    "statements": ["The machine fails."],
-    "compensated": True,
-    "places": {"row": list(range(30))},
-    "conformity": {"measured": MEASURED},
-    "agreement": AGREEMENT,
-    "map_scale": None,
-}
-
-
+MEASURED = {"conformity": "outside", "length_um": 5.6, "expanded_uncertainty_um": 0.4}
+MEASURED |= {"coverage_factor": 3.2, "tolerance_um": 5.0}
+AGREEMENT = {"consistent": False, "chance": 0.001, "share_within_expanded": 0.8}
+AGREEMENT |= {"chance_of_any_machine": 0.03}
+VERIFICATION = {"statements": ["The machine fails."], "compensated": True}
+VERIFICATION |= {"places": {"row": list(range(30))}, "map_scale": None}
+VERIFICATION |= {"conformity": {"measured": MEASURED}, "agreement": AGREEMENT}
 GERMAN, BRITISH = load_language("de"), load_language("en")
 WRONG_SIGN = "Die Steuerung addiert die Kompensation mit falschem Vorzeichen"
 
 
 def describe(*more):
     """What a certificate has of a verification, of which nothing else is asked."""
-    content = dict(VERIFICATION)
-    for one in more:
-        content |= one
+    content = functools.reduce(operator.or_, more, VERIFICATION)
     source = Source("v.json", content, "0" * 64)
     found = SimpleNamespace(input_sha256="")
     issued = Certificate(found, date(2026, 11, 24), verification=source)
@@ -102,44 +83,25 @@ def test_a_compensation_that_explains_all_sends_nobody_to_the_tracker():
     assert "Die Kompensation der Steuerung ist anders als angegeben" in control
 
 
-def test_what_lines_leave_unseen_and_air_and_scale_are_said_in_german():
+def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     across = "three at standstills, the two across the travel on lines"
     _, said, unseen, _ = german(components=across, unseen_directions=["X"])
     assert "quer zur Fahrt" in said
     assert unseen.startswith("Längs X wurde nichts gemessen")
     air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
-    runs = [{"length_scale_ppm": 270.0}] * 2
-    _, uncorrected, _, scale = german(
-        run_verdict=verdict_json(Verdict((air,))), runs=runs
-    )
+    judged, runs = verdict_json(Verdict((air,))), [{"length_scale_ppm": 270.0}] * 2
+    _, uncorrected, _, scale = german(run_verdict=judged, runs=runs)
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
     assert "270,00 ppm" in scale
-
-
-def test_what_settles_the_scale_of_a_result_is_said_with_its_expanded_uncertainty():
     figure = {"value_um": 5.0, "uncertainty_um": 0.2}
     spread = dict.fromkeys(("mean", "p95", "largest"), figure)
-    known = {"count": 3, "off_ppm": -61.5, "uncertainty_ppm": 0.7}
+    known = KnownLengthsFile(count=3, off_ppm=-61.5, uncertainty_ppm=0.7)
     volume = {"before": spread, "after_expected": spread}
-    result = SimpleNamespace(
-        length_scale_ppm=0.8, known_lengths=KnownLengthsFile(**known)
-    )
+    result = SimpleNamespace(length_scale_ppm=0.8, known_lengths=known)
     found = SimpleNamespace(content={"volumetric_error": volume}, result=result)
     note = describe_brief(SimpleNamespace(found=found, left=None), GERMAN)["scale_note"]
     assert "bekannte Längen fest (3)" in note
     assert "um −61,50 ppm zu lang, mit U = 1,40 ppm" in note
-
-
-def test_a_line_has_one_name_in_german_a_number_a_true_minus_and_a_date_its_hyphens():
-    texts = {**GERMAN.own, **GERMAN.shared}
-    assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
-    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
-
-
-def test_a_file_that_states_less_is_quoted():
-    quoted = ["The machine fails."]
-    assert word_findings(VERIFICATION, BRITISH) == quoted
-    assert german(conformity={"measured": {"k": 2}}) == quoted
 
 
 U = ("", "_uncertainty")
@@ -150,13 +112,19 @@ NUMBERS = {
 }
 
 
-def test_numbers_of_a_verification_are_in_words_and_not_in_keys_of_its_file():
+def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted():
     view = describe(NUMBERS)
     assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
     assert view["lengths"][0][1] == "0,5 ± 1,0"
     rows = dict(view["rows"])
     assert rows["Toleranz an jeder Stelle"] == "5,00 µm"
     assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
+    texts = {**GERMAN.own, **GERMAN.shared}
+    assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
+    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
+    quoted = ["The machine fails."]
+    assert word_findings(VERIFICATION, BRITISH) == quoted
+    assert german(conformity={"measured": {"k": 2}}) == quoted
 
 
 @pytest.mark.parametrize("decision", ["within", "outside", "undecided"])
@@ -172,10 +140,8 @@ FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
 ANGLE = np.radians(list_sector_angles())
 RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
 SENSES = ("counterclockwise", "clockwise")
-CIRCLE = {
-    "plane": "ZX",
-    "diameter_mm": 230.4,
-    "feed_mm_min": 3000.0,
+CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
+CIRCLE |= {
     "angle_deg": list_sector_angles().tolist(),
     "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
     "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
@@ -219,10 +185,8 @@ def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers()
     assert np.allclose(out, expected, atol=0.02)
 
 
-LINE = {
-    "axes": "X",
-    "standard": "iso-230-2",
-    "runs": 5,
+LINE = {"axes": "X", "standard": "iso-230-2", "runs": 5}
+LINE |= {
     "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
     "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
     "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
@@ -290,20 +254,18 @@ def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, text
 
 def test_numbers_of_a_statement_stand_in_its_german_words():
     said = say_unobservable(MERGED, GERMAN)
-    assert said.startswith(
-        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und"
-    )
-    assert "mindestens 180 mm seitlich" in said
-    assert "auf 3,4 µrad bekannt (k = 2)" in said
-    shape = PoorlyObservableShape(
-        ("EXX", "C0Y"), 0.73, 2.4e-3, "an S of the error along X"
-    )
-    said = say_poorly_observable(str(shape), GERMAN)
-    assert said.startswith(
-        "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung"
-    )
-    assert "73 % dessen" in said
-    assert "2,4 µm (k = 1)" in said
+    form = "an S of the error along X"
+    poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
+    for words in (
+        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und",
+        *("mindestens 180 mm seitlich", "auf 3,4 µrad bekannt (k = 2)"),
+    ):
+        assert words in said
+    for words in (
+        "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung",
+        *("73 % dessen", "2,4 µm (k = 1)"),
+    ):
+        assert words in say_poorly_observable(poor, GERMAN)
 
 
 @pytest.mark.parametrize("say", [say_unobservable, say_poorly_observable])

@@ -1,4 +1,4 @@
-"""Charts: round ticks, nothing outside the frame, numbers as a person writes them."""
+"""Charts with round ticks and nothing outside the frame; templates compiled once."""
 
 import re
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jinja2 import DictLoader
 
+from truepath.answers.shown import templating
 from truepath.answers.shown.chart import Frame, Scale, round_down, round_up
 from truepath.answers.shown.svg import Colour, draw_curve, write_label
 
@@ -59,7 +61,7 @@ def test_ticks_have_one_number_of_places_and_a_true_minus(ticks, text):
     assert Scale(-1.0, 1.0, 0.0, 1.0).name_ticks(np.array(ticks)) == text
 
 
-def test_the_grid_stays_inside_the_frame_and_data_at_one_number_have_one():
+def test_curves_and_grid_stay_in_the_frame_and_words_bring_no_markup():
     across = FRAME.make_x(0.0, 800.0)
     drawn = FRAME.draw_axes(across, FRAME.make_y(0.0, 0.0), "X, mm", "µm")
     assert "nan" not in drawn
@@ -69,9 +71,35 @@ def test_the_grid_stays_inside_the_frame_and_data_at_one_number_have_one():
     x, y = np.array(re.findall(r"[\d.]+", grid), float).reshape(-1, 2).T
     assert FRAME.left <= x.min() < x.max() <= FRAME.right
     assert FRAME.top <= y.min() < y.max() <= FRAME.bottom
-
-
-def test_a_curve_goes_through_its_points_and_words_bring_no_markup():
     drawn = draw_curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
     assert 'd="M1.00 3.00L2.00 4.50"' in drawn
     assert "<script" not in write_label(0.0, 0.0, "<script>")
+
+
+@pytest.fixture
+def environment(tmp_path):
+    cache = templating.CompiledTemplates(str(tmp_path))
+    loader = DictLoader({"page.html": "<p>{{ text }}</p>"})
+    return templating.ENVIRONMENT.overlay(loader=loader, bytecode_cache=cache)
+
+
+def test_a_template_is_compiled_once(environment, tmp_path, monkeypatch):
+    environment.get_template("page.html")
+    assert len(list(tmp_path.iterdir())) == 1
+    again = environment.overlay(cache_size=1)
+    monkeypatch.setattr(type(again), "compile", None)  # would fail
+    assert again.get_template("page.html").render(text="<") == "<p>&lt;</p>"
+
+
+def test_a_page_is_made_where_nothing_can_be_kept(environment, tmp_path):
+    tmp_path.rmdir()
+    assert environment.get_template("page.html").render(text="a") == "<p>a</p>"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, PermissionError])
+def test_a_user_without_a_folder_has_no_kept_templates(monkeypatch, error):
+    def refuse(self):
+        raise error
+
+    monkeypatch.setattr(templating.CompiledTemplates, "_get_default_cache_dir", refuse)
+    assert templating.find_compiled() is None

@@ -26,16 +26,14 @@ def knocked(record):
     return discover_runs([record(11, rows=40, travel_mm=150.0, setting=setting)[0]])
 
 
-@pytest.fixture(scope="module")
-def page(knocked):
-    return render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
-
-
 def text_of(page: str) -> str:
     return html.unescape(re.sub(r"<[^>]+>", " ", page.split("</style>")[1]))
 
 
-def test_a_finding_comes_with_numbers_cause_and_remedy(knocked, page):
+def test_a_finding_comes_with_numbers_cause_and_remedy_and_unusual_noise_is_said(
+    knocked,
+):
+    page = render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
     (finding,) = knocked.found.findings
     words, step = finding.family.words["en"], finding.parameters["step_um[x]"]
     gap = knocked.found.gap
@@ -55,6 +53,11 @@ def test_a_finding_comes_with_numbers_cause_and_remedy(knocked, page):
         assert f'aria-label="{figure}' in page or figure in page
     assert not re.search(r'(?:src|href)="', page)  # it needs nothing from elsewhere
     assert "nan" not in page
+    loud = replace(gap, usual_um=0.5 * gap.noise_floor_um)
+    found = replace(knocked.found, gap=loud)
+    said = text_of(render_discovery_report(found, knocked.model, None, ASK))
+    words = "they are counted as noise, 2 times what the tracker is stated to have"
+    assert words in said
 
 
 def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_path):
@@ -66,20 +69,6 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_p
     write_discovery(knocked, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"discovery.json", "model.json", "report.html"}
-
-
-def test_what_is_counted_as_noise_beyond_the_stated_is_said(knocked):
-    gap = knocked.found.gap
-    loud = replace(gap, usual_um=0.5 * gap.noise_floor_um)
-    found = replace(knocked.found, gap=loud)
-    said = text_of(render_discovery_report(found, knocked.model, None, ASK))
-    assert (
-        "they are counted as noise, 2 times what the tracker is stated to have" in said
-    )
-
-
-def test_an_analysis_says_what_of_a_model_ended_with_its_run(knocked, tmp_path):
-    write_discovery(knocked, tmp_path)
     earlier = read_prior_model(tmp_path / "model.json")
     assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)
 

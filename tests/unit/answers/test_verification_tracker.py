@@ -1,12 +1,13 @@
 """What a tracker within its specification adds is in what a verification states."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from tests.unit.results.test_verification import Compensated
 
-from recorded import load_small, record_run
+from recorded import choose_program, load_erring, record_path, record_run
 from truepath.answers.verification.places.predicted_motion import predict_displacement
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
@@ -16,28 +17,12 @@ from truepath.motion.paths.circle_path import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
 SEEDS = range(1, 6)
-FEED, POINTS, LINES = 6000.0, 30, 14
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
 PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
-
-
-@dataclass(frozen=True)
-class Compensated(TruthMachine):
-    """A machine whose controller takes off all that it errs by."""
-
-    as_found: TruthMachine | None = None
-
-    def point_mm(self, q, reflector, frame="workpiece", carry=None):
-        right = q - self.as_found.deviation_mm(q)
-        return TruthMachine.point_mm(self, right, reflector, frame, carry)
 
 
 def draw_specification(seed):
@@ -51,12 +36,10 @@ class World:
     """A machine, its result by a tracker, and verifying measurements from elsewhere."""
 
     def __init__(self, seed, specification=None):
-        self.seed, self.content = seed, load_small("demo", 0.5)
         stated = draw_specification(seed) if specification is None else specification
-        self.content["tracker"]["specification"] = stated
-        self.machine = parse_machine(self.content)
-        self.truth = random_machine(self.machine, seed)
-        program = paths.chord_path(self.machine, seed, 24, FEED)
+        self.seed, self.content = seed, load_erring(stated)
+        self.truth = random_machine(parse_machine(self.content), seed)
+        program = choose_program(self.content, seed)
         run = self._record(program, seed, "otf", self.truth, tracker=seed)
         read = json.loads(json.dumps(result_json(analyse(run))))
         self.result = result_from_json(read)
@@ -67,35 +50,20 @@ class World:
 
     def measure(self, mode, truth, *, is_same_tracker):
         seed = self.seed + 500
-        if mode == "standstill":
-            program = paths.standstill_points(self.machine, seed, POINTS, dwell_s=0.5)
-        else:
-            program = paths.chord_path(self.machine, seed, LINES, FEED)
+        program = choose_program(self.content, seed, mode, rows=14, points=30)
         tracker = self.seed if is_same_tracker else seed
         return self._record(program, seed, mode, truth, tracker)
 
     def drive_circles(self, truth):
-        machine = machine_from_json(self.content, file="machine.json")
-        path = make_circle_path(machine)
-        arcs = tuple(
-            arc
-            and Arc(
-                tuple("XYZ".index(name) for name in arc.axes),
-                arc.centre_mm,
-                float(np.radians(arc.turn_deg)),
-            )
-            for arc in path.arc
-        )
-        program = Program(
-            path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs
-        )
-        run = self._record(program, self.seed + 700, "otf", truth, tracker=self.seed)
-        return replace(run, machine=machine, commanded=path)
+        path = make_circle_path(machine_from_json(self.content, file="machine.json"))
+        setting = Setting(machine_seed=self.seed, truth=truth)
+        return record_path(self.content, path, self.seed + 700, setting=setting)[0]
 
     @property
     def compensated(self):
         truth = self.truth
-        return Compensated(truth.machine, truth.joints, truth.squareness_rad, truth)
+        known = truth.machine, truth.joints, truth.squareness_rad
+        return Compensated(*known, correction=lambda q: -truth.deviation_mm(q))
 
 
 def count_held(found, truth):
@@ -146,7 +114,9 @@ def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
     assert np.mean(held) >= 0.9
 
 
-def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated_for_the_tracker(
+    worlds,
+):
     held: list[bool] = []
     for world in worlds:
         run = world.drive_circles(world.compensated)
@@ -154,18 +124,13 @@ def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
             value, sigma = one.measured.value_um, one.measured.uncertainty_um
             held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
     assert np.mean(held) >= 0.9
-
-
-def test_radii_are_known_less_well_by_a_tracker_that_may_err(worlds):
+    # A perfect tracker knows radii better.
     world = worlds[0]
     run = world.drive_circles(world.compensated)
     perfect = replace(run.machine.tracker, specification=PERFECT)
     clean = replace(run, machine=replace(run.machine, tracker=perfect))
-    pairs = zip(
-        *(verify(world.result, each).circles.circles for each in (run, clean)),
-        strict=True,
-    )
-    for erring, exact in pairs:
+    both = (verify(world.result, each).circles.circles for each in (run, clean))
+    for erring, exact in zip(*both, strict=True):
         stated = [each.measured.uncertainty_um["F_max"] for each in (erring, exact)]
         assert stated[0] > 1.1 * stated[1]
 

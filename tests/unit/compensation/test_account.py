@@ -1,11 +1,15 @@
 """What a file leaves is stated as it is, and nothing unmeasured is sold as measured."""
 
+import json
+import re
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from known_machines import tabulate
 from truepath.compensation.account.remaining_error import (
     find_remaining,
     remove_rigid_motion,
@@ -13,6 +17,7 @@ from truepath.compensation.account.remaining_error import (
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.formats.isg_csv import IsgCsv
 from truepath.compensation.formats.linuxcnc import LinuxCnc
+from truepath.compensation.installed import list_formats
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.length_reference import (
     find_measured_degc,
@@ -21,7 +26,22 @@ from truepath.compensation.tables.length_reference import (
 from truepath.compensation.tables.tabulation import Tabulation
 from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
 from truepath.errors import BadInput
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.files.earlier.model_file import model_to_json
+from truepath.files.earlier.result_file import (
+    MODEL_SCHEMA,
+    CalibrationResult,
+    result_from_json,
+)
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.backlash import BacklashFamily, LateralBacklashFamily
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.results.error_tables import compute_half_differences
+from truepath_simulators.scenario import load_machine
 
 FORMATS = {"isg-csv": IsgCsv, "linuxcnc": LinuxCnc}
 
@@ -148,7 +168,9 @@ def test_a_result_without_measured_range_or_direction_says_so_in_account_and_fil
 
 
 @pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
-def test_account_and_file_say_what_was_not_measured(half_measured, choice):
+def test_unmeasured_ranges_are_said_in_account_and_file_or_the_file_is_refused(
+    half_measured, choice
+):
     export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
     (said,) = export.account["unmeasured"]
     assert said.startswith("X not measured from 50 to 300 mm")
@@ -158,9 +180,6 @@ def test_account_and_file_say_what_was_not_measured(half_measured, choice):
     left = export.account["volumetric_error_um"]
     assert left["after_where_measured"]["mean"] < 0.5 * left["after"]["mean"]
     assert export.account["left_um"]["unmeasured_range"] > 1.0
-
-
-def test_or_the_file_is_refused_with_the_range(half_measured):
     with pytest.raises(BadInput, match="X not measured from 50 to 300 mm"):
         export_result(half_measured, "isg-csv", "c", unmeasured=Unmeasured.REFUSE)
 
@@ -169,11 +188,10 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
     """Siemens tables hold their last value: only beyond the measured part they err."""
     middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
     whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
+    results = (replace(source.result, measured=one) for one in (middle, whole))
     part, every = (
-        export_result(
-            replace(source, result=replace(source.result, measured=one)), "siemens", "c"
-        ).account
-        for one in (middle, whole)
+        export_result(replace(source, result=result), "siemens", "c").account
+        for result in results
     )
     left = part["volumetric_error_um"]
     after = every["volumetric_error_um"]["after"]
@@ -203,15 +221,12 @@ def test_no_file_is_written_without_its_account(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_sensors_of_the_scales_count_where_there_are_any():
+def test_lengths_are_of_the_scales_if_sensed_and_steel_is_off_by_kelvins():
     air = {"air": [18.0, 25.0], "spindle": [30.0, 31.0]}
     assert find_measured_degc({"temperature_degC": air}) == (18.0, 31.0)
     scales = {"X": [22.0, 22.5], "Y": [21.5, 22.0]}
     assert find_measured_degc({"temperature_degC": air | scales}) == (21.5, 22.5)
     assert find_measured_degc({}) is None
-
-
-def test_beyond_a_kelvin_of_20_degrees_the_warning_says_by_how_much_steel_is_off():
     for ends in ((20.0, 20.0), (19.0, 21.0), (20.4, 20.9)):
         assert warn_of_lengths(ends) is None
     assert "+4.0 K off 20 °C" in (warn_of_lengths((21.0, 24.0)) or "")
@@ -236,3 +251,151 @@ def test_account_and_comments_say_it_and_no_number_changes(loaded):
     assert "+3.4 K" in lengths["warning"]
     assert "unknown temperature" in unknown["lengths"]["text"]
     assert warm["volumetric_error_um"] == unknown["volumetric_error_um"]
+
+
+HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])
+
+
+def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
+    half_across = {symbol: (AT_MM, np.full(2, half))}
+    sigmas = {symbol: np.full(2, sigma)}
+    return replace(loaded, half_across=half_across, half_across_u=sigmas)
+
+
+def export(result, name):
+    return export_result(map_errors(result), name, "comp", spacing_mm=60.0)
+
+
+@pytest.mark.parametrize("name", list_formats())
+def test_no_table_has_a_straightness_that_depends_on_direction(loaded, source, name):
+    lost = map_errors(lose_across(loaded, "EYX", HALF_UM))
+    made = tabulate(source, name, 60.0)
+    assert made.write(lost) == made.write(source)
+    words = "lost motion across|what depends on direction|straightness"
+    assert re.search(words, made.kind.not_carried)
+
+
+@pytest.mark.parametrize("name", ["linuxcnc", "csv"])
+def test_a_straightness_that_depends_on_direction_is_stated_to_stay(
+    loaded, source, name
+):
+    without = export_result(source, name, "comp", spacing_mm=60.0).account
+    lost = export(lose_across(loaded, "EYX", HALF_UM), name).account
+    assert lost["volumetric_error_um"]["after"]["mean"] >= 5.9
+    squares = [one["left_um"]["map"] ** 2 for one in (lost, without)]
+    assert squares[0] - squares[1] == pytest.approx(HALF_UM**2, rel=1e-6)
+
+
+def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_its_uncertainty(
+    loaded,
+):
+    """EAX turns about X what is beyond the axis: Y and Z, with the tool's offset."""
+    errors = map_errors(lose_across(loaded, "EAX", 20.0))
+    at = np.array([[0.0, 100.0, 200.0]])
+    half_mm = 0.5 * (errors.error_mm(at, 1.0) - errors.error_mm(at, -1.0))
+    arm_mm = np.array([0.0, 100.0 + 30.0, 200.0 - 150.0])
+    expected_mm = np.cross([20e-6, 0.0, 0.0], arm_mm)
+    assert half_mm[0] == pytest.approx(expected_mm, abs=1e-12)
+    sure, doubtful = (
+        export(lose_across(loaded, "EYX", HALF_UM, sigma), "csv").account
+        for sigma in (0.0, 0.5)
+    )
+    before, after = (one["volumetric_error_um"]["after"] for one in (sure, doubtful))
+    added = after["mean_uncertainty"] ** 2 - before["mean_uncertainty"] ** 2
+    assert np.sqrt(added) == pytest.approx(0.5, rel=0.2)
+
+
+def test_a_model_states_it_as_an_effect_that_no_table_has(loaded):
+    """Of a model file that has the effect alone, and no table of it."""
+    keys, numbers = {"axis": "X", "motion": "EYX"}, {"turnover_mm": 0.02}
+    effect = restore_effect(LateralBacklashFamily(), loaded.machine, keys, numbers)
+    theta = np.append(loaded.theta, 1e-3 * HALF_UM)
+    covariance = np.pad(loaded.covariance, (0, 1))
+    result = CalibrationResult(loaded.model.with_effects(effect), theta, covariance)
+    account = export(result, "csv").account
+    (stated,) = account["effects"]
+    assert stated["rms_um"]["before"] == pytest.approx(HALF_UM, rel=1e-6)
+    assert stated["rms_um"]["after"] == pytest.approx(HALF_UM, rel=1e-6)
+    assert stated["note"] == ""
+    assert account["volumetric_error_um"]["after"]["mean"] >= 5.9
+
+
+def test_a_file_is_read_with_all_that_it_states(loaded):
+    at = {"position_mm": [0.0, 100.0]}
+    halves = {
+        "EXX": at | {"value_um": [1.0, 2.0], "uncertainty_um": [0.1, 0.1]},
+        "EYX": at | {"value_um": [6.0, 6.0], "uncertainty_um": [0.2, 0.3]},
+        "EAZ": at | {"value_urad": [20.0, 21.0], "uncertainty_urad": [1.0, 1.0]},
+        "ECC": {"position_deg": [0.0, 90.0], "value_urad": [12.0, 13.0]},
+    }
+    content = {"schema": MODEL_SCHEMA, "version": 1.0, "mode": "otf", "provenance": {}}
+    content |= {"direction": {"model": "constant", "half_difference": halves}}
+    content |= {"observability": {"unobservable": []}, "model": model_to_json(loaded)}
+    content |= {"machine": machine_to_json(loaded.machine)}
+    result = result_from_json(json.loads(json.dumps(content)))
+    assert set(result.half_difference_um) == {"X"}
+    across = {s: v.tolist() for s, (_, v) in result.half_across.items()}
+    assert across == {"EYX": [6.0, 6.0], "EAZ": [20.0, 21.0]}
+    assert result.half_across_u["EYX"].tolist() == [0.2, 0.3]
+    at_deg, half_urad = result.half_turn_urad["C"]
+    assert (at_deg.tolist(), half_urad.tolist()) == ([0.0, 90.0], [12.0, 13.0])
+    assert result.half_turn_u_urad == {}
+
+
+DEMO = machine_from_json(load_machine("demo"), file="machine.json")
+SAG = {"axis": "X", "by": "Y", "direction": "Z"}
+EFFECTS = (
+    (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
+    (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
+    (ElasticSagFamily(), SAG, {}, [0.02]),
+    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+)
+
+
+@pytest.fixture(scope="module")
+def catalogued():
+    effects = tuple(restore_effect(f, DEMO, keys, n) for f, keys, n, _ in EFFECTS)
+    model = MachineModel(DEMO, effects)
+    theta = np.concatenate([values for *_, values in EFFECTS])
+    covariance = 1e-12 * np.eye(len(theta))
+    half = {
+        one.symbol[2]: (one.position_mm, one.value)
+        for one in compute_half_differences(EstimatedModel(model, theta, covariance))
+    }
+    result = CalibrationResult(model, theta, covariance, half_difference_um=half)
+    return cache(partial(export_result, map_errors(result), stem="comp"))
+
+
+def find_left(account):
+    effects = account["effects"]
+    return {e["name"]: (e["rms_um"]["before"], e["rms_um"]["after"]) for e in effects}
+
+
+def test_a_table_of_the_mean_leaves_lost_motion_and_those_of_both_directions_sag(
+    catalogued,
+):
+    account = catalogued("linuxcnc").account
+    found = find_left(account)
+    lost, wave, sag = (found[n] for n in ("backlash", "screw-cyclic", "elastic-sag"))
+    assert lost[0] == pytest.approx(6.0, rel=1e-3)
+    assert lost[1] < 0.01 * lost[0]
+    assert wave[1] < 0.1 * wave[0]
+    assert sag[1] == pytest.approx(sag[0], rel=1e-6)
+    assert found["servo-mismatch"] == (0.0, 0.0)  # it depends on speed
+    lag = next(e for e in account["effects"] if e["name"] == "servo-mismatch")
+    assert "no table has it" in lag["note"]
+    found = find_left(catalogued("siemens-lec").account)
+    assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)
+    assert found["screw-cyclic"][1] < 0.1 * found["screw-cyclic"][0]
+
+
+def test_blocks_of_two_axes_carry_the_sag_of_a_guide(catalogued):
+    export = catalogued("isg-csv")
+    (text,) = export.files.values()
+    assert "Y  X  EXX  EYX  EZX" in text
+    found = find_left(export.account)
+    assert found["elastic-sag"][1] < 0.01 * found["elastic-sag"][0]
+    assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)
+    tables = [block for block in text.split("#") if "Y  X" in block]
+    assert len(tables) == 1
+    assert len(tables[0].splitlines()) <= 1010

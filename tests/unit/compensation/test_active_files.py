@@ -24,7 +24,6 @@ DIFFERENCE = {"backlash_reading": "difference"}
 
 @pytest.fixture
 def written(tmp_path):
-    """Files whose BACKLASH is the difference of both directions."""
     files = []
     for name, text in write_files("heidenhain-difference").items():
         (tmp_path / name).write_text(text)
@@ -100,34 +99,21 @@ def test_files_that_are_missing_or_of_no_use_are_never_a_compensation_of_nothing
 
 
 ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
-FORMATS = (
-    "linuxcnc",
-    "siemens",
-    "siemens-lec",
-    "siemens-cec",
-    "heidenhain",
-    "fanuc",
-    "isg-csv",
-    "etalon-exchange",
-    "csv",
-    "json",
-)
+FORMATS = ("linuxcnc", "siemens", "siemens-lec", "siemens-cec", "heidenhain")
+FORMATS += ("fanuc", "isg-csv", "etalon-exchange", "csv", "json")
 
 
 def make_errors(loaded, size, lost_um):
     """A machine whose errors are so many times those of the result."""
     half = {"X": (np.array([-200.0, 300.0]), np.array(lost_um))}
-    return map_errors(
-        replace(loaded, theta=size * loaded.theta, half_difference_um=half)
-    )
+    theta = size * loaded.theta
+    return map_errors(replace(loaded, theta=theta, half_difference_um=half))
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_combined_files_add_what_active_ones_and_the_difference_add(name, loaded):
-    found, left = (
-        make_errors(loaded, 0.6, [3.0, 5.0]),
-        make_errors(loaded, -0.2, [-1.0, 2.0]),
-    )
+    found = make_errors(loaded, 0.6, [3.0, 5.0])
+    left = make_errors(loaded, -0.2, [-1.0, 2.0])
     kind, machine = load_format(name), found.machine
     measured = find_measured_ranges(machine, {}, Unmeasured.HOLD)
     made = Tabulation(kind, "a", (), 10.0, measured)
@@ -138,10 +124,8 @@ def test_combined_files_add_what_active_ones_and_the_difference_add(name, loaded
     place, _ = sample_travel(found)
     off_um = []
     for side in (1.0, -1.0):
-        apart = combined.read_back(left)(place, side) - made.read_back(left)(
-            place, side
-        )
-        off_um.append(1e3 * apart)
+        both = (one.read_back(left)(place, side) for one in (combined, made))
+        off_um.append(1e3 * np.subtract(*both))
     off_um -= np.mean(off_um, axis=(0, 1))
     added_um = 1e3 * active.correction(place, 1.0)
     assert np.abs(added_um).max() > 10.0

@@ -1,6 +1,5 @@
 """Compensation files: what a controller makes of them, by rule and by other hands."""
 
-import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -10,7 +9,8 @@ import pytest
 from pyLSV2 import NCTable
 
 from known_machines import tabulate
-from truepath.compensation.export import export_result
+from plugin_site import NAME, install
+from truepath.compensation.export import export_result, write_output
 from truepath.compensation.formats.etalon_exchange import EtalonExchange
 from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
@@ -44,7 +44,6 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def export(source):
-    """Export the result, once a format."""
     return cache(lambda name: export_result(source, name, "comp"))
 
 
@@ -62,27 +61,18 @@ def losing(source):
     """Make the same machine of other travels, 8 µm of lost motion in each axis."""
 
     def make(length_mm, middle_mm=0.0):
-        ends = middle_mm + np.array([-length_mm / 2, length_mm / 2])
-        axes = tuple(
-            replace(axis, low=float(ends[0]), high=float(ends[1]))
-            for axis in source.machine.linear_axes
-        )
+        low, high = middle_mm - length_mm / 2, middle_mm + length_mm / 2
+        axes = tuple(replace(x, low=low, high=high) for x in source.machine.linear_axes)
         machine = replace(source.machine, axes=axes)
-        offsets = np.array([target.offset_mm for target in machine.targets])
-        model, _ = build_identifiable_model(
-            machine, offsets, knot_spacing_mm=length_mm / 4
-        )
+        offsets, spacing = np.array([machine.target().offset_mm]), length_mm / 4
+        model, _ = build_identifiable_model(machine, offsets, knot_spacing_mm=spacing)
         size = np.array([4e-3 if p.unit == "mm" else 1e-5 for p in model.parameters])
         theta = size * np.random.default_rng(6).standard_normal(model.size)
-        half_um = {axis.name: (ends, np.full(2, 4.0)) for axis in axes}
-        return map_errors(
-            CalibrationResult(
-                model,
-                theta,
-                np.diag((1e-2 * size) ** 2),
-                half_difference_um=half_um,
-            )
-        )
+        ends = np.array([low, high]), np.full(2, 4.0)
+        half_um = {axis.name: ends for axis in axes}
+        covariance = np.diag((1e-2 * size) ** 2)
+        result = CalibrationResult(model, theta, covariance)
+        return map_errors(replace(result, half_difference_um=half_um))
 
     return make
 
@@ -98,7 +88,6 @@ def sagging():
 
 
 def along(source, axis, at):
-    """Positions along the middle of the other axes."""
     place = np.tile(source.middle_mm, (len(at), 1))
     place[:, source.machine.axis_names.index(axis)] = at
     return place
@@ -190,9 +179,7 @@ def test_sag_is_a_product_of_two_cross_tables_and_left_by_an_etalon_file(sagging
     assert "sag" in EtalonExchange.not_carried
 
 
-def test_formats_and_choices_that_are_not_there_are_answered_with_those_that_are(
-    source,
-):
+def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(source):
     def refused(said, name="siemens", **choices):
         with pytest.raises(BadInput, match=said):
             export_result(source, name, "c", choices=choices)
@@ -202,23 +189,23 @@ def test_formats_and_choices_that_are_not_there_are_answered_with_those_that_are
     refused("no choice of control; it has nothing", "linuxcnc", control="828d")
     refused("control of siemens: 'X=828d' is none", control="X=828d")
     refused("no axis A; it has X, Y, Z", measuring_system="A=2")
+    tiny = replace(source.result, theta=2e-3 * source.result.theta)
+    with pytest.raises(BadInput, match="below what it resolves"):
+        export_result(map_errors(tiny), "fanuc", "comp")
 
 
 def test_only_formats_with_all_motions_correct_the_whole_volume(export):
-    accounts = {name: export(name).account for name in OURS}
-    share = {
-        name: one["left_um"]["map"] / one["volumetric_error_um"]["before"]["mean"]
-        for name, one in accounts.items()
-    }
+    accounts, share = {name: export(name).account for name in OURS}, {}
+    for name, one in accounts.items():
+        before_um = one["volumetric_error_um"]["before"]["mean"]
+        share[name] = one["left_um"]["map"] / before_um
     whole = ("isg-csv", "etalon-exchange", *PLAIN)
     alone = min(share["siemens-lec"], share["siemens-cec"])
     assert max(share[one] for one in whole) < 0.01
     assert share["isg-csv"] < share["heidenhain"] < alone
     assert share["linuxcnc"] == pytest.approx(share["siemens-lec"], rel=1e-3)
-    mean = {
-        name: accounts[name]["volumetric_error_um"]["after"]["mean"] for name in SIEMENS
-    }
-    both, *each = mean.values()
+    siemens = (accounts[name]["volumetric_error_um"]["after"] for name in SIEMENS)
+    both, *each = (one["mean"] for one in siemens)
     assert both < 0.8 * min(each)
 
 
@@ -261,12 +248,6 @@ def test_rows_fit_into_the_controller(source, name):
     most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
     for table in content.tables:
         assert len(table.position_mm) <= most.get(name, 1000)
-
-
-def test_a_machine_without_errors_worth_a_table_gets_none(source):
-    tiny = replace(source.result, theta=2e-3 * source.result.theta)
-    with pytest.raises(BadInput, match="below what it resolves"):
-        export_result(map_errors(tiny), "fanuc", "comp")
 
 
 LEADSCREW = """%_N_AX_EEC_INI
@@ -333,17 +314,14 @@ def test_leadscrew_tables_are_of_the_measuring_system_of_each_axis(
     files = made.write(source)
     (text,) = (t for t in files.values() if "$AA_ENC_COMP[" in t)
     assert f"; tables of measuring system {said}" in text
-    assert set(re.findall(r"^\$AA_ENC_COMP\[(\d),\d+,(\w)1\]", text, re.M)) == set(
-        zip(index, "XYZ", strict=True)
-    )
+    found = set(re.findall(r"^\$AA_ENC_COMP\[(\d),\d+,(\w)1\]", text, re.M))
+    assert found == set(zip(index, "XYZ", strict=True))
     assert f"$AA_ENC_COMP_STEP[{index[1]},Y1]=" in text
     assert all(one in made.kind.note for one in noted.split("|"))
     place = np.array(source.middle_mm) + np.linspace(-90.0, 90.0, 7)[:, None]
-    both = [
-        load_format(name, choice).read(one, source.machine)(place, 1.0)
-        for one, choice in ((files, choices), (export(name).files, {}))
-    ]
-    np.testing.assert_array_equal(*both)
+    usual = load_format(name).read(export(name).files, source.machine)
+    chosen = made.kind.read(files, source.machine)
+    np.testing.assert_array_equal(chosen(place, 1.0), usual(place, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -363,12 +341,8 @@ def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, 
 
 
 def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
-    steps = [
-        int(line.partition("P")[2])
-        for line in export("fanuc").files["comp-pitch.txt"].split()
-        if line.startswith("N")
-    ]
-    assert max(map(abs, steps)) <= 7
+    steps = re.findall(r"\bN\d+P(-?\d+)", export("fanuc").files["comp-pitch.txt"])
+    assert max(abs(int(step)) for step in steps) <= 7
     larger = replace(source.result, theta=60.0 * source.result.theta)
     account = export_result(map_errors(larger), "fanuc", "comp").account
     after = account["volumetric_error_um"]
@@ -434,13 +408,8 @@ def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
     numbers = np.arange(int(words[3621]), int(words[3622]) + 1)
     middles = (numbers - words[3620] - 0.5) * words[3624]
     place = along(errors, "X", np.linspace(middle_mm - 200.0, middle_mm + 200.0, 41))
-    added = np.array(
-        [
-            1e-3
-            * sum(steps[n] for n, at in zip(numbers, middles, strict=True) if at < x)
-            for x in place[:, 0]
-        ]
-    )
+    step_mm = 1e-3 * np.array([steps[number] for number in numbers])
+    added = (middles < place[:, :1]) @ step_mm
     left = errors.error_mm(place, 1.0)[:, 0] + added
     assert np.abs(flat(left)).max() < 0.0015
     assert np.abs(flat(added)).max() > 0.004
@@ -454,38 +423,6 @@ def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
     assert "1023" in str(refusal.value)
     assert "wider spacing" in str(refusal.value)
     Fanuc("mean").write(content)
-
-
-def test_isg_files_say_the_same_as_an_etalon_file_and_if_they_follow_the_tool(
-    export, source
-):
-    choices = {"tool_length": "followed"}
-    followed = tabulate(source, "isg-csv", 10.0, **choices).write(source)
-    assert "N0X  N0Y  N0Z\n0  0  -1\n#" in followed["c.csv"]
-    place = np.array([[100.0, 30.0, 200.0], [-150.0, 380.0, 20.0]])
-    fixed, etalon, following = (
-        load_format(name, choice).read(files, source.machine)(place, 1.0)
-        for name, choice, files in (
-            ("isg-csv", {}, export("isg-csv").files),
-            ("etalon-exchange", {}, export("etalon-exchange").files),
-            ("isg-csv", choices, followed),
-        )
-    )
-    assert np.abs(fixed).max() > 0.005
-    np.testing.assert_allclose(fixed, etalon, atol=1e-9)
-    np.testing.assert_allclose(fixed, following, atol=2e-6)
-
-
-def test_csv_and_json_say_the_same(export):
-    (table,) = export("csv").files.values()
-    (document,) = export("json").files.values()
-    content = json.loads(document)
-    lines = [line for line in table.splitlines() if not line.startswith("#")]
-    assert lines[0].split(",") == content["columns"]
-    for line, row in zip(lines[1:], content["rows"], strict=True):
-        axis, side, *numbers = line.split(",")
-        assert [axis, side] == row[:2]
-        np.testing.assert_allclose([float(n) for n in numbers], row[2:], atol=1e-6)
 
 
 def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(
@@ -516,3 +453,64 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
     cut = {**files, "config.cma": "NR ACTIVE\n"}
     with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
         Heidenhain().read(cut, source.machine)
+
+
+FORMATS = """
+    import math
+    from truepath.compensation.formats.generic import GenericCsv
+    from truepath.compensation.formats.linuxcnc import LinuxCnc
+
+    class Climbing(LinuxCnc):
+        def write(self, content):
+            return {"../" + name: text for name, text in super().write(content).items()}
+
+    class Hollow(GenericCsv):
+        def write(self, content):
+            files = super().write(content)
+            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
+
+    class Raising(GenericCsv):
+        def write(self, content):
+            raise ZeroDivisionError("no axis")
+
+    class Nothing(GenericCsv):
+        def write(self, content):
+            return None
+
+    class Blind(GenericCsv):
+        def read(self, files, machine):
+            return lambda position, direction: math.nan * position[:, :3]
+
+    class Unread(GenericCsv):
+        def read(self, files, machine):
+            raise KeyError("X")
+"""
+
+
+def export_into(folder, loaded, name):
+    made = export_result(map_errors(loaded), name, "c", spacing_mm=50.0)
+    place, source = folder / "deep" / "out" / "c", folder / "result.json"
+    write_output(made.files, made.account, place, "c", source=source)
+
+
+@pytest.mark.fault_row(49)
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("climbing", "no plain file name"),
+        ("hollow", "nan"),
+        ("raising", "no axis"),
+        ("nothing", r"write\(\)"),
+        ("blind", "finite"),
+        ("unread", r"read\(\)"),
+    ],
+)
+def test_a_format_that_breaks_writes_nothing_and_is_named(
+    loaded, tmp_path, monkeypatch, name, said
+):
+    points = {"compensation_formats": {name: f"formats_here:{name.capitalize()}"}}
+    site = install(tmp_path / "site", points, formats_here=FORMATS)
+    monkeypatch.syspath_prepend(site)
+    with pytest.raises(BadInput, match=rf"{name}. of {NAME}.*{said}"):
+        export_into(tmp_path, loaded, name)
+    assert not [*tmp_path.rglob("*.csv"), *tmp_path.rglob("*.tbl")]

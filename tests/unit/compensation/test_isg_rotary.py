@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from known_machines import (
-    build_model,
-    map_known,
-    spread,
-    tabulate,
-    write,
-)
+from known_machines import build_model, map_known, spread, tabulate, write
 from truepath.kinematics.conditions import make_standstill
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
@@ -19,7 +13,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture(scope="module", params=["trunnion", "head-table"])
 def erring(request):
-    """A machine with every error, of its rotary axes as well."""
     model = build_model(load_machine(request.param))
     size = np.array([5e-3 if p.unit == "mm" else 2e-5 for p in model.parameters])
     theta = size * np.random.default_rng(8).standard_normal(model.size)
@@ -68,18 +61,3 @@ def test_the_account_states_the_error_over_all_axes(erring):
             is_turned = angle["after"] < left * angle["before"]
             assert is_turned == (name == "linuxcnc")
             assert bool(one["not_in_files"]) == is_turned
-
-
-def test_the_file_names_centres_locations_and_the_tip(erring):
-    _, errors = erring
-    (text,) = tabulate(errors, "isg-csv", 5.0).write(errors).values()
-    lines = text.splitlines()
-    assert "P0X  P0Y  P0Z" in lines
-    for axis in errors.machine.rotary_axes:
-        own = axis.name
-        at = lines.index(f"PX{own}  PY{own}  PZ{own}")
-        assert [float(one) for one in lines[at + 1].split()] == list(axis.origin_mm)
-        head = f"{own}  EX{own}  EY{own}  EZ{own}  EA{own}  EB{own}  EC{own}"
-        first = lines[lines.index(head) + 1].split()
-        assert float(first[0]) == axis.low
-    assert any(line.startswith(("X0C", "X0B")) for line in lines)

@@ -1,5 +1,6 @@
 """What files leave over the travel of all axes, against machines that are known."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -46,15 +47,10 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
     stated = rng.chisquare(FREEDOM) / FREEDOM * np.diag((unknown * size) ** 2)
     ends = {a.name: np.array([a.low, a.high]) for a in machine.rotary_axes}
     half = {a: (at, np.full(2, HALF_URAD)) for a, at in ends.items()}
+    half_u = dict.fromkeys(ends, np.full(2, HALF_U_URAD))
     off = HALF_U_URAD * rng.standard_normal()
-    result = CalibrationResult(
-        model,
-        theta + wrong,
-        stated,
-        half_turn_urad=half,
-        half_turn_u_urad={a: np.full(2, HALF_U_URAD) for a in ends},
-        noise_freedom=FREEDOM,
-    )
+    result = CalibrationResult(model, theta + wrong, stated, noise_freedom=FREEDOM)
+    result = replace(result, half_turn_urad=half, half_turn_u_urad=half_u)
     true = map_known(model, theta)
     return KnownMachine(name, true, map_errors(result), HALF_URAD + off)
 
@@ -62,9 +58,7 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
 def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> float:
     """Mean length of the true error by a simulated control, elsewhere than stated."""
     machine = known.truth.machine
-    low, high = (
-        np.array([getattr(a, k) for a in machine.axes]) for k in ("low", "high")
-    )
+    low, high = np.array([(a.low, a.high) for a in machine.axes]).T
     unit = qmc.Sobol(len(low), rng=np.random.default_rng(77)).random(2048)
     position = low + unit * (high - low)
     point = make_standstill(machine, position).chain.point_mm
@@ -102,22 +96,16 @@ def find_offs(known: KnownMachine) -> np.ndarray:
         over = written.over
         before = over["before"] - true_before
         after = over["after_expected"] - measure_true_um(known, written.files)
-        k = over["coverage_factor"]
-        offs.append(
-            (
-                k * before / over["before_expanded_uncertainty"],
-                k * after / over["after_expanded_uncertainty"],
-            )
-        )
+        one = before / over["before_expanded_uncertainty"]
+        other = after / over["after_expanded_uncertainty"]
+        offs.append([over["coverage_factor"] * each for each in (one, other)])
     return np.array(offs)
 
 
 def find_many(count: int, unknown: float) -> np.ndarray:
-    """The same of machines of both kinds in turn."""
-    names = [("trunnion", "head-table")[k % 2] for k in range(count)]
-    return np.array(
-        [find_offs(make_machine(one, k, unknown)) for k, one in enumerate(names)]
-    )
+    kinds = itertools.islice(itertools.cycle(("trunnion", "head-table")), count)
+    machines = (make_machine(kind, k, unknown) for k, kind in enumerate(kinds))
+    return np.array([find_offs(one) for one in machines])
 
 
 def test_the_stated_uncertainty_covers_the_truth_of_known_machines():

@@ -4,7 +4,6 @@ import csv
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,27 +25,19 @@ DEGC = (18.0, 25.0, 20.0, 22.0)
 
 
 def make_results(loaded):
-    """Exact results of a machine whose X grows."""
     motion = next(m for m in loaded.model.identifiable_motions if m.symbol == "EXX")
     at_mm = choose_table_positions(motion.axis)
     wanted_mm = 1e-6 * GROWS_UM_PER_M_K * at_mm
     change = np.zeros(loaded.model.size)
     part = loaded.model.slices["EXX"]
     change[part] = np.linalg.lstsq(motion.rows(at_mm), wanted_mm, rcond=None)[0]
-    return [
-        ResultAtTemperature(
-            f"r{k}",
-            replace(
-                loaded,
-                theta=loaded.theta + (celsius - 20.0) * change,
-                provenance={"runs": [{"name": f"{k}", "input_sha256": f"{k}"}]},
-            ),
-            celsius,
-            0.0,
-            3600.0 * k,
-        )
-        for k, celsius in enumerate(DEGC)
-    ]
+    made = []
+    for k, celsius in enumerate(DEGC):
+        theta = loaded.theta + (celsius - 20.0) * change
+        provenance = {"runs": [{"name": f"{k}", "input_sha256": f"{k}"}]}
+        result = replace(loaded, theta=theta, provenance=provenance)
+        made.append(ResultAtTemperature(f"r{k}", result, celsius, 0.0, 3600.0 * k))
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +62,9 @@ def read_gradient(text, celsius):
 def test_siemens_gets_the_growth_of_an_axis_as_its_own_compensation(
     study, model_file, tmp_path
 ):
-    account = export_files(
-        model_file, "siemens", tmp_path / "out.ini", at_temperature_degc=20.0
-    )
-    file = next(f for f in account["files"] if f.endswith("out-temperature.ini"))
-    text = Path(file).read_text(encoding="ascii")
+    out = tmp_path / "out.ini"
+    export_files(model_file, "siemens", out, at_temperature_degc=20.0)
+    text = (tmp_path / "out-temperature.ini").read_text(encoding="ascii")
     assert "$MA_TEMP_COMP_TYPE[AX1]=2" in text
     assert "$SA_TEMP_COMP_REF_POSITION[AX1]=0.000000" in text
     assert "Y: no growth is seen" in text
@@ -92,13 +81,11 @@ def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     def correct(errors):
         return lambda at, side: -errors.error_mm(at, side)
 
-    left = {
-        celsius: find_remaining(
-            truth, ranges, correct(map_errors(study.model.at(celsius)))
-        ).rms_um
+    usual, own = (
+        find_remaining(truth, ranges, correct(map_errors(study.model.at(celsius))))
         for celsius in (20.0, 23.5)
-    }
-    assert left[23.5] < 0.1 * left[20.0]
+    )
+    assert own.rms_um < 0.1 * usual.rms_um
 
 
 def test_plain_tables_have_the_change_of_each_row(model_file, tmp_path):
@@ -118,13 +105,10 @@ def test_plain_tables_have_the_change_of_each_row(model_file, tmp_path):
 
 
 def test_a_temperature_is_asked_for_and_formats_without_it_say_so(model_file, tmp_path):
+    order = model_file, "fanuc", tmp_path / "f"
     for celsius, words in ((None, "state which by"), (27.0, "is beyond the 18")):
         with pytest.raises(BadInput, match=words):
-            export_files(
-                model_file, "fanuc", tmp_path / "f", at_temperature_degc=celsius
-            )
-    account = export_files(
-        model_file, "fanuc", tmp_path / "f", at_temperature_degc=22.0
-    )
+            export_files(*order, at_temperature_degc=celsius)
+    account = export_files(*order, at_temperature_degc=22.0)
     assert account["temperature"]["at_degC"] == 22.0
     assert account["temperature"]["carried"].startswith("nothing")

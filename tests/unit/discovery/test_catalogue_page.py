@@ -21,19 +21,9 @@ UNIT = re.compile(
 )
 DOCS = Path(__file__).parents[3] / "docs"
 CONTRACT = (
-    "backlash",
-    "lateral-backlash",
-    "screw-cyclic",
-    "thermal-growth",
-    "table-drift",
-    "elastic-sag",
-    "servo-mismatch",
-    "reversal-spike",
-    "squareness",
-    "tracker-eccentricity",
-    "tracker-range-offset",
-    "vibration",
-    "setup-step",
+    *("backlash", "lateral-backlash", "screw-cyclic", "thermal-growth", "table-drift"),
+    *("elastic-sag", "servo-mismatch", "reversal-spike", "squareness", "vibration"),
+    *("tracker-eccentricity", "tracker-range-offset", "setup-step"),
 )
 
 
@@ -77,10 +67,8 @@ def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
     few = at.select(np.arange(0, len(at), 25))  # names do not depend on the data
     for candidate in family.propose(few):
         size = len(candidate.usual)
-        numbers = family.state(
-            CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
-        )
-        for name in numbers:
+        found = CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
+        for name in family.state(found):
             whole = UNIT.sub("", name.partition("[")[0])
             for language in LANGUAGES:
                 assert f"parameter.{whole}" in catalogue(language), name

@@ -95,7 +95,6 @@ def two_sides_of_y(n=40, depth=0.0):
 
 @pytest.fixture(scope="module")
 def calibrated(record):
-    """The machine as a clean Run has shown it before."""
     setting = Setting(machine_seed=MACHINE)
     how = {"rows": 40, "feed": 6000.0, "travel_mm": TRAVEL_MM}
     return baseline_model(discover([record(9, **how, setting=setting)[0]]))
@@ -179,16 +178,7 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     assert page.count("Root mean square on every line") == 2
 
 
-def test_the_lines_stay_within_the_travel(leaning):
-    _, done = leaning
-    path = done.asked.path
-    check_travel(done.first.aligned[0].run.machine, path)
-    assert (path.position >= LOW).all()
-    assert (path.position <= HIGH).all()
-    assert (path.feed_mm_min > 0.0).all()
-
-
-def test_the_reason_is_said_in_words(leaning):
+def test_the_lines_and_the_reason_are_said_in_file_report_and_order(leaning):
     _, done = leaning
     said = ask_json(done.asked, "ask/path.csv")
     assert "lateral-backlash Y EXY" in said["reason"]
@@ -196,10 +186,6 @@ def test_the_reason_is_said_in_words(leaning):
     assert f"{said['lines']} lines" in said["reason"]
     assert said["path"] == "ask/path.csv"
     assert said["decides"]
-
-
-def test_the_report_shows_questions_and_lines(leaning):
-    _, done = leaning
     asked = describe_ask(done.asked, "ask/path.csv")
     page = render_part("discovery/ask.html", {"ask": asked})
     question = done.asked.questions[0]
@@ -207,11 +193,6 @@ def test_the_report_shows_questions_and_lines(leaning):
     assert f"{done.asked.expected[0]:.1f}" in page
     assert page.count("<tr>") == 2 + len(done.asked.questions) + len(done.asked.path)
     assert "ask/path.csv" in page
-
-
-def test_a_measuring_job_takes_the_lines_as_they_are_stated(leaning):
-    _, done = leaning
-    said = ask_json(done.asked, "ask/path.csv")
     order = JobRequest.model_validate({"kind": "measure-otf", "path": said["rows"]})
     assert order.path is not None
     driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
@@ -222,6 +203,11 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(leaning):
         decode_commanded(written, machine, "path.csv", is_path=True).feed_mm_min,
         done.asked.path.feed_mm_min,
     )
+    path = done.asked.path
+    check_travel(machine, path)
+    assert (path.position >= LOW).all()
+    assert (path.position <= HIGH).all()
+    assert (path.feed_mm_min > 0.0).all()
 
 
 def test_from_which_side_the_first_point_was_reached_explains_nothing(
@@ -233,19 +219,14 @@ def test_from_which_side_the_first_point_was_reached_explains_nothing(
     hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
     setting = Setting(machine_seed=MACHINE, hidden=(hidden,))
     recording = synthetic.record(CONTENT, way, 7, "standstill", setting)
-    found = discover(
-        [run_of(replace(recording, program=points))], without(calibrated, "")
-    )
-    (finding,) = found.findings
+    run = run_of(replace(recording, program=points))
+    (finding,) = discover([run], without(calibrated, "")).findings
     assert finding.candidate.label == "lateral-backlash Y EXY"
 
 
 def test_an_axis_may_stand_in_a_further_run(record, run_of):
-    flat = Program(
-        np.array([[20.0, 20.0, 50.0], [180.0, 150.0, 50.0], [20.0, 150.0, 50.0]] * 2),
-        np.full(6, 100.0),
-        np.full(6, 0.35),
-    )
+    rows = [[20.0, 20.0, 50.0], [180.0, 150.0, 50.0], [20.0, 150.0, 50.0]] * 2
+    flat = Program(np.array(rows), np.full(6, 100.0), np.full(6, 0.35))
     content = {**CONTENT, "kinematic_chain": "w-b-X-Y-Z-t"}
     setting = Setting(machine_seed=11)
     extra = run_of(synthetic.record(content, flat, 78, setting=setting))

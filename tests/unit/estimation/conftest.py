@@ -1,7 +1,5 @@
 """Small recordings, and how far estimates are off the truth, motion by motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -32,11 +30,9 @@ def _deviations(result, truth):
 
 @pytest.fixture(scope="session")
 def deviations():
-    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
     return _deviations
 
 
 @pytest.fixture(scope="session")
 def record_small():
-    """Record a Run of a small machine, each once."""
     return recorded.record_small

@@ -34,17 +34,13 @@ def with_backlash(seen, shape=lambda y: np.ones_like(y)):
 
 
 def halves(result):
-    found = compute_half_differences(result)
-    return {half.symbol: half for half in found}
+    return {half.symbol: half for half in compute_half_differences(result)}
 
 
-def test_a_machine_without_backlash_is_not_given_one(seen):
-    result = estimate(seen)
-    assert result.direction == "none"
-    assert not halves(result)
-
-
-def test_a_lost_motion_is_found_with_its_size_and_axis(seen):
+def test_a_lost_motion_is_found_with_its_size_axis_and_shape_and_nowhere_else(seen):
+    sound = estimate(seen)
+    assert sound.direction == "none"
+    assert not halves(sound)
     result = estimate(with_backlash(seen))
     assert result.direction == "constant"
     found = halves(result)
@@ -54,9 +50,7 @@ def test_a_lost_motion_is_found_with_its_size_and_axis(seen):
     assert eyy.uncertainty[0] < 0.5
     clear = [s for s, h in found.items() if abs(h.value[0]) > 5 * h.uncertainty[0]]
     assert clear == ["EYY"]
-
-
-def test_a_lost_motion_that_changes_along_the_axis_asks_for_tables(seen):
+    # One that changes along the axis asks for tables.
     result = estimate(with_backlash(seen, lambda u: 1.0 + 1.5 * np.sin(5.0 * u)))
     assert result.direction == "tables"
     eyy = halves(result)["EYY"]

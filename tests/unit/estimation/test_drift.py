@@ -31,17 +31,14 @@ def model():
 
 
 def course_of(*hours, celsius=None):
-    empty = np.zeros((len(hours), 0))
-    return Course(
-        HOUR_S * np.array(hours, float), empty if celsius is None else celsius
-    )
+    degc = np.zeros((len(hours), 0)) if celsius is None else celsius
+    return Course(HOUR_S * np.array(hours, float), degc)
 
 
 def tell(model, theta, rng):
     """Return what a Run tells of parameters that it measures with some noise."""
-    sigma = SIGMA * np.array(
-        [1e-2 if p.unit == "mm" else 2e-5 for p in model.parameters]
-    )
+    usual = [1e-2 if p.unit == "mm" else 2e-5 for p in model.parameters]
+    sigma = SIGMA * np.array(usual)
     measured = theta + sigma * rng.standard_normal(len(theta))
     matrix = np.diag(sigma**-2.0)
     return Information(matrix, matrix @ measured, 0.0, 0.0)
@@ -79,10 +76,8 @@ def test_smoothing_all_runs_at_once_equals_a_kalman_filter_and_rts_smoother(mode
         step[:size, :size] = 0.2**2 * (hour - previous) * walked @ walked.T
         P, previous = P + step, hour
         before.append((m, P))
-        F = (
-            np.hstack([np.eye(size), B * np.exp(-hour), B * np.exp(-hour / 3.0)])
-            * scale
-        )
+        settled = B * np.exp(-hour), B * np.exp(-hour / 3.0)
+        F = np.hstack([np.eye(size), *settled]) * scale
         root = np.sqrt(np.diag(told.matrix))
         H, y = root[:, None] * F, told.vector / root
         K = np.linalg.solve(H @ P @ H.T + np.eye(size), H @ P).T
@@ -109,9 +104,8 @@ def test_stated_intervals_hold_a_machine_that_settles_now_and_later(model):
         drift = estimate_drift(basis_of(model, truth[:-1], rng), course_of(*hours))
         for name, hour, true in zip(inside, times, truth[-2:], strict=True):
             theta, covariance = drift.predict(course_of(hour))
-            inside[name] += list(
-                np.abs(theta - true) < 2 * np.sqrt(np.diag(covariance))
-            )
+            sigma = np.sqrt(np.diag(covariance))
+            inside[name] += list(np.abs(theta - true) < 2 * sigma)
     assert 0.9 < np.mean(inside["at the last Run"]) < 0.995
     assert np.mean(inside["later"]) > 0.93
 
@@ -131,9 +125,8 @@ def test_two_runs_leave_the_future_wide(model):
     truth = settle(model, hours, rng, tau_h=0.7)
     spread = []
     for some in (slice(0, 2), slice(None)):
-        drift = estimate_drift(
-            basis_of(model, truth[some], rng), course_of(*hours[some])
-        )
+        basis = basis_of(model, truth[some], rng)
+        drift = estimate_drift(basis, course_of(*hours[some]))
         spread.append(np.sqrt(np.diag(drift.predict(course_of(6.0))[1])))
     changes = build_drift_shapes(model).any(axis=1)
     assert np.median((spread[0] / spread[1])[changes]) > 3.0
@@ -145,11 +138,10 @@ def test_what_follows_the_temperature_is_predicted_at_another_temperature(model)
     per_kelvin = 0.3 * rng.standard_normal(B.shape[1])
     kelvin = np.array([0.0, 1.0, -1.0, 2.0, -0.5, 1.5, 0.5])[:, None]
     truth = kelvin * (B @ per_kelvin)
-    drift = estimate_drift(
-        basis_of(model, truth, rng), course_of(*hours, celsius=kelvin)
-    )
-    warm = course_of(7.0, celsius=np.array([[4.0]]))
-    theta, covariance = drift.predict(warm)
-    off, sigma = theta - 4.0 * (B @ per_kelvin), np.sqrt(np.diag(covariance))
+    course = course_of(*hours, celsius=kelvin)
+    drift = estimate_drift(basis_of(model, truth, rng), course)
+    theta, covariance = drift.predict(course_of(7.0, celsius=np.array([[4.0]])))
+    change = 4.0 * (B @ per_kelvin)
+    off, sigma = theta - change, np.sqrt(np.diag(covariance))
     assert (np.abs(off) < 2 * sigma).mean() > 0.85
-    assert np.linalg.norm(off) < 0.2 * np.linalg.norm(4.0 * (B @ per_kelvin))
+    assert np.linalg.norm(off) < 0.2 * np.linalg.norm(change)

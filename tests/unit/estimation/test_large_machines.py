@@ -1,6 +1,4 @@
-"""Machines of several metres: determined, with knots where a motion needs them."""
-
-from __future__ import annotations
+"""Knots where a motion of metres needs them; what lies between them is in u."""
 
 import tracemalloc
 from dataclasses import replace
@@ -10,23 +8,24 @@ import numpy as np
 import pytest
 
 from estimating import estimate
+from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
+from truepath.estimation.checks import ripple
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.estimation.checks.misfit import assess_misfit
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
-from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath.results.analysis import analyse
+from truepath_simulators.hidden.screws import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 LONG = (3000.0, 800.0, 600.0)
 GANTRY = (6000.0, 2500.0, 1200.0)
@@ -50,19 +49,8 @@ def _record(travel_mm, rows, *, step_mm=0.0, level=None):
         position = program.position.copy()
         position[:, 2] = level
         program = replace(program, position=position)
-    setting = synthetic.Setting(truth=truth, sensors=False)
-    recording = synthetic.record(content, program, 3, "otf", setting)
-    samples = TrackerSamples(
-        np.arange(len(recording)),
-        recording.time_s,
-        recording.position_mm,
-        recording.status,
-    )
-    nominal = machine_from_json(content, file="machine.json")
-    commanded = Path(
-        nominal.axis_names, program.position, program.feed_mm_s * 60.0, program.dwell_s
-    )
-    return Run("large", nominal, commanded, samples, None), truth
+    setting = Setting(truth=truth, sensors=False)
+    return record_run(content, program, 3, setting=setting)[0], truth
 
 
 @cache
@@ -82,6 +70,12 @@ def _curves(found, truth, symbol, at):
     return rows @ found.theta[part], np.sqrt(variance), true
 
 
+def _assert_knots_of_a_rack(model):
+    sizes = {m.name: m.spline.size for m in model.error_motions}
+    assert sizes["EXX"] > 80
+    assert sizes["ECX"] == 33
+
+
 def test_a_gantry_of_six_metres_is_determined():
     run, truth = _record(GANTRY, 50)
     found = estimate(align(run))
@@ -91,29 +85,20 @@ def test_a_gantry_of_six_metres_is_determined():
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
 
 
-def test_a_smooth_machine_has_few_knots_and_a_rack_of_pieces_as_many_as_it_needs():
+def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
     at = np.linspace(0.0, LONG[0], 601)
     smooth, _ = _record(LONG, 40)
     pieces, truth = _record_pieces()
     few = estimate(align(smooth)).model
     found = estimate(align(pieces))
-    sizes = {m.name: m.spline.size for m in found.model.error_motions}
     assert {m.spline.size for m in few.error_motions if m.axis.name == "X"} == {33}
-    assert sizes["EXX"] > 80
-    assert sizes["ECX"] == 33
+    _assert_knots_of_a_rack(found.model)
     value, sigma, true = _curves(found, truth, "EXX", at)
     assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
-
-
-def test_a_discovery_compares_with_a_model_that_has_the_knots_of_a_rack():
-    run, _ = _record_pieces()
-    seen = add_surroundings(align(run), run.commanded)
-    models = build_baseline_models(run.machine, [seen.at])
-    found = fit_baseline(*models, [seen]).model
-    sizes = {m.name: m.spline.size for m in found.error_motions}
-    assert sizes["EXX"] > 80
-    assert sizes["ECX"] == 33
+    seen = add_surroundings(align(pieces), pieces.commanded)
+    models = build_baseline_models(pieces.machine, [seen.at])
+    _assert_knots_of_a_rack(fit_baseline(*models, [seen]).model)
 
 
 def test_what_knots_hide_falls_with_the_cube_of_their_distance():
@@ -141,21 +126,19 @@ def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     moved = seen.tracker_mm.copy()
     moved[burst] += [0.1, -0.1, 0.1]
     checked = estimate_checked(models, [replace(seen, tracker_mm=moved)])
-    assert checked.estimate.fit is not None
     fitted = checked.estimate.fit.runs[0].observations
     assert len(fitted) < 0.6 * len(seen)
-    assert {each.row for each in checked.left_out[0]} == {17}
+    left_out = checked.left_out[0]
+    assert {each.row for each in left_out} == {17}
     begin, end = seen.at.time_s[burst[0]], seen.at.time_s[burst[-1]]
-    assert min(each.begin_s for each in checked.left_out[0]) > begin - 0.2
-    assert max(each.end_s for each in checked.left_out[0]) < end + 0.2
-    assert (
-        sum(each.samples for each in checked.left_out[0]) < 2 * seen.count[burst].sum()
-    )
+    assert min(each.begin_s for each in left_out) > begin - 0.2
+    assert max(each.end_s for each in left_out) < end + 0.2
+    samples = sum(each.samples for each in left_out)
+    assert samples < 2 * seen.count[burst].sum()
 
 
 @pytest.fixture(scope="module")
 def knocked():
-    """Return a fit of a clean Run, and a knock in its cells."""
     run, _ = _record(LONG, 24)
     fit = estimate(align(run), keep_fit=True).fit
     seen = fit.runs[0].observations
@@ -184,3 +167,39 @@ def test_steps_that_are_tried_are_held_few_times(knocked):
     assert found.steps[0].cell == pytest.approx(0.3 * whole, abs=2)
     sums = 8 * 7 * knocked.runs[0].linearisation.size * (whole - half) / STRIDE
     assert more - less < 5.5 * sums
+
+
+def analyse_with(record, monkeypatch, *hidden):
+    """Return what was added to the variance of error motions, in µm², by symbol."""
+    run, _ = record(33, rows=30, setting=Setting(hidden=hidden))
+    before = []
+
+    def spy(found, runs):
+        before.append(found)
+        return ripple.add_ripple(found, runs)
+
+    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
+    found = analyse(run)
+    (plain,) = before
+    scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)
+    added = np.diag(found.estimate.covariance - scaled.covariance)
+    sizes = {}
+    for motion in plain.model.error_motions:
+        rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 50))
+        own = added[plain.model.slices[motion.name]]
+        sizes[motion.symbol] = 1e6 * float((rows**2 @ own).mean())
+    return found, sizes
+
+
+def test_a_clean_machine_has_none(record, monkeypatch):
+    found, sizes = analyse_with(record, monkeypatch)
+    assert found.verdict.state == "usable"
+    assert max(sizes.values()) < 0.1**2
+
+
+@pytest.mark.parametrize("lead_mm", [5.0, 20.0])
+def test_a_screw_too_short_for_knots_is_found_to_its_size(record, monkeypatch, lead_mm):
+    screw = ScrewCyclic("Y", lead_mm, 1.5, 0.3)
+    _, sizes = analyse_with(record, monkeypatch, screw)
+    assert 0.8 < sizes.pop("EYY") / (1.5**2 / 2.0) < 1.2
+    assert max(sizes.values()) < 0.3**2

@@ -8,9 +8,13 @@ import pytest
 from estimating import estimate
 from following import compare_tables, follow, shift
 from truepath.alignment.align import align
+from truepath.estimation.live.earlier_runs import align_earlier
 from truepath.estimation.live.live import LiveEstimator
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.planning.adaptive_plan import AdaptivePlanner
+from truepath.planning.plan_order import PlanOrder
 from truepath.results.verdict import judge_live
+from truepath_simulators.worlds.synthetic import Setting
 
 
 @pytest.fixture(scope="module")
@@ -23,16 +27,11 @@ def clean(run):
     return follow(run, with_notices=True)
 
 
-def test_the_last_live_tables_are_those_of_the_batch(run, clean):
-    off = compare_tables(clean.last, estimate(align(run)))
+def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
+    last = clean.last
+    off = compare_tables(last, estimate(align(run)))
     assert np.abs(off).max() < 1.0
     assert np.sqrt(np.mean(off**2)) < 0.3
-
-
-def test_the_volumetric_uncertainty_falls_line_by_line_and_is_that_of_the_map(
-    run, clean
-):
-    last = clean.last
     sigma = [now.volumetric_sigma_mm for now in clean.on_the_way]
     assert sigma[0] > 5 * sigma[-1]
     assert last.volumetric_sigma_mm < 0.003
@@ -43,9 +42,6 @@ def test_the_volumetric_uncertainty_falls_line_by_line_and_is_that_of_the_map(
     done = [now.done for now in clean.on_the_way]
     assert done == sorted(done)
     assert last.done == len(run.commanded) - 1
-
-
-def test_a_clean_measurement_says_nothing_against_itself_on_the_way(clean):
     for now in [*clean.on_the_way, clean.last]:
         assert judge_live(now.check, now.done).state == "usable"
         assert now.check.knocks == ()
@@ -101,9 +97,8 @@ def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(run, clean):
 
 def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(run):
     spoilt, knocked_s = spoil(run, 0.35, [1.9, -1.9, 1.3])
-    spoilt = replace(
-        spoilt, tracker=spoilt.tracker.select(slice(0, len(run.tracker) * 3 // 4))
-    )
+    some = slice(0, len(run.tracker) * 3 // 4)
+    spoilt = replace(spoilt, tracker=spoilt.tracker.select(some))
     told = [
         (now, reason)
         for now in follow(spoilt).on_the_way
@@ -113,8 +108,7 @@ def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(run):
     assert judge_live(told[0][0].check, 1).state == "doubtful"
     values = [reason.values for _, reason in told]
     assert [v["to_s"] for v in values] == sorted({v["to_s"] for v in values})
-    lines = np.diff(run.commanded.position, axis=0)
-    assert len(values) > 0.5 * 0.65 * len(lines)
+    assert len(values) > 0.5 * 0.65 * (len(run.commanded) - 1)
     for one in values:
         assert knocked_s - 1.0 < one["from_s"] < knocked_s + 10.0
         assert one["distance_um"] > 2000.0
@@ -128,20 +122,43 @@ def test_samples_in_the_wrong_place_are_left_out_at_once(run, clean):
     for now in [*told, found.last]:
         said = judge_live(now.check, now.done).reasons
         assert "are left out" in " ".join(map(str, said))
-    for now in [*told, found.last]:
         assert np.sqrt(np.mean(compare_tables(now, clean.last) ** 2)) < 1.5
 
 
-def test_nothing_is_said_before_the_pose_is_known(run):
+def test_nothing_is_said_before_the_pose_is_known_and_it_goes_on_where_nothing_fits(
+    run,
+):
     live = LiveEstimator(run.machine, run.commanded)
     assert live.estimate() is None
     assert not live.finish()
-
-
-def test_where_nothing_fits_anything_the_estimate_still_goes_on(run):
     count = len(run.tracker)
     places = np.random.default_rng(2).normal(0.0, 3.0, (count // 80 + 1, 3))
     astray = shift(run, np.repeat(places, 80, axis=0)[:count])
     half = replace(astray, tracker=astray.tracker.select(slice(0, count // 3)))
     last = follow(half).last
     assert judge_live(last.check, last.done).state != "usable"
+
+
+@pytest.fixture(scope="module")
+def measured(record):
+    """Two Runs of one machine, each from a place of its own; the first is earlier."""
+    earlier, _ = record(31, rows=16)
+    run, _ = record(32, rows=12, setting=Setting(machine_seed=31))
+    return align_earlier([earlier]), run
+
+
+def test_earlier_runs_add_what_they_tell_and_their_minutes_are_off(measured):
+    earlier, run = measured
+    blocks = [run.tracker]
+    alone, both = (follow(run, blocks=blocks, earlier=x) for x in ((), earlier))
+    sigma_mm = both.last.volumetric_sigma_mm
+    assert sigma_mm < 0.75 * alone.last.volumetric_sigma_mm
+    whole = AdaptivePlanner(run.machine, run.commanded, PlanOrder(minutes=60.0))
+    order = PlanOrder(minutes=whole._used_s / 60.0 + 0.5)
+
+    def choose(earlier):
+        planner = AdaptivePlanner(run.machine, run.commanded, order, earlier)
+        return planner.next(both.live.findings(), sigma_mm)
+
+    assert choose(()).commanded is not None
+    assert choose(earlier).commanded is None

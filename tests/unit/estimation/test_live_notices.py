@@ -5,27 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from following import follow, list_blocks, shift
 from truepath.estimation.checks.change_search import KNOCK, LINE, LOST_MOTION, Change
 from truepath.estimation.checks.notices import UNNAMED, revise
-from truepath.estimation.live.live import LiveEstimator
 
 ROWS = tuple(range(1, 21))
 
 
-def follow(run):
+def follow_lines(run):
     """Return the time of the newest sample and the notices after each line."""
-    live, told = LiveEstimator(run.machine, run.commanded), []
-    for begin in range(0, len(run.tracker), 100):
-        block = run.tracker.select(slice(begin, begin + 100))
-        if live.take(block) and live.estimate() is not None:
-            told.append((float(block.device_time_s[-1]), live.list_notices()))
-    return told
-
-
-def shift(run, shift_mm):
-    """Return a Run whose samples (n,) lie elsewhere by (n, 3)."""
-    moved = run.tracker.position_mm + shift_mm
-    return replace(run, tracker=replace(run.tracker, position_mm=moved))
+    return follow(run, blocks=list_blocks(run, 100), with_notices=True).noticed
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +24,21 @@ def usual(record):
     return run, (time_s - time_s[0]) / (time_s[-1] - time_s[0])
 
 
-def test_nothing_is_noticed_where_nothing_changes(usual):
-    run, _ = usual
-    told = follow(run)
+def test_nothing_is_noticed_where_nothing_changes_and_a_drift_is_no_knock(usual):
+    run, share = usual
+    told = follow_lines(run)
     assert len(told) > 25
     assert not any(notices for _, notices in told)
+    told = follow_lines(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
+    assert [n.kind for n in told[-1][1] if not n.is_over] == ["set-up-drifts"]
+    assert KNOCK not in {n.kind for _, notices in told for n in notices}
 
 
 @pytest.mark.fault_row(11)
 def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual, measured):
     run, share = usual
     late = share > 0.7
-    told = follow(shift(run, late[:, None] * np.array([0.006, -0.006, 0.006])))
+    told = follow_lines(shift(run, late[:, None] * np.array([0.006, -0.006, 0.006])))
     knocked_s = run.tracker.device_time_s[np.argmax(late)]
     assert not any(notices for now_s, notices in told if now_s < knocked_s)
     first_s, notices = next((now_s, n) for now_s, n in told if n)
@@ -67,29 +59,19 @@ def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual, meas
 def test_a_knock_half_way_on_a_line_is_one_change(usual):
     run, share = usual
     later = (share > 0.56)[:, None]
-    told = follow(shift(run, later * np.array([0.007, -0.007, 0.007])))
+    told = follow_lines(shift(run, later * np.array([0.007, -0.007, 0.007])))
     shown = [[n.kind for n in notices if not n.is_over] for _, notices in told]
     assert max(map(len, shown)) == 1
     assert shown[-1] == [KNOCK]
-
-
-def test_a_drift_is_no_knock(usual):
-    run, share = usual
-    told = follow(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
-    assert [n.kind for n in told[-1][1] if not n.is_over] == ["set-up-drifts"]
-    assert KNOCK not in {n.kind for _, notices in told for n in notices}
 
 
 def change(kind, onset, margin=30.0, size_mm=0.01, axis=""):
     return Change(kind, axis, onset, 100.0, 50.0, margin, size_mm, 0.001)
 
 
-def test_a_change_has_no_name_while_another_kind_explains_it_as_well():
+def test_a_change_has_no_name_while_another_kind_or_one_line_explains_it():
     (notice,) = revise((), [change(KNOCK, 15, margin=3.0)], ROWS, 9.0)
     assert (notice.kind, notice.grade, notice.since_row) == (UNNAMED, "possible", 16)
-
-
-def test_nothing_has_a_name_while_one_line_alone_shows_it():
     (notice,) = revise((), [change(KNOCK, 19)], ROWS, 9.0)
     assert notice.kind == UNNAMED
 
@@ -100,22 +82,16 @@ def test_the_grade_is_how_much_worse_the_next_kind_is(margin, grade):
     assert (notice.kind, notice.axis, notice.grade) == (LOST_MOTION, "Y", grade)
 
 
-def test_a_notice_keeps_number_and_moment_when_it_gets_its_name():
+def test_a_notice_keeps_its_number_when_named_may_have_begun_elsewhere_and_ends():
     first = revise((), [change(LINE, 15, margin=1.0)], ROWS[:16], 9.0)
     (later,) = revise(first, [change(KNOCK, 14, size_mm=0.02)], ROWS, 30.0)
     assert (later.number, later.noticed_s, later.noticed_row) == (1, 9.0, 16)
     assert (later.kind, later.size_mm) == (KNOCK, 0.02)
-
-
-def test_what_has_no_name_may_turn_out_to_have_begun_elsewhere():
     first = revise((), [change(LINE, 6, margin=1.0)], ROWS[:16], 9.0)
     (later,) = revise(first, [change(KNOCK, 14)], ROWS, 30.0)
     assert (later.number, later.kind, later.since_row) == (1, KNOCK, 15)
     both = revise((later,), [change(KNOCK, 14), change(KNOCK, 6)], ROWS, 40.0)
     assert [n.since_row for n in both] == [15, 7]
-
-
-def test_what_no_longer_shows_is_over_and_stays():
     first = revise((), [change(KNOCK, 15)], ROWS, 9.0)
     (over,) = revise(first, [], ROWS, 12.0)
     assert over == replace(first[0], is_over=True)

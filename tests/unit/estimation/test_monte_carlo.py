@@ -38,38 +38,33 @@ def trials(fit):
 
 
 def under(trials, noise):
-    """The same trials of a measurement of another noise."""
     return replace(trials, runs=tuple(replace(r, noise=noise) for r in trials.runs))
 
 
 def squareness(fit):
     """The three squarenesses as outputs, and their standard deviations."""
     model = fit.model
-    outputs = np.array(
-        [np.eye(model.size)[model.slices[s].start] for s in ("C0Y", "B0Z", "A0Z")]
-    )
+    rows = [model.slices[symbol].start for symbol in ("C0Y", "B0Z", "A0Z")]
+    outputs = np.eye(model.size)[rows]
     covariance = widen_by_unknown_precision(fit.prior, fit.result).covariance
     return outputs, np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
 
 
 def of_noise_alone(trials, noise):
     """Return the trials with another noise and nothing that only the prior knows."""
-    silent = tuple(
-        replace(one, root=0.0 * one.root, log_sigma=0.0) for one in trials.prior
-    )
+    silent = tuple(replace(x, root=0.0 * x.root, log_sigma=0.0) for x in trials.prior)
     return replace(under(trials, noise), prior=silent)
 
 
-def test_trials_confirm_the_linear_uncertainty(fit, trials):
-    _, linear = squareness(fit)
+def test_trials_confirm_the_linear_uncertainty_whether_precisions_are_known_or_not(
+    fit, trials
+):
+    outputs, linear = squareness(fit)
     told = propagate(partial(run_block, trials), FEW)
     assert (np.abs(told.mean) < 0.2 * linear).all()
     assert told.sigma / linear == pytest.approx(1.0, abs=0.05)
     assert (told.high - told.low) / (2 * 1.96 * linear) == pytest.approx(1.0, abs=0.08)
-
-
-def test_precisions_that_are_known_leave_the_covariance_of_the_solve(fit, trials):
-    outputs, _ = squareness(fit)
+    # Where they are known, the covariance of the solve is left.
     known = tuple(replace(one, log_sigma=0.0) for one in trials.prior)
     covariance = fit.result.covariance
     linear = np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
@@ -100,16 +95,13 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
     assert (quick < 0.96 * remembered).all()
 
 
-def test_who_computes_a_block_does_not_change_it(trials):
+def test_each_block_is_a_draw_of_its_own_whoever_computes_it(trials, fit):
     def draw(number):
         return draw_outputs(trials, number, 500)
 
     with ThreadPoolExecutor(3) as pool:
         shared = list(pool.map(draw, range(3)))
     np.testing.assert_array_equal([draw(number) for number in range(3)], shared)
-
-
-def test_another_seed_or_block_is_another_draw(fit, trials):
     other = prepare_trials(fit, squareness(fit)[0], TrialPlan(seed=2))
     drawn = draw_outputs(trials, 0, 10)
     assert not np.allclose(drawn, draw_outputs(other, 0, 10))

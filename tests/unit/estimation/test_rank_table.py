@@ -10,14 +10,14 @@ import itertools
 import numpy as np
 import pytest
 
+from mills import build_mill
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.symbols import list_error_motions
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.splines import natural_spline
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 KNOTS = 6
 ONE = [(0.0, 0.0, -100.0)]
@@ -27,17 +27,12 @@ TRAVELS = [(600.0, 600.0, 600.0), (600.0, 500.0, 400.0)]
 
 CORNERS = [np.array(c, float) for c in itertools.product([0, 1], repeat=3)]
 CORNER_LINES = list(itertools.combinations(CORNERS, 2))
-MID_LINES = [
-    (np.where(np.eye(3)[k], 0.0, 0.5), np.where(np.eye(3)[k], 1.0, 0.5))
-    for k in range(3)
-]
+MID_LINES = [(0.5 - 0.5 * along, 0.5 + 0.5 * along) for along in np.eye(3)]
 OBLIQUE = [(np.zeros(3), np.array([0.6, 1.0, 0.0]))]
 
 
 def machine(travel):
-    axes = tuple(LinearAxis(a, 0.0, t) for a, t in zip("XYZ", travel, strict=True))
-    target = Target("T", "tool", ONE[0])
-    return Machine("m", (), ("X", "Y", "Z"), axes, (target,), TrackerNoise())
+    return build_mill(ONE[0], travel_mm=travel)
 
 
 def every_motion(of):
@@ -94,11 +89,7 @@ def test_rank_of_one_two_and_three_tool_offsets(
 @pytest.mark.parametrize("travel", TRAVELS)
 @pytest.mark.parametrize(
     ("lines", "expected"),
-    [
-        (CORNER_LINES, 71),
-        (CORNER_LINES + MID_LINES, 71),
-        (CORNER_LINES + OBLIQUE, 73),
-    ],
+    [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
 def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
     travel, lines, expected
@@ -110,7 +101,7 @@ def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
 
 
 @pytest.mark.parametrize("travel", TRAVELS)
-def test_the_blind_shape_is_one_positioning_error_that_all_axes_share(travel):
+def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(travel):
     model = every_motion(machine(travel))
     full, across = on_lines(model, CORNER_LINES, travel)
     share = np.arange(KNOTS) / (KNOTS - 1)
@@ -119,13 +110,7 @@ def test_the_blind_shape_is_one_positioning_error_that_all_axes_share(travel):
         part = model.slices[f"E{axis}{axis}"]
         shape[part] = travel[k] * np.sin(2 * np.pi * share)
     assert np.abs(across @ shape).max() < 1e-12 * np.abs(full @ shape).max()
-
-
-@pytest.mark.parametrize("travel", TRAVELS)
-def test_phase_and_speed_of_each_line_left_free_cost_no_rank(travel):
-    """What lies along, less a straight line a pass, restores what corners hide."""
-    model = every_motion(machine(travel))
-    full, across = on_lines(model, CORNER_LINES, travel)
+    # What lies along, less a straight line a pass: phase and speed of each are free.
     along = (full - across).reshape(len(CORNER_LINES), 60, 3, -1)
     law = np.stack([np.ones(60), np.linspace(-1.0, 1.0, 60)], axis=1)
     free = np.eye(60) - law @ np.linalg.pinv(law)
@@ -133,15 +118,51 @@ def test_phase_and_speed_of_each_line_left_free_cost_no_rank(travel):
     assert rank(np.concatenate([across, curved])) == 73
 
 
+CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
+
+
+@pytest.mark.parametrize("sides", CHAINS)
 @pytest.mark.parametrize(
-    ("offsets", "turns", "expected"), [(ONE, 0, 73), (TWO, 2, 85), (THREE, 3, 96)]
+    ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
-def test_the_model_that_is_solved_has_this_rank_less_the_rigid_motions(
-    offsets, turns, expected
+def test_tool_offsets_decide_how_many_motions_are_told_apart(
+    sides, offsets, known, rank
 ):
-    """Those of the volume, and of the targets where their places are known exactly."""
-    model, _ = build_identifiable_model(
-        machine(TRAVELS[1]), np.array(offsets), intervals=KNOTS - 1
+    """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
+
+    And less the turns of how the targets sit: each sits by itself.
+    """
+    last = "XYZ".index("".join(sides)[-1])
+    lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
+    mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])
+    model, merged = build_identifiable_model(mill, lengths, intervals=5)
+    motions = model.identifiable_motions
+    assert len(motions) == known
+    assert len(motions) + len(merged) == 18
+    assert model.size == rank + 3 * (len(offsets) - 1)
+
+
+def test_what_merges_is_named_with_what_it_merges_into_or_that_it_moves_nothing():
+    aside, on_axis = (
+        {m.symbol: str(m) for m in build_identifiable_model(machine(TRAVELS[0]), at)[1]}
+        for at in (np.array([(30.0, 20.0, -100.0)]), np.array(ONE))
     )
-    seats = 3 * (len(offsets) - 1)
-    assert model.size - seats + turns + 6 == expected
+    assert set(aside) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert "EXZ" in aside["EBZ"]
+    assert "another tool length" in aside["EBZ"]
+    assert "does not move the target" in on_axis["ECZ"]
+
+
+def test_how_other_targets_sit_is_no_error_of_the_first_one():
+    # T1 is the last in any order of coordinates.
+    offsets = [(60.0, 50.0, -20.0), (0.0, 0.0, -200.0), (0.0, 60.0, -90.0)]
+    mill = build_mill(*offsets, travel_mm=TRAVELS[0])
+    model, _ = build_identifiable_model(mill, np.array(offsets), intervals=4)
+    seats = [name for name in model.slices if name.startswith("seat")]
+    assert seats == ["seat-T2", "seat-T3"]
+    for name, at in zip(("T1", "T2", "T3"), offsets, strict=True):
+        still = make_standstill(mill, np.full((1, 3), 50.0), np.array([at]))
+        moved = {s: model.jacobian(still)[:, :, model.slices[s]].any() for s in seats}
+        assert moved == {s: s == f"seat-{name}" for s in seats}
+        error = build_volumetric_map(model, name).jacobian(still)
+        assert not any(error[:, :, model.slices[s]].any() for s in seats)

@@ -74,29 +74,28 @@ def test_any_split_into_additions_gives_the_batch(moving, expected, share):
     assert_same(sums.information(), expected)
 
 
-def test_a_line_at_a_time_gives_the_batch(moving, expected):
-    ends = np.flatnonzero(np.diff(moving.at.line)) + 1
-    sums = added_in_parts(about_of(moving), moving, ends.tolist())
-    assert_same(sums.information(), expected)
-
-
-def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
-    about = about_of(moving)
-    one = RecursiveEstimator.start(about).add(
-        moving.select(np.flatnonzero(moving.at.line == 0))
-    )
-    every = RecursiveEstimator.start(about).add(moving)
-    # The timing of a line under way is among them; that of finished ones is not.
-    for sums in (one.sums, every.sums):
-        assert about.size + 1 <= len(sums.total) <= about.size + 3
-
-
-def test_asking_on_the_way_changes_nothing(moving, expected):
+def test_a_line_at_a_time_gives_the_batch_and_asking_on_the_way_changes_nothing(
+    moving, expected
+):
     sums = RecursiveEstimator.start(about_of(moving))
-    for part in np.array_split(np.arange(len(moving)), 7):
+    ends = np.flatnonzero(np.diff(moving.at.line)) + 1
+    for part in np.split(np.arange(len(moving)), ends):
         sums = sums.add(moving.select(part))
         sums.information()
     assert_same(sums.information(), expected)
+
+
+def test_the_sums_do_not_grow_with_the_lines_and_refuse_cells_out_of_order(moving):
+    about = about_of(moving)
+    first = moving.select(np.flatnonzero(moving.at.line == 0))
+    one, every = (RecursiveEstimator.start(about).add(seen) for seen in (first, moving))
+    # The timing of a line under way is among them; that of finished ones is not.
+    for sums in (one.sums, every.sums):
+        assert about.size + 1 <= len(sums.total) <= about.size + 3
+    later = moving.select(np.arange(20, 30))
+    sums = RecursiveEstimator.start(about_of(moving)).add(later)
+    with pytest.raises(EstimationError, match="order of time"):
+        sums.add(moving.select(np.arange(10)))
 
 
 @pytest.mark.parametrize("cells", [1, 60, 10_000])
@@ -111,50 +110,27 @@ def test_the_batch_made_part_by_part_is_one_dense_problem(
     assert_same(compute_information(moving, about), expected)
 
 
-def test_standstills_add_up_to_the_batch(record):
-    seen = align(record(4, "standstill", rows=30)[0])
-    about = about_of(seen)
-    sums = added_in_parts(about, seen, [3, 4, 20])
-    assert_same(sums.information(), compute_information(seen, about))
-
-
 def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
     # Every third line is taken for a standstill: what it says does not matter here.
     still = moving.at.line % 3 == 0
-    at = replace(moving.at, line=np.where(still, -1, moving.at.line))
-    seen = replace(
-        moving, at=replace(at, velocity_mm_s=at.velocity_mm_s * ~still[:, None])
-    )
+    line = np.where(still, -1, moving.at.line)
+    velocity_mm_s = moving.at.velocity_mm_s * ~still[:, None]
+    at = replace(moving.at, line=line, velocity_mm_s=velocity_mm_s)
+    seen = replace(moving, at=at)
     about = about_of(seen)
-    assert_same(
-        RecursiveEstimator.start(about).add(seen).information(),
-        all_at_once(about, seen),
-    )
+    sums = RecursiveEstimator.start(about).add(seen)
+    assert_same(sums.information(), all_at_once(about, seen))
 
 
-def test_white_noise_needs_no_tail(moving):
+def test_white_noise_needs_no_tail_and_across_the_travel_timing_is_no_unknown(moving):
     about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 2e-4))
     sums = added_in_parts(about, moving, [10, 11, 200])
     assert sums.sums.state is None
     assert_same(sums.information(), all_at_once(about, moving))
-
-
-def test_across_the_travel_alone_timing_is_no_unknown(moving):
     about = about_of(moving, replace(NOISE, along_sigma_mm=np.inf))
-    machine = about.machine_model.size
-    a = OwnParameters.of(
-        added_in_parts(about, moving, [40]).information(), machine
-    ).eliminate()
-    b = OwnParameters.of(
-        RecursiveEstimator.start(about).add(moving).information(), machine
-    ).eliminate()
+    a, b = (
+        OwnParameters.of(sums.information(), about.machine_model.size).eliminate()
+        for sums in (added_in_parts(about, moving, cuts) for cuts in ([40], []))
+    )
     assert np.allclose(a.matrix, b.matrix, rtol=1e-7)
     assert np.linalg.eigvalsh(a.matrix).min() > -1e-6 * np.linalg.norm(a.matrix)
-
-
-def test_cells_out_of_order_are_refused(moving):
-    sums = RecursiveEstimator.start(about_of(moving)).add(
-        moving.select(np.arange(20, 30))
-    )
-    with pytest.raises(EstimationError, match="order of time"):
-        sums.add(moving.select(np.arange(10)))

@@ -1,4 +1,4 @@
-"""The tool that would tell merged motions apart: its length keeps its promise."""
+"""What data do not tell or hardly: its names, and the tool that would tell it."""
 
 import re
 from dataclasses import replace
@@ -12,10 +12,16 @@ from truepath.estimation.problem import separation
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.normal_equations import compute_information
-from truepath.estimation.problem.observability import usual_precision_matrix
+from truepath.estimation.problem.observability import (
+    describe_form,
+    find_poorly_observable,
+    usual_precision_matrix,
+)
+from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
+from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.grade import grade
 from truepath.planning.lines.default_path import default_path
 from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
@@ -55,13 +61,10 @@ def table_sigma(machine, path, symbol):
     return np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows).mean())
 
 
-def driven_with_both(machine, path):
-    n = len(path)
-    twice = {
-        name: np.concatenate([getattr(path, name)] * 2)
-        for name in ("position", "feed_mm_min", "dwell_s")
-    }
-    return replace(path, **twice, target=("T1",) * n + ("T2",) * n)
+def driven_with_both(path):
+    columns = ("position", "feed_mm_min", "dwell_s")
+    twice = {name: np.concatenate([getattr(path, name)] * 2) for name in columns}
+    return replace(path, **twice, target=("T1",) * len(path) + ("T2",) * len(path))
 
 
 @pytest.mark.parametrize("symbol", ["EBZ", "ECZ"])
@@ -70,56 +73,42 @@ def test_the_second_tool_tells_the_turn_as_well_as_promised(symbol):
     way = np.array([0.6, 0.8, 0.0] if symbol == "ECZ" else [0.0, 0.0, -1.0])
     second = tuple((np.array(FIRST) + float(length) * way).tolist())
     machine = mill(FIRST, second)
-    path = driven_with_both(machine, default_path(machine))
+    path = driven_with_both(default_path(machine))
     promised = 0.5e-6 * float(expanded)
     assert table_sigma(machine, path, symbol) == pytest.approx(promised, rel=0.35)
 
 
-def test_statements_begin_with_the_symbol_and_name_partners_and_length():
+def test_statements_name_partners_and_length_or_that_a_target_has_to_move_aside():
     said = statements(mill(FIRST))
     assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
     assert "EBZ (turn of Z about Y) cannot be told from EXZ" in said["EBZ"]
     assert "a second tool at least" in said["EBZ"]
     assert "to the side, in X or Y," in said["ECZ"]
-
-
-def test_a_target_on_the_spindle_axis_is_told_to_move_aside():
     said = statements(mill((0.0, 0.0, -100.0)))
     assert "does not move the target" in said["ECZ"]
     assert "to the side, in X or Y, shows it" in said["ECZ"]
     # And that alone where two lengths of tools are measured.
     machine = mill((0.0, 0.0, -100.0), (0.0, 0.0, -250.0))
-    path = driven_with_both(machine, default_path(machine))
+    path = driven_with_both(default_path(machine))
     said = graded(machine, path).unobservable
     assert [s[:3] for s in said] == ["ECY", "ECZ"]
     assert all("to the side" in s for s in said)
 
 
-def test_three_offsets_leave_nothing_to_separate():
-    offsets = [(0.0, 0.0, -100.0), (80.0, 0.0, -200.0), (0.0, 80.0, -300.0)]
-    machine = mill(*offsets)
-    path = default_path(machine)
-    path = replace(path, target=tuple(f"T{1 + i % 3}" for i in range(len(path))))
-    assert graded(machine, path).unobservable == ()
-
-
 def test_longer_tools_are_asked_for_where_less_is_measured():
     machine = mill(FIRST)
-    lengths = [
-        float(SAID.search(said)[1]) * float(SAID.search(said)[2])
+    few, many = (
+        np.prod([float(one) for one in SAID.search(said).groups()])
         for said in (statements(machine, lines=n)["EBZ"] for n in (14, 40))
-    ]
-    assert lengths[0] > 1.3 * lengths[1]  # length times uncertainty: √2 u of EXZ
+    )
+    assert few > 1.3 * many  # length times uncertainty: √2 u of EXZ
 
 
 def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
     table = RotaryAxis("C", 0.0, 360.0, (250.0, 200.0, 0.0), (0.0, 0.0, 1.0))
-    mill_with_table = replace(
-        mill(FIRST),
-        workpiece_side=("C",),
-        axes=(*mill((0.0, 0.0, 0.0)).axes, table),
-        tracker=TrackerNoise(stands_on="base"),
-    )
+    own = {"axes": (*mill(FIRST).axes, table), "workpiece_side": ("C",)}
+    tracker = TrackerNoise(stands_on="base")
+    mill_with_table = replace(mill(FIRST), **own, tracker=tracker)
     said = statements(mill_with_table)
     for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
         assert "targets on the workpiece, three off one line" in said[symbol]
@@ -143,3 +132,68 @@ def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
     aside = mill((0.0, 0.0, -400.0), FIRST)
     other = replace(path, target=("T2",) * len(path))
     assert graded(aside, other).number > 3.0 * graded(own, path).number
+
+
+OFFSET = (20.0, 30.0, -100.0)
+MILL = build_mill(OFFSET, travel_mm=(600.0, 500.0, 400.0))
+X = MILL.linear_axes[0]
+
+
+@pytest.fixture(scope="module")
+def known():
+    model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
+    return model, compute_volumetric_gram(model)
+
+
+def told_but(model, shape, left):
+    """Return information that leaves a share of the usual deviation of one shape."""
+    root = np.linalg.cholesky(usual_precision_matrix(model))
+    direction = root.T @ shape
+    direction /= np.linalg.norm(direction)
+    size = model.size
+    rest = np.eye(size) - np.outer(direction, direction)
+    inner = 1e6 * rest + (left**-2 - 1.0) * np.outer(direction, direction)
+    return root @ inner @ root.T
+
+
+def shape_of(model, symbol):
+    """Return that which bends least."""
+    return np.eye(model.size)[model.slices[symbol].start]
+
+
+def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
+    model, gram = known
+    shape = shape_of(model, "EYY")
+    (found,) = find_poorly_observable(told_but(model, shape, 0.8), model, gram)
+    assert found.symbols == ("EYY",)
+    assert found.remaining == pytest.approx(0.8, rel=1e-3)
+    assert str(found).startswith("EYY: ")
+    assert "80 % of what a usual machine may have stays open" in str(found)
+    assert find_poorly_observable(told_but(model, shape, 0.3), model, gram) == ()
+    untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
+    assert len(find_poorly_observable(untold, model, gram)) == 1
+    assert find_poorly_observable(untold, model, gram, blind=False) == ()
+
+
+def test_motions_that_share_a_shape_are_named_together(known):
+    model, gram = known
+    shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
+    (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
+    assert found.symbols == ("EXX", "EZZ")
+
+
+@pytest.mark.parametrize(
+    ("shape", "name"),
+    [
+        (lambda s: s, "a slope"),
+        (lambda s: (s - 0.5) ** 2, "a bow"),
+        (lambda s: np.sin(2 * np.pi * s), "an S"),
+        (lambda s: np.sin(6 * np.pi * s), "a wave"),
+    ],
+)
+def test_a_shape_is_called_by_what_it_looks_like(shape, name):
+    motion = make_error_motion("EXX", X, 24)
+    at = np.linspace(X.low, X.high, 200)
+    value = shape(at / X.high)
+    theta = np.linalg.lstsq(motion.rows(at), value - value[0], rcond=None)[0]
+    assert describe_form(motion, theta) == f"{name} of the error along X"

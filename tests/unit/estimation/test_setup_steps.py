@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.alignment.align import align_all
+from estimating import judge_map
+from following import shift
+from truepath.alignment.align import align, align_all
 from truepath.estimation.checks.disturbances import estimate_checked
 from truepath.estimation.checks.run_parts import RunPart, join_empty, split_at_all
 from truepath.estimation.checks.setup_steps import Step
@@ -26,34 +28,24 @@ def check(run, shift_mm):
     """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    moved = run.tracker.position_mm + shift_mm(share)
-    run = replace(run, tracker=replace(run.tracker, position_mm=moved))
-    (seen,) = align_all([run], ["run"])
+    (seen,) = align_all([shift(run, shift_mm(share))], ["run"])
     found = estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
-def test_two_knocks_are_found_where_they_are(standing):
-    found, time_s = check(
-        standing,
-        lambda share: (
-            np.outer(share > 0.3, [0.03, -0.02, 0.01])
-            + np.outer(share > 0.65, [-0.01, -0.03, 0.03])
-        ),
-    )
-    told = [knock.time_s for knock in found.knocks]
-    assert told == pytest.approx(time_s, abs=2.5)
+def test_knocks_are_found_where_they_are_and_told_from_drift(standing):
+    moved_mm = np.array([[0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]])
+    late = np.array([0.3, 0.65])
+    found, time_s = check(standing, lambda share: (share[:, None] > late) @ moved_mm)
+    assert [knock.time_s for knock in found.knocks] == pytest.approx(time_s, abs=2.5)
     moved_um = [1e3 * knock.moved_mm for knock in found.knocks]
     assert moved_um == pytest.approx([37.4, 43.6], abs=3.0)
-
-
-def test_a_small_knock_is_no_drift(standing):
-    found, time_s = check(
-        standing, lambda share: np.outer(share > 0.65, [0.006, -0.006, 0.004])
-    )
-    assert [knock.time_s for knock in found.knocks] == pytest.approx(
-        time_s[1:], abs=2.5
-    )
+    small_mm = [0.006, -0.006, 0.004]
+    found, time_s = check(standing, lambda share: np.outer(share > 0.65, small_mm))
+    (knock,) = found.knocks
+    assert knock.time_s == pytest.approx(time_s[1], abs=2.5)
+    found, _ = check(standing, lambda share: np.outer(share, [0.02, -0.01, 0.01]))
+    assert found.knocks == ()
 
 
 def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
@@ -61,10 +53,9 @@ def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
     found, _ = check(moving, lambda share: np.outer(share > late, [0.02, -0.02, 0.01]))
     time_s = moving.tracker.device_time_s
     moment_s = time_s[0] + late * (time_s[-1] - time_s[0])
-    assert [knock.time_s for knock in found.knocks] == pytest.approx(
-        [moment_s], abs=0.2
-    )
-    assert 1e3 * found.knocks[0].moved_mm == pytest.approx(30.0, abs=1.5)
+    (knock,) = found.knocks
+    assert knock.time_s == pytest.approx(moment_s, abs=0.2)
+    assert 1e3 * knock.moved_mm == pytest.approx(30.0, abs=1.5)
     assert not any(misfit.unseen for misfit in found.misfits)
 
 
@@ -85,6 +76,42 @@ def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
     assert before.seen.offered + after.seen.offered == seen.offered  # none is lost
 
 
-def test_a_drift_is_no_row_of_knocks(standing):
-    found, _ = check(standing, lambda share: np.outer(share, [0.02, -0.01, 0.01]))
-    assert found.knocks == ()
+POINT = 30
+
+
+@pytest.fixture(scope="module")
+def clean(record):
+    """Return a Run's observations, its models, its truth, and what is found in it."""
+    run, truth = record(22, "standstill", rows=60)
+    seen = align(run)
+    models = build_run_models(run.machine, [seen.at])
+    return seen, models, truth, estimate_checked(models, [seen])
+
+
+def judge_moved(clean, rows, by_mm):
+    """Return what is found where some rows lie elsewhere, and what it leaves."""
+    seen, models, truth, checked = clean
+    assert checked.left_out == ((),)
+    assert checked.knocks == ()
+    moved = seen.tracker_mm.copy()
+    moved[rows] += by_mm * np.array([0.6, -0.64, 0.48])
+    found = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    pair = found.estimate, checked.estimate
+    left, usual = (judge_map(each, truth.deviation_mm) for each in pair)
+    assert left.inside > 0.85
+    return found, left.share / usual.share
+
+
+@pytest.mark.parametrize("off_um", [20.0, 1000.0])
+def test_one_point_that_is_off_is_left_out_and_harmless(clean, off_um):
+    found, worse = judge_moved(clean, clean[0].row == POINT, 1e-3 * off_um)
+    assert {each.row for each in found.left_out[0]} == {POINT}
+    assert worse < 1.15
+
+
+def test_no_machine_bends_to_follow_a_knock_between_few_points(clean):
+    found, worse = judge_moved(clean, clean[0].row >= POINT, 2.0)
+    (knock,) = found.knocks
+    assert knock.row == POINT
+    assert 1e3 * knock.moved_mm == pytest.approx(2000.0, abs=3.0)
+    assert worse < 1.3

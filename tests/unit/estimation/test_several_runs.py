@@ -1,4 +1,4 @@
-"""Several Runs of one machine in one estimate, against exact truth."""
+"""Several Runs of one machine in one estimate, and what uncertainty is made of."""
 
 from dataclasses import replace
 
@@ -9,8 +9,10 @@ from estimating import estimate, judge_map
 from recorded import record_run
 from truepath.alignment.align import align
 from truepath.errors import BundleError, Unidentifiable
-from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.noise import NoiseModel, cell_noise
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.solve.budget import SOURCES, split_uncertainty
+from truepath.estimation.solve.contributions import find_contributions
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath_simulators.machine.random_machine import random_machine
@@ -30,14 +32,14 @@ def content_with(offset_mm=SHORT):
     return {**content, "tool_offset_mm": list(offset_mm)}
 
 
-def recorded(seed, mode="otf", rows=24, offset_mm=SHORT, setting=None):
+def recorded(seed, mode="otf", rows=24, offset_mm=SHORT, **setting):
     content = content_with(offset_mm)
     machine = parse_machine(content)
     if mode == "otf":
         program = paths.chord_path(machine, seed, rows, 10_000.0)
     else:
         program = paths.standstill_points(machine, seed, rows, dwell_s=0.5)
-    setting = replace(setting or Setting(), machine_seed=MACHINE)
+    setting = Setting(machine_seed=MACHINE, **setting)
     return record_run(content, program, seed, mode, setting)
 
 
@@ -66,7 +68,6 @@ def both(moving, standing):
 
 
 def judge(result, offset_mm=SHORT):
-    """Return what is left of the truth for a tool."""
     truth = random_machine(parse_machine(content_with(offset_mm)), MACHINE)
     targets = result.model.machine.targets
     name = next(t.name for t in targets if t.offset_mm == offset_mm)
@@ -78,16 +79,22 @@ def volumetric_sigma(result):
     return float(np.sqrt(np.sum(gram * result.covariance)))
 
 
-def test_both_modes_together_leave_less_than_each_alone(alone, standing, both):
+def test_both_modes_together_leave_less_than_each_alone_in_any_order(
+    alone, standing, both, moving
+):
     left = judge(both)
     assert left.share < min(judge(alone).share, judge(estimate(standing)).share)
     assert 0.85 < left.inside <= 1.0
     assert 0.85 < both.rms_mm / both.floor_mm < 1.1
+    other = estimate(standing, moving)
+    u = np.sqrt(np.diag(both.covariance))
+    assert (np.abs(both.theta - other.theta) < 0.2 * u).all()
+    assert [run.cells for run in both.runs] == [run.cells for run in other.runs][::-1]
 
 
 def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
-    loud = Setting(noise_scale=3.0, air=Air(share=0.3, tau_s=0.6))
-    (near, one), (far, other) = recorded(3), recorded(4, setting=loud)
+    loud = {"noise_scale": 3.0, "air": Air(share=0.3, tau_s=0.6)}
+    (near, one), (far, other) = recorded(3), recorded(4, **loud)
     result = estimate(align(near), align(far))
     for run, made in zip(result.runs, (one, other), strict=True):
         corner = np.array([[300.0, 200.0, 100.0]])
@@ -99,37 +106,35 @@ def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
     assert 0.3 < noisy.ou_time_s < 1.2
 
 
-def test_a_loud_run_does_not_spoil_a_quiet_one(moving, alone):
-    loud = seen_of(4, rows=12, setting=Setting(noise_scale=5.0))
+def test_a_loud_or_short_run_beside_another_adds_and_does_not_spoil_it(
+    moving, alone, standing
+):
+    loud = seen_of(4, rows=12, noise_scale=5.0)
     joined = estimate(moving, loud)
     assert judge(joined).share < 1.1 * judge(alone).share
     assert volumetric_sigma(joined) < 1.01 * volumetric_sigma(alone)
+    few = standing.select(np.flatnonzero(standing.row < 5))
+    with pytest.raises(Unidentifiable):
+        estimate(few)
+    joined = estimate(moving, few)
+    assert volumetric_sigma(joined) < volumetric_sigma(alone)
+    assert joined.runs[1].lines == 5
 
 
-def test_the_same_run_twice_halves_the_variance_that_noise_makes(moving):
-    run = RunInput(
-        moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 1e-4)
-    )
-    at = moving.at
+def test_a_repeated_run_shrinks_the_uncertainty_and_halves_the_variance_of_noise(
+    moving, alone
+):
+    noise, at = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 1e-4), moving.at
+    run = RunInput(moving, moving.pose, noise)
     model, _ = build_identifiable_model(at.machine, at.offset_mm, intervals=5)
     once, twice = (
         np.diag(np.linalg.inv(combine_runs(collect_information(runs, model)).matrix))
         for runs in ([run], [run, run])
     )
     assert np.sqrt(twice / once) == pytest.approx(1 / np.sqrt(2), rel=1e-6)
-
-
-def test_a_repeated_run_shrinks_the_uncertainty(moving, alone):
-    twice = estimate(moving, moving)
+    again = estimate(moving, moving)
     # What the prior bridges between lines, the same lines again do not tell.
-    assert 0.68 < volumetric_sigma(twice) / volumetric_sigma(alone) < 0.9
-
-
-def test_the_order_of_the_runs_does_not_matter(moving, standing, both):
-    other = estimate(standing, moving)
-    u = np.sqrt(np.diag(both.covariance))
-    assert (np.abs(both.theta - other.theta) < 0.2 * u).all()
-    assert [run.cells for run in both.runs] == [run.cells for run in other.runs][::-1]
+    assert 0.68 < volumetric_sigma(again) / volumetric_sigma(alone) < 0.9
 
 
 def test_tools_of_separate_runs_are_told_apart_as_in_one():
@@ -146,20 +151,10 @@ def test_tools_of_separate_runs_are_told_apart_as_in_one():
         assert left.inside > 0.85
 
 
-def test_a_run_that_is_too_short_alone_adds_to_another(moving, standing, alone):
-    few = standing.select(np.flatnonzero(standing.row < 5))
-    with pytest.raises(Unidentifiable):
-        estimate(few)
-    joined = estimate(moving, few)
-    assert volumetric_sigma(joined) < volumetric_sigma(alone)
-    assert joined.runs[1].lines == 5
-
-
 def test_two_machines_are_refused_with_run_and_field(moving, standing):
     machine = standing.at.machine
-    other = replace(
-        machine, axes=(replace(machine.axes[0], high=611.0), *machine.axes[1:])
-    )
+    x, *others = machine.axes
+    other = replace(machine, axes=(replace(x, high=611.0), *others))
     elsewhere = replace(standing, at=replace(standing.at, machine=other))
     with pytest.raises(BundleError, match=r"b/machine\.json: axes\.X\.max_mm is 611"):
         estimate(moving, elsewhere, names=["a", "b"])
@@ -186,6 +181,62 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
     found = np.linalg.solve(data.matrix, data.vector)
     sigma = np.sqrt(np.diag(np.linalg.inv(stacked))[: model.size])
     assert np.abs((found - expected) / sigma).max() < 1e-5
-    assert np.sqrt(np.diag(np.linalg.inv(data.matrix))) == pytest.approx(
-        sigma, rel=1e-6
+    combined = np.sqrt(np.diag(np.linalg.inv(data.matrix)))
+    assert combined == pytest.approx(sigma, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def longer_and_shorter(record_small):
+    runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
+    seen = [align(run) for run in runs]
+    return estimate(*seen, keep_fit=True)
+
+
+@pytest.fixture(scope="module")
+def at_points(record):
+    return estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
+
+
+def by_source(estimate):
+    variance = split_uncertainty(estimate).variance_mm2
+    return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
+
+
+def test_the_sources_add_up_to_the_uncertainty_and_every_run_takes_some_away(
+    longer_and_shorter,
+):
+    found = longer_and_shorter
+    parts = by_source(found)
+    total = sum(parts.values())
+    brought = find_contributions(found, (0, 1))
+    stated = brought.sigma_mm
+    assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
+    gram = compute_volumetric_gram(found.model)
+    assert stated == pytest.approx(np.sqrt(np.sum(gram * found.covariance)))
+    assert min(parts.values()) > -1e-3 * total  # the step of a derivative
+    for source in ("tracker", "air", "alignment", "model"):
+        assert parts[source] > 1e-3 * total, source
+    assert parts["thermal"] == parts["effects"] == 0.0
+    without_long, without_short = brought.without_mm
+    assert stated < without_short < without_long
+    # Parts of one Run have nothing to be held against.
+    assert find_contributions(found, (0, 0)).without_mm == ()
+
+
+def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(at_points):
+    """The gain of the solve, written out over all cells, the pose held."""
+    fit = at_points.fit
+    (run,), size = fit.runs, fit.model.size
+    design = run.linearisation.build(run.observations)
+    J = design.columns[:, :, :size].reshape(-1, size)
+    whitened = design.whiten(run.noise).apply(design.columns[:, :, :size])
+    whitened = whitened.reshape(-1, size)
+    prior = fit.prior.precision_matrix(size)
+    gain = np.linalg.solve(J.T @ whitened + prior, whitened.T)
+    precision, _ = cell_noise(run.observations, run.noise, design.travel)
+    gain = gain.reshape(size, -1, 3)
+    spread = np.einsum("pni,nij,qnj->pq", gain, np.linalg.inv(precision), gain)
+    gram = compute_volumetric_gram(fit.model)
+    assert by_source(at_points)["tracker"] == pytest.approx(
+        np.sum(gram * spread), rel=1e-3
     )

@@ -1,6 +1,4 @@
-"""Standstill points by trackers that stream slowly or are polled, against truth."""
-
-from __future__ import annotations
+"""Standstill points by trackers that stream slowly or are polled, and live."""
 
 from dataclasses import replace
 from functools import cache
@@ -9,11 +7,14 @@ import numpy as np
 import pytest
 
 from estimating import estimate, judge_map
-from recorded import load_small, record_run
+from following import compare_tables, follow
+from recorded import load_small, record_run, with_samples
 from truepath.alignment.align import align
+from truepath.alignment.point_alignment import PointAlignment
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import PointRows
+from truepath.files.bundle.run import PointBlock, PointRows, Run
 from truepath.results.analysis import analyse
+from truepath.results.verdict import judge_live
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -50,25 +51,15 @@ def poll(run, recording):
     return replace(run, tracker=samples, points=points)
 
 
-def move(run, rows, shift_mm):
-    """Return a polled Run whose reflector moved before some of its points."""
-    position = run.tracker.position_mm.copy()
-    position[rows] += shift_mm
-    return replace(run, tracker=replace(run.tracker, position_mm=position))
-
-
 @pytest.fixture(scope="module")
 def polled():
     return poll(*slowly(2))
 
 
-def test_a_stream_of_5_hz_with_dwells_of_2_s_finds_the_map():
+def test_a_stream_of_5_hz_and_points_of_a_polled_tracker_find_the_map(polled):
     left = judge(*slowly(1))
     assert left.share < 0.15
     assert 0.85 < left.inside <= 1.0
-
-
-def test_points_of_a_polled_tracker_find_the_map(polled):
     left = judge(polled, slowly(2)[1])
     assert left.share < 0.12
     assert 0.85 < left.inside <= 1.0
@@ -81,7 +72,7 @@ def test_means_without_a_covariance_say_nothing_of_scatter(polled):
     assert align(polled).scatter == pytest.approx([1.0, 1.0], abs=0.15)
 
 
-def test_points_that_are_not_where_their_row_is_are_left_out_and_named(polled):
+def test_points_are_told_by_their_row_each_time_they_are_measured(polled):
     row = polled.points.row.copy()
     row[[10, 40]] = row[[40, 10]]
     seen = align(replace(polled, points=replace(polled.points, row=row)))
@@ -89,18 +80,14 @@ def test_points_that_are_not_where_their_row_is_are_left_out_and_named(polled):
     missing = {each.row for each in seen.left_out if each.cause == "no-stop"}
     assert astray == missing == {10, 40}
     assert not np.isin(seen.row, [10, 40]).any()
-
-
-def test_a_point_measured_twice_counts_twice(polled):
     twice = np.insert(np.arange(len(polled.tracker)), 21, 20)
-    points = PointRows(
-        polled.points.row[twice],
-        polled.points.count[twice],
-        polled.points.covariance_mm2[twice],
-    )
-    seen = align(replace(polled, tracker=polled.tracker.select(twice), points=points))
-    assert (seen.row == 20).sum() == 2
-    assert not seen.left_out
+    told = polled.points.row, polled.points.count, polled.points.covariance_mm2
+    points = PointRows(*(column[twice] for column in told))
+    # One that is measured twice counts twice.
+    samples = polled.tracker.select(twice)
+    twice_seen = align(replace(polled, tracker=samples, points=points))
+    assert (twice_seen.row == 20).sum() == 2
+    assert not twice_seen.left_out
 
 
 def test_metres_are_refused_by_name(polled):
@@ -111,14 +98,90 @@ def test_metres_are_refused_by_name(polled):
 
 @pytest.mark.long
 def test_a_reflector_that_moved_is_told_and_solved_with_both_places(polled):
-    moved = move(polled, np.arange(34, 68), [0.1, 0.03, 0.0])
-    found = analyse(moved)
-    kinds = {reason.kind for reason in found.verdict.reasons}
-    assert "set-up-moved" in kinds
-    assert found.verdict.state == "usable"
+    moved = move(polled, 34, 68, [0.1, 0.03, 0.0])
+    verdict = analyse(moved).verdict
+    assert "set-up-moved" in {reason.kind for reason in verdict.reasons}
+    assert verdict.state == "usable"
 
 
 @pytest.mark.long
 def test_a_point_whose_reflector_was_knocked_and_came_back_is_left_out(polled):
-    seen = analyse(move(polled, [20], [0.2, 0.0, 0.0]))
+    seen = analyse(move(polled, 20, 21, [0.2, 0.0, 0.0]))
     assert [reason.values["line"] for reason in seen.verdict.reasons] == [20]
+
+
+ROWS = 40
+
+
+@pytest.fixture(scope="module")
+def shots(record) -> Run:
+    """Return standstills of a stream as a polled tracker would have measured them."""
+    run, _ = record(31, "standstill", rows=ROWS)
+    seen = align(run)
+    row, one = np.unique(seen.row, return_index=True)
+    n, time_s = len(row), seen.at.time_s[one]
+    place, status = seen.tracker_mm[one], np.zeros(n, np.int64)
+    samples = TrackerSamples(np.arange(n), time_s, place, status)
+    points = PointRows(row, seen.count[one].astype(np.int64), np.zeros((n, 3, 3)))
+    return replace(run, tracker=samples, points=points)
+
+
+def list_blocks(run: Run) -> list[PointBlock]:
+    points, blocks = run.points, []
+    for k in range(len(run.tracker)):
+        one = slice(k, k + 1)
+        told = points.row[one], points.count[one], points.covariance_mm2[one]
+        blocks.append(PointBlock(run.tracker.select(one), PointRows(*told)))
+    return blocks
+
+
+def follow_points(run: Run):
+    followed = follow(run, blocks=list_blocks(run))
+    return followed.on_the_way, followed.last
+
+
+def move(run: Run, first, last, by_mm) -> Run:
+    """Return a Run whose points from one to another lie elsewhere."""
+    moved = run.tracker.position_mm.copy()
+    moved[first:last] += by_mm
+    return with_samples(run, position_mm=moved)
+
+
+def test_tables_tighten_point_by_point_and_end_where_the_batch_does(shots):
+    on_the_way, last = follow_points(shots)
+    sigma = [now.volumetric_sigma_mm for now in on_the_way]
+    assert len(sigma) > 0.8 * ROWS
+    assert sigma[0] > 3 * sigma[-1]
+    assert last.done == len(shots.tracker)
+    assert judge_live(last.check, last.done).state == "usable"
+    off = compare_tables(last, estimate(align(shots)))
+    assert np.abs(off).max() < 1.0
+
+
+def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(shots):
+    run = move(shots, 25, None, [0.0, 3.0, 0.0])
+    on_the_way, last = follow_points(run)
+    told = [
+        reason
+        for now in [*on_the_way, last]
+        for reason in judge_live(now.check, now.done).reasons
+        if reason.kind == "stream-astray"
+    ]
+    assert len(told) > 0.5 * (len(shots.tracker) - 25)
+    assert {reason.values["line"] for reason in told} == {int(run.points.row[25])}
+    assert told[-1].values["distance_um"] == pytest.approx(3000.0, abs=100.0)
+    assert judge_live(last.check, last.done).state == "doubtful"
+
+
+def test_points_astray_are_left_out_and_said_the_first_as_well(shots):
+    aligned = PointAlignment(shots.machine, shots.commanded)
+    parts = []
+    for block in list_blocks(move(shots, 20, 21, [0.0, 30.0, 0.0])):
+        parts += aligned.add(block)
+    rows = shots.points.row
+    assert [part.row for part in parts] == [row for row in rows if row != rows[20]]
+    said = aligned.observations(parts).left_out
+    assert [(x.cause, x.row) for x in said] == [("astray", rows[20])]
+    on_the_way, last = follow_points(move(shots, 1, 2, [0.0, 0.0, 40.0]))
+    assert len(on_the_way) > 0.7 * ROWS
+    assert last.done == len(shots.tracker) - 1

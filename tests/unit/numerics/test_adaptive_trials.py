@@ -32,7 +32,6 @@ def normal_sum(rng):
 
 
 def rectangles(widths):
-    """Return the sum of rectangular quantities of these standard deviations."""
     half = np.sqrt(3.0) * np.array(widths)[:, None]
     return lambda rng: (half * rng.uniform(-1.0, 1.0, (len(half), BLOCK))).sum(axis=0)
 
@@ -62,14 +61,9 @@ def test_the_examples_of_9_2_have_their_intervals_and_verdicts(
     assert bool(fits[0]) == is_validated
 
 
-def test_the_factor_is_that_of_the_normal_distribution():
-    assert pytest.approx(norm.ppf(0.975), abs=1e-6) == NORMAL_FACTOR
-
-
 def test_the_shortest_interval_of_a_skewed_output_begins_at_its_mode():
-    shortest = propagate(
-        blocks(exponential, interval="shortest"), TrialPlan(interval="shortest")
-    )
+    plan = TrialPlan(interval="shortest")
+    shortest = propagate(blocks(exponential, interval="shortest"), plan)
     symmetric = propagate(blocks(exponential), TrialPlan())
     assert shortest.low[0] == pytest.approx(0.0, abs=0.01)
     assert shortest.high[0] == pytest.approx(-np.log(0.05), abs=0.1)
@@ -114,13 +108,10 @@ def test_it_stops_where_each_result_is_certain_to_a_fifth_of_the_tolerance():
     assert all(unsure(h) > limit for h in range(2, len(results)))
 
 
-def test_one_more_digit_takes_many_more_trials():
+def test_one_more_digit_takes_many_more_trials_and_those_that_do_not_settle_say_so():
     coarse = propagate(blocks(rectangles([9.0])), TrialPlan(digits=1))
     fine = propagate(blocks(rectangles([9.0])), TrialPlan(digits=2, most_blocks=40))
     assert fine.trials >= 4 * coarse.trials
-
-
-def test_trials_that_do_not_settle_are_ended_and_say_so():
     told = propagate(blocks(normal_sum), TrialPlan(digits=2, most_blocks=3))
     assert told.trials == 3 * BLOCK
     assert not told.settled
@@ -131,12 +122,8 @@ def test_who_shares_the_work_and_works_ahead_does_not_change_the_answer():
     alone = propagate(blocks(normal_sum, 4), plan)
     with ThreadPoolExecutor(3) as pool:
         shared = propagate(blocks(normal_sum, 4), plan, pool.map)
-    for one, other in zip(
-        (alone.mean, alone.sigma, alone.low, alone.high),
-        (shared.mean, shared.sigma, shared.low, shared.high),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(one, other)
+    for what in ("mean", "sigma", "low", "high"):
+        np.testing.assert_array_equal(getattr(alone, what), getattr(shared, what))
 
 
 def test_the_share_done_only_grows_and_ends_at_one():
@@ -146,10 +133,11 @@ def test_the_share_done_only_grows_and_ends_at_one():
     assert shares[-1] == pytest.approx(1.0)
 
 
-def test_the_tolerance_is_half_a_unit_of_the_last_digit_that_counts():
+def test_the_tolerance_is_half_a_unit_of_the_last_digit_and_the_factor_the_normal_one():
     u = np.array([0.00035, 2.0, 9.9, 10.1])
     np.testing.assert_allclose(numerical_tolerance(u, 2), [0.5e-5, 0.05, 0.05, 0.5])
     np.testing.assert_allclose(numerical_tolerance(u, 1), [0.5e-4, 0.5, 0.5, 5.0])
+    assert pytest.approx(norm.ppf(0.975), abs=1e-6) == NORMAL_FACTOR
 
 
 def test_what_is_fixed_by_convention_agrees_whatever_rounding_leaves_of_it():

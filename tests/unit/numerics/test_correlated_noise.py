@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from truepath.numerics.banded_factor import BandedFactor
 from truepath.numerics.correlated_noise import extend, factorise
 from truepath.numerics.ornstein_uhlenbeck import build_ou_precision
 
@@ -43,9 +44,8 @@ def test_slow_and_white_noise_are_whitened_exactly(case):
     time_s, white, sigma, rows = case
     V, flat = dense(time_s, white, sigma), rows.reshape(-1, 4)
     built = factorise(time_s, white, sigma, TAU_S)
-    assert np.allclose(
-        summed(built, rows), flat.T @ np.linalg.solve(V, flat), rtol=1e-9
-    )
+    expected = flat.T @ np.linalg.solve(V, flat)
+    assert np.allclose(summed(built, rows), expected, rtol=1e-9)
     assert built.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
 
 
@@ -67,12 +67,15 @@ def test_points_that_follow_at_once_are_whitened_to_many_digits(rng, step_s):
     assert np.abs(new.T @ new - expected).max() < 1e-7 * np.abs(expected).max()
 
 
-def test_without_slow_noise_only_white_weights_remain(case):
+def test_without_slow_noise_only_white_weights_remain_and_no_tail(case):
     time_s, white, sigma, rows = case
     built = factorise(time_s, white, 0.0 * sigma, TAU_S)
     expected = np.einsum("kip,kij,kjq->pq", rows, white, rows)
     assert not built.factor.size
     assert np.allclose(summed(built, rows), expected)
+    total, _, tail = extend(None, time_s, white, 0.0 * sigma, TAU_S, rows)
+    assert tail is None
+    assert np.allclose(total, summed(built, rows))
 
 
 def test_a_direction_without_precision_carries_nothing(case, rng):
@@ -103,21 +106,12 @@ def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
     built = factorise(time_s, white, sigma, TAU_S)
     total, log_determinant, tail = np.zeros((4, 4)), 0.0, None
     for k in np.split(np.arange(30), sorted(cuts)):
-        gain, log_gain, tail = extend(
-            tail, time_s[k], white[k], sigma[k], TAU_S, rows[k]
-        )
+        part = time_s[k], white[k], sigma[k], TAU_S, rows[k]
+        gain, log_gain, tail = extend(tail, *part)
         total, log_determinant = total + gain, log_determinant + log_gain
     taken, log_taken = tail.marginalise()
     assert np.allclose(total - taken, summed(built, rows), rtol=1e-10, atol=1e-10)
     assert log_determinant + log_taken == pytest.approx(built.log_determinant)
-
-
-def test_points_of_white_noise_leave_no_tail(case):
-    time_s, white, sigma, rows = case
-    total, _, tail = extend(None, time_s, white, 0.0 * sigma, TAU_S, rows)
-    built = factorise(time_s, white, 0.0 * sigma, TAU_S)
-    assert tail is None
-    assert np.allclose(total, summed(built, rows))
 
 
 def test_the_slow_covariance_and_its_inverse_undo_each_other(case, rng):
@@ -128,3 +122,18 @@ def test_the_slow_covariance_and_its_inverse_undo_each_other(case, rng):
     expected = np.einsum("kl,kj,lj,lj->kj", fade, sigma, sigma, moved)
     assert ou.solve(moved) == pytest.approx(expected)
     assert ou.multiply(expected) == pytest.approx(moved)
+
+
+@pytest.mark.parametrize("size", [1, 3, 23, 24, 25, 48, 100])
+@pytest.mark.parametrize("below", [1, 3])
+def test_a_banded_factor_is_solved_as_the_dense_one(rng, size, below):
+    factor = rng.uniform(-1.0, 1.0, (below + 1, size))
+    factor[0] = rng.uniform(3.0, 5.0, size)
+    dense = np.zeros((size, size))
+    for i in range(min(below + 1, size)):
+        dense += np.diag(factor[i, : size - i], -i)
+    right = rng.normal(size=(size, 5))
+    banded = BandedFactor.of(factor)
+    half, whole = banded.solve_half(right), banded.solve(right)
+    assert np.allclose(dense @ half, right, rtol=1e-12, atol=1e-12)
+    assert np.allclose(dense @ (dense.T @ whole), right, rtol=1e-11, atol=1e-11)

@@ -18,11 +18,10 @@ def points(rng):
     return rng.uniform(0, 500, (10, 3))
 
 
-def test_inverse_undoes(points, motion):
+def test_motions_are_undone_and_small_ones_move_points_before_the_pose(
+    points, motion, rng
+):
     assert np.allclose(motion.invert().apply(motion.apply(points)), points)
-
-
-def test_a_small_motion_first_moves_points_before_the_pose(points, motion):
     rotation, translation = np.array([1e-5, -2e-5, 3e-5]), np.array([0.01, -0.02, 0.03])
     moved = points + np.cross(rotation, points) + translation
     assert np.allclose(
@@ -30,20 +29,16 @@ def test_a_small_motion_first_moves_points_before_the_pose(points, motion):
         motion.apply(moved),
         atol=1e-6,
     )
+    turn = rng.normal(size=3)
+    assert np.allclose(cross_matrix(points) @ turn, np.cross(turn, points))
 
 
-def test_cross_matrix_turns_points(points, rng):
-    rotation = rng.normal(size=3)
-    assert np.allclose(cross_matrix(points) @ rotation, np.cross(rotation, points))
-
-
-def test_a_rigid_motion_is_found_from_its_points(points, motion):
+def test_a_rigid_motion_is_found_from_its_points_and_a_mirror_image_when_asked(
+    points, motion
+):
     found = fit_rigid(points, motion.apply(points))
     assert np.allclose(found.rotation, motion.rotation, atol=1e-12)
     assert np.allclose(found.translation_mm, motion.translation_mm, atol=1e-9)
-
-
-def test_a_mirror_image_is_fitted_only_when_asked(points, motion):
     mirrored = motion.apply(points * [1, 1, -1])
     proper, improper = (
         fit_rigid(points, mirrored, mirrored=flag).apply(points) - mirrored

@@ -1,7 +1,5 @@
 """Planners of machines."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -42,8 +40,6 @@ def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignSt
 
 @pytest.fixture(scope="session")
 def planner() -> Callable[..., Planner]:
-    """Make a planner: planner(machine, kind, workspace=…, feeds=…)."""
-
     def make(
         machine: Machine,
         kind: str = "lines",
@@ -52,11 +48,7 @@ def planner() -> Callable[..., Planner]:
         feeds: tuple[float, ...] = (6000.0,),
         perpendicular_only: bool = False,
     ) -> Planner:
-        return Planner(
-            machine,
-            design_of(machine, kind, perpendicular_only),
-            workspace or Workspace(),
-            feeds,
-        )
+        design = design_of(machine, kind, perpendicular_only)
+        return Planner(machine, design, workspace or Workspace(), feeds)
 
     return make

@@ -1,24 +1,25 @@
 """The default path, of machines with and without rotary axes."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from mills import build_mill
 from truepath.errors import PlanningError
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
+from truepath.kinematics.machine.machine import Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
 from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace.workspace import Workspace, moving_targets
 from truepath.planning.design_state import inverse
-from truepath.planning.initial_design import start_design
+from truepath.planning.initial_design import choose_station, start_design
 from truepath.planning.lines.default_path import default_path
 from truepath.planning.lines.line_design import LineDesignState
+from truepath.planning.lines.planner import Planner
+from truepath.planning.lines.target_shares import share_among_targets
 from truepath_drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
@@ -36,15 +37,9 @@ SIX_TARGETS = (
 )
 
 
-def mill_of(x: float = 500.0, y: float = 400.0, z: float = 300.0) -> Machine:
-    return Machine(
-        "small mill",
-        ("X",),
-        ("Y", "Z"),
-        (LinearAxis("X", 0.0, x), LinearAxis("Y", 0.0, y), LinearAxis("Z", -z, 0.0)),
-        (Target("", "tool", (20.0, 30.0, -150.0)),),
-        TrackerNoise(),
-    )
+def mill_of(*travel_mm: float) -> Machine:
+    travel_mm = travel_mm or (500.0, 400.0, 300.0)
+    return build_mill((20.0, 30.0, -150.0), sides=("X", "YZ"), travel_mm=travel_mm)
 
 
 @cache
@@ -56,9 +51,8 @@ def left_mm(machine: Machine, path: Path) -> float:
     """Volumetric uncertainty that a path leaves, by the planner's own criterion."""
     drive, told = Drive.of(machine.axis_names, 0.35), 0.0
     for target in machine.targets:
-        known = start_design(
-            LineDesignState, machine, STATION_MM, drive, target=target.name
-        )
+        order = LineDesignState, machine, STATION_MM, drive
+        known = start_design(*order, target=target.name)
         rows = [r for r in range(1, len(path)) if measures(path, r, target.name)]
         begin, end = (path.position[np.array(rows) - k] for k in (1, 0))
         found = known.rows(Legs(begin, end, path.feed_mm_min[rows]))
@@ -106,7 +100,7 @@ def test_lines_of_the_default_path_are_long_go_both_ways_and_not_between_corners
 def test_the_default_path_tells_more_a_second_than_lines_between_corners():
     chosen = usual_path()
     rng = np.random.default_rng(3)
-    corners = [10, 8, -294] + np.array(list(np.ndindex(2, 2, 2))) * [480, 384, 288.0]
+    corners = [10, 8, 6] + np.array(list(np.ndindex(2, 2, 2))) * [480, 384, 288.0]
     order = [0]
     while len(order) < len(chosen):
         order.append(int(rng.choice([i for i in range(8) if i != order[-1]])))
@@ -132,20 +126,13 @@ def test_a_path_that_cannot_be_driven_is_refused(bad):
 
 
 def trunnion(targets: tuple[Target, ...] = TARGETS) -> Machine:
-    return Machine(
-        "trunnion",
-        ("C", "A"),
-        ("X", "Y", "Z"),
-        (
-            LinearAxis("X", 0.0, 500.0),
-            LinearAxis("Y", 0.0, 450.0),
-            LinearAxis("Z", 0.0, 400.0),
-            RotaryAxis("A", -100.0, 30.0, (250.0, 225.0, -120.0), (1.0, 0.0, 0.0)),
-            RotaryAxis("C", 0.0, 360.0, (250.0, 225.0, -170.0), (0.0, 0.0, 1.0)),
-        ),
-        targets,
-        replace(TrackerNoise(), stands_on="base"),
+    axes = (
+        *build_mill(travel_mm=(500.0, 450.0, 400.0)).axes,
+        RotaryAxis("A", -100.0, 30.0, (250.0, 225.0, -120.0), (1.0, 0.0, 0.0)),
+        RotaryAxis("C", 0.0, 360.0, (250.0, 225.0, -170.0), (0.0, 0.0, 1.0)),
     )
+    sides, tracker = (("C", "A"), ("X", "Y", "Z")), TrackerNoise(stands_on="base")
+    return Machine("trunnion", *sides, axes, targets, tracker)
 
 
 @pytest.fixture(scope="module")
@@ -167,12 +154,11 @@ def test_lines_go_straight_turn_and_do_both_over_all_the_travel(path: Path) -> N
     assert np.ptp(path.position[:, 4]) == 360.0
 
 
-def find_changes(target: Sequence[str]) -> np.ndarray:
-    return np.flatnonzero(np.array(target[1:]) != np.array(target[:-1])) + 1
-
-
-def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None:
-    change = find_changes(path.target)
+def test_the_first_target_is_measured_again_after_all_others_unless_by_a_single_line(
+    path,
+):
+    target = np.array(path.target)
+    change = np.flatnonzero(target[1:] != target[:-1]) + 1
     assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
     blocks = np.diff([0, *change, len(path)])
     assert abs(blocks[0] - blocks[-1]) <= 1
@@ -182,9 +168,7 @@ def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None
     # The machine waits while the target changes.
     assert (path.dwell_s[change] >= 5.0).all()
     assert (path.position[change] == path.position[change - 1]).all()
-
-
-def test_a_single_line_of_the_first_target_is_not_halved() -> None:
+    # A single line of the first target is not halved.
     targets = default_path(trunnion(), 6000.0, lines=3).target
     assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
     assert targets[-1] == "W1"
@@ -217,13 +201,10 @@ def test_the_target_moves_on_every_line(path: Path) -> None:
         assert np.linalg.norm(step, axis=1).sum() > 90.0
 
 
-def test_planned_lines_tell_more_than_random_ones_in_the_same_time(
-    rng: np.random.Generator,
-) -> None:
+def test_planned_lines_tell_more_than_random_ones_in_the_same_time(rng) -> None:
     mill = trunnion(SIX_TARGETS)
     path = default_path(mill, lines=36)
-    low = np.array([axis.low for axis in mill.axes])
-    high = np.array([axis.high for axis in mill.axes])
+    low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
     position = rng.uniform(low, high, path.position.shape)
     random = replace(path, position=position)
     assert travel_time_s(random) > 0.8 * travel_time_s(path)
@@ -244,3 +225,29 @@ def test_a_target_on_the_axis_that_turns_it_is_refused_with_the_remedy() -> None
     centre = Target("W1", "workpiece", (250.0, 225.0, -120.0))
     with pytest.raises(PlanningError, match=r"W1 hardly moves.*farther from the axes"):
         default_path(replace(trunnion((centre,)), workpiece_side=("C", "A")), lines=3)
+
+
+CHANGE_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def planners() -> list[Planner]:
+    machine, workspace = trunnion(), Workspace()
+    station_mm = choose_station(machine, workspace)
+    drive = Drive.of_lines(machine, 0.4)
+    design = start_design(LineDesignState, machine, station_mm, drive, target="T1")
+    first = Planner(machine, design, workspace, (6000.0,))
+    return [
+        replace(first, design=replace(design, target=target))
+        for target in moving_targets(machine)
+    ]
+
+
+def test_targets_share_all_time_but_that_of_turning_the_tracker_in_a_short_one_fewer(
+    planners,
+):
+    shares = share_among_targets(planners, 240.0, CHANGE_S, 0)
+    total = sum(share.budget_s for share in shares)
+    assert total == pytest.approx(240.0 - CHANGE_S * len(shares))
+    assert min(share.budget_s for share in shares) >= 10.0
+    assert len(share_among_targets(planners, 18.0, CHANGE_S, 0)) < len(planners)

@@ -13,11 +13,7 @@ from truepath.files.environment.refraction import Refraction, state_length_ppm
 from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
-from truepath.planning.forecast import (
-    Assumptions,
-    forecast,
-    predict_undetermined,
-)
+from truepath.planning.forecast import Assumptions, forecast, predict_undetermined
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
@@ -57,9 +53,6 @@ def outcomes(record, request):
 def test_the_forecast_agrees_with_what_estimates_state_within_15_percent(outcomes):
     ratios = [before.volumetric_sigma_mm / stated for stated, before, _ in outcomes]
     assert 0.85 < np.mean(ratios) < 1.15
-
-
-def test_with_prior_and_noise_known_it_agrees_on_every_machine(outcomes):
     for stated, _, known in outcomes:
         assert known.volumetric_sigma_mm == pytest.approx(stated, rel=0.15)
 
@@ -100,17 +93,13 @@ def test_the_scale_of_the_air_is_foretold_as_it_is_stated(outcomes):
             assert by_air_mm == pytest.approx(0.0, abs=1e-9)
 
 
-def test_uncertainty_shrinks_from_row_to_row(outcomes):
+def test_uncertainty_shrinks_from_row_to_row_and_what_is_known_least_is_named(outcomes):
     _, foretold, _ = outcomes[0]
     sigma_mm = [step.sigma_mm for step in foretold.curve]
     rows = [step.row for step in foretold.curve]
     assert (np.diff(sigma_mm) <= 0.0).all()
     assert rows == sorted(set(rows))
     assert sigma_mm[-1] == foretold.volumetric_sigma_mm
-
-
-def test_what_is_known_least_is_one_of_what_the_target_shows(outcomes):
-    _, foretold, _ = outcomes[0]
     for step in foretold.curve:
         shares = list(step.weakest_mm.values())
         assert shares == sorted(shares, reverse=True)

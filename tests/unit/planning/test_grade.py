@@ -23,7 +23,6 @@ STATION_MM = np.array([-900.0, 200.0, 100.0])
 
 @pytest.fixture(scope="module")
 def demo(record):
-    """Return the machine that recordings are made of."""
     return record(1)[0].machine
 
 
@@ -45,15 +44,13 @@ def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
     assert 0.6 < achieved / expected < 1.6
 
 
-def test_more_lines_and_a_nearer_tracker_are_graded_better(demo):
+def test_more_lines_and_a_nearer_tracker_are_graded_better_and_a_better_one_the_same(
+    demo,
+):
     few, many = (plan(demo, lines=n) for n in (8, 24))
     near = grade(demo, many, station_mm=STATION_MM)
     assert grade(demo, few, station_mm=STATION_MM).number > 1.5 * near.number
     assert near.sigma_mm < grade(demo, many, station_mm=4.0 * STATION_MM).sigma_mm
-
-
-def test_a_well_told_set_up_keeps_its_number_with_a_better_tracker(demo):
-    """Geometry decides; the noise is in the unit of the number."""
     fine = TrackerNoise(0.5, 0.15, 1.5, 2.0)
     path = plan(demo)
     number = grade(demo, path, station_mm=STATION_MM).number
@@ -71,12 +68,14 @@ def test_an_unknown_stand_counts_as_the_worst_of_usual_ones(demo):
     assert not known.assumed
 
 
-def test_the_default_plan_is_good_and_nothing_of_it_is_weak(demo):
+def test_the_default_plan_is_good_and_verdicts_change_at_a_quarter_and_at_one(demo):
     found = grade(demo, plan(demo))
     assert found.verdict == "good"
     assert found.shapes == ()
     assert all(motion.remedy is None for motion in found.weakest)
     assert found.improved is None
+    numbers = (0.25, 0.251, 1.0, 1.01)
+    assert [verdict(n) for n in numbers] == ["good", "usable", "usable", "poor"]
 
 
 def test_the_blind_spot_of_corner_paths_is_named_before_anything_moves(record):
@@ -109,21 +108,16 @@ def test_the_line_asked_for_lowers_the_number_it_promises(demo):
     assert again.number == pytest.approx(found.improved, rel=0.1)
 
 
-def test_a_path_in_two_runs_is_worth_hardly_less_than_in_one(demo):
+def test_a_path_in_two_runs_is_worth_hardly_less_and_a_longer_tool_tells_more(demo):
     path = plan(demo, lines=24)
     half = len(path) // 2
-    parts = [
-        path_of(demo, rows)
-        for rows in (path.position[: half + 1], path.position[half:])
-    ]
+    halves = path.position[: half + 1], path.position[half:]
+    parts = [path_of(demo, rows) for rows in halves]
     together = grade_together(demo, [SetUp(demo, part, STATION_MM) for part in parts])
     alone = grade(demo, parts[0], station_mm=STATION_MM)
     whole = grade(demo, path, station_mm=STATION_MM)
     assert whole.number <= together.number < 1.3 * whole.number
     assert together.number < alone.number
-
-
-def test_a_run_with_a_longer_tool_tells_what_the_first_could_not(demo):
     second = (20.0, 30.0, -350.0)
     longer = replace(demo, targets=(Target("", "tool", second),))
     both = replace(demo, targets=(*demo.targets, Target("long", "tool", second)))
@@ -136,21 +130,15 @@ def test_a_run_with_a_longer_tool_tells_what_the_first_could_not(demo):
 @pytest.mark.parametrize(
     "rows", [[[0, 0, 0], [400, 300, 200]], [[0, 0, 0], [400, 0, 0]]]
 )
-def test_a_set_up_that_tells_next_to_nothing_is_poor_and_no_error(demo, rows):
+def test_a_set_up_that_tells_next_to_nothing_is_poor_and_one_of_nothing_refused(
+    demo, rows
+):
     assert grade(demo, path_of(demo, rows)).number > 5.0
     stood = Configurations(demo.axis_names, np.array(rows[:1], float), np.ones(1))
     assert grade(demo, stood).verdict == "poor"
-
-
-def test_nothing_at_all_is_no_set_up(demo):
     stood = Configurations(demo.axis_names, np.zeros((1, 3)), np.zeros(1))
     with pytest.raises(PlanningError, match="nothing would be measured"):
         grade(demo, stood)
-
-
-def test_verdicts_change_at_a_quarter_and_at_one():
-    numbers = (0.25, 0.251, 1.0, 1.01)
-    assert [verdict(n) for n in numbers] == ["good", "usable", "usable", "poor"]
 
 
 @pytest.mark.long

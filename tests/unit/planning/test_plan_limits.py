@@ -29,32 +29,24 @@ def workspaces(draw):
     tracker = np.array([draw(st.floats(-200, 700)), draw(st.floats(-1500, -300)), 0.0])
     blocks = draw(st.lists(boxes(tracker, HIGH + OFFSET), max_size=1))
     nearest, farthest = draw(st.floats(0, 500)), draw(st.floats(600, 2500))
-    return Workspace(
-        tuple(keep_out), tuple(tracker.tolist()), nearest, farthest, tuple(blocks)
-    )
+    at, reach = tuple(tracker.tolist()), (nearest, farthest)
+    return Workspace(tuple(keep_out), at, *reach, tuple(blocks))
 
 
 def limits_of(workspace):
     def pairs(given_boxes):
         return [(np.array(b.low_mm), np.array(b.high_mm)) for b in given_boxes]
 
-    return Limits(
-        LOW,
-        HIGH,
-        OFFSET,
-        pairs(workspace.keep_out),
-        None if workspace.tracker_mm is None else np.array(workspace.tracker_mm),
-        (workspace.nearest_mm, workspace.farthest_mm),
-        pairs(workspace.blocks_sight),
-    )
+    at = None if workspace.tracker_mm is None else np.array(workspace.tracker_mm)
+    reach, walls = (workspace.nearest_mm, workspace.farthest_mm), workspace.blocks_sight
+    return Limits(LOW, HIGH, OFFSET, pairs(workspace.keep_out), at, reach, pairs(walls))
 
 
 def assert_within_limits(planner, mill, workspace, kind, seed, feed):
+    made = planner(mill, kind, workspace=workspace, feeds=(feed,))
     plan, refusal = None, ""
     try:
-        plan = planner(mill, kind, workspace=workspace, feeds=(feed,)).plan(
-            30.0, seed=seed
-        )
+        plan = made.plan(30.0, seed=seed)
     except PlanningError as error:
         refusal = str(error)
     if plan is None:
@@ -106,15 +98,16 @@ def test_what_the_workspace_allows_the_checker_finds_nothing_wrong_with(
 
 
 def test_the_checker_finds_a_line_through_a_box():
-    limits = limits_of(
-        Workspace((Box((200.0, 150.0, -200.0), (250.0, 200.0, -100.0)),))
-    )
+    box = Box((200.0, 150.0, -200.0), (250.0, 200.0, -100.0))
+    limits = limits_of(Workspace((box,)))
     through = np.array([[0.0, 0.0, -300.0], [500.0, 400.0, 0.0]])
     assert violations(limits, through) == {"keep-out"}
     assert violations(limits, through[[0, 0]]) == set()
 
 
 SMALL = Box((200.0, 150.0, -200.0), (300.0, 250.0, -100.0), "probe")
+DOOR = Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door")
+HERE = (250.0, -900.0, 0.0)
 DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
 
 
@@ -122,21 +115,10 @@ DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
     ("workspace", "reason"),
     [
         (Workspace((SMALL,)), "enters the keep-out box probe"),
+        (Workspace((), HERE, farthest_mm=900.0), "farther than the tracker sees"),
+        (Workspace((), HERE, nearest_mm=1200.0), "nearer than the tracker sees"),
         (
-            Workspace(tracker_mm=(250.0, -900.0, 0.0), farthest_mm=900.0),
-            "farther than the tracker sees",
-        ),
-        (
-            Workspace(tracker_mm=(250.0, -900.0, 0.0), nearest_mm=1200.0),
-            "nearer than the tracker sees",
-        ),
-        (
-            Workspace(
-                tracker_mm=(250.0, -900.0, 0.0),
-                blocks_sight=(
-                    Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door"),
-                ),
-            ),
+            Workspace((), HERE, blocks_sight=(DOOR,)),
             "goes behind door, out of the tracker's sight",
         ),
     ],
@@ -150,17 +132,11 @@ def test_a_line_that_must_not_be_is_refused_with_row_and_reason(
         planner(mill, workspace=workspace).check(bad)
 
 
-def test_a_volume_that_is_all_kept_out_is_refused(mill, planner):
+def test_what_no_plan_can_do_is_refused_with_the_reason(mill, planner):
     all_of_it = Workspace((Box(tuple(LOW.tolist()), tuple(HIGH.tolist())),))
     with pytest.raises(PlanningError, match="no place in the travel is free"):
         planner(mill, workspace=all_of_it).plan(60.0)
-
-
-def test_a_time_too_short_for_any_line_is_refused(mill, planner):
     with pytest.raises(PlanningError, match=r"fits into .* s; give more time"):
         planner(mill).plan(1.0)
-
-
-def test_a_travel_too_short_for_a_steady_feed_is_refused(mill, planner):
     with pytest.raises(PlanningError, match="too short for a steady feed of 60000"):
         planner(mill, feeds=(60_000.0,)).plan(60.0)

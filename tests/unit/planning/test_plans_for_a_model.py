@@ -1,11 +1,10 @@
 """A plan for a machine whose effects are known in part tells these apart as well."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from estimating import estimate
+from recorded import record_path
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.answers.plan.plan_document import plan_document
@@ -24,9 +23,7 @@ from truepath.planning.plan_order import PlanOrder
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.guides import ElasticSag
 from truepath_simulators.hidden.screws import Backlash
-from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
 FEEDS = (3000.0, 9000.0)
@@ -41,12 +38,10 @@ SIGMA = np.array([0.003, 1e-4, 0.02])
 
 @pytest.fixture(scope="module")
 def model() -> PriorModel:
-    families = (BacklashFamily(), ServoMismatchFamily(), ElasticSagFamily())
-    keys = ({"axis": "X"}, {"axis": "X"}, {"axis": "X", "by": "Y", "direction": "Z"})
-    effects = tuple(
-        restore_effect(family, MACHINE, key, {})
-        for family, key in zip(families, keys, strict=True)
-    )
+    sag = {"axis": "X", "by": "Y", "direction": "Z"}
+    kinds = (BacklashFamily, {"axis": "X"}), (ServoMismatchFamily, {"axis": "X"})
+    kinds += ((ElasticSagFamily, sag),)
+    effects = tuple(restore_effect(kind(), MACHINE, keys, {}) for kind, keys in kinds)
     likeness = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
     covariance = likeness * np.outer(SIGMA, SIGMA)
     loaded = CalibrationResult(MachineModel(MACHINE, effects), 0.2 * SIGMA, covariance)
@@ -82,51 +77,43 @@ def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
     assert np.mean(ratios) < 0.9
 
 
-def test_what_is_foretold_is_what_the_measurement_then_states(planned, model, run_of):
+def test_what_is_foretold_is_what_the_measurement_then_states(planned, model):
     plan = planned[True]
-    path = plan.commanded
-    hidden = (
-        Backlash("X", 4.0),
-        ServoMismatch("X", 0.05),
-        ElasticSag("X", "Y", "Z", 12.0),
-    )
-    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    play, lag = Backlash("X", 4.0), ServoMismatch("X", 0.05)
+    hidden = (play, lag, ElasticSag("X", "Y", "Z", 12.0))
     setting = Setting(machine_seed=6, hidden=hidden)
-    run = run_of(synthetic.record(SMALL, program, 7, "otf", setting))
+    run, _ = record_path(SMALL, plan.commanded, 7, setting=setting)
     known = model.select_effects(MACHINE)
     found = estimate(add_surroundings(align(run), run.commanded), known=known)
     part = known.locate(found.model)
     stated = np.sqrt(np.diag(found.covariance)[part])
-    foretold = np.sqrt(
-        np.diag(plan.forecast.covariance)[known.locate(plan.forecast.model)]
-    )
+    variance = np.diag(plan.forecast.covariance)[known.locate(plan.forecast.model)]
+    foretold = np.sqrt(variance)
     assert (np.abs(np.log(stated / foretold)) < np.log(3.0)).all()
     true = np.array([-0.002, 5e-5, 0.012])
     assert (np.abs(found.theta[part] - true) < 3.0 * stated).all()
 
 
-def test_the_plan_states_the_effects_before_and_after(planned):
+def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
+    planned, model
+):
     document = plan_document(planned[True])
     assert document["model"]["source"] == "model.json"
     lost, lag, sag = document["predicted"]["effects"]
     assert (lost["name"], lag["name"], sag["by"]) == ("backlash", "servo-mismatch", "Y")
-    width_um = (lost[key]["width_um"] for key in ("parameters", "known_before"))
-    assert next(width_um)["uncertainty"] < next(width_um)["uncertainty"]
     before, after = lag["known_before"]["lag_ms"], lag["parameters"]["lag_ms"]
     assert before["uncertainty"] == pytest.approx(0.1)
     assert after["uncertainty"] < 0.5 * before["uncertainty"]
     assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
     assert plan_document(planned[False])["model"] is None
+    points = make_plan(MACHINE, PlanOrder("standstill", minutes=0.4, model=model))
+    (of_points, *_) = plan_document(points)["predicted"]["effects"]
+    for one in (lost, of_points):
+        width_um = (one[key]["width_um"] for key in ("parameters", "known_before"))
+        assert next(width_um)["uncertainty"] < next(width_um)["uncertainty"]
 
 
 def test_a_model_of_another_machine_is_refused(model):
     other = machine_from_json(load_machine("demo"), file="machine.json")
     with pytest.raises(BundleError, match=r"model.json: machine.axes: X 0 to 220"):
         make_plan(other, PlanOrder(minutes=0.5, model=model))
-
-
-def test_points_are_planned_for_it(model):
-    plan = make_plan(MACHINE, PlanOrder("standstill", minutes=0.4, model=model))
-    (lost, *_) = plan_document(plan)["predicted"]["effects"]
-    before, after = lost["known_before"]["width_um"], lost["parameters"]["width_um"]
-    assert after["uncertainty"] < before["uncertainty"]

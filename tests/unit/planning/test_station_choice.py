@@ -1,29 +1,29 @@
-"""The tracker stands where the same time leaves least; more stations pay or do not."""
+"""Where the tracker stands, how often, and what else takes its own errors away."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
 from truepath.errors import PlanningError
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.planning.forecast import Assumptions, forecast
+from truepath.planning.known_points import choose_known_points
 from truepath.planning.plan_making import make_plan
 from truepath.planning.plan_order import PlanOrder
+from truepath.planning.predicted_cells import predict_cells
+from truepath.planning.remedies import find_set_up_remedies
+from truepath_drivers.interfaces.records import Path
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
 PERFECT = TrackerSpecification(*[0.0] * 13)
-FAULTY = replace(
-    PERFECT,
-    index_urad=40.0,
-    eccentricity_urad=40.0,
-    encoder_urad=40.0,
-    fine_urad=20.0,
-    beam_offset_um=40.0,
-    transit_offset_um=40.0,
-    range_offset_um=40.0,
-)
+LARGE = ("index_urad", "eccentricity_urad", "encoder_urad", "beam_offset_um")
+LARGE += ("transit_offset_um", "range_offset_um")
+FAULTY = replace(PERFECT, **dict.fromkeys(LARGE, 40.0), fine_urad=20.0)
 
 
 def nests(*places):
@@ -52,7 +52,7 @@ def perfect(plan_of):
     return plan_of(areas=(FLOOR,))
 
 
-def test_the_place_is_allowed_near_and_no_place_is_better(perfect):
+def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(perfect):
     advice = perfect.stations
     assert advice.chosen
     assert perfect.order.workspace.stations.allow(perfect.station_mm[None])[0]
@@ -62,18 +62,12 @@ def test_the_place_is_allowed_near_and_no_place_is_better(perfect):
     assert advice.judged > 60
     # The angle's noise is what grows with the distance; far places lose by it.
     assert np.linalg.norm(perfect.station_mm - [125.0, 100.0, -75.0]) < 1500.0
-
-
-def test_what_time_averages_from_one_station_is_that_of_the_plan(perfect):
-    left = perfect.stations.options[0].left
-    assert left.random_mm == pytest.approx(perfect.forecast.random_mm)
-    assert left.systematic_mm == 0.0
-    assert left.seen == 1.0
-
-
-def test_without_systematic_errors_ten_minutes_of_moving_do_not_pay(perfect):
-    assert [len(option.place_mm) for option in perfect.stations.options] == [1, 2, 3]
-    assert len(perfect.stations.recommended.place_mm) == 1
+    # What time averages from one station is that of the plan; more do not pay.
+    assert first.random_mm == pytest.approx(perfect.forecast.random_mm)
+    assert first.systematic_mm == 0.0
+    assert first.seen == 1.0
+    assert [len(option.place_mm) for option in advice.options] == [1, 2, 3]
+    assert len(advice.recommended.place_mm) == 1
 
 
 def test_systematic_errors_make_further_stations_pay(plan_of):
@@ -123,3 +117,204 @@ def test_nests_are_places_to_choose_from_for_lines_and_points(plan_of, mode):
 def test_areas_out_of_range_are_refused(plan_of):
     with pytest.raises(PlanningError, match="in range and in sight; correct"):
         plan_of(areas=(FLOOR,), farthest_mm=300.0)
+
+
+HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
+
+
+def specify(machine, specification, face=1):
+    tracker = replace(machine.tracker, specification=specification, face=face)
+    return replace(machine, tracker=tracker)
+
+
+@pytest.fixture(scope="module")
+def lines(small_mill):
+    low, high = np.array([(axis.low, axis.high) for axis in small_mill.axes]).T
+    position = np.random.default_rng(4).uniform(low, high, (16, 3))
+    return Path(small_mill.axis_names, position, np.full(16, 6000.0), np.full(16, 0.4))
+
+
+@pytest.fixture(scope="module")
+def judge(small_mill, lines):
+    """Return forecast and remedies, by their names, of a tracker."""
+
+    def make(specification, face=1):
+        machine = specify(small_mill, specification, face)
+        found = forecast(machine, lines, HERE_MM)
+        places = {"here_mm": HERE_MM, "elsewhere_mm": [ELSEWHERE_MM]}
+        times = {"takes_s": 60.0, "move_s": 600.0}
+        told = machine, lines, found, Assumptions()
+        remedies = find_set_up_remedies(*told, **places, **times)
+        return found, {one.change: one for one in remedies}
+
+    return make
+
+
+def test_of_a_perfect_tracker_nothing_has_to_be_taken_away(judge):
+    perfect, remedies = judge(PERFECT)
+    typical, _ = judge(TrackerSpecification())
+    assert not remedies
+    # The air is still known to half a ppm.
+    by_air_mm2 = perfect.volumetric_sigma_mm**2 - perfect.random_mm**2
+    assert 0.0 < by_air_mm2 < (1e-6 * 500.0) ** 2
+    assert typical.random_mm == pytest.approx(perfect.random_mm)
+    assert typical.volumetric_sigma_mm > 1.1 * typical.random_mm
+
+
+def test_a_second_place_leaves_what_a_forecast_of_both_places_leaves(
+    small_mill, lines, judge
+):
+    first, remedies = judge(TrackerSpecification())
+    one = remedies["second-place"]
+    machine = specify(small_mill, TrackerSpecification())
+    both, again = (
+        forecast(machine, lines, place, before=first).volumetric_sigma_mm
+        for place in (ELSEWHERE_MM, HERE_MM)
+    )
+    assert one.sigma_mm == pytest.approx(both, rel=0.01)
+    assert one.sigma_mm < 0.95 * again
+    assert one.added_s == 660.0
+
+
+def test_each_remedy_takes_away_what_it_changes(judge):
+    """A turned base uses other parts of the azimuth circle; the zero of elevation,
+    and axes that are not square, change their sign in the other face alone."""
+    left = {}
+    for name, fault in (
+        ("circle", {"eccentricity_urad": 40.0}),
+        ("axes", {"index_urad": 1000.0, "tilt_urad": 400.0}),
+    ):
+        found, remedies = judge(replace(PERFECT, **fault))
+        left[name] = {
+            change: one.sigma_mm / found.volumetric_sigma_mm
+            for change, one in remedies.items()
+        }
+    assert left["circle"]["turned-base"] < 0.8 * left["axes"]["turned-base"]
+    assert left["axes"]["other-face"] < 0.8 * left["axes"]["turned-base"]
+
+
+def test_another_face_is_named_only_where_the_tracker_has_two(judge):
+    _, remedies = judge(TrackerSpecification(), None)
+    assert set(remedies) == {"second-place", "turned-base"}
+
+
+def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_mill):
+    wall = Box((-400.0, -2000.0, -2000.0), (-300.0, 2000.0, 2000.0), "wall")
+    workspace = Workspace((), tuple(HERE_MM.tolist()), 200.0, blocks_sight=(wall,))
+    order = PlanOrder(minutes=0.2, feeds_mm_min=(6000.0,), workspace=workspace)
+    document = plan_document(make_plan(small_mill, order))
+    errors = document["predicted"]["tracker_errors"]
+    parts = errors["random_um"] ** 2 + errors["systematic_um"] ** 2
+    expected = pytest.approx(document["predicted"]["volumetric_uncertainty_um"])
+    assert parts**0.5 == expected
+    remedies = {one["change"]: one for one in errors["remedies"]}
+    rate = [one["removed_um_per_minute"] for one in remedies.values()]
+    assert rate == sorted(rate, reverse=True)
+    assert min(rate) > 0.0
+    # Rows are not seen from behind the wall.
+    assert remedies["second-place"]["position_mm"][0] > -300.0
+    assert errors["statement"][1] in render_plan_report(document)
+
+
+@pytest.mark.long
+def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
+    plan = make_plan(small_mill, PlanOrder(target_um=0.2, feeds_mm_min=(6000.0,)))
+    assert plan.reached is False
+    assert plan.outcome.random_mm < 0.4 * plan.outcome.volumetric_sigma_mm
+    assert plan.duration_s < 1000.0
+
+
+PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
+THREE_NESTS = tuple(Box(place, place) for place in PLACES)
+WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
+FEEDS = (6000.0,)
+
+
+@pytest.fixture(scope="module")
+def planned(small_mill):
+    order = PlanOrder(minutes=0.6, feeds_mm_min=FEEDS, workspace=WORKSPACE, stations=2)
+    return make_plan(small_mill, order)
+
+
+def test_stations_share_the_time_stand_apart_and_each_is_in_the_document(planned):
+    first, second = planned.at_stations
+    assert first.duration_s + second.duration_s <= 36.0
+    assert np.linalg.norm(first.station_mm - second.station_mm) > 300.0
+    assert planned.uncertainty_um == second.uncertainty_um < first.uncertainty_um
+    document = plan_document(planned)
+    rows = [station["rows"] for station in document["at_stations"]]
+    assert sum(rows) == document["rows"]
+    assert document["curve"][-1]["row"] == document["rows"]
+    assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
+    left = document["stations"]["options"][1]["random_um"]
+    assert left == pytest.approx(1e3 * planned.outcome.random_mm)
+
+
+def test_the_forecast_is_that_of_all_stations_whatever_their_order(planned, small_mill):
+    first, second = planned.at_stations
+    there = forecast(small_mill, second.commanded, second.station_mm)
+    both = forecast(small_mill, first.commanded, first.station_mm, before=there)
+    expected = pytest.approx(planned.uncertainty_um, rel=1e-4)
+    assert 1e3 * both.volumetric_sigma_mm == expected
+
+
+def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mill):
+    """Lines chosen without that knowledge tell less beside those of the first."""
+    first, second = planned.at_stations
+    here = Workspace((), tuple(second.station_mm.tolist()), 200.0)
+    order = PlanOrder(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)
+    alone = make_plan(small_mill, order)
+    lines = alone.commanded, alone.station_mm
+    beside = forecast(small_mill, *lines, before=first.forecast)
+    assert planned.uncertainty_um < 1e3 * beside.volumetric_sigma_mm
+
+
+def test_known_points_are_seen_from_every_station(mill, square):
+    wall = Box((200.0, -100.0, -700.0), (210.0, 450.0, 700.0), "wall")
+    workspace = Workspace(blocks_sight=(wall,))
+    places = [np.array([-900.0, 0.0, 0.0]), np.array([0.0, -900.0, 0.0])]
+    points = choose_known_points(mill, workspace, places, [square, square])
+    assert 4 <= len(points) <= 5
+    assert points.position[:, 0].max() < 400.0
+    still = points.position
+    for place in places:
+        assert workspace.place_tracker(place).allows(mill, still, still).all()
+    across = [np.array([-900.0, 0.0, 0.0]), np.array([1500.0, 0.0, 0.0])]
+    with pytest.raises(PlanningError, match="not enough places"):
+        choose_known_points(mill, workspace, across, [square, square])
+
+
+def test_no_move_between_known_points_and_lines_enters_a_keep_out_box(mill, square):
+    vice = Box((150.0, 150.0, -300.0), (350.0, 250.0, -100.0), "vice")
+    workspace = Workspace(keep_out=(vice,))
+    places = [np.array(place) for place in PLACES[:2]]
+    points = choose_known_points(mill, workspace, places, [square, square])
+    way = np.vstack([points.position, square.position[0]])
+    assert workspace.allows(mill, way[:-1], way[1:]).all()
+    back = np.vstack([square.position[-1], points.position[0]])
+    assert workspace.allows(mill, back[:-1], back[1:]).all()
+
+
+SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"workspace": Workspace()}, "no areas"),
+        ({"target_um": 1.0}, "leave target"),
+        ({"stations": 4}, "at most 3"),
+        ({"workspace": SMALL}, "300 mm apart"),
+    ],
+)
+def test_what_stations_cannot_be_planned_for_is_refused(small_mill, more, said):
+    order = {"minutes": 0.5, "workspace": WORKSPACE, "stations": 2, **more}
+    with pytest.raises(PlanningError, match=said):
+        make_plan(small_mill, PlanOrder(feeds_mm_min=FEEDS, **order))
+
+
+def test_ramps_count_as_ramps(mill, square):
+    cells = predict_cells(mill, square, np.array([250.0, -900.0, 100.0]))
+    assert cells.left_out == ()
+    assert cells.is_ramp.any()
+    assert not cells.is_ramp.all()

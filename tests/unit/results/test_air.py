@@ -1,15 +1,18 @@
-"""What a result says of sensors and of the air on the beam."""
+"""What a result says of sensors, of the air on the beam, and of known lengths."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from recorded import with_samples
+from results_fixtures import TRAVEL_MM
 from truepath.answers.verification.places.conformity import (
     Conformity,
     decide_conformity,
 )
-from truepath.files.bundle.run import Run, RunEvent, summarize_run
+from truepath.estimation.solve.known_scale import settle_scale
+from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
 from truepath.files.environment.refraction import (
     Refraction,
     correct_refraction,
@@ -20,45 +23,42 @@ from truepath.files.environment.refraction import (
 )
 from truepath.kinematics.estimated_model import find_stretch
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
+from truepath.results.analysis import analyse
 from truepath.results.environment_json import (
     describe_refraction,
     describe_scale,
     environment_json,
 )
+from truepath.results.error_tables import build_error_tables
 from truepath.results.findings import state_findings
+from truepath.results.result_json import result_json
 from truepath.results.verdict import judge_air, judge_scale
 from truepath_drivers.interfaces.records import (
     AirSamples,
-    Path,
     TemperatureSamples,
     TrackerSamples,
 )
 from truepath_drivers.interfaces.tracker_records import Light
 
+LIGHT = Light(633.0, is_group=False)
+BY_INSTRUMENT = Refraction("instrument")
+BY_NOBODY = Refraction("nobody", why="no pressure")
+
 
 @pytest.fixture
 def run(mill, square):
-    assert isinstance(square, Path)
     time_s = 100.0 + np.arange(0.0, 600.0, 0.5)
-    tracker = TrackerSamples(
-        np.arange(len(time_s)),
-        time_s,
-        np.ones((len(time_s), 3)),
-        np.zeros(len(time_s), np.int64),
-    )
+    n = len(time_s)
+    columns = np.arange(n), time_s, np.ones((n, 3)), np.zeros(n, np.int64)
     at_s = np.arange(100.0, 701.0, 1.0)
     rises = 20.0 + 0.01 * (at_s - 100.0)
     dies = np.where(at_s < 300.0, 21.0, np.nan)
     celsius = np.stack([rises, dies, np.full(len(at_s), np.nan)], axis=1)
-    return Run(
-        "warm",
-        mill,
-        square,
-        tracker,
-        TemperatureSamples(("X", "Y", "Z"), at_s, celsius),
-        AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan)),
-        events=(RunEvent(0, "sensor-silent", "Y_degC: no valid reply"),),
-    )
+    temperature = TemperatureSamples(("X", "Y", "Z"), at_s, celsius)
+    air = AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan))
+    silent = RunEvent(0, "sensor-silent", "Y_degC: no valid reply")
+    streams = TrackerSamples(*columns), temperature, air
+    return Run("warm", mill, square, *streams, events=(silent,))
 
 
 def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run):
@@ -73,41 +73,28 @@ def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run
     assert dies["longest_without_s"] == pytest.approx(400.0, abs=2.0)
     assert sensors["Z_degC"]["mean"] is None
     assert stated["told"] == ["Y_degC: no valid reply"]
-
-
-def test_a_sensor_that_dies_early_in_a_short_run_is_not_used(run):
     at_s = np.arange(100.0, 156.0, 4.0)
-    dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
-    early = replace(
-        run,
-        tracker=run.tracker.select(run.tracker.device_time_s < 155.0),
-        temperature=TemperatureSamples(("X",), at_s, dies),
-    )
+    early_dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
+    few = run.tracker.select(run.tracker.device_time_s < 155.0)
+    temperature = TemperatureSamples(("X",), at_s, early_dies)
+    early = replace(run, tracker=few, temperature=temperature)
     assert not summarize_run(early).sensors[0].is_used
 
 
 def test_air_that_was_written_down_once_holds_all_the_time(run):
     at_s = np.array([50.0])
     once = TemperatureSamples(("air",), at_s, np.array([[21.0]]))
-    light = Light(633.0, is_group=False)
-    told, samples = correct_refraction(
-        Refraction("nobody", light),
-        run.tracker,
-        once,
-        AirSamples(at_s, np.array([1002.0]), np.array([45.0])),
-    )
+    air = AirSamples(at_s, np.array([1002.0]), np.array([45.0]))
+    nobody = Refraction("nobody", LIGHT)
+    told, samples = correct_refraction(nobody, run.tracker, once, air)
     assert told.by == "truepath"
     assert (samples.position_mm < run.tracker.position_mm).all()
 
 
 @pytest.mark.parametrize("by", ["instrument", "truepath"])
 def test_the_scale_is_uncertain_by_what_the_air_is_mistaken(run, by):
-    corrected = replace(
-        run,
-        refraction=Refraction(
-            by, Light(633.0, is_group=False), 1.00027, (20, 1013, 50)
-        ),
-    )
+    refraction = Refraction(by, LIGHT, 1.00027, (20, 1013, 50))
+    corrected = replace(run, refraction=refraction)
     scale = environment_json(summarize_run(corrected))["range_scale"]
     assert scale["per_K_ppm"] == pytest.approx(0.95, abs=0.02)
     assert scale["per_hPa_ppm"] == pytest.approx(0.27, abs=0.005)
@@ -116,19 +103,15 @@ def test_the_scale_is_uncertain_by_what_the_air_is_mistaken(run, by):
     assert "positioning errors of all axes" in describe_scale(corrected.refraction)
 
 
-def test_who_has_corrected_is_said_in_words():
-    light = Light(633.0, is_group=False)
+def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtful():
     assert "instrument" in describe_refraction(Refraction("instrument"))
-    done = Refraction("truepath", light, 1.00027137, (20.0, 1013.0, 50.0))
+    done = Refraction("truepath", LIGHT, 1.00027137, (20.0, 1013.0, 50.0))
     assert "271.37" in describe_refraction(done)
-    assert "NOT" in describe_refraction(Refraction("nobody", light, why="no pressure"))
+    assert "NOT" in describe_refraction(Refraction("nobody", LIGHT, why="no pressure"))
     assert "not known" in describe_refraction(Refraction())
     assert state_scale_ppm(Refraction())[0] > 0.4
-
-
-def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
     assert judge_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
-    (reason,) = judge_air([Refraction("nobody", why="no pressure")], ["a"]).reasons
+    (reason,) = judge_air([BY_NOBODY], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
     assert "no pressure" in str(reason)
 
@@ -146,10 +129,8 @@ def test_ranges_that_stay_uncorrected_make_a_result_doubtful():
 def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(
     assumed, ppm
 ):
-    light = Light(633.0, is_group=False)
-    usual = Refraction(
-        "truepath", light, 1.00027, (20.0, 954.6, 50.0), "no sensor", assumed
-    )
+    air = (20.0, 954.6, 50.0)
+    usual = Refraction("truepath", LIGHT, 1.00027, air, "no sensor", assumed)
     assert state_scale_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
     assert refraction_from_json(refraction_to_json(usual)) == usual
 
@@ -157,20 +138,16 @@ def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_ar
 def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_measured(
     run,
 ):
-    rng = np.random.default_rng(5)
-    light = Light(633.0, is_group=False)
-    off_ppm = []
+    rng, off_ppm = np.random.default_rng(5), []
     for _ in range(200):
         altitude_m = rng.uniform(0.0, 1000.0)
         hpa = find_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
         air = rng.normal(20.0, 5.0), hpa, rng.uniform(10.0, 90.0)
-        (index,) = find_air_index(
-            633.0, *(np.array([one]) for one in air), is_group=False
-        )
+        state = (np.array([one]) for one in air)
+        (index,) = find_air_index(633.0, *state, is_group=False)
         shown = replace(run.tracker, position_mm=index * run.tracker.position_mm)
-        told, samples = correct_refraction(
-            Refraction("nobody", light), shown, None, None
-        )
+        nobody = Refraction("nobody", LIGHT)
+        told, samples = correct_refraction(nobody, shown, None, None)
         off_ppm.append(1e6 * (samples.position_mm[0, 0] - 1.0))
     stated_ppm = state_scale_ppm(told)[0]
     assert np.mean(np.abs(off_ppm) < 2.0 * stated_ppm) > 0.93
@@ -188,17 +165,16 @@ def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
     assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0
 
 
-def test_ranges_that_nobody_corrects_decide_no_tolerance(estimate, provenance):
-    corrected, open_air = (
-        state_findings(
-            estimate,
-            replace(
-                provenance,
-                runs=tuple(replace(r, refraction=by) for r in provenance.runs),
-            ),
-        ).volumetric.before.mean
-        for by in (Refraction("instrument"), Refraction("nobody", why="no pressure"))
-    )
+@pytest.fixture
+def told(estimate, provenance):
+    """Findings of ranges that the instrument has corrected, and of those nobody has."""
+    (run,) = provenance.runs
+    runs = (replace(run, refraction=by) for by in (BY_INSTRUMENT, BY_NOBODY))
+    return [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
+
+
+def test_ranges_that_nobody_corrects_decide_no_tolerance(told):
+    corrected, open_air = (one.volumetric.before.mean for one in told)
     for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
         decided = [
             decide_conformity(one.value_um, 2.0 * one.uncertainty_um, tolerance_um)
@@ -208,29 +184,13 @@ def test_ranges_that_nobody_corrects_decide_no_tolerance(estimate, provenance):
         assert decided[1] is Conformity.UNDECIDED
 
 
-def find_table(found, symbol):
-    return next(table for table in found.tables.tables if table.symbol == symbol)
-
-
-def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(
-    estimate, provenance
-):
-    told = [
-        state_findings(
-            estimate,
-            replace(
-                provenance,
-                runs=tuple(replace(r, refraction=by) for r in provenance.runs),
-            ),
-        )
-        for by in (Refraction("instrument"), Refraction("nobody", why="no pressure"))
-    ]
-    known, open_air = (find_table(one, "EXX") for one in told)
+def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(told):
+    known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]
     more_um = np.sqrt(open_air.uncertainty**2 - known.uncertainty**2)
     assert more_um == pytest.approx(1e-3 * more_ppm * np.abs(away_mm), abs=1e-6)
-    straight = [find_table(one, "EYX").uncertainty for one in told]
+    straight = [one.tables.table("EYX").uncertainty for one in told]
     assert straight[1] == pytest.approx(straight[0], abs=1e-9)
 
 
@@ -243,3 +203,144 @@ def test_axes_that_are_all_long_by_the_same_ask_for_air_and_temperature(estimate
     assert not judge_scale(replace(estimate, theta=40e-6 * stretch)).reasons
     stretch[estimate.model.slices["EXX"]] *= 0.5
     assert not judge_scale(replace(estimate, theta=68e-6 * stretch)).reasons
+
+
+LONG_MM = 2300.0
+WRONG = 60e-6  # as by a pressure in another unit
+
+
+def bar(off, sigma_mm=0.0005, direction=(0.0, 1.0, 0.0)):
+    """Return a scale bar as a tracker measures it whose ranges are too long."""
+    middle_mm = np.array([2500.0, 300.0, -200.0])
+    half_mm = 0.5 * (1.0 + off) * LONG_MM * np.array(direction)
+    ends = tuple(tuple(middle_mm + sign * half_mm) for sign in (-1, 1))
+    return KnownLength(ends, (1.0 + off) * LONG_MM, LONG_MM, sigma_mm)
+
+
+@pytest.fixture(scope="module")
+def recorded(record):
+    return record(1, rows=24, travel_mm=TRAVEL_MM)[0]
+
+
+@pytest.fixture(scope="module")
+def as_it_is(recorded):
+    return analyse(recorded)
+
+
+def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
+    recorded, as_it_is
+):
+    longer_mm = (1.0 + WRONG) * recorded.tracker.position_mm
+    wrong = with_samples(recorded, position_mm=longer_mm)
+    told = analyse(replace(wrong, known_lengths=(bar(WRONG),)))
+    assert ("scale-known", "usable") in {
+        (reason.kind, reason.state) for reason in told.verdict.reasons
+    }
+    for symbol in ("EXX", "EYY", "EZZ"):
+        settled, true = told.tables.table(symbol), as_it_is.tables.table(symbol)
+        off_um = np.abs(settled.value - true.value)
+        assert (off_um <= 2.0 * np.hypot(settled.uncertainty, true.uncertainty)).all()
+    stated = result_json(told)["provenance"]["known_lengths"]
+    assert stated["count"] == 1
+    assert stated["off_ppm"] == pytest.approx(60.0, abs=3.0)
+
+
+def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_to(
+    recorded, as_it_is
+):
+    open_air = replace(recorded, refraction=BY_NOBODY)
+    told = analyse(replace(open_air, known_lengths=(bar(0.0),)))
+    assert analyse(open_air).length_scale_ppm > 250.0
+    assert told.length_scale_ppm < 6.0
+    far_um = [one.tables.table("EXX").uncertainty.max() for one in (told, as_it_is)]
+    assert far_um[0] < far_um[1] + 1e-3 * 6.0 * TRAVEL_MM
+    left_mm = [one.contributions.sigma_mm for one in (told, as_it_is)]
+    assert left_mm[0] < 2.0 * left_mm[1]
+    budget = told.budget.variance_mm2.sum()
+    assert np.sqrt(budget) == pytest.approx(left_mm[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("off", "kinds"),
+    [
+        (None, {"all-axes-scaled": "doubtful"}),
+        (68e-6, {"scale-known": "usable"}),
+        (0.0, {"scale-known": "usable", "machine-scaled": "usable"}),
+        (-68e-6, {"scale-known": "usable", "machine-scaled": "doubtful"}),
+    ],
+)
+def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
+    estimate, provenance, off, kinds
+):
+    long = replace(estimate, theta=68e-6 * find_stretch(estimate.model))
+    lengths = () if off is None else (bar(off),)
+    runs = tuple(replace(one, known_lengths=lengths) for one in provenance.runs)
+    found = state_findings(long, replace(provenance, runs=runs))
+    said = judge_scale(found.estimate, found.known_scale).reasons
+    assert {one.kind: one.state for one in said} == kinds
+
+
+@pytest.mark.parametrize("sigma_mm", [0.001, 0.01])
+def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
+    construct, sigma_mm
+):
+    estimate = construct()
+    stretch, scale = find_stretch(estimate.model), 10e-6
+    rng = np.random.default_rng(3)
+    root = np.linalg.cholesky(estimate.covariance)
+    off, wrong = [], []
+    for _ in range(300):
+        s = scale * rng.standard_normal()
+        known = bar(s + sigma_mm / LONG_MM * rng.standard_normal(), sigma_mm)
+        drawn = estimate.theta + root @ rng.standard_normal(len(root)) + s * stretch
+        one = replace(estimate, theta=drawn)
+        settled, left, told = settle_scale(one, scale, [[known]])
+        wrong.append((settled.theta - estimate.theta) @ stretch)
+        off.append(not told.is_expected)
+    stated = float(stretch @ settled.covariance @ stretch) ** 0.5
+    assert np.std(wrong) < 1.1 * stated
+    assert left < scale
+    assert np.mean(off) < 0.01
+
+
+def test_a_known_length_says_nothing_of_another_run_and_may_lack_in_a_joint_result(
+    estimate, provenance
+):
+    (run,) = (replace(one, refraction=BY_NOBODY) for one in provenance.runs)
+    told = replace(run, known_lengths=(bar(0.0),))
+    both, one, none = (
+        state_findings(estimate, replace(provenance, runs=runs)).length_scale_ppm
+        for runs in ((told, told), (told, run), (run, run))
+    )
+    assert both < 10.0
+    assert one == pytest.approx(none, rel=1e-3)
+    (run,) = provenance.runs
+    told = replace(run, refraction=BY_NOBODY, known_lengths=(bar(200e-6),))
+    both = replace(provenance, runs=(told, run))
+    assert state_findings(estimate, both).length_scale_ppm > 200.0
+
+
+def test_many_bars_of_which_some_are_short_are_no_better_than_the_best(construct):
+    estimate = construct()
+    rows = [bar(0.0, 0.01, d) for d in np.eye(3).tolist() * 5]
+    _, left, told = settle_scale(estimate, 270e-6, [rows])
+    assert told.lengths == 15
+    assert left > 0.9 * 0.01 / LONG_MM
+    long = bar(0.0, 0.001)
+    ends = tuple(tuple(0.8 * np.array(end)) for end in long.ends_mm)
+    short_mm = 0.2 * LONG_MM
+    short = replace(long, ends_mm=ends, measured_mm=short_mm, length_mm=short_mm)
+    _, _, alone = settle_scale(estimate, 270e-6, [[long] * 5])
+    _, _, both = settle_scale(estimate, 270e-6, [[long] * 5 + [short] * 5])
+    assert both.sigma > 0.99 * 0.001 / LONG_MM
+    assert both.sigma == pytest.approx(alone.sigma, rel=0.1)
+
+
+def test_without_a_known_length_the_scale_is_what_air_and_tracker_leave(construct):
+    estimate = construct()
+    settled, left, told = settle_scale(estimate, 5e-6, [[]])
+    assert (left, told) == (5e-6, None)
+    wider = build_error_tables(estimate.widen_by_scale(5e-6), estimate.measured)
+    own = build_error_tables(settled, estimate.measured)
+    for one, other in zip(own.tables, wider.tables, strict=True):
+        np.testing.assert_allclose(one.uncertainty, other.uncertainty)

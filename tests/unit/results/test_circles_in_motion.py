@@ -1,80 +1,48 @@
 """Circles driven on the fly, on simulated machines whose effects are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from recorded import record_path
 from results_fixtures import load_small
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import ArcDrive
-from truepath.answers.verification.circles.circle_figures import (
-    FIGURES,
-    SECTORS,
-    CommandedCircle,
-    compute_figures,
-    fit_centre,
-    list_sector_angles,
-    reduce_to_sectors,
-    state_figures,
-    take_centre_off,
-)
+from truepath.answers.verification.circles import circle_figures as figures
 from truepath.answers.verification.circles.circles_in_motion import read_commanded
 from truepath.answers.verification.places.measured_places import correlate_means
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.motion.configurations import append_part
 from truepath.motion.paths.circle_path import make_circle_path
 from truepath.motion.paths.driven_again import drive_arcs_again
 from truepath.numerics.rigid import RigidTransform
 from truepath.service.api.models.results.verification import VerificationOut
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import Backlash
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
-from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Defects, Setting
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
-HIDDEN = (
-    Backlash("X", BACKLASH_UM),
-    ServoMismatch("Z", LAG_MS),
-    Squareness("A0Z", LEAN_URAD),
-)
-ANGLE = np.radians(list_sector_angles())
+PLAY, LAG = Backlash("X", BACKLASH_UM), ServoMismatch("Z", LAG_MS)
+HIDDEN = (PLAY, LAG, Squareness("A0Z", LEAN_URAD))
+ANGLE = np.radians(figures.list_sector_angles())
 
 
-def drive(machine, *, hidden=(), holds=(), seed=7, setting=None, again=()):
-    """Return the Run of the circle path on a machine that errs by these effects.
+def drive(machine, *, seed=7, again=(), **setting):
+    """Return the Run of the circle path on a machine.
 
     again : rows of circles that are driven a second time at its end
+    setting : what a Setting takes
     """
     path = make_circle_path(machine)
     if again:
         path = append_part(path, drive_arcs_again(path, again))
-    arcs = tuple(
-        arc
-        and Arc(
-            tuple("XYZ".index(name) for name in arc.axes),
-            arc.centre_mm,
-            float(np.radians(arc.turn_deg)),
-        )
-        for arc in path.arc
-    )
-    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s, arc=arcs)
-    setting = setting or synthetic.Setting(
-        error_scale=0.0, hidden=hidden, defects=synthetic.Defects(holds=holds)
-    )
-    recording = synthetic.record(load_small(), program, seed, "otf", setting)
-    samples = TrackerSamples(
-        np.arange(len(recording)),
-        recording.time_s,
-        recording.position_mm,
-        recording.status,
-    )
-    return Run("circles", machine, path, samples)
+    run, _ = record_path(load_small(), path, seed, setting=Setting(**setting))
+    return replace(run, machine=machine)
 
 
 def evaluate(run):
@@ -86,14 +54,13 @@ def evaluate(run):
         commanded = read_commanded(run, run.commanded, arc.row)
         inside = slice(arc.first, arc.last)
         stream = run.tracker.device_time_s[inside], run.tracker.position_mm[inside]
-        driven = reduce_to_sectors(
-            commanded, arc, *stream, seen.pose, noise, run.machine.tracker
-        )
+        seen_from = seen.pose, noise, run.machine.tracker
+        driven = figures.reduce_to_sectors(commanded, arc, *stream, *seen_from)
         if driven is not None:
             whole.add(arc.row)
             planes.setdefault(commanded.plane, {})[commanded.sense] = driven
     stated = {
-        plane: state_figures(
+        plane: figures.state_figures(
             {sense: one.radial_mm for sense, one in senses.items()},
             {sense: one.covariance_mm2 for sense, one in senses.items()},
         )
@@ -105,25 +72,21 @@ def evaluate(run):
 
 @pytest.fixture(scope="module")
 def demo():
-    """The machine of the recordings."""
     content = {**load_small(), "kinematic_chain": "w-b-X-Y-Z-t"}
     return machine_from_json(content, file="machine.json")
 
 
 @pytest.fixture
 def measured_again(calibrated):
-    """Drive the circles on the machine that was calibrated."""
-
     def measure(holds=(), again=()):
-        defects = synthetic.Defects(holds=holds)
-        setting = synthetic.Setting(machine_seed=1, defects=defects)
-        return drive(calibrated.machine, seed=12, setting=setting, again=again)
+        how = {"machine_seed": 1, "defects": Defects(holds=holds)}
+        return drive(calibrated.machine, seed=12, again=again, **how)
 
     return measure
 
 
 def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo):
-    planes, stated, broken = evaluate(drive(demo, hidden=HIDDEN))
+    planes, stated, broken = evaluate(drive(demo, error_scale=0.0, hidden=HIDDEN))
     assert not broken
     assert set(planes) == {"XY", "YZ", "ZX"}
 
@@ -138,9 +101,8 @@ def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo)
     # Radii by the angle t: lean r sin t cos t, and lag v sin t cos t by the sense.
     check("XY", "H", BACKLASH_UM)
     check("YZ", "H", lag_um)
-    senses = sorted(
-        stated["YZ"].value_um[f"G_{s}"] for s in ("clockwise", "counterclockwise")
-    )
+    in_yz = stated["YZ"].value_um
+    senses = sorted([in_yz["G_clockwise"], in_yz["G_counterclockwise"]])
     assert senses[0] == pytest.approx(abs(lean_um - lag_um), abs=2.0)
     assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
 
@@ -155,15 +117,15 @@ def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
     assert document.circles_missing == []
     for one in document.circles_in_motion:
         mean = np.mean(list(one.radial_um.values()), axis=0)
-        columns = np.column_stack([np.cos(ANGLE), np.sin(ANGLE), np.ones(SECTORS)])
+        columns = np.column_stack(
+            [np.cos(ANGLE), np.sin(ANGLE), np.ones(figures.SECTORS)]
+        )
         fitted = np.linalg.lstsq(columns, mean)[0]
         assert one.centre_um is not None
         assert one.centre_um["measured"] == pytest.approx(fitted[:2])
-    within = [
-        difference.within
-        for one in document.circles_in_motion
-        for difference in one.difference_um.values()
-    ]
+    within = []
+    for one in document.circles_in_motion:
+        within += [difference.within for difference in one.difference_um.values()]
     assert sum(within) >= len(within) - 1
     sizes = [one.figures_um["G"] for one in document.circles_in_motion]
     assert max(sizes) > 10.0
@@ -171,7 +133,7 @@ def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
 
 
 def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
-    _, stated, _ = evaluate(drive(demo))
+    _, stated, _ = evaluate(drive(demo, error_scale=0.0))
     for one in stated.values():
         assert one.own_um["H"] > 1.0
         assert one.value_um["H"] <= 2.0 * one.uncertainty_um["H"]
@@ -198,9 +160,9 @@ def test_a_circle_that_was_driven_again_whole_is_not_missing(
 
 
 def _noise():
-    time_s = 0.16 * np.arange(SECTORS)
-    shared = correlate_means(time_s, np.full(SECTORS, 0.16), 0.6)
-    return 1e-6 * (0.25 * np.eye(SECTORS) + 0.36 * shared)
+    time_s = 0.16 * np.arange(figures.SECTORS)
+    shared = correlate_means(time_s, np.full(figures.SECTORS, 0.16), 0.6)
+    return 1e-6 * (0.25 * np.eye(figures.SECTORS) + 0.36 * shared)
 
 
 @pytest.mark.parametrize(
@@ -221,36 +183,33 @@ def _noise():
 )
 def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
     true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
-    exact = compute_figures({name: one[:, None] for name, one in true.items()})
+    exact = figures.compute_figures({name: one[:, None] for name, one in true.items()})
     covariance = _noise()
     factor = np.linalg.cholesky(covariance)
     inside, trials = 0, 12
     for _ in range(trials):
-        seen = {
-            name: one + factor @ rng.standard_normal(SECTORS)
-            for name, one in true.items()
-        }
-        found = state_figures(seen, dict.fromkeys(true, covariance))
+        noise = (factor @ rng.standard_normal(figures.SECTORS) for _ in true)
+        seen = {name: true[name] + one for name, one in zip(true, noise, strict=True)}
+        found = figures.state_figures(seen, dict.fromkeys(true, covariance))
         inside += sum(
             abs(found.value_um[name] - 1e3 * exact[name][0])
             <= 2.0 * found.uncertainty_um[name]
-            for name in FIGURES
+            for name in figures.FIGURES
         )
-    assert inside >= 0.92 * trials * len(FIGURES)
+    assert inside >= 0.92 * trials * len(figures.FIGURES)
 
 
 def reduced(demo, places_mm, duration_s, turn_deg, radius_mm):
     """What comes of a circle about the origin that was driven without noise."""
-    commanded = CommandedCircle(
-        "XY", np.zeros(3), np.eye(2, 3), radius_mm, 0.0, turn_deg, 3000.0
-    )
+    about = "XY", np.zeros(3), np.eye(2, 3)
+    commanded = figures.CommandedCircle(*about, radius_mm, 0.0, turn_deg, 3000.0)
     time_s = np.arange(0.0, duration_s, 2e-3)
     points = np.column_stack([places_mm(time_s / time_s[-1]), np.zeros(len(time_s))])
     pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
     noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
     arc = ArcDrive(2, 0, len(time_s))
     stream = time_s, pose.apply(points)
-    return reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
+    return figures.reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
@@ -296,13 +255,13 @@ def test_a_spike_at_a_reversal_is_in_the_sectors_after_the_quadrant(demo):
     def spike(t):
         return 0.006 * np.exp(-(np.degrees(t) % 180.0) / 5.0)  # X turns back at 0, 180
 
-    for sign, first in ((1.0, 0), (-1.0, SECTORS - 1)):
+    for sign, first in ((1.0, 0), (-1.0, figures.SECTORS - 1)):
         radial = turn(demo, lambda t, s=sign: spike(s * t), turn_deg=sign * 732.0)
         step = int(sign)
-        for quadrant in (first, (first + SECTORS // 2) % SECTORS):
+        for quadrant in (first, (first + figures.SECTORS // 2) % figures.SECTORS):
             seen = radial[quadrant + step * np.arange(3)]
             assert seen == pytest.approx([4.51e-3, 2.48e-3, 1.36e-3], rel=0.03)
-            assert abs(radial[(quadrant - step) % SECTORS]) < 1e-4
+            assert abs(radial[(quadrant - step) % figures.SECTORS]) < 1e-4
 
 
 def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
@@ -311,7 +270,7 @@ def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
         turn(demo, lambda t: 0.0 * t, centre_mm=at, turn_deg=turn_deg)
         for turn_deg in (732.0, -732.0)
     ]
-    centre = fit_centre(np.mean(both, axis=0)[:, None])
+    centre = figures.fit_centre(np.mean(both, axis=0)[:, None])
     assert centre[:, 0] == pytest.approx(at, abs=1e-4)
     for one in both:
-        assert np.abs(take_centre_off(one[:, None], centre)).max() < 2e-4
+        assert np.abs(figures.take_centre_off(one[:, None], centre)).max() < 2e-4

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from following import shift
+from recorded import with_samples
 from results_fixtures import shorten
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
@@ -23,7 +25,7 @@ TRAVEL_MM = 150.0
 def shifted(run, first, last, shift_mm):
     moved = run.tracker.position_mm.copy()
     moved[first:last] += shift_mm
-    return replace(run, tracker=replace(run.tracker, position_mm=moved))
+    return with_samples(run, position_mm=moved)
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,14 @@ def clean(record):
 @pytest.fixture(scope="module")
 def found(clean):
     return analyse(clean)
+
+
+def assert_states_the_same(spoilt, found):
+    assert spoilt.verdict.state == "usable"
+    stated_um = spoilt.volumetric.before.mean.value_um
+    clean_um = found.volumetric.before.mean.value_um
+    assert stated_um == pytest.approx(clean_um, rel=0.02)
+    return stated_um, clean_um
 
 
 def test_a_clean_measurement_is_usable_and_keeps_all(found):
@@ -59,10 +69,7 @@ def test_a_burst_is_left_out_and_named_by_its_time(
     assert min(each["from_s"] for each in told) < time_s[1]
     assert max(each["to_s"] for each in told) > time_s[0]
     assert max(each["distance_um"] for each in told) > 500.0 * off_mm
-    assert spoilt.verdict.state == "usable"
-    stated_um = spoilt.volumetric.before.mean.value_um
-    clean_um = found.volumetric.before.mean.value_um
-    assert stated_um == pytest.approx(clean_um, rel=0.02)
+    stated_um, clean_um = assert_states_the_same(spoilt, found)
     measured(
         f"{samples} samples {off_mm:g} mm off: {stated_um:.2f} µm stated, "
         f"{clean_um:.2f} µm without them"
@@ -80,10 +87,7 @@ def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
     (step,) = result_json(spoilt)["setup_steps"]
     assert step["kind"] == "place"
     assert "set-up-moved" in {reason.kind for reason in spoilt.verdict.reasons}
-    assert spoilt.verdict.state == "usable"
-    assert spoilt.volumetric.before.mean.value_um == pytest.approx(
-        found.volumetric.before.mean.value_um, rel=0.02
-    )
+    assert_states_the_same(spoilt, found)
 
 
 def test_a_drift_is_no_knock_and_widens_what_is_stated(record):
@@ -105,7 +109,7 @@ def test_a_frozen_tracker_is_said(clean):
     first = len(clean.tracker) // 2
     moved = clean.tracker.position_mm.copy()
     moved[first : first + 1000] = moved[first]
-    spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
+    spoilt = analyse(with_samples(clean, position_mm=moved))
     assert "frozen" in {each.cause for each in spoilt.left_out[0]}
     assert spoilt.verdict.state == "usable"
 
@@ -116,13 +120,10 @@ def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
     rows = np.random.default_rng(5).choice(len(clean.tracker), 40, replace=False)
     moved = clean.tracker.position_mm.copy()
     moved[rows] *= [-1.0, 1.0, 1.0]
-    spoilt = analyse(replace(clean, tracker=replace(clean.tracker, position_mm=moved)))
+    spoilt = analyse(with_samples(clean, position_mm=moved))
     told = [each for each in result_json(spoilt)["left_out"] if each["samples"]]
     assert sum(each["samples"] for each in told) >= 30  # others are in no pass
-    assert spoilt.verdict.state == "usable"
-    assert spoilt.volumetric.before.mean.value_um == pytest.approx(
-        found.volumetric.before.mean.value_um, rel=0.02
-    )
+    assert_states_the_same(spoilt, found)
 
 
 @pytest.mark.parametrize(
@@ -147,42 +148,33 @@ def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
     assert within < most_um
 
 
-_POINTS = 96
 KNOCK_MM = np.array([0.012, -0.008, 0.014])
 SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
 
 
-@pytest.fixture(scope="module")
-def content():
-    content = shorten(load_machine("trunnion"))
-    content["tracker"]["stands_on"] = "base"
-    return content
+CONTENT = shorten(load_machine("trunnion"))
+CONTENT["tracker"]["stands_on"] = "base"
 
 
 @pytest.fixture(scope="module")
-def program(content):
-    """Points of one target after the other."""
-    return turning_points(parse_machine(content), 5, _POINTS, dwell_s=0.4)
-
-
-@pytest.fixture(scope="module")
-def made(content, program):
+def made():
     """A trunnion at standstills, one target after the other."""
-    return synthetic.record(content, program, 5, "standstill")
+    program = turning_points(parse_machine(CONTENT), 5, 96, dwell_s=0.4)
+    return synthetic.record(CONTENT, program, 5, "standstill")
 
 
 @pytest.fixture(scope="module")
-def made_again(content, program):
+def made_again(made):
     """The same with the first target at the end as well, at its first points."""
+    program = made.program
     own = program.target.index("T2") // 2
     position = np.vstack([program.position[:-4], program.position[:4]])
     target = program.target[own:] + program.target[:own]
     order = replace(program, position=position, target=target)
-    seated = copy.deepcopy(content)
-    seated["targets"]["W1"]["offset_mm"] = (
-        np.array(content["targets"]["W1"]["offset_mm"]) + SEAT_MM
-    ).tolist()
-    return replace(synthetic.record(seated, order, 5, "standstill"), content=content)
+    seated = copy.deepcopy(CONTENT)
+    w1 = seated["targets"]["W1"]
+    w1["offset_mm"] = (np.array(w1["offset_mm"]) + SEAT_MM).tolist()
+    return replace(synthetic.record(seated, order, 5, "standstill"), content=CONTENT)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +188,7 @@ def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is
 ):
     run, amid = run_of(made), change + 8
     status = np.where(np.isin(made.row, (change, amid)), 1, run.tracker.status)
-    verdict = analyse(replace(run, tracker=replace(run.tracker, status=status))).verdict
+    verdict = analyse(with_samples(run, status=status)).verdict
     values = {reason.kind: reason.values for reason in verdict.reasons}
     assert verdict.state == "doubtful"
     assert values["points-without-data"] == {"points": f"{change}, {amid}"}
@@ -221,16 +213,11 @@ def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
     knock_s = made_again.time_s[made_again.row >= first][0]
     run = run_of(made_again)
     late = (run.tracker.device_time_s >= knock_s)[:, None]
-    moved = run.tracker.position_mm + late * KNOCK_MM
-    knocked = analyse(replace(run, tracker=replace(run.tracker, position_mm=moved)))
+    knocked = analyse(shift(run, late * KNOCK_MM))
     (knock,) = knocked.knocks
     assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
-    seats = [
-        seat
-        for part in knocked.runs
-        for seat in part.estimate.seats
-        if seat.target.name == "W1"
-    ]
+    every = [seat for part in knocked.runs for seat in part.estimate.seats]
+    seats = [seat for seat in every if seat.target.name == "W1"]
     assert seats
     for seat in seats:
         assert (np.abs(seat.shift_mm - SEAT_MM) < 3.0 * seat.sigma_mm).all()

@@ -81,12 +81,16 @@ def test_both_senses_of_a_circle_stay_one_circle_whatever_its_centre(mill, rng):
     assert len(found.angle_deg) == len(out)
 
 
-def test_a_line_of_three_axes_is_a_diagonal(mill, rng):
+def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mill, rng):
     position, distance = axis_runs(mill, (0.0, 0.0, -300.0), (0.6, 0.48, 0.64))
     deviation = 1e-5 * distance[:, None] * np.array([0.6, 0.48, 0.64])
     (found,) = evaluate(mill, position, deviation, rng).lines
     assert (found.axes, found.kind) == ("XYZ", "iso-230-6")
     assert found.figures_um["E"] == pytest.approx(3.7, abs=1e-3)
+    position = rng.uniform((0.0, 0.0, -300.0), (500.0, 400.0, 0.0), (40, 3))
+    scattered = evaluate(mill, position, np.zeros((40, 3)), rng)
+    assert scattered.lines == ()
+    assert scattered.circles == ()
 
 
 def count_held(machine, position, exact_mm, noise_um, trials, rng):
@@ -117,13 +121,6 @@ def test_accuracy_and_repeatability_hold_those_of_the_machine_in_95_of_100_cases
     exact_mm[:, 0] = 1e-3 * (0.01 * distance + scatter)
     held = count_held(mill, position, exact_mm, 1.0, 60, rng)
     assert min(held["A"], held["R"]) >= 0.95 * 60
-
-
-def test_scattered_points_are_no_line(mill, rng):
-    position = rng.uniform((0.0, 0.0, -300.0), (500.0, 400.0, 0.0), (40, 3))
-    found = evaluate(mill, position, np.zeros((40, 3)), rng)
-    assert found.lines == ()
-    assert found.circles == ()
 
 
 def circle_in_both_senses():
@@ -237,9 +234,8 @@ def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
 
 
 def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
-    found = decide_places(
-        np.array([1.0, 9.9, 20.0]), np.array([0.1, 5.0, 0.1]), MANY, 10.0
-    )
+    length, sigma = np.array([1.0, 9.9, 20.0]), np.array([0.1, 5.0, 0.1])
+    found = decide_places(length, sigma, MANY, 10.0)
     assert (found.conformity, found.worst) == ("outside", 2)
     for length_um, decision in ((3.0, "undecided"), (20.0, "outside")):
         length, sigma = np.array([length_um]), np.array([0.1])
@@ -247,13 +243,12 @@ def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
         assert found.conformity == decision
 
 
-def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
+def test_so_many_places_lie_within_together_in_95_of_100_cases_by_known_noise_or_not(
+    rng,
+):
     k = compute_joint_factor(30, MANY)
     within = np.abs(rng.standard_normal((20_000, 30))).max(axis=1) <= k
     assert within.mean() == pytest.approx(0.95, abs=0.005)
-
-
-def test_a_noise_known_by_few_data_widens_what_is_said():
     assert compute_joint_factor(1, MANY) == pytest.approx(1.96, abs=0.01)
     assert compute_joint_factor(1, 8.0) == pytest.approx(2.306, abs=0.001)  # Student
 

@@ -63,13 +63,19 @@ def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
         theta = estimate.theta[estimate.model.slices[motion.name]]
         scale = 1e6 if is_turn(motion.name) else 1e3
         assert table.unit == ("urad" if is_turn(motion.name) else "um")
-        assert table.value == pytest.approx(
-            scale * motion.rows(table.position_mm) @ theta
-        )
+        value = scale * motion.rows(table.position_mm) @ theta
+        assert table.value == pytest.approx(value)
     assert [s.symbol for s in tables.squareness] == ["C0Y", "B0Z", "A0Z"]
     for square in tables.squareness:
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
         assert square.value == pytest.approx(1e6 * angle)
+    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    # An effect that is no error motion has no table.
+    theta = np.append(estimate.theta, np.ones(6))
+    covariance = np.pad(estimate.covariance, (0, 6))
+    more = build_error_tables(EstimatedModel(model, theta, covariance))
+    assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
+    assert len(more.squareness) == 3
 
 
 def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
@@ -92,7 +98,9 @@ def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
     assert np.concatenate(stated) == pytest.approx(spread, rel=1e-6, abs=1e-9)
 
 
-def test_what_merges_has_no_table_and_is_named_instead(estimate, tables):
+def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
+    estimate, tables, construct, three_targets
+):
     known = {t.symbol for t in tables.tables}
     assert len(known) == 14
     assert tables.table("ECZ") is None
@@ -100,22 +108,10 @@ def test_what_merges_has_no_table_and_is_named_instead(estimate, tables):
     named = {s.split()[0] for s in estimate.observability.unobservable}
     assert known.isdisjoint(named)
     assert len(known | named) == 18
-
-
-def test_three_targets_off_one_line_give_tables_for_any_tool(construct, three_targets):
-    tables = build_error_tables(construct(three_targets))
-    assert len(tables.tables) == 18
-    assert tables.any_tool
-    assert tables.targets == three_targets
-
-
-def test_an_effect_that_is_no_error_motion_has_no_table(estimate, tables):
-    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
-    theta = np.append(estimate.theta, np.ones(6))
-    covariance = np.pad(estimate.covariance, (0, 6))
-    more = build_error_tables(EstimatedModel(model, theta, covariance))
-    assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
-    assert len(more.squareness) == 3
+    every = build_error_tables(construct(three_targets))
+    assert len(every.tables) == 18
+    assert every.any_tool
+    assert every.targets == three_targets
 
 
 def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
@@ -125,13 +121,9 @@ def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
     for table in found.tables.tables:
         mine = [r for r in rows if r["error"] == table.symbol]
         assert {r["unit"] for r in mine} == {table.unit}
-        for column, numbers in (
-            ("position_mm", table.position_mm),
-            ("value", table.value),
-            ("uncertainty", table.uncertainty),
-        ):
+        for column in ("position_mm", "value", "uncertainty"):
             read = np.array([float(r[column]) for r in mine])
-            assert read == pytest.approx(numbers, abs=1e-4)
+            assert read == pytest.approx(getattr(table, column), abs=1e-4)
     squares = [r for r in rows if r["error"] in ("C0Y", "B0Z", "A0Z")]
     assert {(r["position_mm"], r["unit"]) for r in squares} == {("", "urad")}
     # Nothing is said of what is not known.
@@ -140,7 +132,7 @@ def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
     assert len(rows) == sum(len(t.value) for t in found.tables.tables) + 3
     assert {r["verdict"] for r in rows} == {"usable"}
     spoilt = Verdict((Reason("fit-beyond-noise", "not-usable", {}),))
-    read = list(csv.DictReader(io.StringIO(error_tables_csv(found.tables, spoilt))))
+    read = [*csv.DictReader(io.StringIO(error_tables_csv(found.tables, spoilt)))]
     assert {r["verdict"] for r in read} == {"not-usable"}
     assert len(read) == len(rows)
 
@@ -178,9 +170,8 @@ def test_what_nobody_measured_is_not_in_the_figures(estimate):
     value_um = 1e3 * motion.rows(np.linspace(low, high, 401)) @ own
     half_at = np.array([-200.0, low, high, 300.0])
     half = HalfDifference(half_at, np.array([90.0, 3.0, 3.0, 90.0]), np.zeros(4))
-    (one, *others) = compute_positioning_figures(
-        estimate, {"EXX": half}, {"X": (low, high)}
-    )
+    measured = {"X": (low, high)}
+    (one, *others) = compute_positioning_figures(estimate, {"EXX": half}, measured)
     assert one.range == (low, high)
     assert np.isclose(one.mean_range.value, np.ptp(value_um), rtol=0.03)
     assert np.isclose(one.reversal.value, 6.0)

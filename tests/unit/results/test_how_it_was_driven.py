@@ -1,17 +1,22 @@
-"""A CNC without a link: what its operator did is recognised in the recording alone."""
+"""What was driven is recognised in the recording: pauses, feeds, another program."""
 
+import pathlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from results_fixtures import shorten
 from truepath.alignment.align import align, drop_measured_elsewhere
 from truepath.alignment.observations.observations import Driving
 from truepath.errors import AlignmentError
 from truepath.files.earlier.verdict import Verdict
+from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
 from truepath.results.analysis import analyse
+from truepath.results.as_if_driven import judge_program
 from truepath.results.verdict import judge_driving
+from truepath.results.volumetric_error import VolumetricError, make_grid
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
@@ -22,10 +27,8 @@ def said_of(run) -> Verdict:
 
 def at_feed(run, share):
     """The same recording, of a path whose feeds were so much higher."""
-    commanded = run.commanded
-    return replace(
-        run, commanded=replace(commanded, feed_mm_min=commanded.feed_mm_min / share)
-    )
+    path = run.commanded
+    return replace(run, commanded=replace(path, feed_mm_min=path.feed_mm_min / share))
 
 
 def values_of(verdict):
@@ -48,26 +51,19 @@ def lengthened(path, rng, rows=6):
     """A path that goes on where the machine was stopped."""
     low, high = path.position.min(axis=0), path.position.max(axis=0)
     more = rng.uniform(low, high, (rows, len(low)))
-    return Path(
-        path.axes,
-        np.vstack([path.position, more]),
-        np.append(path.feed_mm_min, np.full(rows, path.feed_mm_min[-1])),
-        np.append(path.dwell_s, np.full(rows, path.dwell_s[-1])),
+    feed, dwell_s = (
+        np.append(column, np.full(rows, column[-1]))
+        for column in (path.feed_mm_min, path.dwell_s)
     )
+    return Path(path.axes, np.vstack([path.position, more]), feed, dwell_s)
 
 
 def ended_at(run, rows, share):
     """The same recording, of a path that ends so far on the way to its last row."""
-    path = run.commanded
-    position = path.position[:rows].copy()
+    path = select_rows(run.commanded, slice(rows))
+    position = path.position.copy()
     position[-1] = position[-2] + share * (position[-1] - position[-2])
-    commanded = replace(
-        path,
-        position=position,
-        feed_mm_min=path.feed_mm_min[:rows],
-        dwell_s=path.dwell_s[:rows],
-    )
-    return replace(run, commanded=commanded)
+    return replace(run, commanded=replace(path, position=position))
 
 
 @pytest.mark.parametrize("seed", [6, 7])
@@ -86,10 +82,9 @@ def test_an_override_is_told_in_percent(record, share):
 
 def test_an_override_of_some_lines_names_these_lines(record):
     run, _ = record(6)
-    feed = run.commanded.feed_mm_min.copy()
-    feed[8:11] /= 0.7
-    turned = replace(run, commanded=replace(run.commanded, feed_mm_min=feed))
-    lines = values_of(said_of(turned))["other-feed"]["lines"].split(", ")
+    share = np.ones(len(run.commanded))
+    share[8:11] = 0.7
+    lines = values_of(said_of(at_feed(run, share)))["other-feed"]["lines"].split(", ")
     assert set(lines) <= {"8", "9", "10"}
 
 
@@ -115,9 +110,8 @@ def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
         for rows in (slice(None), slice(23, None))
     )
     seen = align(first)
-    further = replace(
-        seen, row=seen.row.clip(max=driven), driving=Driving(0, driven, 7, {}, ())
-    )
+    driving = Driving(0, driven, 7, {}, ())
+    further = replace(seen, row=seen.row.clip(max=driven), driving=driving)
     found = drop_measured_elsewhere([first, rest], [seen, further])
     said = judge_driving([found[0].driving, None], ["first", "rest"]).reasons
     assert [reason.values for reason in said] == (
@@ -161,3 +155,72 @@ def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
     text = " ".join(map(str, verdict.reasons))
     assert "stood still in the middle of lines: 2 times" in text
     assert "80.0 % of the feed of the path" in text
+
+
+VALIDATION = pathlib.Path(__file__).parents[3] / "validation"
+
+
+def judge(machine, change):
+    q = make_grid(machine.axes, 5, 3)
+    place = make_standstill(machine, q).point_mm
+    driven = make_standstill(machine, change(q)).point_mm
+    error_um = 1e3 * (driven - place)
+    none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
+    reasons = judge_program(machine, none).reasons
+    return {(one.kind, one.values["axes"]): one.values["by"] for one in reasons}
+
+
+def add(axis, by):
+    return lambda q: q + by * np.eye(q.shape[1])[axis]
+
+
+def lengthen(axis, factor):
+    return lambda q: q + (factor - 1.0) * q * np.eye(q.shape[1])[axis]
+
+
+def lean(q):
+    return q + 0.002 * q[:, :1] * [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lengthen(0, 1.001), {("axis-scaled", "X"): "+1000 ppm"}),
+        (lengthen(2, 0.9995), {("axis-scaled", "Z"): "-500 ppm"}),
+        (lean, {("axes-leaning", "X Y"): "+2000 ppm"}),
+        (add(1, 20.0), {}),  # the same as another place of the tracker
+        (lengthen(0, 1.0003), {}),
+    ],
+)
+def test_a_changed_program_of_straight_axes_is_named(mill, change, said):
+    assert judge(mill, change) == said
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        (add(1, 1.0), ("axis-shifted", "Y")),
+        (add(3, 0.5), ("axis-shifted", "A")),
+        (lengthen(4, 0.999), ("axis-scaled", "C")),
+    ],
+)
+def test_a_changed_program_of_rotary_axes_is_named(trunnion, change, kind):
+    assert kind in judge(trunnion, change)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["lines", "points", "rotary-points", "rotary-lines"])
+def test_no_wrong_program_gives_a_wrong_table_in_silence(kind, monkeypatch):
+    monkeypatch.syspath_prepend(str(VALIDATION))
+    import wrong_programs
+
+    draw = wrong_programs.random_content  # machines of straight axes
+    smaller = "random_content", lambda seed: shorten(draw(seed))
+    monkeypatch.setattr(wrong_programs, *smaller)
+    plan, wrongs = wrong_programs.KINDS[kind]
+    # All of them are tried by `make validation`, on machines of usual size.
+    for seed, name in enumerate(sorted(wrongs)[::3], start=700):
+        if name in wrong_programs.RIGID and not kind.startswith("rotary"):
+            continue
+        found = wrong_programs.try_wrong(plan(seed), wrongs[name], seed)
+        assert not wrong_programs.is_wrong(found), (name, seed, found)

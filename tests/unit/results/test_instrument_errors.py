@@ -1,55 +1,32 @@
 """What a tracker within its specification does is in what is stated."""
 
-from dataclasses import asdict, replace
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimating import judge_map
-from recorded import load_small, record_run
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from following import shift
+from recorded import choose_program, load_erring, load_small, record_run
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
 
-ROWS, FEED = 24, 6000.0
 
-
-def content():
-    """A small machine whose tracker errs as is typical, and says so."""
-    made = load_small("demo", 0.5)
-    made["tracker"]["specification"] = asdict(TrackerSpecification())
-    return made
-
-
-def measure(seed, mode="otf", places=1):
-    """Return the findings of a machine, and its truth."""
-    made = content()
-    machine = parse_machine(made)
-    if mode == "otf":
-        program = paths.chord_path(machine, seed, ROWS, FEED)
-    else:
-        program = paths.standstill_points(machine, seed, 50, dwell_s=0.5)
-    recorded = [
-        record_run(made, program, seed + k, mode, Setting(machine_seed=seed))
-        for k in range(places)
-    ]
+def measure(seed, places=1):
+    content, order = load_erring(), ("otf", Setting(machine_seed=seed))
+    program = choose_program(content, seed)
+    recorded = [record_run(content, program, seed + k, *order) for k in range(places)]
     return analyse(*(run for run, _ in recorded)), recorded[0][1].truth
 
 
-@pytest.mark.parametrize(
-    ("mode", "places"),
-    [("otf", 1), pytest.param("otf", 2, marks=pytest.mark.long), ("standstill", 1)],
-)
-def test_what_is_stated_holds_what_the_tracker_does(mode, places):
+@pytest.mark.long
+def test_what_is_stated_of_two_places_holds_what_the_tracker_does():
     inside = []
     for seed in (11, 12, 13):
-        found, truth = measure(seed, mode, places)
+        found, truth = measure(seed, places=2)
         inside.append(judge_map(found.estimate, truth.deviation_mm).inside)
     assert np.mean(inside) > 0.86
     assert min(inside) > 0.6
@@ -60,23 +37,19 @@ def test_the_budget_tells_what_is_the_trackers_and_a_second_place_takes_it_away(
         result_json(measure(14, places=places)[0])["uncertainty_budget"]
         for places in (1, 2)
     )
-    share = [
-        each["sources_um"]["instrument"]["volume"] / each["total_um"]["volume"]
-        for each in (one, two)
-    ]
-    assert share[0] > 0.5
-    assert two["total_um"]["volume"] < 0.8 * one["total_um"]["volume"]
+    whole_um = one["total_um"]["volume"]
+    assert one["sources_um"]["instrument"]["volume"] > 0.5 * whole_um
+    assert two["total_um"]["volume"] < 0.8 * whole_um
 
 
 SIGNED = {"index_urad": 60.0, "tilt_urad": 30.0, "transit_offset_um": 40.0}
 
 
 def test_a_run_in_the_other_face_takes_away_what_changes_its_sign_in_it():
-    made = content()
-    made["tracker"]["specification"] = SIGNED
-    machine = parse_machine(made)
-    program = paths.chord_path(machine, 17, ROWS, FEED)
-    setting = Setting(machine_seed=17, pose=random_pose(machine, 17))
+    made = load_erring(SIGNED)
+    program = choose_program(made, 17)
+    pose = random_pose(parse_machine(made), 17)
+    setting = Setting(machine_seed=17, pose=pose)
     recorded = []
     for face in (1, 2):
         made["tracker"]["face"] = face
@@ -100,10 +73,8 @@ def test_errors_of_the_tracker_are_no_errors_of_the_machine():
 
 @pytest.fixture(scope="module")
 def still():
-    """A Run of a perfect tracker, and its recording."""
     made = load_small("demo", 0.5)
-    program = paths.chord_path(parse_machine(made), 21, 40, FEED)
-    return record_run(made, program, 21)
+    return record_run(made, choose_program(made, 21, rows=40), 21)
 
 
 def disturb(recorded, across_mm):
@@ -116,8 +87,7 @@ def disturb(recorded, across_mm):
 
 def analyse_moved(recorded, moved_mm):
     run, made = recorded
-    moved = replace(run.tracker, position_mm=run.tracker.position_mm + moved_mm)
-    found = analyse(replace(run, tracker=moved))
+    found = analyse(shift(run, moved_mm))
     return found, judge_map(found.estimate, made.truth.deviation_mm).inside
 
 

@@ -6,20 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from truepath.answers.history import machine_documents as documents
 from truepath.answers.history.machine_change import (
     CHANCE,
     find_changes,
     list_significant,
 )
-from truepath.answers.history.machine_documents import (
-    Calibration,
-    comparison_json,
-    history_json,
-    judge_tolerance,
-)
 from truepath.answers.history.machine_history import Entry, list_differing
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.estimated_model import find_stretch
 from truepath.kinematics.machine.machine import Target
 from truepath.results.result_json import result_json
 
@@ -39,20 +35,13 @@ def draw_result(estimate, seed, shift=0.0):
     signs = np.resize([1.0, -1.0], sigma.shape)
     theta[part] += shift * sigma * signs
     runs = [{"name": f"run {seed}", "input_sha256": f"{seed:064d}"}]
-    provenance = {"runs": runs}
-    return CalibrationResult(
-        estimate.model, theta, estimate.covariance, provenance=provenance
-    )
+    told = estimate.model, theta, estimate.covariance
+    return CalibrationResult(*told, provenance={"runs": runs})
 
 
 def count_false(estimate, pairs):
-    """How many pairs of an unchanged machine are said to have changed."""
-    return sum(
-        find_changes(
-            draw_result(estimate, 2 * k), draw_result(estimate, 2 * k + 1)
-        ).is_significant
-        for k in range(pairs)
-    )
+    drawn = ([draw_result(estimate, 2 * k + i) for i in (0, 1)] for k in range(pairs))
+    return sum(find_changes(*pair).is_significant for pair in drawn)
 
 
 @pytest.mark.timeout(120)
@@ -84,53 +73,33 @@ def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
     assert 2.5 < change.factor < 4.5
 
 
-def test_results_that_share_a_run_are_not_held_against_each_other(estimate):
+def test_results_of_one_run_or_of_other_targets_are_not_compared(estimate, construct):
     with pytest.raises(BadInput, match="come from one Run"):
         find_changes(draw_result(estimate, 1), draw_result(estimate, 1))
-
-
-def test_results_of_different_targets_are_not_held_against_each_other(
-    estimate, construct
-):
     other = construct((Target("", "tool", (20.0, 30.0, -250.0)),))
     with pytest.raises(BadInput, match="different targets"):
         find_changes(draw_result(estimate, 1), draw_result(other, 2))
 
 
-def test_where_the_tracker_stood_is_no_change(estimate):
-    """A rigid motion of the whole volume alone changes no entry and no volume."""
+def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(estimate):
+    certain = replace(estimate, covariance=1e-4 * estimate.covariance)
+    before = draw_result(certain, 1)
+    # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
+    after = draw_result(certain, 2)
+    longer = after.theta + 40e-6 * find_stretch(after.model)
+    pair = before, replace(after, theta=longer)
+    known = [one.widen_by_scale(20e-6) for one in pair]
+    assert not find_changes(*known).is_significant
+    change = find_changes(*pair)
+    assert change.volume.is_significant
+    assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
+    # A rigid motion of the whole volume alone changes no entry and no volume.
     before = draw_result(estimate, 1)
     digest = [{"name": "later", "input_sha256": "f" * 64}]
     change = find_changes(before, replace(before, provenance={"runs": digest}))
     assert not change.is_significant
     assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
     assert change.volume.change_um == 0.0
-
-
-def stretch(result, scale):
-    """The result of the same machine by lengths that are all too long."""
-    theta = result.theta.copy()
-    for effect in result.model.effects:
-        motion = effect.motion
-        if motion is not None and effect.iso_symbol in ("EXX", "EYY", "EZZ"):
-            axis = motion.axis
-            at = np.linspace(axis.low, axis.high, 50)
-            wanted = scale * (at - (0.0 if axis.low <= 0.0 <= axis.high else axis.low))
-            part = result.model.slices[effect.name]
-            theta[part] += np.linalg.lstsq(motion.rows(at), wanted, rcond=None)[0]
-    return replace(result, theta=theta)
-
-
-def test_another_scale_of_the_air_is_no_change_of_the_machine(estimate):
-    certain = replace(estimate, covariance=1e-4 * estimate.covariance)
-    before = draw_result(certain, 1)
-    # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
-    pair = before, stretch(draw_result(certain, 2), 40e-6)
-    known = [one.widen_by_scale(20e-6) for one in pair]
-    assert not find_changes(*known).is_significant
-    change = find_changes(*pair)
-    assert change.volume.is_significant
-    assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
 
 
 @pytest.fixture(scope="module")
@@ -150,20 +119,22 @@ def calibrate(content, tmp_path):
         file = tmp_path / f"{machine}-{number}.json"
         file.write_text(json.dumps(stated), encoding="utf-8")
         job_id, when = f"job-{number}", f"2026-01-0{number}T08:00:00.000Z"
-        return Calibration(machine, job_id, (job_id,), when, 1, "usable", file)
+        return documents.Calibration(
+            machine, job_id, (job_id,), when, 1, "usable", file
+        )
 
     return keep
 
 
 def test_history_states_each_entry_as_the_results_do(calibrate, content):
     made = [calibrate("mill", 1), calibrate("mill", 2)]
-    history = history_json("mill", made, "EXX", None)
+    history = documents.history_json("mill", made, "EXX", None)
     table = content["error_tables"]["EXX"]
     assert [e["position"] for e in history["entries"]] == table["position_mm"]
     for point in history["calibrations"]:
         assert point["value"] == table["value_um"]
         assert point["uncertainty"] == table["uncertainty_um"]
-    one = history_json("mill", made, "EXX", table["position_mm"][2])
+    one = documents.history_json("mill", made, "EXX", table["position_mm"][2])
     assert one["calibrations"][0]["value"] == [table["value_um"][2]]
 
 
@@ -171,39 +142,33 @@ def test_history_of_the_volume_has_its_three_figures_and_what_is_none_is_refused
     calibrate,
 ):
     made = [calibrate("mill", 1, p95=9.0)]
-    history = history_json("mill", made, "volumetric", None)
+    history = documents.history_json("mill", made, "volumetric", None)
     assert [e["label"] for e in history["entries"]] == ["mean", "p95", "largest"]
     assert history["calibrations"][0]["value"][1] == 9.0
     with pytest.raises(BadInput, match="is no quantity"):
-        history_json("mill", made, "QQQ", None)
+        documents.history_json("mill", made, "QQQ", None)
     with pytest.raises(BadInput, match=r"has no entry at 33\.3; it has"):
-        history_json("mill", made, "EXX", 33.3)
+        documents.history_json("mill", made, "EXX", 33.3)
 
 
 @pytest.mark.parametrize(
     ("p95", "state"), [(8.0, "within"), (9.5, "not-sure"), (12.0, "over")]
 )
 def test_a_tolerance_is_judged_with_the_uncertainty(calibrate, p95, state):
-    judged = judge_tolerance(calibrate("mill", 1, p95=p95), 10.0)
+    judged = documents.judge_tolerance(calibrate("mill", 1, p95=p95), 10.0)
     assert judged.state == state
     assert "tolerance of 10 µm" in judged.text
 
 
-def test_machines_are_compared_by_what_is_sure(calibrate):
-    newest = [
-        calibrate("mill", 1, p95=20.0),
-        calibrate("lathe", 2, p95=9.0),
-        calibrate("press", 3, p95=9.5),
-    ]
-    found = comparison_json(newest, "volumetric", None, {"mill": 15.0})
+def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibrate):
+    known = {"mill": 20.0, "lathe": 9.0, "press": 9.5}
+    newest = [calibrate(name, k, p95) for k, (name, p95) in enumerate(known.items(), 1)]
+    found = documents.comparison_json(newest, "volumetric", None, {"mill": 15.0})
     assert [m["machine"] for m in found["machines"]] == ["lathe", "press", "mill"]
     more = {m["machine"]: m["is_more_than"] for m in found["machines"]}
     assert more == {"lathe": [], "press": [], "mill": ["lathe", "press"]}
     with pytest.raises(BadInput, match="give the position of one"):
-        comparison_json(newest, "EXX", None, {})
-
-
-def test_the_more_machines_the_more_two_have_to_differ():
+        documents.comparison_json(newest, "EXX", None, {})
     entries = [Entry("", None, "", 0.0, 1.0)] * 2
     two, _ = list_differing(entries)
     eight, _ = list_differing(entries * 4)

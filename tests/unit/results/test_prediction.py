@@ -32,9 +32,8 @@ def free_gauge(loaded):
             theta.append(part)
     free = MachineModel(model.machine, tuple(effects))
     theta = np.concatenate(theta)
-    return replace(
-        loaded, model=free, theta=theta, covariance=np.zeros((free.size, free.size))
-    )
+    none = np.zeros((free.size, free.size))
+    return replace(loaded, model=free, theta=theta, covariance=none)
 
 
 def rigid_motion(model, shift_mm, turn_rad):
@@ -52,23 +51,18 @@ def rigid_motion(model, shift_mm, turn_rad):
     return theta
 
 
-def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction(
+def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
     free_gauge, travel_points, rng
 ):
     # So small that motions add up.
-    moved_by = rigid_motion(
-        free_gauge.model, 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
-    )
+    shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
+    moved_by = rigid_motion(free_gauge.model, shift_mm, turn_rad)
     at = make_standstill(free_gauge.machine, travel_points)
     assert np.abs(free_gauge.model.jacobian(at) @ moved_by).max() > 0.5e-3
     plain = predict(free_gauge, travel_points)
-    moved = predict(
-        replace(free_gauge, theta=free_gauge.theta + moved_by), travel_points
-    )
+    elsewhere = replace(free_gauge, theta=free_gauge.theta + moved_by)
+    moved = predict(elsewhere, travel_points)
     assert moved.error_um == pytest.approx(plain.error_um, abs=1e-6)
-
-
-def test_not_knowing_the_rigid_motion_adds_no_uncertainty(free_gauge, travel_points):
     blind = [rigid_motion(free_gauge.model, e, 0 * e) for e in np.eye(3)]
     blind += [rigid_motion(free_gauge.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
     covariance = np.sum([np.outer(b, b) for b in blind], axis=0)
@@ -86,10 +80,8 @@ def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
     arm = grid - grid.mean(axis=0)
     largest = np.abs(error).max()
     assert np.abs(error.mean(axis=0)).max() < 1e-3 * largest
-    assert (
-        np.abs(np.cross(arm, error).mean(axis=0)).max()
-        < 1e-3 * largest * np.abs(arm).max()
-    )
+    turn = np.abs(np.cross(arm, error).mean(axis=0)).max()
+    assert turn < 1e-3 * largest * np.abs(arm).max()
 
 
 def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
@@ -97,9 +89,8 @@ def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
 ):
     at = make_standstill(loaded.machine, travel_points)
     J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
-    drawn = rng.multivariate_normal(
-        loaded.theta, loaded.covariance, 4000, method="eigh"
-    )
+    normal = loaded.theta, loaded.covariance
+    drawn = rng.multivariate_normal(*normal, 4000, method="eigh")
     spread = np.std(J @ drawn.T, axis=2)
     predicted = predict(loaded, travel_points)
     assert predicted.uncertainty_um == pytest.approx(spread, rel=0.06)

@@ -23,14 +23,8 @@ from truepath.results.result_json import result_json
 
 # Of result/1, beside the schema.
 KEYS = (
-    "machine",
-    "mode",
-    "error_tables",
-    "squareness_urad",
-    "alignment",
-    "residuals",
-    "observability",
-    "provenance",
+    *("machine", "mode", "error_tables", "squareness_urad"),
+    *("alignment", "residuals", "observability", "provenance"),
 )
 
 
@@ -60,13 +54,11 @@ def test_every_key_of_the_contract_is_there_and_names_its_unit(content, estimate
     named = {text.split()[0] for text in content["observability"]["unobservable"]}
     assert named
     assert named.isdisjoint(content["error_tables"])  # what is not known has no table
-    assert content["holds_for"]["any_tool"] is False
-    assert content["holds_for"]["targets"] == [
-        {"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}
-    ]
+    target = {"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}
+    assert content["holds_for"] == {"any_tool": False, "targets": [target]}
 
 
-def test_a_verdict_comes_back_as_it_was_stated_whoever_has_written_it(found, content):
+def test_a_file_of_old_or_of_another_hand_is_read_as_it_was_stated(found, content):
     values = {"lines": "4, 9"}
     stated = Verdict((Reason("lines-without-data", "doubtful", values),))
     written = result_json(replace(found, verdict=stated))
@@ -76,10 +68,7 @@ def test_a_verdict_comes_back_as_it_was_stated_whoever_has_written_it(found, con
     assert loaded.verdict.objection == "not to be used: The door was open."
     content["verdict"]["details"] = [{"why": "door"}]
     assert result_from_json(content).verdict == loaded.verdict
-
-
-def test_a_file_of_old_says_nothing_against_its_result(content):
-    assert result_from_json(content).states_direction
+    assert loaded.states_direction
     for key in ("verdict", "left_out", "setup_steps", "runs", "direction"):
         del content[key]
     del content["model"]["confounded"]
@@ -93,12 +82,20 @@ def test_a_file_of_old_says_nothing_against_its_result(content):
     assert np.isfinite(predict(loaded, middle).uncertainty_um).all()
 
 
-def test_rows_that_left_no_data_are_named(estimate, provenance, with_residuals):
+def test_rows_that_left_no_data_are_named_and_points_count_from_the_first(
+    estimate, provenance, with_residuals
+):
     left = estimate.runs[0].measured_rows - {4}
     thinned = with_residuals(estimate, estimate.runs[0].residuals, measured_rows=left)
     alignment = result_json(state_findings(thinned, provenance))["alignment"]
     assert alignment["rows_without_data"] == [4]
     assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
+    run = replace(provenance.runs[0], mode="standstill", feed_mm_min=None)
+    found = state_findings(estimate, replace(provenance, runs=(run,)))
+    content = result_json(found)
+    assert content["mode"] == "standstill"
+    assert content["alignment"]["rows_without_data"] == [0]
+    assert content["provenance"]["feed_mm_min"] is None
 
 
 def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, estimate):
@@ -110,9 +107,8 @@ def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, est
         assert line["row"] == of_row["row"]
         assert line["along_mm"][0] == 0.0
         assert len(line["along_mm"]) == of_row["cells"]
-        assert np.sqrt(np.mean(np.square(parts))) == pytest.approx(
-            of_row["rms_um"], abs=1e-2
-        )
+        rms_um = np.sqrt(np.mean(np.square(parts)))
+        assert rms_um == pytest.approx(of_row["rms_um"], abs=1e-2)
     second_mm = np.linalg.norm(position_mm[1] - position_mm[0])
     assert lines[0]["along_mm"][1] == pytest.approx(second_mm, abs=0.01)
     square = sum(r["cells"] * r["rms_um"] ** 2 for r in rows)
@@ -127,21 +123,10 @@ def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance
     json.dumps(content, allow_nan=False)
 
 
-def test_standstill_rows_count_from_the_first_point(estimate, provenance):
-    run = replace(provenance.runs[0], mode="standstill", feed_mm_min=None)
-    found = state_findings(estimate, replace(provenance, runs=(run,)))
-    content = result_json(found)
-    assert content["mode"] == "standstill"
-    assert content["alignment"]["rows_without_data"] == [0]
-    assert content["provenance"]["feed_mm_min"] is None
-
-
-@pytest.mark.parametrize("targets", ["one", "three"])
-def test_the_file_predicts_what_the_estimate_predicts(
-    construct, load, provenance, travel_points, three_targets, targets
+def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
+    construct, load, provenance, travel_points, three_targets
 ):
-    estimate = construct(three_targets) if targets == "three" else construct()
-    found = state_findings(estimate, provenance)
+    found = state_findings(construct(three_targets), provenance)
     read = result_from_json(json.loads(json.dumps(result_json(found))))
     expected = predict(load(found.estimate), travel_points)
     got = predict(read, travel_points)
@@ -202,7 +187,7 @@ def measured(low, high):
 
 def lost(position_mm, uncertainty_um):
     half = {"position_mm": position_mm, "value_um": [1.0, 2.0]}
-    half["uncertainty_um"] = uncertainty_um
+    half |= {"uncertainty_um": uncertainty_um}
     return with_value(half, "direction", "half_difference", "EXX")
 
 
@@ -252,17 +237,16 @@ def test_what_is_no_object_is_no_result():
         result_from_json([1, 2])
 
 
-def test_what_belongs_to_the_measurement_is_integrated_out(estimate):
+def test_what_belongs_to_the_measurement_is_integrated_out_and_nothing_else_dropped(
+    estimate,
+):
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
     covariance = np.pad(estimate.covariance, (0, 6))
     covariance[:, -6:] = covariance[-6:, :] = 0.5
-    stated = model_to_json(
-        EstimatedModel(model, np.append(estimate.theta, np.ones(6)), covariance)
-    )
+    theta = np.append(estimate.theta, np.ones(6))
+    stated = model_to_json(EstimatedModel(model, theta, covariance))
     assert stated == model_to_json(estimate)
 
-
-def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
     class Unknown(TrackerPose):
         @property
         def role(self):

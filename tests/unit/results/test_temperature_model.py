@@ -52,9 +52,8 @@ class World:
             off[part] *= np.hypot(1.0, scatter)
             theta = self.estimate.theta + (celsius - 20.0) * self.coefficient + off
             runs = [{"name": f"{k}", "input_sha256": f"{seed}-{k}"}]
-            result = CalibrationResult(
-                self.model, theta, self.covariance, provenance={"runs": runs}
-            )
+            told = self.model, theta, self.covariance
+            result = CalibrationResult(*told, provenance={"runs": runs})
             shown = celsius + sigma_k * rng.standard_normal()
             time_s = None if times is None else times[k]
             found.append(ResultAtTemperature(f"r{k}", result, shown, sigma_k, time_s))
@@ -71,10 +70,8 @@ def name_dependent(study):
 
 
 def count_false(world, rounds, **how):
-    return sum(
-        bool(name_dependent(study_temperature(world.draw(k, **how))))
-        for k in range(rounds)
-    )
+    studies = (study_temperature(world.draw(k, **how)) for k in range(rounds))
+    return sum(bool(name_dependent(study)) for study in studies)
 
 
 def find_expansion(study):
@@ -82,12 +79,10 @@ def find_expansion(study):
 
 
 def count_within_u(world, truth, rounds, **how):
-    found = [
-        find_expansion(study_temperature(world.draw(k, **how))) for k in range(rounds)
-    ]
+    studies = (study_temperature(world.draw(k, **how)) for k in range(rounds))
     return sum(
         abs(one.value_um_per_m_k - truth) < 2.0 * one.uncertainty_um_per_m_k
-        for one in found
+        for one in map(find_expansion, studies)
     )
 
 
@@ -110,20 +105,26 @@ def test_stated_rates_hold_over_many_machines(world, scatter):
     assert missed <= allowed
 
 
-def test_only_what_depends_on_temperature_is_named(world):
+def test_only_what_depends_on_temperature_is_named_and_comes_back_from_a_file(world):
     study = study_temperature(world.grow(11.0).draw(1))
     assert name_dependent(study) == {SHIFTED}
     assert study.model.grows == {"X"}
+    model = study.model
+    content = json.loads(json.dumps(temperature_json(study)))
+    again = temperature_model_from_json(content, file="temperature.json")
+    for celsius in (19.0, 24.0):
+        one, other = model.at(celsius), again.at(celsius)
+        np.testing.assert_allclose(other.theta, one.theta, rtol=1e-6, atol=1e-12)
+        pair = other.covariance, one.covariance
+        np.testing.assert_allclose(*pair, rtol=1e-6, atol=1e-20)
+    assert again.grows == {"X"}
 
 
 def test_a_wide_scatter_of_set_ups_is_not_taken_for_temperature(world):
-    steady = study_temperature(world.draw(3))
-    loose = study_temperature(world.draw(3, scatter=30.0))
+    steady, loose = (study_temperature(world.draw(3, scatter=s)) for s in (0.0, 30.0))
     assert name_dependent(loose) == set()
-    assert (
-        find_expansion(loose).uncertainty_um_per_m_k
-        > 3.0 * find_expansion(steady).uncertainty_um_per_m_k
-    )
+    u, more = (find_expansion(x).uncertainty_um_per_m_k for x in (steady, loose))
+    assert more > 3.0 * u
 
 
 def test_an_unseen_temperature_is_told_better_by_the_line_than_by_the_mean(world):
@@ -132,29 +133,22 @@ def test_an_unseen_temperature_is_told_better_by_the_line_than_by_the_mean(world
     truth = world.estimate.theta + 3.5 * world.coefficient
     mean = np.mean([one.result.theta for one in results], axis=0)
     part = world.model.slices[SHIFTED]
-    line_off, mean_off = (
-        float(np.linalg.norm((theta - truth)[part])) for theta in (at.theta, mean)
-    )
+    off = at.theta - truth, mean - truth
+    line_off, mean_off = (np.linalg.norm(one[part]) for one in off)
     assert line_off < 0.3 * mean_off
 
 
-def test_fewer_than_three_temperatures_are_refused(world):
+def test_results_that_tell_no_temperatures_apart_or_share_a_run_are_refused(world):
     with pytest.raises(BadInput, match="2 different temperatures"):
         study_temperature(world.draw(1, (20.0, 20.1, 24.0), sigma_k=0.0))
-
-
-def test_temperatures_too_close_to_tell_are_refused(world):
-    world.covariance *= 50.0
-    world.root *= 50.0**0.5
-    with pytest.raises(BadInput, match="measure further apart in temperature"):
-        study_temperature(world.draw(1, (19.6, 20.4, 20.0), sigma_k=0.0))
-
-
-def test_results_that_share_a_run_are_refused(world):
     first, second, third = world.draw(1, (18.0, 20.0, 22.0))
     same = replace(third.result, provenance=first.result.provenance)
     with pytest.raises(BadInput, match="share a Run"):
         study_temperature([first, second, replace(third, result=same)])
+    world.covariance *= 50.0
+    world.root *= 50.0**0.5
+    with pytest.raises(BadInput, match="measure further apart in temperature"):
+        study_temperature(world.draw(1, (19.6, 20.4, 20.0), sigma_k=0.0))
 
 
 @pytest.mark.parametrize(
@@ -180,20 +174,6 @@ def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
     wide = study_temperature(results, range_degc=(15.0, 30.0)).model
     at = {celsius: wide.at(celsius).covariance.trace() for celsius in (21.0, 27.0)}
     assert at[27.0] > 2.0 * at[21.0]
-
-
-def test_a_file_gives_back_the_machine_at_any_temperature(world):
-    study = study_temperature(world.grow(11.0).draw(2))
-    model = study.model
-    content = json.loads(json.dumps(temperature_json(study)))
-    again = temperature_model_from_json(content, file="temperature.json")
-    for celsius in (19.0, 24.0):
-        one, other = model.at(celsius), again.at(celsius)
-        np.testing.assert_allclose(other.theta, one.theta, rtol=1e-6, atol=1e-12)
-        np.testing.assert_allclose(
-            other.covariance, one.covariance, rtol=1e-6, atol=1e-20
-        )
-    assert again.grows == {"X"}
 
 
 KINDS = {  # tables, their uncertainties, and the name of one of them

@@ -35,26 +35,22 @@ def held(estimated):
     return run_trials(estimated, PLAN)
 
 
-def named(held, name):
-    return next(q for q in held.quantities if q.name == name)
-
-
-def test_every_table_and_squareness_is_held_where_it_is_stated(estimated, held):
+def test_every_table_and_squareness_is_held_where_it_is_stated_and_agrees(
+    estimated, held
+):
+    by_name = {q.name: q for q in held.quantities}
     stated = build_error_tables(estimated)
     for table in stated.tables:
-        quantity = named(held, table.symbol)
+        quantity = by_name[table.symbol]
         np.testing.assert_array_equal(quantity.position[:, 0], table.position_mm)
         np.testing.assert_allclose(quantity.value, table.value, atol=1e-9)
         np.testing.assert_allclose(quantity.linear, table.uncertainty, atol=1e-6)
     for lean in stated.squareness:
-        quantity = named(held, lean.symbol)
+        quantity = by_name[lean.symbol]
         assert quantity.value[0] == pytest.approx(lean.value)
         assert quantity.linear[0] == pytest.approx(lean.uncertainty)
-    assert named(held, MAP).position.shape == (27, 3)
-    assert named(held, MAP).value.shape == (81,)
-
-
-def test_the_trials_agree_with_the_linear_law_in_tables_and_map(held):
+    assert by_name[MAP].position.shape == (27, 3)
+    assert by_name[MAP].value.shape == (81,)
     assert held.trials == 10_000
     assert held.disagreement < 0.05
     assert held.agreeing > 0.85 * held.numbers
@@ -91,7 +87,9 @@ def test_the_file_states_trials_beside_the_linear_law(held):
     assert len(stated["volumetric_error"]["uncertainty_um"]) == 81
 
 
-def test_an_analysis_carries_the_trials_into_file_and_report(run):
+def test_an_analysis_carries_trials_into_file_and_report_or_says_nothing_of_them(
+    run, found
+):
     stages = []
     asked = {"monte_carlo": PLAN, "on_progress": lambda *report: stages.append(report)}
     analysis = render_analysis(analyse(run, **asked))
@@ -101,9 +99,6 @@ def test_an_analysis_carries_the_trials_into_file_and_report(run):
     assert shares == sorted(shares)
     order = list(dict.fromkeys(stage for _, stage in stages))
     assert order == ["aligning", "estimating", "validating", "reporting"]
-
-
-def test_an_analysis_without_trials_says_nothing_of_them(found):
     analysis = render_analysis(found)
     assert analysis.result["monte_carlo"] is None
     assert "held against trials" not in analysis.report_html

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from following import shift
+from recorded import with_samples
 from results_fixtures import TRAVEL_MM, load_small
 from truepath.alignment.align import align
 from truepath.answers.verification.places.measured_places import correlate_means
@@ -22,7 +24,7 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.paths import standstill_points
-from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 1
 POINTS = 30
@@ -34,11 +36,9 @@ def remeasured(record):
     """Measure the machine again, from elsewhere; as it is or as another one."""
 
     def measured(seed, mode="standstill", truth=None, hidden=()):
-        setting = synthetic.Setting(machine_seed=MACHINE, truth=truth, hidden=hidden)
-        rows = POINTS if mode == "standstill" else 14
-        return record(
-            seed, mode, rows=rows, feed=6000.0, travel_mm=TRAVEL_MM, setting=setting
-        )
+        setting = Setting(machine_seed=MACHINE, truth=truth, hidden=hidden)
+        how = {"rows": POINTS if mode == "standstill" else 14, "feed": 6000.0}
+        return record(seed, mode, **how, travel_mm=TRAVEL_MM, setting=setting)
 
     return measured
 
@@ -95,16 +95,15 @@ def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured,
     assert content["schema"] == "verification/1"
     assert content["map_scale"]["cause"] is None
     assert content["conformity"]["deviation"]["conformity"] == "within"
-    places = content["places"]
-    if mode == "standstill":
-        assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
     difference = content["difference_um"]["mean"]
     assert difference["within"]
-    assert difference["value"] == pytest.approx(
-        content["volumetric_error_um"]["measured"]["mean"]
-        - content["volumetric_error_um"]["predicted"]["mean"]
+    measured, predicted = (
+        content["volumetric_error_um"][key]["mean"] for key in ("measured", "predicted")
     )
+    assert difference["value"] == pytest.approx(measured - predicted)
     if mode == "standstill":
+        places = content["places"]
+        assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
         return
     assert found.places.unseen_directions == ()
     across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.places), 1))
@@ -119,16 +118,11 @@ def test_the_volumetric_error_as_measured_is_that_of_the_machine(
 ):
     run, truth = remeasured(102)
     found = verify(calibrated, run)
-    position = found.places.at.position_mm
-    point = found.places.at.point_mm
-    length = 1e3 * np.linalg.norm(
-        rigid_free(point, truth.deviation_mm(position)), axis=1
-    )
-    for name, value in (
-        ("mean", length.mean()),
-        ("p95", np.quantile(length, 0.95)),
-        ("largest", length.max()),
-    ):
+    position, point = found.places.at.position_mm, found.places.at.point_mm
+    left_mm = rigid_free(point, truth.deviation_mm(position))
+    length_um = 1e3 * np.linalg.norm(left_mm, axis=1)
+    true = length_um.mean(), np.quantile(length_um, 0.95), length_um.max()
+    for name, value in zip(("mean", "p95", "largest"), true, strict=True):
         stated = found.statistics["measured"][name]
         assert abs(stated.value_um - value) < 3.0 * stated.uncertainty_um
 
@@ -138,12 +132,10 @@ def test_the_scale_of_air_and_tracker_is_in_the_uncertainty_of_a_place(
 ):
     run, _ = remeasured(101)
     tracker = replace(run.machine.tracker, range_ppm=40.0)  # as its data sheet says
-    stated = replace(run.machine, tracker=tracker)
     machine = replace(calibrated.machine, tracker=tracker)
-    found = verify(
-        replace(calibrated, model=replace(calibrated.model, machine=machine)),
-        replace(run, machine=stated),
-    )
+    result = replace(calibrated, model=replace(calibrated.model, machine=machine))
+    stated = replace(run.machine, tracker=tracker)
+    found = verify(result, replace(run, machine=stated))
     places = found.places
     point = places.at.point_mm
     far = np.linalg.norm(point - point.mean(axis=0), axis=1).argmax()
@@ -160,14 +152,14 @@ def test_lengths_that_differ_as_air_or_calibration_allow_are_not_held_against_a_
     calibrated, remeasured
 ):
     run, _ = remeasured(101)
-    longer = replace(run.tracker, position_mm=1.0001 * run.tracker.position_mm)
-    known = replace(run, tracker=longer, refraction=Refraction("instrument"))
+    longer = with_samples(run, position_mm=1.0001 * run.tracker.position_mm)
+    known = replace(longer, refraction=Refraction("instrument"))
     warmer = verify(calibrated, known, tolerance_um=TOLERANCE_UM)
     assert warmer.conformity["deviation"].conformity == "outside"
     assert not warmer.consistency.is_consistent
     assert warmer.consistency.fits_together  # some machine does so
-    warm = replace(run.tracker, position_mm=(1.0 + 3e-5) * run.tracker.position_mm)
-    little = verify(calibrated, replace(run, tracker=warm)).consistency
+    warm = with_samples(run, position_mm=(1.0 + 3e-5) * run.tracker.position_mm)
+    little = verify(calibrated, warm).consistency
     assert (little.is_consistent, little.fits_together) == (False, True)
     open_air = replace(known, refraction=Refraction("nobody", why="no pressure"))
     decided = verify(calibrated, open_air, tolerance_um=TOLERANCE_UM).conformity
@@ -178,9 +170,8 @@ def test_lengths_that_differ_as_air_or_calibration_allow_are_not_held_against_a_
 def test_the_air_of_the_verifying_measurement_is_judged_as_that_of_a_calibration(
     calibrated, remeasured
 ):
-    run = replace(
-        remeasured(101)[0], refraction=Refraction("nobody", why="no pressure")
-    )
+    open_air = Refraction("nobody", why="no pressure")
+    run = replace(remeasured(101)[0], refraction=open_air)
     content = verification_json(verify(calibrated, run))
     (said,) = content["run_verdict"]["reasons"]
     assert content["run_verdict"]["state"] == "doubtful"
@@ -223,10 +214,9 @@ def cut(run, row, first_row):
         own = seen.at.time_s[(seen.row >= begin) & (seen.row < end)]
         inside = (time_s > own.min() - 0.7) & (time_s < own.max() + 0.7)
         tracker = run.tracker.select(np.flatnonzero(inside))
-        if begin:
-            tracker = replace(tracker, position_mm=tracker.position_mm + 0.01)
         commanded = select_rows(run.commanded, slice(begin, None))
-        parts.append(replace(run, commanded=commanded, tracker=tracker))
+        part = replace(run, commanded=commanded, tracker=tracker)
+        parts.append(shift(part, 0.01) if begin else part)
     return parts
 
 
@@ -251,9 +241,8 @@ def test_a_verification_in_two_runs_says_what_the_whole_says(
 
 def test_a_compensated_machine_is_left_with_what_is_stated(calibrated, remeasured):
     run, _ = remeasured(105, truth=truth_with(-1.0, calibrated))
-    found = verify(
-        calibrated, run, tolerance_um=8.0, correction=leave(-1.0, calibrated)
-    )
+    left = leave(-1.0, calibrated)
+    found = verify(calibrated, run, tolerance_um=8.0, correction=left)
     assert found.conformity["measured"].conformity == "within"
     assert found.consistency.is_consistent
     assert abs(found.scale.value) < 0.03
@@ -289,8 +278,8 @@ def test_lost_motion_that_a_result_states_is_in_what_it_predicts(
     calibrated, remeasured
 ):
     run, _ = remeasured(107, hidden=(Backlash("X", 9.0),))
-    ends = np.array([calibrated.machine.axes[0].low, calibrated.machine.axes[0].high])
-    half = {"X": (ends, np.array([-4.5, -4.5]))}
+    x = calibrated.machine.axes[0]
+    half = {"X": (np.array([x.low, x.high]), np.array([-4.5, -4.5]))}
     aware = replace(calibrated, half_difference_um=half)
     assert verify(aware, run).consistency.is_consistent
     found = verify(calibrated, run)
@@ -298,17 +287,16 @@ def test_lost_motion_that_a_result_states_is_in_what_it_predicts(
     assert found.consistency.fits_together  # play is a change of the machine
 
 
-def test_a_result_is_not_verified_by_its_own_measurement(calibrated, record):
-    with pytest.raises(BadInput, match="was made from this measurement"):
-        verify(calibrated, record(MACHINE, rows=24, travel_mm=TRAVEL_MM)[0])
-
-
-@pytest.mark.parametrize("part", [slice(200, None), slice(4000, 9000)])
-def test_nor_by_a_part_of_it(calibrated, record, part):
+def test_a_result_is_not_verified_by_its_own_measurement_nor_by_a_part_of_it(
+    calibrated, record
+):
     own = record(MACHINE, rows=24, travel_mm=TRAVEL_MM)[0]
-    cut = replace(own, name="cut", tracker=own.tracker.select(part))
-    with pytest.raises(BadInput, match="cut: the result was made from samples of this"):
-        verify(calibrated, cut)
+    with pytest.raises(BadInput, match="was made from this measurement"):
+        verify(calibrated, own)
+    for part in (slice(200, None), slice(4000, 9000)):
+        cut = replace(own, name="cut", tracker=own.tracker.select(part))
+        with pytest.raises(BadInput, match="cut: the result was made from samples of"):
+            verify(calibrated, cut)
 
 
 def test_means_of_correlated_noise_are_correlated_as_their_samples_are(rng):
@@ -324,13 +312,9 @@ def test_means_of_correlated_noise_are_correlated_as_their_samples_are(rng):
 
 def test_an_axis_that_was_not_driven_leaves_the_tolerance_undecided(calibrated, record):
     program = standstill_points(parse_machine(load_small()), 9, POINTS)
-    flat = program.position.copy()
-    flat[:, 2] = flat[:, 2].mean().round(1)
-    flat = replace(program, position=flat)
-    setting = synthetic.Setting(machine_seed=MACHINE)
-    run, _ = record(
-        109, "standstill", program=flat, travel_mm=TRAVEL_MM, setting=setting
-    )
+    program.position[:, 2] = program.position[:, 2].mean().round(1)
+    how = {"travel_mm": TRAVEL_MM, "setting": Setting(machine_seed=MACHINE)}
+    run, _ = record(109, "standstill", program=program, **how)
     found = verify(calibrated, run, tolerance_um=1e3)
     assert found.places.resting_axes == ("Z",)
     assert found.places.unseen_directions == ()

@@ -66,13 +66,11 @@ def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
     stated = compute_volumetric_error(scaled, ppm).before.mean
     place = compute_volumetric_error(certain)
     without = place.before.mean
-    axes = estimate.model.machine.axes
-    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
+    low, high = np.array([(a.low, a.high) for a in estimate.model.machine.axes]).T
     away_mm = place.position_mm - (low + high) / 2.0
     scale = 1e-3 * ppm * np.random.default_rng(4).standard_normal(2000)
-    true = [
-        np.linalg.norm(place.error_um + one * away_mm, axis=1).mean() for one in scale
-    ]
+    drawn = (place.error_um + one * away_mm for one in scale)
+    true = [np.linalg.norm(one, axis=1).mean() for one in drawn]
     off = np.abs(np.array(true) - stated.value_um)
     assert np.mean(off <= 2.0 * stated.uncertainty_um) >= 0.94
     assert np.mean(off <= 2.0 * without.uncertainty_um) < 0.1
@@ -94,11 +92,9 @@ def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
     effect = make_half_width("EXX", estimate.model.machine.linear("X"))
     covariance = np.pad(estimate.covariance, (0, 1))
     covariance[-1, -1] = SIGMA_MM**2
+    model, theta = estimate.model.with_effects(effect), [*estimate.theta, HALF_MM]
     losing = replace(
-        estimate,
-        model=estimate.model.with_effects(effect),
-        theta=np.append(estimate.theta, HALF_MM),
-        covariance=covariance,
+        estimate, model=model, theta=np.array(theta), covariance=covariance
     )
     mean = compute_volumetric_error(losing).before.mean.value_um
     assert mean == pytest.approx(seen.before.mean.value_um)

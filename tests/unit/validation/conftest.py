@@ -1,0 +1,21 @@
+"""The scripts of `validation/`, which are no package."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = str(Path(__file__).resolve().parents[3] / "validation")
+
+
+@pytest.fixture(scope="module")
+def validation():
+    """Import one of the scripts by its name."""
+    before = set(sys.modules)
+    sys.path.insert(0, FOLDER)
+    yield importlib.import_module
+    sys.path.remove(FOLDER)
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(FOLDER):
+            del sys.modules[name]
