@@ -14,11 +14,7 @@ import httpx2
 import pytest
 
 from truepath.cli import calibration
-from truepath.cli.calibration import (
-    calibrate,
-    follow_to_the_end,
-    measure_on_the_fly,
-)
+from truepath.cli.calibration import calibrate, follow_to_the_end, measure_on_the_fly
 from truepath.client import Client
 from truepath.errors import MeasurementFailed
 

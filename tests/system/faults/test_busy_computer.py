@@ -48,10 +48,7 @@ def test_every_sample_is_recorded_or_counted_as_lost(tmp_path, measured):
             "streaming", bench.tracker_options, "modbus", bench.motion_options
         )
         order = replace(order_of(bench, tmp_path / "busy.sqlite"), commanded=TO_AND_FRO)
-        with (
-            Measuring(config, order) as measuring,
-            hogs(2 * (psutil.cpu_count() or 2)),
-        ):
+        with Measuring(config, order) as measuring, hogs(2 * (psutil.cpu_count() or 2)):
             closed = measuring.until_closed(within_s=120.0)
     assert closed.outcome in ("finished", "faulted")
     run = open_run(closed.run_file)

@@ -72,11 +72,7 @@ def test_lines_that_are_lost_doubled_or_hit_are_counted_and_never_wrong(relay, h
 
 
 @pytest.mark.parametrize(
-    "harm",
-    [
-        IN_PIECES,
-        pytest.param(LATE, marks=pytest.mark.fault_row(8), id="late"),
-    ],
+    "harm", [IN_PIECES, pytest.param(LATE, marks=pytest.mark.fault_row(8), id="late")]
 )
 def test_lines_that_come_late_or_in_pieces_are_the_same(relay, harm):
     read, lines, _ = read_lines(relay, harm, seed=8)

@@ -52,14 +52,8 @@ def machine(text):
             lambda folder: (folder / "tracker.parquet").unlink(),
             "tracker.parquet: is missing from the bundle",
         ),
-        (
-            cell(1, "y_mm", "why"),
-            "path.csv, column y_mm: is missing; the file has",
-        ),
-        (
-            cell(3, "z_mm", "NaN"),
-            "path.csv, row 3, column z_mm: is empty or NaN",
-        ),
+        (cell(1, "y_mm", "why"), "path.csv, column y_mm: is missing; the file has"),
+        (cell(3, "z_mm", "NaN"), "path.csv, row 3, column z_mm: is empty or NaN"),
         (
             cell(4, "x_mm", "612.4"),
             "path.csv, row 4, column x_mm: is out of travel: X = 612.4 mm exceeds 500",

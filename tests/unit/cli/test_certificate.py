@@ -12,10 +12,7 @@ import pytest
 import tinyhtml5
 
 from truepath.answers.certificate import pdf
-from truepath.answers.certificate.issue import (
-    gather_certificate,
-    read_result_source,
-)
+from truepath.answers.certificate.issue import gather_certificate, read_result_source
 from truepath.cli.command import run
 from truepath.errors import BundleError
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json

@@ -5,15 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from exports_of_makers import (
-    clock,
-    french,
-    german,
-    leica,
-    of_stream,
-    plain,
-    spatial,
-)
+from exports_of_makers import clock, french, german, leica, of_stream, plain, spatial
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.interfaces.records import Path

@@ -35,10 +35,7 @@ def test_verify_writes_its_file_and_its_page(command, words, tmp_path):
     assert said["conformity"]["deviation"]["conformity"] == "within"
     assert said["agreement"]["consistent"]
     out = tmp_path / "out"
-    assert {path.name for path in out.iterdir()} == {
-        "verification.json",
-        "report.html",
-    }
+    assert {path.name for path in out.iterdir()} == {"verification.json", "report.html"}
     content = json.loads((out / "verification.json").read_text())
     assert content["schema"] == "verification/1"
     assert content["statements"] == said["statements"]

@@ -55,9 +55,7 @@ MM_HEAD = "t_s,x_mm,y_mm,z_mm"
 def stamped(run, stamp):
     """Return lines of millimetres; stamp(number, seconds) writes the time."""
     return lines_of(
-        run,
-        lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}",
-        MM_HEAD,
+        run, lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}", MM_HEAD
     )
 
 
