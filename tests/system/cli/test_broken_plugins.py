@@ -1,9 +1,6 @@
 """One broken plug-in costs nobody else anything, and is named where it is asked for."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -71,7 +68,7 @@ POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
 
 
 @pytest.fixture(autouse=True)
-def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def hostile(tmp_path, monkeypatch):
     plugins.left_out.clear()
     site = install(
         tmp_path / "site",

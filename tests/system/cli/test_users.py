@@ -1,7 +1,5 @@
 """`users`, `keys` and `audit`, on the computer of the service itself."""
 
-from __future__ import annotations
-
 import io
 import json
 

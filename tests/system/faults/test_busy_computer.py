@@ -1,10 +1,7 @@
 """A cell measures at 500 Hz while others take the processors."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -29,7 +26,7 @@ HOG = "import os\nwhile True: [bytearray(1 << 20) for _ in range(64)]"
 
 
 @contextmanager
-def hogs(count: int) -> Iterator[None]:
+def hogs(count):
     """Let processes compute and take memory in vain, as many as are asked for."""
     begun = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(count)]
     try:

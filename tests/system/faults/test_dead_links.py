@@ -1,7 +1,5 @@
 """A link of a cell that measures goes dead: it stays open, nothing comes through."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

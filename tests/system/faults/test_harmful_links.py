@@ -1,9 +1,6 @@
 """Between our drivers and their devices lies a link that does harm, by a seed."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -12,7 +9,7 @@ import pytest
 from measuring import IN_PIECES, LOST_DOUBLED_OR_HIT, RATE_HZ, read_through
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import DeviceError
-from truepath_drivers.interfaces.records import MotionState, TrackerSamples
+from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.tracker.streaming.codec import SampleDecoder
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_drivers.tracker.streaming.framing import FrameReader
@@ -23,14 +20,12 @@ from truepath_simulators.links.link_proxy import Harm, LinkProxy
 @pytest.fixture(
     scope="module", params=["tcp", pytest.param("pty", marks=pytest.mark.long)]
 )
-def bench(request) -> Iterator[Bench]:
+def bench(request):
     with Bench(seed=9, tracker=request.param) as started:
         yield started
 
 
-def stream_through(
-    bench: Bench, harm: Harm, seed: int
-) -> tuple[TrackerSamples, int, int]:
+def stream_through(bench, harm, seed):
     """Return what the driver has read right, of how many, and how often harm hit."""
     with LinkProxy(bench.tracker_options, seed=seed) as proxy:
         with StreamingTracker(**proxy.options) as tracker:
@@ -42,7 +37,7 @@ def stream_through(
     return read, len(truth), harmed
 
 
-def require_true(read: TrackerSamples, truth: TrackerSamples) -> None:
+def require_true(read, truth):
     """Every sample that was read is one that was sent, bit by bit and once."""
     index = np.searchsorted(truth.device_time_s, read.device_time_s)
     assert (np.diff(index) > 0).all()
@@ -89,7 +84,7 @@ over_tcp = pytest.mark.parametrize("bench", ["tcp"], indirect=True)
 
 
 @pytest.fixture
-def driven(bench) -> Iterator[tuple[LinkProxy, ModbusController]]:
+def driven(bench):
     with LinkProxy(bench.motion_options, seed=6) as proxy:
         controller = ModbusController(**proxy.options)
         controller.connect()

@@ -3,10 +3,7 @@
 Its requests arrive: what decides is how old the last valid status is.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -29,9 +26,7 @@ PATIENT = {"watchdog_s": 2.0}
 
 
 @pytest.fixture
-def measuring(
-    tmp_path,
-) -> Iterator[tuple[Measuring, Bench, LinkProxy, ModbusController]]:
+def measuring(tmp_path):
     with (
         Bench(seed=12, speed=2.0, rtu=False) as bench,
         LinkProxy(bench.motion_options, seed=3) as proxy,
@@ -43,9 +38,7 @@ def measuring(
             yield begun, bench, proxy, onlooker
 
 
-def until_it(
-    measuring: Measuring, onlooker: ModbusController, is_so, within_s
-) -> float:
+def until_it(measuring, onlooker, is_so, within_s):
     """Wait until the machine itself is so; return how long it took."""
     begun_s = time.monotonic()
     measuring.until(lambda: is_so(onlooker.status()), within_s=within_s)

@@ -1,17 +1,13 @@
 """A tracker's cable is pulled while a cell measures; its port is renumbered."""
 
-from __future__ import annotations
-
 import os
 import time
-from pathlib import Path
 
 import pytest
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import (
     CellConfig,
-    CellEvent,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
@@ -26,15 +22,15 @@ from truepath_simulators.links.link_proxy import LinkProxy
 SPEED = 10.0
 
 
-def point_to(link: Path, proxy: LinkProxy) -> None:
+def point_to(link, proxy):
     """Let the name of the device lead to the terminal that it has now."""
     link.unlink(missing_ok=True)
     link.symlink_to(proxy.options["port"])
 
 
-def listen(cell: Cell, kind: type[CellEvent]) -> list[CellEvent]:
+def listen(cell, kind):
     """Return what the cell says until something of that kind has come."""
-    said: list[CellEvent] = []
+    said = []
     end_s = time.monotonic() + 45.0
     while not any(isinstance(event, kind) for event in said):
         assert time.monotonic() < end_s, said[-5:]
@@ -42,7 +38,7 @@ def listen(cell: Cell, kind: type[CellEvent]) -> list[CellEvent]:
     return said
 
 
-def order_of(bench: Bench, file: Path, lines: int) -> MeasurementOrder:
+def order_of(bench, file, lines):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, lines=lines)
     return MeasurementOrder(file.stem, str(file), machine, path)

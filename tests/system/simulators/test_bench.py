@@ -1,7 +1,5 @@
 """Both simulators as processes, with our drivers at the other end of the wire."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -21,11 +19,7 @@ from truepath_drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from truepath_drivers.interfaces.records import (
-    MotionState,
-    MotionStatus,
-    TrackerSamples,
-)
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 from truepath_drivers.interfaces.records import Path as MotionPath
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
@@ -63,22 +57,20 @@ def fast():
         yield running, tcp, rtu
 
 
-def read_for(tracker: StreamingTracker, duration_s: float) -> TrackerSamples:
+def read_for(tracker, duration_s):
     blocks, end_s = [], time.monotonic() + duration_s
     while time.monotonic() < end_s:
         blocks.append(tracker.read(0.1))
     return TrackerSamples.join(blocks)
 
 
-def drive(motion: ModbusController) -> MotionStatus:
+def drive(motion):
     """Run the loaded path, beating, until it stands."""
     motion.start()
     return until(lambda: stands(motion), 30.0)
 
 
-def stands(
-    motion: ModbusController, moving: tuple[MotionState, ...] = (MotionState.RUNNING,)
-) -> MotionStatus | None:
+def stands(motion, moving=(MotionState.RUNNING,)):
     motion.send_heartbeat()
     status = motion.status()
     return None if status.state in moving else status
@@ -202,7 +194,7 @@ def test_writes_that_are_not_applied_are_noticed(plain):
             motion.load(LINE)
 
 
-def fails(motion: ModbusController) -> bool:
+def fails(motion):
     try:
         motion.status()
     except DeviceError:

@@ -1,7 +1,5 @@
 """Rigs worked by their control socket, and the fixtures that stand on it."""
 
-from __future__ import annotations
-
 import json
 import socket
 import stat

@@ -4,14 +4,12 @@ mbpoll asks once; LinuxCNC's mb2hal reads and writes all its registers over and 
 as a PLC does.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,7 +28,7 @@ IDENTITY = [0x5450, 0x4331, 0x0102, 0x0304, 2]
 
 
 @pytest.fixture(scope="module")
-def bench() -> Iterator[Bench]:
+def bench():
     if shutil.which("mbpoll") is None:
         pytest.fail(
             "mbpoll is not installed; it proves the Modbus map from outside: "
@@ -41,11 +39,11 @@ def bench() -> Iterator[Bench]:
 
 
 @pytest.fixture(params=["tcp", "rtu"])
-def poll(request, bench) -> Poll:
+def poll(request, bench):
     """Run a command as the page prints it, on a link of the bench; return its words."""
     tty, port = bench.motion_options_rtu["serial_port"], bench.motion_options["port"]
 
-    def run(command: str) -> str:
+    def run(command):
         if request.param == "rtu":
             command = command.replace("-m tcp -p 1502", "-m rtu -b 115200 -P none")
             command = command.replace("127.0.0.1", tty)
@@ -57,7 +55,7 @@ def poll(request, bench) -> Poll:
     return run
 
 
-def read(poll: Poll, name: str, count: int, kind: str = "4") -> list[int]:
+def read(poll, name, count, kind="4"):
     """Return the values of lines such as `[100]:  0x5450` or `[112]:  1000 (…)`."""
     where = f"-t {kind} -r {BY_NAME[name].address} -c {count}"
     shown = poll(f"{HERE} {where} -1 127.0.0.1")
@@ -65,12 +63,12 @@ def read(poll: Poll, name: str, count: int, kind: str = "4") -> list[int]:
     return [int(value, 0) for value in values]
 
 
-def write(poll: Poll, name: str, *values: int) -> None:
+def write(poll, name, *values):
     words = " ".join(map(str, values))
     poll(f"{HERE} -t 4 -r {BY_NAME[name].address} 127.0.0.1 {words}")
 
 
-def order(poll: Poll, verb: Command, *arguments: int) -> Result:
+def order(poll, verb, *arguments):
     """Give a command as one does by hand: one write, then a look at the result."""
     number = read(poll, "command_ack", 1)[0] + 1
     write(poll, "command_sequence", number, int(verb), *arguments)
@@ -158,7 +156,7 @@ def folder():
         yield Path(name)
 
 
-def write_transaction(number: int, link: dict[str, str], entry: tuple) -> str:
+def write_transaction(number, link, entry):
     pins, register, count, function = entry
     keys = link | {
         "MB_SLAVE_ID": "1",
@@ -175,7 +173,7 @@ def write_transaction(number: int, link: dict[str, str], entry: tuple) -> str:
     return "\n".join([f"[TRANSACTION_{number:02d}]", *lines]) + "\n"
 
 
-def describe_link(bench: Bench, link: str) -> dict[str, str]:
+def describe_link(bench, link):
     if link == "tcp":
         where = bench.motion_options
         end = {"TCP_IP": where["host"], "TCP_PORT": str(where["port"])}
@@ -190,7 +188,7 @@ def describe_link(bench: Bench, link: str) -> dict[str, str]:
     }
 
 
-def run_mb2hal(folder: Path, link: dict[str, str], orders: list[str]) -> dict[str, int]:
+def run_mb2hal(folder, link, orders):
     """Poll with the orders given to its pins; return what the pins show then."""
     head = f"[MB2HAL_INIT]\nINIT_DEBUG=1\nTOTAL_TRANSACTIONS={len(TRANSACTIONS)}\n"
     head += "SLOWDOWN=0.0\nHAL_MODULE_NAME=mb2hal\n"

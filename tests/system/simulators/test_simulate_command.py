@@ -1,14 +1,10 @@
 """The command `truepath simulate` as a process, with our drivers at its links."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +23,7 @@ Command = tuple["subprocess.Popen[str]", dict[str, Any]]
 
 
 @contextmanager
-def simulating(*options: str) -> Iterator[Command]:
+def simulating(*options):
     module = "truepath_simulators.bench.command"
     process = subprocess.Popen(
         [sys.executable, "-m", module, "--json", *options],
@@ -44,18 +40,18 @@ def simulating(*options: str) -> Iterator[Command]:
 
 
 @pytest.fixture
-def by_tcp() -> Iterator[Command]:
+def by_tcp():
     with simulating("--tracker", "tcp") as command:
         yield command
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory) -> Path:
+def lines(tmp_path_factory):
     return tmp_path_factory.mktemp("lines")
 
 
 @pytest.fixture(scope="module")
-def polled(lines) -> Iterator[Command]:
+def polled(lines):
     """An instrument that is asked point by point, all links of it serial."""
     options = ["--speed", "20", "--protocol", "geocom", "--rtu", "--links", str(lines)]
     with simulating(*options) as command:
@@ -82,9 +78,7 @@ def test_it_serves_by_tcp_and_takes_orders_by_standard_input_until_ctrl_c(by_tcp
     leaves_nothing(process, where, signal.SIGINT)
 
 
-def leaves_nothing(
-    process: subprocess.Popen[str], where: dict[str, Any], number: signal.Signals
-) -> None:
+def leaves_nothing(process, where, number):
     process.send_signal(number)
     assert process.wait(10) == 0
     assert not any(psutil.pid_exists(pid) for pid in where["pids"].values())
@@ -119,13 +113,13 @@ def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigt
     leaves_nothing(process, where, signal.SIGTERM)
 
 
-def order(process: subprocess.Popen[str], *lines: str) -> None:
+def order(process, *lines):
     """Write lines to a command's standard input."""
     assert process.stdin is not None
     process.stdin.writelines(f"{line}\n" for line in lines)
     process.stdin.flush()
 
 
-def measure_range_mm(tracker: StreamingTracker) -> float:
+def measure_range_mm(tracker):
     """Return the distance of the last sample that has come."""
     return float(np.linalg.norm(tracker.read(2.0).position_mm[-1]))

@@ -1,7 +1,5 @@
 """A tracker that aims, seeks and chooses its target, and one that follows positions."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading
@@ -12,7 +10,6 @@ import pytest
 
 from processes import until
 from truepath_drivers.interfaces.errors import BeamLost, NotHomed, Refused
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import Air
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
@@ -49,17 +46,17 @@ def tracker(bench):
         yield connected
 
 
-def read_valid(tracker: StreamingTracker) -> np.ndarray:
+def read_valid(tracker):
     """Return where the target is, by samples that were taken after the call."""
     tracker.read(0.0)
     time.sleep(0.1)
     tracker.read(0.0)
     time.sleep(0.1)
-    samples: TrackerSamples = tracker.read(1.0)
+    samples = tracker.read(1.0)
     return samples.position_mm[samples.status == 0]
 
 
-def to_direction(place_mm: np.ndarray) -> tuple[float, float]:
+def to_direction(place_mm):
     x, y, z = place_mm
     return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
 
@@ -112,7 +109,7 @@ def test_one_that_is_not_initialised_measures_once_it_is_homed(bench, tracker):
     assert len(read_valid(tracker))
 
 
-def is_refused(tracker: StreamingTracker) -> bool:
+def is_refused(tracker):
     try:
         tracker.start(500.0)
     except NotHomed as refusal:

@@ -1,7 +1,5 @@
 """`catalogue check` and `catalogue rebuild`, and a service that meets a damaged one."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.catalogue.data_folder import hold_folder

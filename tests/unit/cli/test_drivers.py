@@ -1,7 +1,5 @@
 """Drivers and their options: listed, and held against settings before use."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.device_options import make_device

@@ -1,7 +1,5 @@
 """`temperature`: a machine calibrated at four temperatures, from bundles to files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,10 +1,7 @@
 """A machine file or path that is not that of the data is named for what it is."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
-from pathlib import Path
 
 import pytest
 from tests.unit.alignment.test_arcs import random_path
@@ -25,7 +22,7 @@ def recorded_on(name):
     return random_path(name, rate_hz=100)[0]
 
 
-def change(bundle: Path, edit) -> None:
+def change(bundle, edit):
     """Change the machine file of a bundle."""
     file = bundle / "machine.json"
     content = json.loads(file.read_text())
@@ -33,7 +30,7 @@ def change(bundle: Path, edit) -> None:
     file.write_text(json.dumps(content))
 
 
-def edit_rows(bundle: Path, rows: slice) -> None:
+def edit_rows(bundle, rows):
     """Leave these rows of the path, in the order that they are taken in."""
     file = bundle / "path.csv"
     head, *lines = file.read_text().splitlines()

@@ -1,7 +1,5 @@
 """The table of bad input: one edit of one file of a good bundle, one clear error."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable
@@ -24,28 +22,28 @@ from truepath.files.bundle.machine_file import (
 Edit = Callable[[Path], None]
 
 
-def without(name: str) -> Edit:
+def without(name):
     """Leave a file out."""
     return lambda folder: (folder / name).unlink()
 
 
-def holding(name: str, data: str | bytes) -> Edit:
+def holding(name, data):
     """Put a file with this content in."""
     content = data.encode() if isinstance(data, str) else data
     return lambda folder: (folder / name).write_bytes(content) and None
 
 
-def cut(name: str, size: int) -> Edit:
+def cut(name, size):
     """Keep only the beginning of a file."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         (folder / name).write_bytes((folder / name).read_bytes()[:size])
 
     return edit
 
 
-def change_lines(name: str, change: Callable[[list[str]], None]) -> Edit:
-    def edit(folder: Path) -> None:
+def change_lines(name, change):
+    def edit(folder):
         lines = (folder / name).read_text().splitlines()
         change(lines)
         (folder / name).write_text("\n".join(lines) + "\n")
@@ -53,10 +51,10 @@ def change_lines(name: str, change: Callable[[list[str]], None]) -> Edit:
     return edit
 
 
-def cell(name: str, row: int, column: str, text: str) -> Edit:
+def cell(name, row, column, text):
     """Change one cell of a CSV file; row 1 is the header."""
 
-    def change(lines: list[str]) -> None:
+    def change(lines):
         cells = lines[row - 1].split(",")
         cells[lines[0].split(",").index(column)] = text
         lines[row - 1] = ",".join(cells)
@@ -64,20 +62,20 @@ def cell(name: str, row: int, column: str, text: str) -> Edit:
     return change_lines(name, change)
 
 
-def renamed(name: str, column: str, to: str) -> Edit:
+def renamed(name, column, to):
     """Rename a column of a CSV file."""
     return cell(name, 1, column, to)
 
 
-def row(name: str, number: int, text: str) -> Edit:
+def row(name, number, text):
     """Replace one row of a CSV file."""
     return change_lines(name, lambda lines: lines.__setitem__(number - 1, text))
 
 
-def column(name: str, value: object, at: int | None = None) -> Edit:
+def column(name, value, at=None):
     """Set a column of the tracker's Parquet file, or one of its values; None drops."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         table = pq.read_table(folder / "tracker.parquet").to_pydict()
         if at is not None:
             table[name][at] = value
@@ -90,10 +88,10 @@ def column(name: str, value: object, at: int | None = None) -> Edit:
     return edit
 
 
-def key(path: str, value: object) -> Edit:
+def key(path, value):
     """Set a key of machine.json, `axes.X.min_mm`; None removes it."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         content = json.loads((folder / "machine.json").read_text())
         at = content
         *way, last = path.split(".")
@@ -107,23 +105,23 @@ def key(path: str, value: object) -> Edit:
     return edit
 
 
-def both(first: Edit, second: Edit) -> Edit:
+def both(first, second):
     """Do two edits."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         first(folder)
         second(folder)
 
     return edit
 
 
-def targets(**placed: str) -> Edit:
+def targets(**placed):
     """State named targets in machine.json, each by what it is on."""
     stated = {name: {"on": on, "offset_mm": [0, 0, 0]} for name, on in placed.items()}
     return both(key("targets", stated), key("tool_offset_mm", None))
 
 
-def streamed(text: str) -> Edit:
+def streamed(text):
     """Put a stream of this text in place of the tracker's Parquet file."""
     return both(without("tracker.parquet"), holding("tracker.csv", text))
 
@@ -133,7 +131,7 @@ TRACKER_HEADER = "t_s,x_mm,y_mm,z_mm\n"
 ROTARY = {"type": "rotary", "min_deg": 0, "max_deg": 360}
 
 # Keys of machine.json, what they are set to, and what is said of it.
-KEYS: list[tuple[str, object, str]] = [
+KEYS = [
     ("name", "x\ud800", "machine.json: holds \\ud800, which"),
     ("name", "x\x00", "machine.json: holds \\u0000, which"),
     ("schema", None, "machine.json: schema is missing; add it"),
@@ -181,7 +179,7 @@ KEYS: list[tuple[str, object, str]] = [
 ]
 
 # Cells of CSV files: file, row, column and text.
-CELLS: list[tuple[str, int, str, str, str]] = [
+CELLS = [
     ("path.csv", 4, "y_mm", "abc", "row 4, column y_mm: is 'abc', not a"),
     ("path.csv", 2, "x_mm", '"1,5"', "row 2, column x_mm: is '1,5', not"),
     ("path.csv", 3, "z_mm", "NaN", "path.csv, row 3, column z_mm: is empty"),
@@ -201,7 +199,7 @@ CELLS: list[tuple[str, int, str, str, str]] = [
     ("reference.csv", 4, "unit", "inch", "row 4, column unit: is 'inch'; w"),
 ]
 
-FILES: list[tuple[Edit, str]] = [
+FILES = [
     (without("machine.json"), "machine.json: is missing"),
     (cut("machine.json", 40), "machine.json, row 3: is not JSON"),
     (holding("machine.json", b"\xff\xfe{}"), "is not text in UTF-8"),
@@ -390,7 +388,7 @@ def test_a_path_in_metres_is_named_as_such(bundle):
         read_bundle(bundle)
 
 
-def write_packed(folder: Path, columns: dict[str, pa.Array]) -> int:
+def write_packed(folder, columns):
     file = folder / "tracker.parquet"
     pq.write_table(pa.table(columns), file, compression="zstd")
     return file.stat().st_size

@@ -1,10 +1,7 @@
 """Bundles: there and back again, folders and archives, speed."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import asdict, replace
-from pathlib import Path as FilePath
 
 import numpy as np
 import pyarrow as pa
@@ -21,13 +18,12 @@ from truepath.files.bundle.bundle import (
     write_bundle,
     zip_bundle,
 )
-from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.machine import RotaryAxis, Target
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path
 
 
-def assert_same(first: Run, second: Run) -> None:
+def assert_same(first, second):
     """Everything that a bundle carries is equal to the last bit."""
     told = {"name": "", "provenance": {}, "stream_file": ""}
     runs = [replace(run, **told) for run in (first, second)]
@@ -44,14 +40,14 @@ def test_the_quality_of_samples_is_kept_where_it_is_told(tmp_path, run):
     assert read_bundle(tmp_path / "untold").tracker.quality is None
 
 
-def standstill(run: Run) -> Run:
+def standstill(run):
     points = Configurations(
         run.commanded.axes, run.commanded.position, np.full(len(run.commanded), 2.0)
     )
     return replace(run, commanded=points, temperature=None, reference=())
 
 
-def five_axes(run: Run) -> Run:
+def five_axes(run):
     """The Run of a machine with a table C, an inclined B and two targets."""
     machine = replace(
         run.machine,
@@ -92,7 +88,7 @@ def test_reading_what_was_written_gives_the_run_back(run, tmp_path, change):
     assert read_bundle(file).name == "upload"
 
 
-def zip_members(file: FilePath, **members: str | bytes) -> FilePath:
+def zip_members(file, **members):
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
             archive.writestr(name, data)
@@ -183,7 +179,7 @@ def test_a_bundle_is_not_mixed_with_another_one(run, bundle):
 
 
 def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatch):
-    def full(_handle: int) -> None:
+    def full(_handle):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(whole_files.os, "fsync", full)

@@ -1,7 +1,5 @@
 """The page as the service sends it, before any script runs."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib
@@ -48,7 +46,7 @@ TOLD = re.compile(
 
 
 @pytest.fixture
-def client() -> TestClient:
+def client():
     app = FastAPI()
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
@@ -156,7 +154,7 @@ def test_effects_and_formats_have_words_in_the_languages_the_service_does_not_sp
         assert told == (set() if language == "en" else words), language
 
 
-def blanks(text: str) -> set[str]:
+def blanks(text):
     return set(re.findall(r"\{\w+\}", text))
 
 
@@ -183,7 +181,7 @@ def test_every_text_is_used_and_every_used_text_exists():
     assert idle == set()
 
 
-def _family(template: str) -> str:
+def _family(template):
     """Return what matches each key that a template of a script can make."""
     fixed = re.split(r"\$\{[^}]*\}", template)
     return r"[\w.-]+".join(map(re.escape, fixed))

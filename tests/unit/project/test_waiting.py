@@ -37,7 +37,7 @@ WAITS = {
 CLOCKS = {"monotonic", "monotonic_ns", "time", "time_ns", "sleep", "perf_counter"}
 
 
-def waits_for_real_time(node: ast.AST) -> bool:
+def waits_for_real_time(node):
     if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
         return False
     owner, name = ast.unparse(node.func.value), node.func.attr
@@ -57,7 +57,7 @@ def waits_for_real_time(node: ast.AST) -> bool:
     return is_timed or (owner == "asyncio" and name.startswith("wait"))
 
 
-def _is_duration(node: ast.expr) -> bool:
+def _is_duration(node):
     return ast.unparse(node).lower().endswith("_s")
 
 
