@@ -64,8 +64,6 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @dataclass(frozen=True)
 class Truth:
-    """What the recording was made from."""
-
     recording: synthetic.Recording
 
     def deviation_mm(self, position_mm: np.ndarray) -> np.ndarray:
@@ -125,15 +123,12 @@ def measured(request: pytest.FixtureRequest) -> Callable[[str], None]:
 
 
 class HandClock:
-    """The computer's clock, standing until the test moves it."""
-
     def __init__(self) -> None:
         self.time_s = 0.0
 
 
 @pytest.fixture
 def hand_clock(monkeypatch: pytest.MonkeyPatch) -> HandClock:
-    """Let a test say what time it is."""
     clock = HandClock()
     monkeypatch.setattr(host_clock, "now_s", lambda: clock.time_s)
     return clock
@@ -141,7 +136,6 @@ def hand_clock(monkeypatch: pytest.MonkeyPatch) -> HandClock:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Seeded randomness."""
     return np.random.default_rng(20230307)
 
 
@@ -181,7 +175,6 @@ def run_reader() -> Iterator[RunReader]:
 
 @pytest.fixture(scope="session")
 def postgres_server() -> Iterator[PostgresServer]:
-    """Start a server of PostgreSQL, gone at the end."""
     try:
         server = PostgresServer()
     except FileNotFoundError:
@@ -233,13 +226,11 @@ def make_catalogue_url(
 
 @pytest.fixture
 def database_kind(request: pytest.FixtureRequest) -> str:
-    """Say what catalogues stand on; overridden by tests of one of both."""
     return str(request.config.getoption("--database"))
 
 
 @pytest.fixture
 def catalogue_url(make_catalogue_url: Callable[[str], str], database_kind: str) -> str:
-    """Give the address of an empty catalogue."""
     return make_catalogue_url(database_kind)
 
 
@@ -348,7 +339,6 @@ def _run(recording: synthetic.Recording) -> Run:
 
 @pytest.fixture(scope="session")
 def run_of() -> Callable[[synthetic.Recording], Run]:
-    """Make a Run of a recording."""
     return _run
 
 
@@ -371,8 +361,6 @@ def rigid_free() -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def volume() -> Callable[[Machine], np.ndarray]:
-    """Give random positions inside the travel of a machine."""
-
     def points(machine: Machine, n: int = 300) -> np.ndarray:
         axes = machine.linear_axes
         low = np.array([a.low + 15.0 for a in axes])
@@ -384,7 +372,6 @@ def volume() -> Callable[[Machine], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def at_rest() -> Callable[[Machine, np.ndarray], Any]:
-    """Give the conditions of a machine at rest."""
     return make_standstill
 
 

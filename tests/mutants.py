@@ -64,7 +64,6 @@ class Mutant:
     text: str
 
     def show(self) -> str:
-        """Return the place and what changed there."""
         before = (ROOT / self.file).read_bytes()[self.begin : self.end].decode()
         return f"{self.file}:{self.line}: {before!r} -> {self.text!r}"
 
@@ -150,7 +149,6 @@ def is_noticed(mutant: Mutant, tree: Path) -> bool:
 
 
 def copy_tree(folder: Path) -> Path:
-    """Copy what the tests need."""
     left_out = shutil.ignore_patterns(".venv", ".git", "var", "__pycache__", ".*_cache")
     return Path(shutil.copytree(ROOT, folder / "tree", ignore=left_out))
 

@@ -31,8 +31,6 @@ _OPTIONS = (
 
 @dataclass(frozen=True)
 class Image:
-    """A built image in a store of its own."""
-
     folder: Path
     name: str = "localhost/truepath:test"
 
@@ -86,8 +84,6 @@ class Image:
 
 @dataclass(frozen=True)
 class Running:
-    """A command that runs in a container."""
-
     image: Image
     container: str
     begun: subprocess.Popen
@@ -104,12 +100,10 @@ class Running:
         return min(ours, key=lambda process: process.create_time())
 
     def is_healthy(self, check: list[str]) -> bool:
-        """Whether a health check, run inside the container, succeeds."""
         line = self.image.run_line(self.container, [], check)
         return subprocess.run(line, capture_output=True, timeout=60).returncode == 0
 
     def wait_until_healthy(self, check: list[str]) -> None:
-        """Wait for the health check; fail with the log."""
         end = time.monotonic() + START_S
         while not self.is_healthy(check):
             assert self.begun.poll() is None, self.log.read_text()
@@ -123,7 +117,6 @@ class Running:
 
 
 def build_image(root: Path, folder: Path) -> Image:
-    """Build the base and the image."""
     image = Image(folder)
     archive = folder / "base.tar"
     made = subprocess.run(

@@ -70,7 +70,6 @@ class Driven:
         self.cell.close()
 
     def begin(self, order: MeasurementOrder, line: int = 0) -> None:
-        """Begin to measure, and wait until so many lines or points are done."""
         self.cell.begin(order)
         if line:
             self.until_line(line)
@@ -109,7 +108,6 @@ class Driven:
 
 
 def config_of(bench: DeviceProcesses, **given) -> CellConfig:
-    """Return a cell of the tracker and the controller of a bench."""
     config = CellConfig(
         "streaming", bench.tracker_options, "modbus", bench.motion_options
     )

@@ -18,7 +18,6 @@ MARGIN_MM = 15.0  # of the travel of linear axes that is not judged at either en
 
 
 def estimate(*observed, names=(), known=None, **options):
-    """Estimate from the observations of some Runs of one machine."""
     names = names or [f"Run {number}" for number in range(1, len(observed) + 1)]
     machine = one_machine([each.at.machine for each in observed], names)
     known = known or KnownEffects()

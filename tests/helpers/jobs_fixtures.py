@@ -37,7 +37,6 @@ def database(catalogue_url):
 
 @pytest.fixture
 def told():
-    """Every stored event that listeners were told of."""
     return []
 
 
@@ -93,7 +92,6 @@ def scheduler():
 
 @pytest.fixture
 def make_cell():
-    """Makes the cells of the service under test."""
     return CellMaker()
 
 
@@ -104,7 +102,6 @@ def science():
 
 @pytest.fixture
 def context(database, event_bus, make_cell, science, machine, tmp_path):
-    """Everything a job works with; the cell is not started yet."""
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
@@ -141,7 +138,6 @@ def open_dispatcher(context, event_bus):
 
 @pytest.fixture
 def dispatcher(context, open_dispatcher):
-    """Jobs can be given; the cell runs."""
     context.require_cell().start()
     return open_dispatcher()
 
@@ -160,8 +156,6 @@ def open_watched(context, open_dispatcher):
 
 @pytest.fixture
 def until(context):
-    """Wait until a job is in a state, or has ended; return it."""
-
     def wait(job, *states):
         def reached():
             now = context.store.get(job.id)
@@ -174,7 +168,6 @@ def until(context):
 
 @pytest.fixture
 def ready(dispatcher, until):
-    """A job that waits to be armed."""
     return until(dispatcher.create(OTF)[0], "ready")
 
 
@@ -194,14 +187,11 @@ def begin(dispatcher, until, make_cell):
 
 @pytest.fixture
 def cell(dispatcher, make_cell):
-    """The cell that measures."""
     return make_cell.cell
 
 
 @pytest.fixture
 def end_in_motion(cell, until):
-    """Has a fault end what is measured; returns the job then."""
-
     def end(job):
         cell.fault()
         cell.end("faulted")
@@ -229,5 +219,4 @@ def bundle(machine, tmp_path):
 
 @pytest.fixture
 def run(context, bundle):
-    """An uploaded Run."""
     return context.runs.add_uploaded(bundle, "from the shop floor")

@@ -83,7 +83,6 @@ def write(errors: ErrorMap, name: str, spacing_mm: float = 50.0) -> Written:
 
 
 def displace(content: Mapping[str, Any], places: Sequence[AxisPlace]) -> TruthMachine:
-    """Return the exact machine whose rotary axes are off their places."""
     truth = perfect(parse_machine(dict(content)))
     joints = dict(truth.joints)
     for place in places:
@@ -97,7 +96,6 @@ def displace(content: Mapping[str, Any], places: Sequence[AxisPlace]) -> TruthMa
 
 
 def spread(axes: Sequence[Any], count: int) -> np.ndarray:
-    """Return positions all over the travel of all axes."""
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
     unit = np.random.default_rng(2).uniform(size=(count, len(axes)))
     return low + unit * (high - low)

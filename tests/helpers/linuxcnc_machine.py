@@ -67,7 +67,6 @@ class _Samples:
 
 
 def _has_ended(rsh: RshLink) -> bool:
-    """Continue where the program stops for the operator."""
     status = rsh.read("program_status").upper()
     if status == "PAUSED":
         rsh.order("resume")

@@ -74,7 +74,6 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def clock() -> Iterator[SimulatedClock]:
-    """Let a test live on simulated time."""
     with simulated_clock() as clock:
         yield clock
 
@@ -204,8 +203,6 @@ class FakeTracker(Tracker, ByteLink):
 
 
 class FakePolledTracker(PolledTracker):
-    """What every tracker that is polled in this process has."""
-
     @property
     def capabilities(self) -> TrackerCapabilities:
         return TrackerCapabilities(streams=False, clock=Clock.HOST, distance="ADM")
@@ -396,26 +393,22 @@ class FakeMotion(MotionController):
     # What happens at the machine itself.
 
     def stand(self, reason: str) -> None:
-        """Hold the feed for a reason."""
         with self._lock:
             self._advance()
             if self._state is MotionState.RUNNING:
                 self._state, self._reason = MotionState.HELD, reason
 
     def go_on(self) -> None:
-        """Release the feed."""
         with self._lock:
             self._state, self._reason = MotionState.RUNNING, ""
             self._since_s = host_clock.now_s()
 
     def raise_alarm(self, text: str) -> None:
-        """Stop with an alarm."""
         with self._lock:
             self._advance()
             self._state, self.alarm = MotionState.ALARM, text
 
     def begin_elsewhere(self) -> None:
-        """Run a program that nobody here has started."""
         self._run([np.array([400.0, 0.0, 0.0])], 6.0)
 
     def _reach(self) -> None:
@@ -469,8 +462,6 @@ def tracker(motion: FakeMotion) -> FakeTracker:
 
 
 class Journal:
-    """Collects events and waits for some."""
-
     def __init__(self) -> None:
         self.events: list[CellEvent] = []
         self._changed = threading.Condition()
@@ -524,7 +515,6 @@ class Running:
 
     @property
     def fault(self) -> FaultReported:
-        """The last one that was told."""
         return self.told(FaultReported)[-1]
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -534,7 +524,6 @@ class Running:
         self.until(lambda: self.states[-1:] == [state])
 
     def until_told(self, *codes: str) -> None:
-        """Wait until these faults, and no others, were told."""
         self.until(lambda: self.faults == list(codes))
 
     def until_done(self, rows: int = 1) -> None:
@@ -575,13 +564,11 @@ class Running:
         self.until_state("running")
 
     def ended(self) -> str:
-        """Wait for its end; return its last state."""
         host_clock.join(self.thread, 30.0)
         assert not self.thread.is_alive(), self.journal.events[-8:]
         return self.states[-1]
 
     def ends(self, state: str, *codes: str) -> None:
-        """It ends in this state, and these faults were told."""
         assert (self.ended(), tuple(self.faults)) == (state, codes)
 
     def finished(self) -> None:
@@ -591,7 +578,6 @@ class Running:
         assert self.ended() == "finished"
 
     def finished_after(self, *codes: str) -> None:
-        """Likewise, and these faults were told."""
         self.finished()
         assert tuple(self.faults) == codes
 
@@ -604,7 +590,6 @@ class Running:
         return open_run(self.order.run_file)
 
     def texts(self, kind: str) -> list[str]:
-        """Return the texts of events of the Run."""
         return [event.text for event in self.run.events if event.kind == kind]
 
 
@@ -635,7 +620,6 @@ def order(mill, square, tmp_path) -> MeasurementOrder:
 def along(
     order: MeasurementOrder, rows: Rows, feed_mm_min: float = 6000.0, **given
 ) -> MeasurementOrder:
-    """Return the order with a path through rows, without a dwell."""
     n = len(rows)
     path = Path(
         order.commanded.axes,
@@ -655,7 +639,6 @@ def there_and_back(order: MeasurementOrder, times: int) -> MeasurementOrder:
 def standing_at(
     order: MeasurementOrder, rows: Rows, dwell_s: float, target: Sequence[str] = ()
 ) -> MeasurementOrder:
-    """Return the order with standstill points."""
     dwells_s = np.full(len(rows), dwell_s)
     points = Configurations(
         order.commanded.axes, np.array(rows, float), dwells_s, tuple(target)
@@ -670,8 +653,6 @@ def draw_rows(n: int) -> np.ndarray:
 
 @pytest.fixture
 def measure(polled, motion, order, journal):
-    """Measure to the end; return the last state and the Run."""
-
     def made(
         order: MeasurementOrder = order, settings: EngineSettings = QUICK
     ) -> tuple[str, Run | None]:

@@ -49,8 +49,6 @@ def order_of(bench: Bench, file: Path, lines: int = 4) -> MeasurementOrder:
 
 
 class Measuring:
-    """A cell under way, and what it has said."""
-
     def __init__(self, config: CellConfig, order: MeasurementOrder) -> None:
         self.said: list[CellEvent] = []
         self.cell, self._order = Cell(config), order

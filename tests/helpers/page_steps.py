@@ -27,7 +27,6 @@ window.WebSocket = class extends EventTarget {
 
 
 def follow(page: Page, label: str) -> None:
-    """Press the one button that leads on, by its name."""
     page.locator(NEXT, has_text=label).click()
 
 
@@ -39,12 +38,10 @@ def prepare(page: Page) -> str:
 
 
 def job_of(page: Page) -> str:
-    """The job that the address names."""
     return page.url.rsplit("/", 1)[1]
 
 
 def go(page: Page, where: str) -> None:
-    """Turn to another view without loading the page anew."""
     page.goto(page.url.split("#")[0] + where)
 
 

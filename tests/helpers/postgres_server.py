@@ -35,7 +35,6 @@ class PostgresServer:
         self.start()
 
     def start(self) -> None:
-        """Start the server, and wait until it answers."""
         options = f"-k {self._folder} -c listen_addresses= -c fsync=off"
         log = self._folder / "log"
         self._control("-o", options, "-l", log, "start")
@@ -45,15 +44,12 @@ class PostgresServer:
         self._control("-m", mode, "stop")
 
     def freeze(self) -> None:
-        """Stop every process of the server where it stands."""
         self._signal(signal.SIGSTOP)
 
     def thaw(self) -> None:
-        """Let every process of the server go on."""
         self._signal(signal.SIGCONT)
 
     def close(self) -> None:
-        """Stop the server if it runs, and remove it."""
         try:
             if (self._data / "postmaster.pid").exists():
                 self.stop("immediate")
@@ -61,7 +57,6 @@ class PostgresServer:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def url(self, name: str = "postgres") -> str:
-        """Return the address of one of its databases."""
         return f"postgresql+psycopg://{_USER}@/{name}?host={self._folder}"
 
     def make_database(self, template: str = "template1") -> str:
@@ -71,7 +66,6 @@ class PostgresServer:
         return name
 
     def drop_database(self, name: str) -> None:
-        """Remove a database, whoever is connected."""
         self._execute(f"DROP DATABASE {name} WITH (FORCE)")
 
     def _execute(self, query: str) -> None:

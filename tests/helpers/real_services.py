@@ -103,7 +103,6 @@ class Service:
 
 @contextmanager
 def simulated_service(folder, **settings):
-    """Yield a whole service over simulated devices, and a client of it."""
     file = write_machine(folder.with_name("usual-machine.json"))
     usual = {"simulated": True, "port": 0, "machine_file": file}
     chosen = load_settings(data_dir=folder, **usual, **settings)
@@ -113,7 +112,6 @@ def simulated_service(folder, **settings):
 
 @contextmanager
 def service_of(settings):
-    """Yield a whole service of some settings, and a client of it."""
     with (
         open_service(settings) as service,
         TestClient(create_application(service), base_url="http://localhost") as client,
@@ -122,7 +120,6 @@ def service_of(settings):
 
 
 def environment_of(motion, tracker, machine_file):
-    """Return what sets a service to devices by their options, and to their machine."""
     if not machine_file.exists():
         write_machine(machine_file)
     return {
@@ -146,7 +143,6 @@ def drive(client, *ends, **order):
 
 
 def find_child(parent, role):
-    """Return the process with this part in a service, or None."""
     for child in psutil.Process(parent).children(recursive=True):
         with suppress(psutil.NoSuchProcess):
             named = child.name().startswith(f"truepath-{role}")

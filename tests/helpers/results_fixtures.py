@@ -58,8 +58,6 @@ def of_a_run(residuals: Residuals) -> RunEstimate:
 
 @pytest.fixture(scope="session")
 def construct():
-    """Make an estimate with random parameters and a random covariance."""
-
     def made(targets=ONE_TARGET, seed=5):
         rng = np.random.default_rng(seed)
         machine = machine_with(targets)
@@ -96,8 +94,6 @@ def construct():
 
 @pytest.fixture(scope="session")
 def with_residuals():
-    """Change the residuals of an estimate's only Run, and what else is said of it."""
-
     def changed(estimate, residuals, **more):
         run = replace(estimate.runs[0], residuals=residuals, **more)
         return replace(estimate, runs=(run,))
@@ -133,7 +129,6 @@ def found(estimate, provenance):
 
 @pytest.fixture(scope="session")
 def loaded(estimate):
-    """The estimate as prediction reads it, without a file between."""
     return as_loaded(estimate)
 
 
@@ -154,7 +149,6 @@ def three_targets():
 
 @pytest.fixture
 def travel_points(rng):
-    """Positions all over the travel."""
     low = [axis.low for axis in AXES]
     high = [axis.high for axis in AXES]
     return rng.uniform(low, high, (60, 3))
@@ -192,6 +186,5 @@ def shorten(content):
 
 @pytest.fixture(scope="session")
 def calibrated(record):
-    """The result of a measurement of machine 1, as its file is read."""
     run, _ = record(1, rows=24, travel_mm=TRAVEL_MM)
     return result_from_json(json.loads(json.dumps(result_json(analyse(run)))))

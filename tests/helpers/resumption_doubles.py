@@ -11,8 +11,6 @@ PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
 
 
 class Resumer:
-    """Says how far each Run has got, and what it was told."""
-
     def __init__(self):
         self.calls, self.next_row, self.error = [], 4, None
 
@@ -28,8 +26,6 @@ class Resumer:
 
 
 class Closer:
-    """Says whether the target is where it was."""
-
     def __init__(self):
         self.calls, self.problem = [], ""
 

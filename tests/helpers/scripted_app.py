@@ -58,7 +58,6 @@ class RefuseNobody:
 
 
 def scripted_app(service: ScriptedService) -> FastAPI:
-    """Return the page and the REST interface that the script plays."""
     app = FastAPI(docs_url=None, redoc_url=None)
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
@@ -75,7 +74,6 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
 
 def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
-    """Return what is only looked at, by its path."""
     tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
 
     def system() -> dict[str, Any]:
@@ -114,8 +112,6 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
 
 
 def add_session(app: FastAPI, service: ScriptedService) -> None:
-    """Who is logged in."""
-
     @app.get(f"{API}/session")
     def session() -> dict[str, Any]:
         name, role = service.user or (None, None)

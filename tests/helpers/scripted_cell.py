@@ -169,7 +169,6 @@ class ScriptedCell:
         self.say(FaultReported(code, text, action))
 
     def record(self, n, line_s=0.0):
-        """Record some samples and tell of them, and how long the line takes."""
         sequence = np.arange(self._samples, self._samples + n)
         samples = TrackerSamples(
             sequence, sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
@@ -224,8 +223,6 @@ class ScriptedCell:
 
 @dataclass
 class CellMaker:
-    """Makes scripted cells; `cells` holds them, the newest last."""
-
     options: dict = field(default_factory=dict)
     cells: list[ScriptedCell] = field(default_factory=list)
     fails: int = 0
@@ -243,8 +240,6 @@ class CellMaker:
 
 
 class ScriptedLive:
-    """A live estimate that is what the test says."""
-
     def __init__(self, order, show):
         self.order, self.show = order, show
         self.newest = None
@@ -274,7 +269,6 @@ class ScriptedLive:
         self.heard.append("close")
 
     def publish(self, volumetric_uncertainty_um, done, total=10, verdict=None):
-        """Be told a newer estimate."""
         self.newest = {
             "verdict": verdict_json(verdict or Verdict()),
             "volumetric_uncertainty_um": volumetric_uncertainty_um,
@@ -364,8 +358,6 @@ class _Scripted:
 
 
 class Science(_Scripted):
-    """A task that writes the files of a result."""
-
     def __init__(self):
         super().__init__()
         self.trials: list[tuple] = []
@@ -455,8 +447,6 @@ TREND = {
 
 
 class Verifier(_Scripted):
-    """A task that writes the files of a verification, with this content."""
-
     def __init__(self):
         super().__init__()
         self.content = {"schema": "verification/1"}
@@ -470,8 +460,6 @@ class Verifier(_Scripted):
 
 
 class Follower(_Scripted):
-    """A task that writes the files of a machine over time."""
-
     def __call__(self, run_files, names, folder, asked, *, on_progress):
         self.calls.append((run_files, names, asked))
         self.begin(on_progress, "following")

@@ -24,7 +24,6 @@ TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
 
 
 def device(model: str, number: str) -> dict[str, Any]:
-    """Who a device says that it is."""
     names = {"maker": "Truepath", "model": model, "serial_number": number}
     return {**names, "firmware": "1.0"}
 
@@ -70,7 +69,6 @@ ARMING = {
 
 
 def version(number: int, *difference: tuple[str, str, str]) -> dict[str, Any]:
-    """A version of a model, with how it differs from the one before."""
     names = ("kind", "what", "text")
     return {
         "id": f"job-{number - 1}",
@@ -242,7 +240,6 @@ def plan_curve(rows: int = 23) -> dict[str, Any]:
 
 
 def result() -> dict[str, Any]:
-    """Return smooth error tables with uncertainties that open towards the ends."""
     rng = np.random.default_rng(11)
     tables = {}
     for axis in "XYZ":
@@ -370,8 +367,6 @@ def turntable_estimate(done: int) -> dict[str, Any]:
 
 
 def volumetric_error() -> dict[str, Any]:
-    """Return the size of the volumetric error before and as expected after."""
-
     def spread(mean: float, u: float) -> dict[str, Any]:
         sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
         return {
@@ -421,7 +416,6 @@ FORMATS = [
 
 
 def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
-    """What the service says of files of a format."""
     settled = name == "linuxcnc"
     address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
@@ -496,7 +490,6 @@ DRIVERS = [
 
 
 def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
-    """A machine as the registry lists it."""
     names = ("maker", "model", "serial_number", "control", "customer", "place")
     entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
     entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
@@ -505,7 +498,6 @@ def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
 
 
 def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
-    """The volumetric error of a machine over its calibrations."""
     labels = ("mean", "p95", "largest")
     return {
         "machine": machine_id,
@@ -607,7 +599,6 @@ def circles_in_motion() -> dict[str, Any]:
 
 
 def comparison() -> dict[str, Any]:
-    """A result held against a direct measurement: of two errors one differs."""
     compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
     square = {"difference_urad": -4.5, "en": -1.8}
     return {
@@ -654,7 +645,6 @@ def temperature_dependence() -> dict[str, Any]:
 
 
 def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
-    """A certificate as it was issued."""
     name = f"TP-20260314-{job_id.upper()}-{number}"
     address = f"/api/v1/jobs/{job_id}/certificates/{name}"
     return {

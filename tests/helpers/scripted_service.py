@@ -120,7 +120,6 @@ class ScriptedService:
         return job
 
     def ready(self, kind: str = "measure-otf", **more: Any) -> str:
-        """Let a measurement wait for its start, with the devices connected."""
         self.connected = True
         return self.new_job(kind, **{"state": "ready", **more})["id"]
 
@@ -131,14 +130,12 @@ class ScriptedService:
         return job
 
     def measured(self, **more: Any) -> str:
-        """Let a measurement have succeeded."""
         with self._telling_the_end():
             job = self.measuring(**more)
             self.finish(job)
         return job
 
     def done(self, kind: str, **more: Any) -> str:
-        """Let a job of any kind have succeeded."""
         self.connected = True
         with self._telling_the_end():
             job = self.new_job(kind, **more)["id"]
@@ -146,7 +143,6 @@ class ScriptedService:
         return job
 
     def verified(self, content: dict[str, Any], **more: Any) -> str:
-        """Let a verification that says this have succeeded."""
         with self._telling_the_end():
             job = self.new_job("verify", **more)["id"]
             self.verifications[job] = content
@@ -154,7 +150,6 @@ class ScriptedService:
         return job
 
     def orders(self, path: str = "/jobs") -> list[Any]:
-        """Return what the page has posted to a path."""
         return [
             body
             for verb, place, body in self.requests
@@ -162,7 +157,6 @@ class ScriptedService:
         ]
 
     def change(self, job_id: str, **change: Any) -> None:
-        """Change a job and tell everybody."""
         job = self.jobs[job_id]
         job.update(change, version=job["version"] + 1)
         if job["state"] in ENDED and not job["ended"]:
@@ -170,7 +164,6 @@ class ScriptedService:
         self.tell("job", job)
 
     def advance(self, job_id: str, lines: float, total: int = 22) -> None:
-        """Tell that the machine has done so many lines."""
         rows = np.array(self.plan["position"])
         index = min(int(lines), len(rows) - 2)
         position = rows[index] + (lines - index) * (rows[index + 1] - rows[index])
@@ -210,7 +203,6 @@ class ScriptedService:
         self.tell("estimate", {"job_id": job_id, **body})
 
     def finish(self, job_id: str) -> None:
-        """Let the job succeed."""
         number = job_id.removeprefix("job-")
         run_id = self.jobs[job_id]["run_id"] or f"run-{number}"
         if all(run["id"] != run_id for run in self.runs):

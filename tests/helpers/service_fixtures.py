@@ -111,7 +111,6 @@ def has_machine():
 
 @pytest.fixture
 def plan_orders():
-    """What has been asked of the planner."""
     return []
 
 
@@ -134,7 +133,6 @@ def planner(plan_orders):
 
 @pytest.fixture
 def estimates():
-    """The live estimates of the jobs that move the machine, the newest last."""
     return []
 
 
@@ -250,7 +248,6 @@ def service(
 
 @pytest.fixture
 def client(service):
-    """A program on the same computer."""
     app = create_application(service, trusted_hosts=["shop-floor"])
     with TestClient(app, base_url=f"http://{LOOPBACK}:8411") as client:
         yield client
@@ -268,8 +265,6 @@ def live(service):
 
 @pytest.fixture
 def until(client):
-    """Follow a job over HTTP until it is in a state; return it."""
-
     def wait(job, *states):
         def reached():
             now = client.get(f"/api/v1/jobs/{job['id']}").json()
@@ -297,8 +292,6 @@ def quick_passwords(monkeypatch):
 
 @pytest.fixture
 def take(client, until):
-    """Order a job and follow it until it is in a state; return it."""
-
     def taken(state="succeeded", **order):
         answer = client.post("/api/v1/jobs", json=order)
         assert answer.status_code == 202, answer.text
@@ -316,19 +309,16 @@ ROWS = [
 
 @pytest.fixture
 def order():
-    """A short measurement on the fly."""
     return {"kind": "measure-otf", "path": [dict(row) for row in ROWS]}
 
 
 @pytest.fixture
 def ready(take, order):
-    """A job that waits to be armed."""
     return take("ready", **order)
 
 
 @pytest.fixture
 def armed(client, ready, make_cell):
-    """A job whose machine moves."""
     answer = arm_over_http(client, ready)
     assert answer.status_code == 202, answer.text
     assert make_cell.cell.begun.wait(5)
@@ -337,15 +327,12 @@ def armed(client, ready, make_cell):
 
 @pytest.fixture
 def finished(armed, make_cell, until):
-    """A job with a result."""
     make_cell.cell.end()
     return until(armed, "succeeded")
 
 
 @pytest.fixture(scope="session")
 def analysed(record, make_once):
-    """The files of a real result; not to be changed."""
-
     def make(folder):
         recorded, _ = record(1, rows=24)
         write_analysis(render_analysis(analyse(recorded)), folder)
@@ -355,7 +342,6 @@ def analysed(record, make_once):
 
 @pytest.fixture
 def with_result(service, finished, analysed):
-    """The identifier of a job with the files of a real result."""
     target = service.results / finished["id"]
     shutil.copytree(analysed, target, dirs_exist_ok=True)
     return finished["id"]
@@ -392,8 +378,6 @@ def bundle():
 
 @pytest.fixture
 def upload(client, bundle):
-    """Take in a bundle; return its Run."""
-
     def taken(name="mill.zip", **members):
         files = {"bundle": (name, bundle(**members))}
         answer = client.post("/api/v1/runs", files=files)
@@ -405,14 +389,11 @@ def upload(client, bundle):
 
 @pytest.fixture
 def run(upload):
-    """A Run that was taken in."""
     return upload()
 
 
 @pytest.fixture
 def is_problem():
-    """Check that an answer is a problem of a code; return its content."""
-
     def check(answer, status, code):
         assert answer.status_code == status, answer.text
         assert answer.headers["content-type"] == "application/problem+json"
@@ -435,8 +416,6 @@ SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
 
 @pytest.fixture(scope="session")
 def short_plan(make_once):
-    """What the real planner makes of half a minute."""
-
     def make(folder):
         machine = machine_from_json(load_machine("demo"))
         made = plan_measurement(machine, SHORT, on_progress=lambda *_: None)

@@ -42,7 +42,6 @@ ROWS = [
 
 @contextmanager
 def process(tmp_path, **environment):
-    """Run the service as its own process; yield it and a client of it."""
     program = tmp_path / "service.py"
     program.write_text(PROGRAM)
     settings = {
@@ -83,8 +82,6 @@ def create(client, **order):
 
 
 def arm(client, job):
-    """Let a job move the machine, once the conditions are seen to be met."""
-
     def is_armed():
         answer = arm_over_http(client, job)
         if answer.status_code == 409 and answer.json()["code"] == "not-in-order":
@@ -111,14 +108,12 @@ def follow(client, job_id, *states, patience_s=50.0):
 
 
 def acknowledge(client, job_id):
-    """Let a measurement that was cut short get ready again."""
     answer = client.post(f"/api/v1/jobs/{job_id}/acknowledge")
     assert answer.status_code == 202, answer.text
     return follow(client, job_id, "ready")
 
 
 def moving(client, job_id):
-    """Wait until samples of a moving machine have come."""
     wait_for(
         lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
         "samples",
@@ -134,7 +129,6 @@ def wait_for(reached, what, patience_s=90.0):
 
 
 def wait_until_done(client, job_id, number, kind="measure-otf"):
-    """Wait for so many lines, or points, of what a job measures."""
     unit = "points" if kind == "measure-standstill" else "lines"
 
     def is_done():

@@ -35,7 +35,6 @@ def write_machine(folder: Path) -> Path:
 
 @contextmanager
 def running_devices(**options: Any) -> Iterator[Rig]:
-    """Run a tracker and a control of that machine."""
     with TemporaryDirectory() as folder:
         machine = {"machine": str(write_machine(Path(folder)))}
         with running_rig({"tracker": "tcp", "seed": 3, **machine, **options}) as rig:
@@ -44,7 +43,6 @@ def running_devices(**options: Any) -> Iterator[Rig]:
 
 @contextmanager
 def service_of(rig: Rig, folder: Path, **more: str) -> Iterator[httpx2.Client]:
-    """Run the service of these devices; yield a client of it."""
     settings = {
         "TRUEPATH_SIMULATED": "0",
         "TRUEPATH_MACHINE_FILE": str(write_machine(folder)),
@@ -56,7 +54,6 @@ def service_of(rig: Rig, folder: Path, **more: str) -> Iterator[httpx2.Client]:
 
 
 def connect(client: httpx2.Client) -> None:
-    """Connect the devices, once they listen."""
     wait_for(lambda: client.post(CONNECT).status_code == 200, "the devices")
 
 
@@ -72,13 +69,11 @@ def set_in_motion(client: httpx2.Client, rig: Rig, newer_plans: int = 0) -> str:
 
 
 def is_on_path(rig: Rig) -> bool:
-    """Whether the control drives the path."""
     control = rig.read_state()["cnc"]
     return control["state"] == "running" and control["line"] >= 1
 
 
 def moves(rig: Rig) -> bool:
-    """Whether the machine truly moves."""
     before = rig.read_position()["position"]
     time.sleep(0.2)
     return rig.read_position()["position"] != before

@@ -209,7 +209,6 @@ class SimulatedClock:
 
 @contextmanager
 def simulated_clock() -> Iterator[SimulatedClock]:
-    """Put a simulated clock in the place of the computer's."""
     clock, before = SimulatedClock(), dict(vars(host_clock))
     try:
         for name in _NAMES:

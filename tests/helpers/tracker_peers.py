@@ -33,8 +33,6 @@ class AnsweringPeer(Peer):
 
 
 class LinePeer(Peer):
-    """Answers line by line."""
-
     def __init__(self, wire: Wire) -> None:
         super().__init__(wire)
         self._rest = b""

@@ -11,8 +11,6 @@ import tty
 
 
 class PtyWire:
-    """The device end of a pseudo-terminal."""
-
     def __init__(self, *, is_raw: bool = True) -> None:
         self.master, self.slave = os.openpty()
         if is_raw:

@@ -83,7 +83,6 @@ def make_table(
 
 
 def make_content(tables: tuple[AxisTable, ...]) -> CompensationTables:
-    """Return the content of files."""
     return CompensationTables("round", MACHINE, tables, ("by hand",))
 
 
@@ -105,7 +104,6 @@ def round_numbers() -> CompensationTables:
 def make_turn_table(
     axis: str, error_deg: np.ndarray, half_deg: np.ndarray, across_mm: np.ndarray
 ) -> RotaryTable:
-    """Return a table over the travel of an axis that carries the workpiece."""
     rotary = TRUNNION.rotary(axis)
     at = np.linspace(rotary.low, rotary.high, len(error_deg))
     motions = np.zeros((len(at), 6))
@@ -137,13 +135,11 @@ def round_turns() -> CompensationTables:
 
 
 def write_files(order: str) -> dict[str, str]:
-    """Return the files of an order, by name."""
     name, choices = ORDERS[order]
     return load_format(name, choices).write(round_numbers())
 
 
 def write_rotary_files(order: str) -> dict[str, str]:
-    """Return the files of an order for the trunnion, by name."""
     name, choices = ROTARY_ORDERS[order]
     return load_format(name, choices).write(round_turns())
 

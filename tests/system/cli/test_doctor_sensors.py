@@ -50,8 +50,6 @@ def words_of(value, *, swapped=False):
 
 @pytest.fixture
 def ask(tmp_path, capsys):
-    """Return what the doctor says of one sensor."""
-
     def ask(words, **row):
         row = {"name": "X_degC", "address": 10, "function": "holding"} | row
         with Gateway(words) as gateway:

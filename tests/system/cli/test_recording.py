@@ -61,7 +61,6 @@ def files(bench, tmp_path):
 
 @pytest.fixture
 def recording(files):
-    """Begin to record in a process of its own; ended with the test."""
     started = []
 
     def begin(*more):

@@ -21,8 +21,6 @@ def logged_plainly(plain_log):
 
 @pytest.fixture
 def call(tmp_path, capsys, monkeypatch):
-    """Run a command on a data folder; return status and what was printed."""
-
     def call(*words, says=""):
         monkeypatch.setattr("sys.stdin", io.StringIO(says))
         status = run([*words, "--data-dir", str(tmp_path)])

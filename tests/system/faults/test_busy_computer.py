@@ -27,7 +27,6 @@ HOG = "import os\nwhile True: [bytearray(1 << 20) for _ in range(64)]"
 
 @contextmanager
 def hogs(count):
-    """Let processes compute and take memory in vain, as many as are asked for."""
     begun = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(count)]
     try:
         yield

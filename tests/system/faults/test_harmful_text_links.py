@@ -102,7 +102,6 @@ def move_to(bench, x_mm):
 
 
 def measure_at_last(tracker):
-    """Return the first place that is told within 4 s."""
     end_s = time.monotonic() + 4.0
     while True:
         try:

@@ -29,7 +29,6 @@ def point_to(link, proxy):
 
 
 def listen(cell, kind):
-    """Return what the cell says until something of that kind has come."""
     said = []
     end_s = time.monotonic() + 45.0
     while not any(isinstance(event, kind) for event in said):

@@ -75,7 +75,6 @@ def serve(image, compose, volume, tmp_path, free_port):
 
 
 def health_check(port):
-    """The check of the Dockerfile, at this port."""
     address = f"http://127.0.0.1:{port}/healthz"
     line = f"import urllib.request; urllib.request.urlopen({address!r}, timeout=4)"
     return ["python", "-c", line]
@@ -93,7 +92,6 @@ def ask(port, path, **body):
 
 
 def wait_for(job, get, *states):
-    """Follow a job until it is in one of the states."""
     end = time.monotonic() + JOB_S
     while time.monotonic() < end:
         told = json.loads(get(f"/api/v1/jobs/{job}"))
@@ -116,7 +114,6 @@ def find_first_job(get):
 
 
 def measure(get):
-    """Drive the default path, armed at once; return the finished job."""
     job = json.loads(get("/api/v1/jobs", json={"kind": "measure-otf"}))
     ready = wait_for(job["id"], get, "ready")
     version = {"If-Match": f'"{ready["version"]}"'}

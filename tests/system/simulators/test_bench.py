@@ -65,7 +65,6 @@ def read_for(tracker, duration_s):
 
 
 def drive(motion):
-    """Run the loaded path, beating, until it stands."""
     motion.start()
     return until(lambda: stands(motion), 30.0)
 

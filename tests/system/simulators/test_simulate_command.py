@@ -114,12 +114,10 @@ def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigt
 
 
 def order(process, *lines):
-    """Write lines to a command's standard input."""
     assert process.stdin is not None
     process.stdin.writelines(f"{line}\n" for line in lines)
     process.stdin.flush()
 
 
 def measure_range_mm(tracker):
-    """Return the distance of the last sample that has come."""
     return float(np.linalg.norm(tracker.read(2.0).position_mm[-1]))

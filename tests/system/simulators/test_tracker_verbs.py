@@ -22,7 +22,6 @@ APART_MM = 150.0
 
 @pytest.fixture(scope="module")
 def two_target_content():
-    """Return the demonstration machine with two targets, 150 mm apart."""
     content = load_machine("demo")
     offset_mm = content.pop("tool_offset_mm")
     beside_mm = [offset_mm[0] + 150.0, *offset_mm[1:]]
@@ -142,7 +141,6 @@ def test_a_source_is_a_file_or_a_socket(tmp_path):
 
 
 def read_until(tracker, is_enough):
-    """Return numbers, times and positions of samples, read until they are enough."""
     blocks, deadline = [], time.monotonic() + 30.0
     names = ("sequence", "device_time_s", "position_mm")
     while not blocks or not is_enough(np.vstack([b.position_mm for b in blocks])):

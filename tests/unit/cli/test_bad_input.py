@@ -11,8 +11,6 @@ import pytest
 
 
 def path_rows(edit):
-    """Edit the lines of the path; the first is the header."""
-
     def spoil(folder):
         file = folder / "path.csv"
         lines = file.read_text().splitlines()
@@ -108,8 +106,6 @@ def test_an_output_folder_that_is_a_file_is_one_line(command, recorded, tmp_path
 
 @pytest.fixture
 def refuse(command, points, tmp_path):
-    """Ask for a prediction; return the line that says why there is none."""
-
     def ask(result):
         out = tmp_path / "out.csv"
         said = command.refuse("predict", result, "--points", points, "-o", out)

@@ -20,7 +20,6 @@ def folder(tmp_path):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of `catalogue` in that folder."""
     return lambda verb: ("catalogue", verb, "--data-dir", tmp_path)
 
 

@@ -40,7 +40,6 @@ def read_page(file):
 
 
 def numbers(text):
-    """The numbers of a cell, in either language."""
     plain = text.replace("−", "-").replace("\u202f", "").replace(",", ".")
     return [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", plain)]
 
@@ -67,8 +66,6 @@ def issued(analysed, tmp_path_factory):
 
 @pytest.fixture
 def words(analysed, tmp_path):
-    """The command line of a certificate."""
-
     def spell(name, *more, result=analysed / "result.json"):
         return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
 
@@ -77,8 +74,6 @@ def words(analysed, tmp_path):
 
 @pytest.fixture
 def issue(command, words, tmp_path):
-    """Issue a certificate; return its file."""
-
     def certify(name, *more, **source):
         command.run(*words(name, *more, **source))
         return tmp_path / name
@@ -88,8 +83,6 @@ def issue(command, words, tmp_path):
 
 @pytest.fixture
 def refuse(command, words, tmp_path):
-    """Ask for what is refused; return the line that says why."""
-
     def ask(name, *more, **source):
         said = command.refuse(*words(name, *more, **source))
         assert not (tmp_path / name).exists()
@@ -99,7 +92,6 @@ def refuse(command, words, tmp_path):
 
 
 def half_a_digit(text):
-    """The rounding of the numbers of a cell."""
     decimals = re.search(r"[.,](\d+)", text)
     return 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
 

@@ -45,14 +45,12 @@ def measured(truth, machine, seed=3):
 
 @pytest.fixture(scope="module")
 def truth_measured(record):
-    """What the laser sees of the machine that was analysed."""
     run_of_truth, truth = record(1, rows=24)
     return measured(truth, run_of_truth.machine)
 
 
 @pytest.fixture(scope="module")
 def laser(truth_measured, tmp_path_factory):
-    """The `reference.csv` of it."""
     file = tmp_path_factory.mktemp("laser") / "reference.csv"
     file.write_bytes(encode_reference(truth_measured))
     return file
@@ -164,8 +162,6 @@ def test_uncertainty_of_the_instrument_widens_what_agrees(
 
 @pytest.fixture
 def words(analysed, tmp_path):
-    """The command line that compares the result with the rows of a reference."""
-
     def spell(*rows):
         file, head = (
             tmp_path / "reference.csv",

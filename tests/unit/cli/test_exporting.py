@@ -14,8 +14,6 @@ pytestmark = pytest.mark.usefixtures("few_places")
 
 @pytest.fixture
 def words(analysed, tmp_path):
-    """The command line of an export into the folder of the test."""
-
     def spell(name, output, *more, result=analysed / "result.json"):
         return ["export", result, "--format", name, "-o", tmp_path / output, *more]
 
@@ -24,7 +22,6 @@ def words(analysed, tmp_path):
 
 @pytest.fixture
 def names(tmp_path):
-    """The names in the folder of the test."""
     return lambda folder=".": {p.name for p in (tmp_path / folder).iterdir()}
 
 

@@ -25,7 +25,6 @@ def export(result, output, *more):
 
 
 def say_control(content, state):
-    """The result with what the control said of its compensation."""
     for source in (content["provenance"], *content["runs"]):
         source["source"] = {**source["source"], "control_compensation": state}
     return content
@@ -37,7 +36,6 @@ def list_files(folder):
 
 @pytest.fixture(scope="module")
 def active(few_places, analysed, tmp_path_factory):
-    """Files of the machine as it was found."""
     folder = tmp_path_factory.mktemp("active")
     export(analysed / "result.json", folder / "t")
     return list_files(folder)
@@ -45,7 +43,6 @@ def active(few_places, analysed, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def given(active):
-    """The words that name the active files to an export."""
     return [word for file in active for word in ("--active", str(file))]
 
 
@@ -82,8 +79,6 @@ def find_left_um(truth, files, q, rigid_free):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of an export into a folder of the test."""
-
     def spell(result, *more):
         output = tmp_path / "t" / "t"
         return ["export", result, "--format", "siemens", "-o", output, *more]

@@ -26,8 +26,6 @@ def source(truth, tmp_path_factory):
 
 @pytest.fixture
 def words(source, tmp_path):
-    """The command line that imports a file beside machine and path."""
-
     def spell(data, *options, path=source / "path.csv"):
         export = tmp_path / "export.txt"
         export.write_bytes(data)
@@ -39,8 +37,6 @@ def words(source, tmp_path):
 
 @pytest.fixture
 def bring(command, words, tmp_path):
-    """Import a file; return the Run and what was said."""
-
     def ask(data, *options, **given):
         said = command.run(*words(data, *options, **given))
         return read_bundle(tmp_path / "bundle"), said
@@ -50,8 +46,6 @@ def bring(command, words, tmp_path):
 
 @pytest.fixture
 def refuse(command, words, tmp_path):
-    """Try to import a file that is refused; return the line that says why."""
-
     def ask(data):
         said = command.refuse(*words(data), shows=True)
         assert not (tmp_path / "bundle").exists()
@@ -62,8 +56,6 @@ def refuse(command, words, tmp_path):
 
 @pytest.fixture(scope="module")
 def written(truth):
-    """Write the recording plainly: written(head=…, stamp=…, scale=…)."""
-
     def write(scale=1.0, **form):
         time_s, position = truth.tracker.device_time_s, truth.tracker.position_mm
         return plain(time_s - time_s[0], np.array(scale) * position, **form)
@@ -133,7 +125,6 @@ def test_a_list_of_points_is_a_bundle_of_points(bring, record, tmp_path):
 
 
 def beside(data, head, cell):
-    """Put a column beside the others."""
     first, *rows = data.split(b"\n")
     return b"\n".join([first + b"," + head, *(row + b"," + cell for row in rows)])
 

@@ -25,7 +25,6 @@ def machine(machine_file):
 
 @pytest.fixture(scope="module")
 def box(machine):
-    """A corner of the travel that nothing may enter."""
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
     return 0.7 * low + 0.3 * high, high

@@ -44,7 +44,6 @@ def noisy(level, sigma=0.02, seed=0):
 
 
 def broken(good, bad):
-    """Return a sensor that shows `bad` from the middle on."""
     return lambda share: good(share) if share < 0.5 else bad(share)
 
 

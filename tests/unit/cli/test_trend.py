@@ -20,7 +20,6 @@ AT = ",".join(map(str, HOURS))
 
 
 def write_bundles(content, path, folder):
-    """Write a bundle of the machine at each hour; return their places."""
     truth = random_machine(parse_machine(content), 5)
     places = [folder / f"run{number}" for number in range(len(HOURS))]
     for number, place in enumerate(places):
@@ -32,7 +31,6 @@ def write_bundles(content, path, folder):
 
 @pytest.fixture(scope="module")
 def warming(tmp_path_factory):
-    """Bundles of the machine."""
     content = load_slow_tracker("demo")
     for axis in content["axes"].values():
         axis["max_mm"] = axis["min_mm"] + 300.0

@@ -27,8 +27,6 @@ VERDICTS = {
 
 @pytest.fixture
 def judged(result, keep):
-    """Write the result with another verdict; return its file."""
-
     def write(state):
         verdict = verdict_json(VERDICTS[state])
         return keep({**result, "verdict": verdict}, f"{state}.json")
@@ -38,8 +36,6 @@ def judged(result, keep):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of an export into a folder of its own."""
-
     def spell(file, *more, name="linuxcnc", output="comp.tbl"):
         place = tmp_path / "tables" / output
         return ["export", file, "--format", name, "-o", place, *more]
@@ -126,7 +122,6 @@ def test_a_prediction_says_it_of_the_result(command, judged, points, tmp_path, s
 
 
 def of_another_run(file):
-    """Let a result be made from a Run that nobody analyses here."""
     content = json.loads(file.read_text())
     for one in content["provenance"]["runs"]:
         one |= {"input_sha256": "f" * 64, "sketch": ""}

@@ -20,8 +20,6 @@ def held_out(record, tmp_path_factory):
 
 @pytest.fixture
 def words(analysed, held_out, tmp_path):
-    """The command line of a verification."""
-
     def spell(*more, bundle=held_out):
         result = analysed / "result.json"
         return ["verify", result, bundle, "-o", tmp_path / "out", *more]

@@ -18,12 +18,10 @@ BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
 
 @cache
 def recorded_on(name):
-    """A recording of a machine with rotary axes."""
     return random_path(name, rate_hz=100)[0]
 
 
 def change(bundle, edit):
-    """Change the machine file of a bundle."""
     file = bundle / "machine.json"
     content = json.loads(file.read_text())
     edit(content)

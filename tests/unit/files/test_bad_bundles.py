@@ -23,19 +23,15 @@ Edit = Callable[[Path], None]
 
 
 def without(name):
-    """Leave a file out."""
     return lambda folder: (folder / name).unlink()
 
 
 def holding(name, data):
-    """Put a file with this content in."""
     content = data.encode() if isinstance(data, str) else data
     return lambda folder: (folder / name).write_bytes(content) and None
 
 
 def cut(name, size):
-    """Keep only the beginning of a file."""
-
     def edit(folder):
         (folder / name).write_bytes((folder / name).read_bytes()[:size])
 
@@ -63,12 +59,10 @@ def cell(name, row, column, text):
 
 
 def renamed(name, column, to):
-    """Rename a column of a CSV file."""
     return cell(name, 1, column, to)
 
 
 def row(name, number, text):
-    """Replace one row of a CSV file."""
     return change_lines(name, lambda lines: lines.__setitem__(number - 1, text))
 
 
@@ -106,8 +100,6 @@ def key(path, value):
 
 
 def both(first, second):
-    """Do two edits."""
-
     def edit(folder):
         first(folder)
         second(folder)

@@ -21,7 +21,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture(scope="module")
 def drive(record):
-    """A recording on the fly."""
     return record(1, rows=12)[0]
 
 
@@ -89,7 +88,6 @@ def join(form, between, *values):
 
 
 def group(between, mark, *place, form="{:,.4f}"):
-    """Write micrometres with a mark between thousands."""
     return between.join(form.format(1e3 * v).replace(",", mark) for v in place)
 
 
@@ -349,7 +347,6 @@ def test_shots_within_one_second_are_shots(spots):
 
 
 def import_export(capsys, folder, lines, run, path):
-    """Import lines for a Run's machine and path; return the status and what is said."""
     if not (folder / "truth").exists():
         write_bundle(run, folder / "truth")
     (folder / "export.txt").write_text("\n".join(lines), encoding="utf-8")
