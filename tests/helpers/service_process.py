@@ -1,26 +1,27 @@
-"""The real service as a process of its own, and what a client does with it."""
+"""The real service as a process of its own, and what a client does with it.
 
-from __future__ import annotations
+It is forked where its code is imported already: an import takes four seconds of a
+processor. All else is as `truepath serve` does it.
+"""
 
+import multiprocessing
 import os
-import subprocess
+import signal
 import sys
 import time
 from contextlib import contextmanager
+from types import ModuleType
+from unittest import mock
 
 import httpx2
 import psutil
 
 from arming import arm_over_http
+from serving import serve_forked
 
-PROGRAM = """
-import sys
-from truepath.main import serve
-from truepath.settings import load_settings
-
-if __name__ == "__main__":
-    serve(load_settings())
-"""
+START_S = 60.0
+_FORKS = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(["truepath.main", "truepath_simulators.bench.bench"])
 SPEED = 12.0
 ENDS = {"succeeded", "failed", "faulted", "aborted", "cancelled", "interrupted"}
 ROWS = [
@@ -41,38 +42,63 @@ ROWS = [
 
 
 @contextmanager
-def process(tmp_path, **environment):
-    program = tmp_path / "service.py"
-    program.write_text(PROGRAM)
+def process(folder, descriptors=None, **environment):
+    """Run the service as its own process; yield it and a client of it.
+
+    descriptors : it gets so many, and no more if it asks
+    """
     settings = {
-        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
+        "TRUEPATH_DATA_DIR": str(folder / "data"),
         "TRUEPATH_PORT": "0",
         "TRUEPATH_SIMULATED": "1",
         "TRUEPATH_SIMULATED_SPEED": str(SPEED),
         "TRUEPATH_LOG_FORMAT": "json",
         **environment,
     }
-    log = (tmp_path / "service.log").open("a")
-    running = subprocess.Popen(
-        [sys.executable, program],
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env=os.environ | settings,
-        start_new_session=True,
-    )
+    running = Service(settings, folder / "service.log", descriptors)
     try:
-        lines = [running.stdout.readline() for _ in range(4)]
-        page = next((x.split()[1] for x in lines if x.split()[:1] == ["page"]), None)
-        assert page, (tmp_path / "service.log").read_text()
-        with httpx2.Client(base_url=page, timeout=30.0) as client:
+        with httpx2.Client(base_url=running.address, timeout=30.0) as client:
             yield running, client
     finally:
-        if running.poll() is None:
-            running.terminate()
-        running.stdout.close()
-        running.wait(20)
-        log.close()
+        running.close()
+
+
+class Service:
+    """A process of the service that answers; its verbs are those of a `Popen`."""
+
+    def __init__(self, settings, log, descriptors):
+        heard, told = _FORKS.Pipe(duplex=False)
+        arguments = settings, str(log), told, descriptors
+        self._process = _FORKS.Process(target=serve_forked, args=arguments)
+        # Nothing of the program that tests is run anew in the child.
+        with mock.patch.dict(sys.modules, {"__main__": ModuleType("__main__")}):
+            self._process.start()
+        told.close()
+        self.pid, self.kill = self._process.pid, self._process.kill
+        try:
+            assert heard.poll(START_S), log.read_text()
+            self.address = heard.recv()
+        except EOFError:
+            raise AssertionError(log.read_text()) from None
+        finally:
+            heard.close()
+
+    def poll(self):
+        return self._process.exitcode
+
+    def send_signal(self, number):
+        os.kill(self.pid, number)
+
+    def wait(self, patience_s):
+        self._process.join(patience_s)
+        assert self.poll() is not None, "the service does not end"
+        return self.poll()
+
+    def close(self):
+        if self.poll() is None:
+            self.send_signal(signal.SIGTERM)
+        self.wait(20)
+        self._process.close()
 
 
 def create(client, **order):

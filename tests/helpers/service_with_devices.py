@@ -1,40 +1,23 @@
 """The real service, with devices that run beside it and do what a test orders."""
 
-from __future__ import annotations
-
-import json
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-import httpx2
-
+from real_services import environment_of, write_machine
 from service_process import arm, create, process, wait_for
-from truepath_simulators.bench.rig import Rig, running_rig
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.bench.rig import running_rig
 
 CONNECT = "/api/v1/machines/current:connect"
-RATE_HZ = 100.0
 LONG_PATH = [
     {"x_mm": 20 + 450 * (n % 2), "y_mm": 20 + 5 * n, "z_mm": 150, "feed_mm_min": 900}
     for n in range(20)
 ]
 
 
-def write_machine(folder: Path) -> Path:
-    """Write the file of a machine whose tracker tells a fifth of the usual samples."""
-    content = load_machine("demo")
-    content["tracker"]["rate_hz"] = RATE_HZ
-    file = folder / "machine.json"
-    file.write_text(json.dumps(content))
-    return file
-
-
 @contextmanager
-def running_devices(**options: Any) -> Iterator[Rig]:
+def running_devices(**options):
     with TemporaryDirectory() as folder:
         machine = {"machine": str(write_machine(Path(folder)))}
         with running_rig({"tracker": "tcp", "seed": 3, **machine, **options}) as rig:
@@ -42,22 +25,18 @@ def running_devices(**options: Any) -> Iterator[Rig]:
 
 
 @contextmanager
-def service_of(rig: Rig, folder: Path, **more: str) -> Iterator[httpx2.Client]:
-    settings = {
-        "TRUEPATH_SIMULATED": "0",
-        "TRUEPATH_MACHINE_FILE": str(write_machine(folder)),
-        "TRUEPATH_TRACKER_OPTIONS": json.dumps(rig.tracker_options),
-        "TRUEPATH_MOTION_OPTIONS": json.dumps(rig.motion_options),
-    }
+def service_of(rig, folder, **more):
+    options = rig.motion_options, rig.tracker_options
+    settings = environment_of(*options, folder / "machine.json")
     with process(folder, **settings, **more) as (_, client):
         yield client
 
 
-def connect(client: httpx2.Client) -> None:
+def connect(client):
     wait_for(lambda: client.post(CONNECT).status_code == 200, "the devices")
 
 
-def set_in_motion(client: httpx2.Client, rig: Rig, newer_plans: int = 0) -> str:
+def set_in_motion(client, rig, newer_plans=0):
     """Drive a long slow path, and order plans after it; return its job."""
     job = create(client, path=LONG_PATH)
     for _ in range(newer_plans):
@@ -68,12 +47,12 @@ def set_in_motion(client: httpx2.Client, rig: Rig, newer_plans: int = 0) -> str:
     return job["id"]
 
 
-def is_on_path(rig: Rig) -> bool:
+def is_on_path(rig):
     control = rig.read_state()["cnc"]
     return control["state"] == "running" and control["line"] >= 1
 
 
-def moves(rig: Rig) -> bool:
+def moves(rig):
     before = rig.read_position()["position"]
     time.sleep(0.2)
     return rig.read_position()["position"] != before
