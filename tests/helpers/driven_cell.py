@@ -52,6 +52,8 @@ class Driven:
     spawns : start it as the service does, with an interpreter of its own
     """
 
+    look_s = 0.1
+
     def __init__(
         self, config: CellConfig, *, beats: bool = False, spawns: bool = False
     ) -> None:
@@ -74,13 +76,13 @@ class Driven:
         if line:
             self.until_line(line)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    def until(self, condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
         deadline_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline_s, self.events[-5:]
             if self._beats:
                 self.cell.send(CellVerb.BEAT)
-            self.events += self.cell.poll(0.1)
+            self.events += self.cell.poll(self.look_s)
 
     def of(self, kind: type[E]) -> list[E]:
         return [event for event in self.events if isinstance(event, kind)]
