@@ -1,7 +1,5 @@
 """What tests of several files do to calibrations and their answers."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
 

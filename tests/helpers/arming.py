@@ -1,7 +1,5 @@
 """Arming in its two steps: ask what will move, then arm with the token."""
 
-from __future__ import annotations
-
 
 def request_token(client, job_id):
     answer = client.post(f"/api/v1/jobs/{job_id}/arming")

@@ -1,7 +1,5 @@
 """Answers held against the description of the interface: status, headers, content."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,18 +1,14 @@
 """Cell processes, and all that they say."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
 
 import psutil
 import pytest
@@ -20,19 +16,15 @@ import pytest
 from truepath import child_process
 from truepath.measurement.messages import (
     CellConfig,
-    CellEvent,
     CellVerb,
     FaultReported,
-    MeasurementOrder,
     MeasurementProgress,
     RunClosed,
     StateChanged,
 )
 from truepath.measurement.process.cell import Cell
 from truepath_simulators.bench.bench import Bench
-from truepath_simulators.processes import DeviceProcesses
 
-E = TypeVar("E")
 QUICK = get_context("forkserver")
 QUICK.set_forkserver_preload(
     [
@@ -54,29 +46,27 @@ class Driven:
 
     look_s = 0.1
 
-    def __init__(
-        self, config: CellConfig, *, beats: bool = False, spawns: bool = False
-    ) -> None:
+    def __init__(self, config, *, beats=False, spawns=False):
         with pytest.MonkeyPatch.context() as patch:
             if not spawns:
                 patch.setattr(child_process, "_SPAWN", QUICK)
             self.cell = Cell(config)
-        self.events: list[CellEvent] = []
+        self.events = []
         self._beats = beats
 
-    def __enter__(self) -> Driven:
+    def __enter__(self):
         self.cell.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.cell.close()
 
-    def begin(self, order: MeasurementOrder, line: int = 0) -> None:
+    def begin(self, order, line=0):
         self.cell.begin(order)
         if line:
             self.until_line(line)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    def until(self, condition, timeout_s=60.0):
         deadline_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline_s, self.events[-5:]
@@ -84,46 +74,39 @@ class Driven:
                 self.cell.send(CellVerb.BEAT)
             self.events += self.cell.poll(self.look_s)
 
-    def of(self, kind: type[E]) -> list[E]:
+    def of(self, kind):
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
-    def states(self) -> list[str]:
+    def states(self):
         return [event.state for event in self.of(StateChanged)]
 
     @property
-    def faults(self) -> list[str]:
+    def faults(self):
         return [event.code for event in self.of(FaultReported)]
 
-    def until_state(self, state: str) -> None:
+    def until_state(self, state):
         self.until(lambda: self.states[-1:] == [state])
 
-    def until_fault(self, code: str) -> None:
+    def until_fault(self, code):
         self.until(lambda: code in self.faults)
 
-    def until_line(self, line: int) -> None:
+    def until_line(self, line):
         self.until(lambda: any(p.done >= line for p in self.of(MeasurementProgress)))
 
-    def until_closed(self, timeout_s: float = 45.0) -> RunClosed:
+    def until_closed(self, timeout_s=45.0):
         self.until(lambda: bool(self.of(RunClosed)), timeout_s)
         return self.of(RunClosed)[-1]
 
 
-def config_of(bench: DeviceProcesses, **given) -> CellConfig:
+def config_of(bench, **given):
     config = CellConfig(
         "streaming", bench.tracker_options, "modbus", bench.motion_options
     )
     return replace(config, **given)
 
 
-def measure_undisturbed(
-    order: MeasurementOrder,
-    content: dict,
-    folder: Path,
-    *,
-    speed: float = 10.0,
-    faults: Sequence[str] = (),
-) -> Driven:
+def measure_undisturbed(order, content, folder, *, speed=10.0, faults=()):
     """Measure on a bench of its own; nothing of it is a fault of the measurement."""
     with (
         Bench(
@@ -160,9 +143,7 @@ if __name__ == "__main__":
 
 
 @contextmanager
-def measured_by_another(
-    folder: Path, config: CellConfig, order: MeasurementOrder, *paths: Path
-) -> Iterator[tuple[subprocess.Popen, psutil.Process, Iterator[int]]]:
+def measured_by_another(folder, config, order, *paths):
     """Measure from another process until a file `end` is there.
 
     Yields the process, its cell, and how many lines are done at each report.

@@ -1,7 +1,5 @@
 """The batch estimate as an analysis makes it, and how far it is off the truth."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

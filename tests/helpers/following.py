@@ -1,7 +1,5 @@
 """A Run as the live estimate follows it, block by block."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +19,7 @@ class Followed:
     last: LiveEstimate | None = None
 
 
-def follow(run, *, blocks=None, with_notices=False, **options) -> Followed:
+def follow(run, *, blocks=None, with_notices=False, **options):
     """Give a Run to the live estimate in blocks, of 20 samples if none are given."""
     followed = Followed(LiveEstimator(run.machine, run.commanded, **options))
     for block in blocks or list_blocks(run):

@@ -1,7 +1,5 @@
 """What several tests of jobs are made of: rows, Runs, conditions."""
 
-from __future__ import annotations
-
 import numpy as np
 import psutil
 

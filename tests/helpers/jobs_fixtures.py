@@ -1,7 +1,5 @@
 """A service over a scripted cell, its catalogue on either database."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -3,7 +3,6 @@
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +15,7 @@ from truepath_simulators.linuxcnc.rig import LinuxCncRig
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 
 
-def run_program(
-    program: str, tables: Mapping[str, str]
-) -> tuple[np.ndarray, np.ndarray]:
+def run_program(program, tables):
     """Return commanded and motor positions (n, 3), each millisecond of the program.
 
     tables : compensation table of each axis, type 0
@@ -48,32 +45,32 @@ def run_program(
 class _Samples:
     """Takes what comes through a pipe, until its other end is closed."""
 
-    def __init__(self, descriptor: int) -> None:
-        self.rows: list[list[float]] = []
+    def __init__(self, descriptor):
+        self.rows = []
         self._descriptor = os.dup(descriptor)
         self._thread = threading.Thread(target=self._take)
         self._thread.start()
 
-    def _take(self) -> None:
+    def _take(self):
         with os.fdopen(self._descriptor) as lines:
             for line in lines:
                 row = line.split()
                 if len(row) == 7 and line.endswith("\n"):  # the last one may be cut
                     self.rows.append([float(word) for word in row])
 
-    def end(self) -> list[list[float]]:
+    def end(self):
         self._thread.join()
         return self.rows
 
 
-def _has_ended(rsh: RshLink) -> bool:
+def _has_ended(rsh):
     status = rsh.read("program_status").upper()
     if status == "PAUSED":
         rsh.order("resume")
     return status == "IDLE"
 
 
-def _until(good: Callable[[], bool], seconds: float = 20.0) -> None:
+def _until(good, seconds=20.0):
     deadline_s = time.monotonic() + seconds
     while not good():
         assert time.monotonic() < deadline_s, "LinuxCNC did not get there in time"

@@ -1,20 +1,15 @@
 """A cell that measures, as the tests of faults see it: what it has said so far."""
 
-from __future__ import annotations
-
 import time
-from pathlib import Path
 
 import pytest
 
 from driven_cell import Driven, config_of
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import CellConfig, MeasurementOrder, RunClosed
+from truepath.measurement.messages import MeasurementOrder, RunClosed
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.interfaces.tracker import Tracker
-from truepath_simulators.bench.bench import Bench
-from truepath_simulators.links.link_proxy import Harm, LinkProxy
+from truepath_simulators.links.link_proxy import Harm
 
 RATE_HZ = 500.0
 LOST_DOUBLED_OR_HIT = [
@@ -32,7 +27,7 @@ IN_PIECES = pytest.param(
 )
 
 
-def order_of(bench: Bench, file: Path, lines: int = 4) -> MeasurementOrder:
+def order_of(bench, file, lines=4):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, lines=lines)
     return MeasurementOrder(file.stem, str(file), machine, path)
@@ -43,11 +38,11 @@ class Measuring(Driven):
 
     look_s = 0.02
 
-    def __init__(self, config: CellConfig, order: MeasurementOrder) -> None:
+    def __init__(self, config, order):
         super().__init__(config, spawns=True)
         self._order = order
 
-    def __enter__(self) -> Measuring:
+    def __enter__(self):
         super().__enter__()
         try:
             self.who = self.cell.connect()
@@ -58,21 +53,21 @@ class Measuring(Driven):
         return self
 
     @property
-    def faults(self) -> set[str]:
+    def faults(self):
         return set(super().faults)
 
-    def until_closed(self, runs: int = 1, timeout_s: float = 60.0) -> RunClosed:
+    def until_closed(self, runs=1, timeout_s=60.0):
         """How the last Run ended, once so many have."""
         self.until(lambda: len(self.of(RunClosed)) == runs, timeout_s)
         return self.of(RunClosed)[-1]
 
 
-def measuring_on(bench: Bench, file: Path, lines: int = 4, **given) -> Measuring:
+def measuring_on(bench, file, lines=4, **given):
     """Measure on a bench; given : what else a CellConfig takes."""
     return Measuring(config_of(bench, **given), order_of(bench, file, lines))
 
 
-def read_through(tracker: Tracker, proxy: LinkProxy, harm: Harm) -> TrackerSamples:
+def read_through(tracker, proxy, harm):
     """Return what a driver reads while harm is done, and half a second after it."""
     tracker.start(RATE_HZ)
     blocks = [tracker.read(1.0)]

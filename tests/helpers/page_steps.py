@@ -1,12 +1,9 @@
 """What tests do on a page and look at, whatever its view."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import expect
 
 NEXT = "#next button"
 DESK, PHONE = (1280, 800), (390, 844)
@@ -26,26 +23,26 @@ window.WebSocket = class extends EventTarget {
 """
 
 
-def follow(page: Page, label: str) -> None:
+def follow(page, label):
     page.locator(NEXT, has_text=label).click()
 
 
-def prepare(page: Page) -> str:
+def prepare(page):
     """Press the button that leads on to the check; return the job that is there."""
     page.locator(NEXT).click()
     page.wait_for_url("**/#/check/*")
     return job_of(page)
 
 
-def job_of(page: Page) -> str:
+def job_of(page):
     return page.url.rsplit("/", 1)[1]
 
 
-def go(page: Page, where: str) -> None:
+def go(page, where):
     page.goto(page.url.split("#")[0] + where)
 
 
-def choose(page: Page, *names: str) -> None:
+def choose(page, *names):
     """Choose units, appearance or language in the settings."""
     page.locator("#open-settings").click()
     for name in names:
@@ -57,7 +54,7 @@ def choose(page: Page, *names: str) -> None:
 
 
 @contextmanager
-def held(page: Page, button: Locator) -> Iterator[None]:
+def held(page, button):
     """Keep the button pressed meanwhile; it takes no effect before 1.5 s are over."""
     expect(button).to_be_enabled()
     button.scroll_into_view_if_needed()
@@ -71,7 +68,7 @@ def held(page: Page, button: Locator) -> Iterator[None]:
     page.mouse.up()
 
 
-def assert_fits(page: Page) -> None:
+def assert_fits(page):
     """Nothing is wider than the panel, once pictures have its size."""
     page.wait_for_function(
         "() => document.documentElement.scrollWidth <= window.innerWidth"

@@ -1,7 +1,5 @@
 """A PostgreSQL server of the tests' own, reached by a socket in its folder only."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil
@@ -24,7 +22,7 @@ class PostgresServer:
     Raises FileNotFoundError where PostgreSQL is not installed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._initdb, self._pg_ctl = _program("initdb"), _program("pg_ctl")
         self._user = pwd.getpwnam("postgres").pw_name if os.geteuid() == 0 else None
         self._folder = Path(tempfile.mkdtemp(prefix="pg"))
@@ -34,41 +32,41 @@ class PostgresServer:
         self._run(self._initdb, "-D", self._data, "-A", "trust", "-U", _USER, "-N")
         self.start()
 
-    def start(self) -> None:
+    def start(self):
         options = f"-k {self._folder} -c listen_addresses= -c fsync=off"
         log = self._folder / "log"
         self._control("-o", options, "-l", log, "start")
 
-    def stop(self, mode: str = "fast") -> None:
+    def stop(self, mode="fast"):
         """Stop the server: `fast` ends its connections, `immediate` crashes it."""
         self._control("-m", mode, "stop")
 
-    def freeze(self) -> None:
+    def freeze(self):
         self._signal(signal.SIGSTOP)
 
-    def thaw(self) -> None:
+    def thaw(self):
         self._signal(signal.SIGCONT)
 
-    def close(self) -> None:
+    def close(self):
         try:
             if (self._data / "postmaster.pid").exists():
                 self.stop("immediate")
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def url(self, name: str = "postgres") -> str:
+    def url(self, name="postgres"):
         return f"postgresql+psycopg://{_USER}@/{name}?host={self._folder}"
 
-    def make_database(self, template: str = "template1") -> str:
+    def make_database(self, template="template1"):
         """Make a database of a name of its own, as its template is; return the name."""
         name = f"test_{uuid.uuid4().hex}"
         self._execute(f"CREATE DATABASE {name} TEMPLATE {template}")
         return name
 
-    def drop_database(self, name: str) -> None:
+    def drop_database(self, name):
         self._execute(f"DROP DATABASE {name} WITH (FORCE)")
 
-    def _execute(self, query: str) -> None:
+    def _execute(self, query):
         engine = create_engine(self.url(), isolation_level="AUTOCOMMIT")
         try:
             with engine.connect() as connection:
@@ -76,10 +74,10 @@ class PostgresServer:
         finally:
             engine.dispose()
 
-    def _control(self, *options: str | Path) -> None:
+    def _control(self, *options):
         self._run(self._pg_ctl, "-D", self._data, "-w", *options)
 
-    def _run(self, *command: str | Path) -> None:
+    def _run(self, *command):
         # Output of a server that goes on must not hold a pipe of ours.
         subprocess.run(
             command,
@@ -91,14 +89,14 @@ class PostgresServer:
             timeout=_PATIENCE_S,
         )
 
-    def _signal(self, number: signal.Signals) -> None:
+    def _signal(self, number):
         first = (self._data / "postmaster.pid").read_text().split()[0]
         main = psutil.Process(int(first))
         for process in (main, *main.children(recursive=True)):
             process.send_signal(number)
 
 
-def _program(name: str) -> Path:
+def _program(name):
     places = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
     found = shutil.which(name) or (places[-1] if places else None)
     if found is None:

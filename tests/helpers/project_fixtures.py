@@ -12,12 +12,12 @@ SHIPPED = {"pyproject.toml", "README.md", "LICENSE", "app", "drivers", "simulato
 
 
 @pytest.fixture(scope="session")
-def root() -> Path:
+def root():
     return ROOT
 
 
 @pytest.fixture(scope="session")
-def project_files(root) -> list[Path]:
+def project_files(root):
     """Every file that is in git or about to be: nothing that git ignores."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
@@ -48,6 +48,6 @@ def wheel(tmp_path_factory, project_files, root):
 
 
 @pytest.fixture
-def free_port() -> int:
+def free_port():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return listener.getsockname()[1]

@@ -1,7 +1,5 @@
 """Recordings of machines and programs that the shared ones do not have."""
 
-from __future__ import annotations
-
 from itertools import cycle
 
 from tests.conftest import Truth, _run

@@ -36,11 +36,11 @@ THREE_TARGETS = (
 LINES, CELLS = 12, 240
 
 
-def machine_with(targets: tuple[Target, ...]) -> Machine:
+def machine_with(targets):
     return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
 
 
-def of_a_run(residuals: Residuals) -> RunEstimate:
+def of_a_run(residuals):
     return RunEstimate(
         NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
         RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
@@ -137,7 +137,7 @@ def load():
     return as_loaded
 
 
-def as_loaded(estimate: Estimate) -> CalibrationResult:
+def as_loaded(estimate):
     model = estimate.model
     return CalibrationResult(model, estimate.theta, estimate.covariance)
 

@@ -1,7 +1,5 @@
 """Doubles of the tasks by which a measurement that was cut short goes on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from truepath.files.bundle.commanded_file import encode_commanded_json

@@ -1,11 +1,8 @@
 """Doubles that a test steps through: a cell without devices, science without sums."""
 
-from __future__ import annotations
-
 import json
 import queue
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
@@ -15,22 +12,18 @@ from truepath.catalogue.errors import Aborted
 from truepath.catalogue.run_reader import RunReader
 from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.measurement.messages import (
-    CellEvent,
     CellState,
     FaultReported,
     LivePoints,
-    MeasurementOrder,
     MeasurementProgress,
     StateChanged,
     TrackerTried,
 )
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.motion.configurations import Configurations
-from truepath.planning.adaptive_plan import Part
 from truepath.progress import ignore_progress
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath_drivers.interfaces.records import Identity, TrackerSamples
 from truepath_simulators.scenario import load_machine
 
 DEADLINE_S = 150.0  # a plan takes a minute of a busy core
@@ -42,7 +35,7 @@ DEVICES = {
 }
 
 
-def wait_until(reached: Callable[[], object], what: str = "") -> object:
+def wait_until(reached, what=""):
     """Return what `reached` gives once it is true; fail after a deadline."""
     end_s, pause_s = host_clock.now_s() + DEADLINE_S, 0.005
     while not (found := reached()):
@@ -61,15 +54,15 @@ class ScriptedCell:
 
     def __init__(self, deaf=(), refuses=None):
         self.deaf, self.refuses = set(deaf), refuses
-        self.heard: list[str] = []
-        self.parts: list[Path | Configurations] = []
-        self.order: MeasurementOrder | None = None
+        self.heard = []
+        self.parts = []
+        self.order = None
         self.started, self.begun = threading.Event(), threading.Event()
         self.committed = 0
         self.closed = False
         self._alive = True
-        self._events: queue.SimpleQueue[CellEvent] = queue.SimpleQueue()
-        self._recorder: Recorder | None = None
+        self._events = queue.SimpleQueue()
+        self._recorder = None
         self._samples = 0
 
     # What the supervisor calls.
@@ -244,8 +237,8 @@ class ScriptedLive:
         self.order, self.show = order, show
         self.newest = None
         self.is_over = False
-        self.heard: list[str] = []
-        self.parts: list[Part] = []
+        self.heard = []
+        self.parts = []
 
     def start(self):
         self.heard.append("start")
@@ -336,9 +329,9 @@ class _Scripted:
 
     def __init__(self):
         self.verdict = Verdict()
-        self.hold: threading.Event | None = None
-        self.raises: Exception | None = None
-        self.calls: list[tuple] = []
+        self.hold = None
+        self.raises = None
+        self.calls = []
 
     def begin(self, on_progress, stage):
         on_progress(0.0, stage)
@@ -360,8 +353,8 @@ class _Scripted:
 class Science(_Scripted):
     def __init__(self):
         super().__init__()
-        self.trials: list[tuple] = []
-        self.models: list[tuple] = []
+        self.trials = []
+        self.models = []
 
     def __call__(
         self,
@@ -404,7 +397,7 @@ class Explorer(_Scripted):
     def __init__(self):
         super().__init__()
         self.machine = load_machine("demo")
-        self.rows: list[dict] = []
+        self.rows = []
 
     def __call__(self, run_files, folder, model_file, model_id, *, on_progress):
         self.calls.append((run_files, model_file, model_id))

@@ -1,10 +1,7 @@
 """What a service tells of one machine: its file, a path, estimates, a result."""
 
-from __future__ import annotations
-
 import copy
 import math
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +20,7 @@ TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
 TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
 
 
-def device(model: str, number: str) -> dict[str, Any]:
+def device(model, number):
     names = {"maker": "Truepath", "model": model, "serial_number": number}
     return {**names, "firmware": "1.0"}
 
@@ -68,7 +65,7 @@ ARMING = {
 }
 
 
-def version(number: int, *difference: tuple[str, str, str]) -> dict[str, Any]:
+def version(number, *difference):
     names = ("kind", "what", "text")
     return {
         "id": f"job-{number - 1}",
@@ -89,7 +86,7 @@ VERSIONS = [
 ]
 
 
-def lines_off(lines: int = 22) -> list[dict[str, Any]]:
+def lines_off(lines=22):
     """Return how far each line is off: Y− most, the later ones more."""
     return [
         {
@@ -192,7 +189,7 @@ ASK = {
 }
 
 
-def planned_path(lines: int = 22) -> dict[str, Any]:
+def planned_path(lines=22):
     """Return chords through the travel, ends on its faces."""
     rng = np.random.default_rng(5)
     low = np.array([10.0, 10.0, -290.0])
@@ -212,7 +209,7 @@ def planned_path(lines: int = 22) -> dict[str, Any]:
     }
 
 
-def plan_curve(rows: int = 23) -> dict[str, Any]:
+def plan_curve(rows=23):
     """Return uncertainty against time along `planned_path`, five seconds a row."""
     points = []
     for row in range(3, rows + 1, 4):
@@ -239,7 +236,7 @@ def plan_curve(rows: int = 23) -> dict[str, Any]:
     }
 
 
-def result() -> dict[str, Any]:
+def result():
     rng = np.random.default_rng(11)
     tables = {}
     for axis in "XYZ":
@@ -286,7 +283,7 @@ def result() -> dict[str, Any]:
     }
 
 
-def residuals(lines: int = 6, cells: int = 20) -> dict[str, Any]:
+def residuals(lines=6, cells=20):
     """Return residuals along lines of a path; the fourth row stands out."""
     rng = np.random.default_rng(3)
     along = []
@@ -303,7 +300,7 @@ def residuals(lines: int = 6, cells: int = 20) -> dict[str, Any]:
     return {"by_line": rows, "noise_floor_um": 1.1, "along_lines": along}
 
 
-def half_differences() -> dict[str, Any]:
+def half_differences():
     """Return what the direction of approach adds to two tables of `result`."""
     found = {}
     for symbol, size in (("EXX", 2.5), ("EBX", 6.0)):
@@ -315,7 +312,7 @@ def half_differences() -> dict[str, Any]:
     return found
 
 
-def estimate(done: int, total: int = 22) -> dict[str, Any]:
+def estimate(done, total=22):
     """Return the live estimate after so many lines: it tightens with each."""
     final = result()
     wider = 40.0 / max(done, 1) ** 1.5
@@ -348,7 +345,7 @@ TURNTABLE = {
 }
 
 
-def turntable_estimate(done: int) -> dict[str, Any]:
+def turntable_estimate(done):
     """Return an estimate that also has the error motions of a rotary axis."""
     found = estimate(done)
     degrees = np.linspace(0.0, 360.0, 37)
@@ -366,8 +363,8 @@ def turntable_estimate(done: int) -> dict[str, Any]:
     return found
 
 
-def volumetric_error() -> dict[str, Any]:
-    def spread(mean: float, u: float) -> dict[str, Any]:
+def volumetric_error():
+    def spread(mean, u):
         sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
         return {
             name: {"value_um": factor * mean, "uncertainty_um": factor * u}
@@ -377,7 +374,7 @@ def volumetric_error() -> dict[str, Any]:
     return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
 
 
-def volumetric_map(state: str, compensation: str | None) -> dict[str, Any]:
+def volumetric_map(state, compensation):
     """Return a map of five points an axis, its ends of X beyond what was measured."""
     travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
     levels = [np.linspace(low, high, 5) for low, high in travel]
@@ -415,7 +412,7 @@ FORMATS = [
 ]
 
 
-def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
+def compensation(job_id, name, unmeasured):
     settled = name == "linuxcnc"
     address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
@@ -436,10 +433,10 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
     }
 
 
-def rotary_account() -> dict[str, Any]:
+def rotary_account():
     """What files leave of two rotary axes: C has a table, of A little is known."""
 
-    def change(before: float, after: float, u: float) -> dict[str, float]:
+    def change(before, after, u):
         return {
             "before": before,
             "after": 0.5 * after,
@@ -471,7 +468,7 @@ def rotary_account() -> dict[str, Any]:
     }
 
 
-def driver_option(name: str, kind: str, *, usual: Any = None) -> dict[str, Any]:
+def driver_option(name, kind, *, usual=None):
     """An option of a driver; without a usual value it has to be given."""
     return {"name": name, "type": kind, "default": usual, "is_required": usual is None}
 
@@ -489,7 +486,7 @@ DRIVERS = [
 ]
 
 
-def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
+def machine_entry(machine_id="default", **more):
     names = ("maker", "model", "serial_number", "control", "customer", "place")
     entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
     entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
@@ -497,7 +494,7 @@ def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
     return {**entry, **more}
 
 
-def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
+def machine_history(machine_id, *measured):
     labels = ("mean", "p95", "largest")
     return {
         "machine": machine_id,
@@ -517,11 +514,11 @@ def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
     }
 
 
-def verification(result_id: str, conformity: str | None = "within") -> dict[str, Any]:
+def verification(result_id, conformity="within"):
     """A result held against points that it was not made from, the last on a line."""
     sizes = {"mean": 1.0, "p95": 1.6, "largest": 2.1}
 
-    def spread(mean: float) -> dict[str, float]:
+    def spread(mean):
         values = {name: factor * mean for name, factor in sizes.items()}
         return values | {f"{name}_uncertainty": 0.1 for name in sizes}
 
@@ -559,7 +556,7 @@ def verification(result_id: str, conformity: str | None = "within") -> dict[str,
     }
 
 
-def circles_in_motion() -> dict[str, Any]:
+def circles_in_motion():
     """A circle off its centre with play where X turns back, and one that is missing."""
     angle_deg = np.arange(1.5, 360.0, 3.0)
     angle = np.radians(angle_deg)
@@ -569,7 +566,7 @@ def circles_in_motion() -> dict[str, Any]:
     names = ("H", "G", "G_counterclockwise", "G_clockwise", "F_max", "F_min")
     figures = dict(zip(names, (6.1, 13.6, 12.2, 12.4, 7.0, -7.0), strict=True))
 
-    def both(there: np.ndarray, back: np.ndarray) -> dict[str, list[float]]:
+    def both(there, back):
         return {"counterclockwise": there.tolist(), "clockwise": back.tolist()}
 
     circle = {
@@ -598,7 +595,7 @@ def circles_in_motion() -> dict[str, Any]:
     return {"circles_in_motion": [circle], "circles_missing": [9]}
 
 
-def comparison() -> dict[str, Any]:
+def comparison():
     compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
     square = {"difference_urad": -4.5, "en": -1.8}
     return {
@@ -614,7 +611,7 @@ def comparison() -> dict[str, Any]:
     }
 
 
-def temperature_dependence() -> dict[str, Any]:
+def temperature_dependence():
     """How a machine depends on temperature: X grows, its tilt is not seen to."""
     return {
         "verdict": "usable",
@@ -644,7 +641,7 @@ def temperature_dependence() -> dict[str, Any]:
     }
 
 
-def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
+def certificate(job_id, number, language):
     name = f"TP-20260314-{job_id.upper()}-{number}"
     address = f"/api/v1/jobs/{job_id}/certificates/{name}"
     return {

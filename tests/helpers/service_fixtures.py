@@ -1,7 +1,5 @@
 """The application over a scripted cell: no process, no device, real catalogue."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

@@ -1,7 +1,5 @@
 """The server as `truepath serve` starts it: in a thread, or in a forked process."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource

@@ -1,20 +1,15 @@
 """A Run and its bundle, for the tests of the border."""
 
-from __future__ import annotations
-
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.run import DirectMeasurement, Run
-from truepath.kinematics.machine.machine import Machine
-from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath_drivers.interfaces.records import TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture
-def stream(rng: np.random.Generator) -> TrackerSamples:
+def stream(rng):
     n = 400
     time_s = 1234.5 + np.arange(n) * 0.002
     status = np.zeros(n, np.int64)
@@ -25,7 +20,7 @@ def stream(rng: np.random.Generator) -> TrackerSamples:
 
 
 @pytest.fixture
-def run(mill: Machine, square: Path, stream: TrackerSamples) -> Run:
+def run(mill, square, stream):
     return Run(
         "monday",
         mill,
@@ -46,7 +41,7 @@ def run(mill: Machine, square: Path, stream: TrackerSamples) -> Run:
 
 
 @pytest.fixture
-def bundle(run: Run, tmp_path: FilePath) -> FilePath:
+def bundle(run, tmp_path):
     folder = tmp_path / "bundle"
     write_bundle(run, folder)
     return folder
