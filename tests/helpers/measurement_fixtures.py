@@ -3,6 +3,7 @@
 import itertools
 import sqlite3
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +51,7 @@ from truepath_drivers.interfaces.tracker_records import (
 
 JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
 """The patience of the service."""
+Begin = Callable[..., "Running"]
 QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
 NOISE_MM = 0.001  # of a shot of a tracker that is polled
 PLACE_MM = np.array([2000.0, 300.0, 50.0])

@@ -1,9 +1,12 @@
 """What tests do on a page and look at, whatever its view."""
 
+from __future__ import annotations
+
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 
-from playwright.sync_api import expect
+from playwright.sync_api import Locator, Page, expect
 
 NEXT = "#next button"
 DESK, PHONE = (1280, 800), (390, 844)
@@ -23,26 +26,29 @@ window.WebSocket = class extends EventTarget {
 """
 
 
-def follow(page, label):
+def follow(page: Page, label: str) -> None:
+    """Press the one button that leads on, by its name."""
     page.locator(NEXT, has_text=label).click()
 
 
-def prepare(page):
+def prepare(page: Page) -> str:
     """Press the button that leads on to the check; return the job that is there."""
     page.locator(NEXT).click()
     page.wait_for_url("**/#/check/*")
     return job_of(page)
 
 
-def job_of(page):
+def job_of(page: Page) -> str:
+    """The job that the address names."""
     return page.url.rsplit("/", 1)[1]
 
 
-def go(page, where):
+def go(page: Page, where: str) -> None:
+    """Turn to another view without loading the page anew."""
     page.goto(page.url.split("#")[0] + where)
 
 
-def choose(page, *names):
+def choose(page: Page, *names: str) -> None:
     """Choose units, appearance or language in the settings."""
     page.locator("#open-settings").click()
     for name in names:
@@ -54,7 +60,7 @@ def choose(page, *names):
 
 
 @contextmanager
-def held(page, button):
+def held(page: Page, button: Locator) -> Iterator[None]:
     """Keep the button pressed meanwhile; it takes no effect before 1.5 s are over."""
     expect(button).to_be_enabled()
     button.scroll_into_view_if_needed()
@@ -68,7 +74,7 @@ def held(page, button):
     page.mouse.up()
 
 
-def assert_fits(page):
+def assert_fits(page: Page) -> None:
     """Nothing is wider than the panel, once pictures have its size."""
     page.wait_for_function(
         "() => document.documentElement.scrollWidth <= window.innerWidth"

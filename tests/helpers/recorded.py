@@ -1,5 +1,7 @@
 """Recordings of machines and programs that the shared ones do not have."""
 
+from __future__ import annotations
+
 from itertools import cycle
 
 from tests.conftest import Truth, _run

@@ -5,9 +5,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import httpx2
+
 from real_services import environment_of, write_machine
 from service_process import arm, create, process, wait_for
-from truepath_simulators.bench.rig import running_rig
+from truepath_simulators.bench.rig import Rig, running_rig
 
 CONNECT = "/api/v1/machines/current:connect"
 LONG_PATH = [
@@ -36,7 +38,7 @@ def connect(client):
     wait_for(lambda: client.post(CONNECT).status_code == 200, "the devices")
 
 
-def set_in_motion(client, rig, newer_plans=0):
+def set_in_motion(client: httpx2.Client, rig: Rig, newer_plans: int = 0) -> str:
     """Drive a long slow path, and order plans after it; return its job."""
     job = create(client, path=LONG_PATH)
     for _ in range(newer_plans):
