@@ -9,6 +9,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path as FilePath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -112,14 +113,10 @@ def measured(request):
     return note
 
 
-class HandClock:
-    def __init__(self):
-        self.time_s = 0.0
-
-
 @pytest.fixture
 def hand_clock(monkeypatch):
-    clock = HandClock()
+    """The computer's clock, standing until the test moves it."""
+    clock = SimpleNamespace(time_s=0.0)
     monkeypatch.setattr(host_clock, "now_s", lambda: clock.time_s)
     return clock
 
@@ -170,13 +167,17 @@ def postgres_server():
     server.close()
 
 
+def migrate(url):
+    database = Database(url)
+    database.migrate()
+    database.close()
+
+
 @pytest.fixture(scope="session")
 def empty_postgres(postgres_server):
     """Name a migrated database to copy: migrating takes longer than most tests."""
     name = postgres_server.make_database()
-    database = Database(postgres_server.url(name))
-    database.migrate()
-    database.close()
+    migrate(postgres_server.url(name))
     return name
 
 
@@ -184,9 +185,7 @@ def empty_postgres(postgres_server):
 def empty_catalogue(tmp_path_factory):
     """A migrated file to copy: migrating takes longer than most tests."""
     file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
-    database = Database(f"sqlite:///{file}")
-    database.migrate()
-    database.close()
+    migrate(f"sqlite:///{file}")
     return file
 
 
@@ -222,31 +221,18 @@ def catalogue_url(make_catalogue_url, database_kind):
 @pytest.fixture(scope="session")
 def mill():
     """Three linear axes, Z downwards."""
-    return Machine(
-        "small mill",
-        ("X",),
-        ("Y", "Z"),
-        (
-            LinearAxis("X", 0.0, 500.0),
-            LinearAxis("Y", 0.0, 400.0),
-            LinearAxis("Z", -300.0, 0.0),
-        ),
-        (Target("", "tool", (20.0, 30.0, -150.0)),),
-        TrackerNoise(),
-    )
+    travels = (("X", 0.0, 500.0), ("Y", 0.0, 400.0), ("Z", -300.0, 0.0))
+    axes = tuple(LinearAxis(*travel) for travel in travels)
+    targets = (Target("", "tool", (20.0, 30.0, -150.0)),)
+    return Machine("small mill", ("X",), ("Y", "Z"), axes, targets, TrackerNoise())
 
 
 @pytest.fixture
 def square():
     """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
-    n = len(rows)
-    return Path(
-        ("X", "Y", "Z"),
-        np.array(rows, float),
-        np.full(n, 6000.0),
-        np.array([0.1, 0.2, 0.1, 0.3]),
-    )
+    dwell_s = np.array([0.1, 0.2, 0.1, 0.3])
+    return Path(("X", "Y", "Z"), np.array(rows, float), np.full(4, 6000.0), dwell_s)
 
 
 @pytest.fixture(scope="session")
@@ -305,20 +291,15 @@ def small_run(tmp_path_factory):
 
 def _run(recording):
     machine = machine_from_json(dict(recording.content), file="machine.json")
-    program, n = recording.program, len(recording)
-    axes = machine.axis_names
+    program, number = recording.program, np.arange(len(recording))
+    where = machine.axis_names, program.position
+    waits = program.dwell_s, program.target
     if recording.mode == "standstill":
-        commanded = Configurations(
-            axes, program.position, program.dwell_s, program.target
-        )
+        commanded = Configurations(*where, *waits)
     else:
-        feed_mm_min = program.feed_mm_s * 60.0
-        commanded = Path(
-            axes, program.position, feed_mm_min, program.dwell_s, program.target
-        )
-    samples = TrackerSamples(
-        np.arange(n), recording.time_s, recording.position_mm, recording.status
-    )
+        commanded = Path(*where, program.feed_mm_s * 60.0, *waits)
+    measured = recording.time_s, recording.position_mm, recording.status
+    samples = TrackerSamples(number, *measured)
     return Run("synthetic", machine, commanded, samples)
 
 
@@ -365,9 +346,7 @@ def no_log_of_another_test():
     """Take away what a command has set up to write its log with."""
     yield
     root = logging.getLogger()
-    for handler in root.handlers[:]:
-        if type(handler) is logging.StreamHandler:
-            root.removeHandler(handler)
+    root.handlers = [h for h in root.handlers if type(h) is not logging.StreamHandler]
 
 
 @pytest.fixture(scope="module")
