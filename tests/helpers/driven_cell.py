@@ -13,14 +13,12 @@ from pathlib import Path
 import psutil
 import pytest
 
+from measurement_fixtures import Told
 from truepath import child_process
 from truepath.measurement.messages import (
     CellConfig,
     CellVerb,
-    FaultReported,
-    MeasurementProgress,
     RunClosed,
-    StateChanged,
 )
 from truepath.measurement.process.cell import Cell
 from truepath_simulators.bench.bench import Bench
@@ -37,7 +35,7 @@ QUICK.set_forkserver_preload(
 """Starts processes with these imported: it takes longer than a short measurement."""
 
 
-class Driven:
+class Driven(Told):
     """A cell that runs while this is entered, and all it has said.
 
     beats : tell it at each look that the service can be reached
@@ -64,7 +62,7 @@ class Driven:
     def begin(self, order, line=0):
         self.cell.begin(order)
         if line:
-            self.until_line(line)
+            self.until_done(line)
 
     def until(self, condition, timeout_s=60.0):
         deadline_s = time.monotonic() + timeout_s
@@ -74,25 +72,10 @@ class Driven:
                 self.cell.send(CellVerb.BEAT)
             self.events += self.cell.poll(self.look_s)
 
-    def of(self, kind):
-        return [event for event in self.events if isinstance(event, kind)]
-
-    @property
-    def states(self):
-        return [event.state for event in self.of(StateChanged)]
-
-    @property
-    def faults(self):
-        return [event.code for event in self.of(FaultReported)]
-
-    def until_state(self, state):
-        self.until(lambda: self.states[-1:] == [state])
-
     def until_fault(self, code):
         self.until(lambda: code in self.faults)
 
-    def until_line(self, line):
-        self.until(lambda: any(p.done >= line for p in self.of(MeasurementProgress)))
+    until_line = Told.until_done
 
     def until_closed(self, timeout_s=45.0):
         self.until(lambda: bool(self.of(RunClosed)), timeout_s)
@@ -100,18 +83,15 @@ class Driven:
 
 
 def config_of(bench, **given):
-    config = CellConfig(
-        "streaming", bench.tracker_options, "modbus", bench.motion_options
-    )
-    return replace(config, **given)
+    options = bench.tracker_options, bench.motion_options
+    return replace(CellConfig("streaming", options[0], "modbus", options[1]), **given)
 
 
 def measure_undisturbed(order, content, folder, *, speed=10.0, faults=()):
     """Measure on a bench of its own; nothing of it is a fault of the measurement."""
+    how = {"seed": 3, "speed": speed, "workdir": folder / "b", "faults": faults}
     with (
-        Bench(
-            content, seed=3, speed=speed, workdir=folder / "b", rtu=False, faults=faults
-        ) as bench,
+        Bench(content, rtu=False, **how) as bench,
         Driven(config_of(bench)) as driven,
     ):
         driven.cell.connect()

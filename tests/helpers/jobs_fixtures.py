@@ -78,13 +78,9 @@ def machine():
 def scheduler():
     """A real Dask scheduler with two workers, in threads of this process."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
+    how = {"n_workers": 2, "threads_per_worker": 1, "processes": False}
+    how |= {"protocol": "tcp://", "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(**how) as cluster:
         yield cluster.scheduler_address
 
 
@@ -103,6 +99,7 @@ def context(database, event_bus, make_cell, science, machine, tmp_path):
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
+    quick = (State.PAUSING, State.RESUMING, State.ABORTING)
     yield JobContext(
         store=Store(database, event_bus.publish),
         runs=RunCatalogue(database, tmp_path / "runs", ReaderHere()),
@@ -110,12 +107,7 @@ def context(database, event_bus, make_cell, science, machine, tmp_path):
         executor=Inline(),
         science=science,
         machines=Machines([MachineCell("default", machine, cell)]),
-        confirm_s={
-            State.PAUSING: 0.3,
-            State.RESUMING: 0.3,
-            State.ABORTING: 0.3,
-            State.CANCELLING: 30.0,
-        },
+        confirm_s={State.CANCELLING: 30.0, **dict.fromkeys(quick, 0.3)},
     )
     cell.close()
 

@@ -4,6 +4,7 @@ import itertools
 import sqlite3
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -80,16 +81,9 @@ def no_thread_is_left_over():
 @pytest.fixture
 def calm():
     """Timeouts that a busy computer does not reach."""
-    return EngineSettings(
-        poll_s=0.02,
-        confirm_s=30.0,
-        stale_s=30.0,
-        link_s=30.0,
-        first_sample_s=30.0,
-        progress_s=0.0,
-        axes_rows=5,
-        timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0),
-    )
+    names = ("confirm_s", "stale_s", "link_s", "first_sample_s")
+    timeouts = StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0)
+    return replace(JUDGED, timeouts=timeouts, **dict.fromkeys(names, 30.0))
 
 
 @pytest.fixture
@@ -97,11 +91,9 @@ def read_link_bytes():
     """Read the bytes that the tracker's port received from a closed Run."""
 
     def read(file):
-        database = sqlite3.connect(file)
         query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
-        rows = database.execute(query, (LINK_STREAM,)).fetchall()
-        database.close()
-        return b"".join(payload for (payload,) in rows)
+        with closing(sqlite3.connect(file)) as database:
+            return b"".join(row[0] for row in database.execute(query, (LINK_STREAM,)))
 
     return read
 
@@ -111,22 +103,16 @@ class FakeTracker(Tracker, ByteLink):
 
     def __init__(self, speed=20.0):
         self.speed = speed
-        self.silent = False
+        self.silent = self.restarted = self.streaming = False
         self.damaged = False  # of twenty samples one arrives
         self.beam = True
         self.follows = None  # its machine; else it moves by itself
         self.frozen = False  # it repeats the last place
         self.place = (1.0, 2.0, 3.0)  # of the target before the machine moved
         self._last = np.array(self.place)
-        self.error = None
-        self.refusal = None
-        self.restarted = False
-        self.streaming = False
-        self.stops = 0
-        self._begun_s = 0.0
-        self._sent = 0
-        self._rate_hz = 500.0
-        self._bytes = b""
+        self.error = self.refusal = None
+        self.stops = self._sent = 0
+        self._begun_s, self._rate_hz, self._bytes = 0.0, 500.0, b""
 
     def connect(self):
         return Identity("Us", "fake tracker", "T1", "0")
@@ -255,50 +241,32 @@ def polled(motion):
 class FakeMotion(MotionController):
     """A controller in this process: constant speed, `speed` times faster than told."""
 
+    axes = ("X", "Y", "Z")
+    travel = ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+
     def __init__(self, speed=20.0):
         self.speed = speed
         self.calls = []
-        self.out_of_reach = False
-        self.has_watchdog = True
-        self.stops_unasked = False
-        self.override = None
-        self.referenced = None
-        self.compensation = None
-        self.limits_override = True
+        self.out_of_reach = self.stops_unasked = False
+        self.has_watchdog = self.limits_override = True
+        self.override = self.referenced = self.compensation = None
         self.ignores_hold = self.ignores_resume = self.ignores_abort = False
         self.ends_after_s = None
         self.runs_on = False  # another program follows the last row
         self.stale_looks = 0  # that still show the last line of the program before
         self.here = np.zeros(3)
-        self.loaded = None
-        self.alarm = ""
+        self.loaded, self.alarm = None, ""
         self.beats = self.looks = 0
         self._is_fed = False
         self._state, self._reason = MotionState.IDLE, ""
-        self._rows = []
-        self._owners = []
-        self._feed = 6000.0
-        self._done_s = 0.0
+        self._rows, self._owners = [], []
+        self._feed, self._done_s = 6000.0, 0.0
         self._since_s = host_clock.now_s()
         self._lock = threading.RLock()
 
-    @property
-    def axes(self):
-        return ("X", "Y", "Z")
-
-    @property
-    def travel(self):
-        return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
-
     def connect(self):
-        return Identity(
-            "Us",
-            "fake controller",
-            "C1",
-            "0",
-            self.has_watchdog,
-            stops_unasked=self.stops_unasked,
-        )
+        known = {"has_watchdog": self.has_watchdog, "stops_unasked": self.stops_unasked}
+        return Identity("Us", "fake controller", "C1", "0", **known)
 
     def close(self):
         self.abort()
@@ -318,16 +286,9 @@ class FakeMotion(MotionController):
                 self.looks += 1
                 self.beats += self._is_fed
             self._is_fed = False
-            return MotionStatus(
-                self._state,
-                tuple(self.here),
-                line,
-                self.alarm,
-                self._reason,
-                self.override,
-                self.referenced,
-                self.compensation,
-            )
+            stated = self.override, self.referenced, self.compensation
+            why = self.alarm, self._reason
+            return MotionStatus(self._state, tuple(self.here), line, *why, *stated)
 
     def limit_override(self, largest):
         if not self.limits_override:
@@ -452,15 +413,8 @@ def tracker(motion):
     return fake
 
 
-class Journal:
-    def __init__(self):
-        self.events = []
-        self._changed = threading.Condition()
-
-    def report(self, event):
-        with self._changed:
-            self.events.append(event)
-            self._changed.notify_all()
+class Told:
+    """What a measurement has told: `events`, and `until` waits for some."""
 
     def of(self, kind):
         return [event for event in self.events if isinstance(event, kind)]
@@ -473,6 +427,24 @@ class Journal:
     def faults(self):
         return [event.code for event in self.of(FaultReported)]
 
+    def until_state(self, state):
+        self.until(lambda: self.states[-1:] == [state])
+
+    def until_done(self, rows=1):
+        """Wait until so many lines or points are done: it moves."""
+        self.until(lambda: any(p.done >= rows for p in self.of(MeasurementProgress)))
+
+
+class Journal(Told):
+    def __init__(self):
+        self.events = []
+        self._changed = threading.Condition()
+
+    def report(self, event):
+        with self._changed:
+            self.events.append(event)
+            self._changed.notify_all()
+
     def wait(self, condition, timeout_s=25.0):
         with self._changed:
             came = host_clock.wait_for(self._changed, condition, timeout_s)
@@ -484,7 +456,7 @@ def journal():
     return Journal()
 
 
-class Running:
+class Running(Told):
     """A measurement on devices in this process, in a thread, and what it leaves."""
 
     def __init__(self, order, tracker, motion, journal, settings, sensors=None):
@@ -494,40 +466,19 @@ class Running:
             order, tracker, motion, devices, journal.report, settings, sensors
         )
         self.obey, self.told = self.measurement.obey, journal.of
+        self.events, self.until = journal.events, journal.wait
         self.thread = threading.Thread(target=self.measurement.run)
-
-    @property
-    def states(self):
-        return self.journal.states
-
-    @property
-    def faults(self):
-        return self.journal.faults
 
     @property
     def fault(self):
         return self.told(FaultReported)[-1]
 
-    def until(self, condition):
-        self.journal.wait(condition)
-
-    def until_state(self, state):
-        self.until(lambda: self.states[-1:] == [state])
-
     def until_told(self, *codes):
         self.until(lambda: self.faults == list(codes))
 
-    def until_done(self, rows=1):
-        """Wait until so many lines or points are done: it moves."""
-        told = self.told
-        self.until(lambda: any(p.done >= rows for p in told(MeasurementProgress)))
-
-    def until_seen(self, device_time_s):
+    def until_seen(self, time_s):
         """Wait until the tracker has measured for so long; its clock begins at 100."""
-        told = self.journal.of
-        self.until(
-            lambda: any(b.device_time_s > device_time_s for b in told(LivePoints))
-        )
+        self.until(lambda: any(b.device_time_s > time_s for b in self.of(LivePoints)))
 
     def pass_until(self, condition):
         """Let time pass, a tenth of a second a look, until something has happened."""
@@ -609,14 +560,8 @@ def order(mill, square, tmp_path):
 
 
 def along(order, rows, feed_mm_min=6000.0, **given):
-    n = len(rows)
-    path = Path(
-        order.commanded.axes,
-        np.array(rows, float),
-        np.full(n, feed_mm_min),
-        np.zeros(n),
-        **given,
-    )
+    rows, n, axes = np.array(rows, float), len(rows), order.commanded.axes
+    path = Path(axes, rows, np.full(n, feed_mm_min), np.zeros(n), **given)
     return replace(order, commanded=path)
 
 
@@ -626,10 +571,8 @@ def there_and_back(order, times):
 
 
 def standing_at(order, rows, dwell_s, target=()):
-    dwells_s = np.full(len(rows), dwell_s)
-    points = Configurations(
-        order.commanded.axes, np.array(rows, float), dwells_s, tuple(target)
-    )
+    given = np.array(rows, float), np.full(len(rows), dwell_s), tuple(target)
+    points = Configurations(order.commanded.axes, *given)
     return replace(order, commanded=points)
 
 

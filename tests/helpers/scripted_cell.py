@@ -4,6 +4,7 @@ import json
 import queue
 import threading
 from dataclasses import dataclass, field
+from functools import partialmethod
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -92,21 +93,11 @@ class ScriptedCell:
         self.order = order
         if "begin" in self.deaf:
             return
-        header = RunHeader(
-            order.run_name,
-            order.machine,
-            order.commanded,
-            order.rate_hz,
-            DEVICES,
-            order.machine.axis_names,
-            job_id=order.job_id,
-        )
-        self._recorder = Recorder(
-            FilePath(order.run_file),
-            header,
-            on_recorded=self._note_committed,
-            reserve_bytes=0,
-        )
+        given = order.run_name, order.machine, order.commanded, order.rate_hz
+        axes = order.machine.axis_names
+        header = RunHeader(*given, DEVICES, axes, job_id=order.job_id)
+        how = {"on_recorded": self._note_committed, "reserve_bytes": 0}
+        self._recorder = Recorder(FilePath(order.run_file), header, **how)
         self._samples = 0
         self.say_state("running")
         self.record(50)
@@ -124,9 +115,9 @@ class ScriptedCell:
             if self._recorder is not None:
                 self.end("aborted")
         else:
-            first = {"pause": "pausing", "resume": "resuming"}
-            self.say_state(first[verb])
-            self.say_state({"pause": "paused", "resume": "running"}[verb])
+            states = {"pause": ("pausing", "paused"), "resume": ("resuming", "running")}
+            for state in states[verb]:
+                self.say_state(state)
 
     def extend(self, part):
         self.heard.append("extend")
@@ -163,10 +154,8 @@ class ScriptedCell:
 
     def record(self, n, line_s=0.0):
         sequence = np.arange(self._samples, self._samples + n)
-        samples = TrackerSamples(
-            sequence, sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
-        )
-        self._recorder.put_tracker(samples)
+        columns = sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
+        self._recorder.put_tracker(TrackerSamples(sequence, *columns))
         self._samples += n
         self.say(
             MeasurementProgress(
@@ -240,26 +229,18 @@ class ScriptedLive:
         self.heard = []
         self.parts = []
 
-    def start(self):
-        self.heard.append("start")
+    def _hear(self, verb, *_):
+        self.heard.append(verb)
 
-    def offer(self, samples):
-        self.heard.append("offer")
-
-    def ask(self):
-        self.heard.append("ask")
-
-    def extend(self, part):
-        self.heard.append("extend")
+    start = partialmethod(_hear, "start")
+    offer = partialmethod(_hear, "offer")
+    ask = partialmethod(_hear, "ask")
+    extend = partialmethod(_hear, "extend")
+    finish = partialmethod(_hear, "finish")
+    close = partialmethod(_hear, "close")
 
     def take_part(self):
         return self.parts.pop(0) if self.parts else None
-
-    def finish(self):
-        self.heard.append("finish")
-
-    def close(self):
-        self.heard.append("close")
 
     def publish(self, volumetric_uncertainty_um, done, total=10, verdict=None):
         self.newest = {
@@ -270,11 +251,8 @@ class ScriptedLive:
             "elapsed_s": 5.0 * done,
             "device_time_s": 100.0 + 5.0 * done,
             "cells": 30 * done,
-            "is_last": False,
-            "age_s": 0.0,
-            "dropped_blocks": 0,
-            "error_tables": {},
-            "squareness_urad": {},
+            **{"is_last": False, "age_s": 0.0, "dropped_blocks": 0},
+            **{"error_tables": {}, "squareness_urad": {}},
         }
         self.show(self.newest)
 
@@ -373,13 +351,10 @@ class Science(_Scripted):
         self.models.append((model_file, model_id))
         self.begin(on_progress, "aligning")
         on_progress(0.5, "estimating")
-        result = {
-            "schema": "result/1",
-            "machine": {"name": "demo"},
-            "verdict": verdict_json(self.verdict),
-            "error_tables": {"EXX": {"position_mm": [0.0], "value_um": [1.0]}},
-            "squareness_urad": {"C0Y": {"value": 1.0, "uncertainty": 0.1}},
-        }
+        result = {"schema": "result/1", "machine": {"name": "demo"}}
+        result["verdict"] = verdict_json(self.verdict)
+        result["error_tables"] = {"EXX": {"position_mm": [0.0], "value_um": [1.0]}}
+        result["squareness_urad"] = {"C0Y": {"value": 1.0, "uncertainty": 0.1}}
         state = self.write(folder, "Report", result=result)
         table = "error,position_mm\nEXX,0.0\n"
         (FilePath(folder) / "error_tables.csv").write_text(table)
@@ -407,11 +382,8 @@ class Explorer(_Scripted):
             parent["version"] = json.loads(FilePath(model_file).read_text())["version"]
         text = "backlash X: width 6.1 ± 0.4 µm"
         change = {"kind": "added", "what": "backlash X", "text": text}
-        grown = {
-            "version": parent["version"] + 1,
-            "parent": parent,
-            "difference": [change],
-        }
+        grown = {"version": parent["version"] + 1, "parent": parent}
+        grown["difference"] = [change]
         found = {
             "schema": "discovery/1",
             "effects": [{"name": "backlash", "axis": "X"}],

@@ -20,6 +20,7 @@ from scripted_cell import (
     Explorer,
     Follower,
     Inline,
+    ReaderHere,
     Science,
     ScriptedLive,
     Verifier,
@@ -29,7 +30,6 @@ from serving import serving
 from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
-from truepath.catalogue.run_reader import RunReader
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
@@ -70,8 +70,8 @@ def logged_plainly(plain_log):
 def no_thread_is_left_over():
     before = set(threading.enumerate())
     yield
-    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
     # The client's portal and the loop's workers end with their client.
+    left = {t.name for t in threading.enumerate() if t not in before and not t.daemon}
     assert not [name for name in left if name.startswith(("job-", "cell-"))]
 
 
@@ -115,9 +115,8 @@ def plan_orders():
 @pytest.fixture
 def planner(plan_orders):
     """Plans a few lines at once; overridden by tests of real plans."""
-    rows = [[10, 10, 10], [400, 300, 200], [100, 350, 50], [20, 20, 290]]
-    feed, dwell = np.full(4, 6000.0), np.full(4, 0.4)
-    path = records.Path(("X", "Y", "Z"), np.array(rows, float), feed, dwell)
+    rows = np.array([[10, 10, 10], [400, 300, 200], [100, 350, 50], [20, 20, 290.0]])
+    path = records.Path(("X", "Y", "Z"), rows, np.full(4, 6000.0), np.full(4, 0.4))
 
     def plan(machine, order, *, on_progress):
         plan_orders.append(dict(order))
@@ -138,13 +137,6 @@ def estimates():
 def board():
     """The conditions of the machine; overridden by tests that look at them."""
     return
-
-
-class ReaderHere(RunReader):
-    """Reads what is uploaded in this process, not in one of its own."""
-
-    def _call(self, task, file):
-        return task(on_progress=lambda *_: None)
 
 
 @pytest.fixture
@@ -179,6 +171,7 @@ def service(
     """Everything behind the routes."""
     database = Database(catalogue_url)
     event_bus = EventBus()
+    publish = event_bus.publish
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     machine = machine_from_json(load_machine("demo"))
     machines = Machines([MachineCell("default", machine, cell, board)] if cell else [])
@@ -191,7 +184,7 @@ def service(
 
     registry = MachineRegistry(database)
     context = JobContext(
-        store=Store(database, event_bus.publish),
+        store=Store(database, publish),
         runs=RunCatalogue(database, tmp_path / "runs", reader),
         results=results,
         executor=Inline(),
@@ -209,12 +202,10 @@ def service(
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
-    calibrations = Calibrations(
-        registry, context.store, context.runs, results, event_bus.publish
-    )
-    setup = MachineSetup(
-        registry, context.store, CellSetup(tmp_path, 0, calibrations), calibrations
-    )
+    store, runs = context.store, context.runs
+    calibrations = Calibrations(registry, store, runs, results, publish)
+    cells = CellSetup(tmp_path, 0, calibrations)
+    setup = MachineSetup(registry, store, cells, calibrations)
     setup.machines = machines
     for one in machines.list_all():
         content = machine_to_json(one.machine)
@@ -224,15 +215,15 @@ def service(
         version="1.2.3",
         simulated=True,
         database=database,
-        store=context.store,
-        runs=context.runs,
+        store=store,
+        runs=runs,
         results=results,
         dispatcher=dispatcher,
         event_bus=event_bus,
         machines=machines,
         setup=setup,
         calibrations=calibrations,
-        deletion=Deletion(database, context.runs, results),
+        deletion=Deletion(database, runs, results),
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,
@@ -350,25 +341,21 @@ def bundle():
     """A small measurement bundle, zipped; members can be replaced or left out."""
 
     def make(**members):
+        path = (
+            "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n10,10,10,1000,1\n400,300,200,1000,1\n"
+        )
+        samples = "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100))
         content = {
             "machine.json": json.dumps(load_machine("demo")),
-            "path.csv": (
-                "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
-                "10,10,10,1000,1\n400,300,200,1000,1\n"
-            ),
-            "tracker.csv": "t_s,x_mm,y_mm,z_mm\n"
-            + "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100)),
+            "path.csv": path,
+            "tracker.csv": f"t_s,x_mm,y_mm,z_mm\n{samples}",
         }
-        for name, text in members.items():
-            key = name.replace("_", ".")
-            if text is None:
-                del content[key]
-            else:
-                content[key] = text
+        content |= {name.replace("_", "."): text for name, text in members.items()}
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, text in content.items():
-                archive.writestr(name, text)
+                if text is not None:
+                    archive.writestr(name, text)
         return packed.getvalue()
 
     return make
@@ -399,9 +386,7 @@ def is_problem():
         assert content["status"] == status
         assert content["code"] == code, content
         assert content["type"] == f"/problems/{code}"
-        assert content["title"]
-        assert content["detail"]
-        assert content["action"]
+        assert all(content[word] for word in ("title", "detail", "action"))
         assert content["instance"].startswith("/")
         assert content["request_id"] == answer.headers["x-request-id"]
         return content
