@@ -1,9 +1,10 @@
-"""A PostgreSQL server of the tests' own, reached by a socket in its folder only."""
+"""A PostgreSQL server of the tests' own."""
 
 import os
 import pwd
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
 import uuid
@@ -19,21 +20,34 @@ _PATIENCE_S = 60
 class PostgresServer:
     """Made by `initdb`, started at once, gone with its folder after `close`.
 
+    password : asked for over TCP; without one, a socket in its folder is the only way
+
     Raises FileNotFoundError where PostgreSQL is not installed.
     """
 
-    def __init__(self):
+    def __init__(self, password=""):
+        self.password = password
         self._initdb, self._pg_ctl = _program("initdb"), _program("pg_ctl")
         self._user = pwd.getpwnam("postgres").pw_name if os.geteuid() == 0 else None
         self._folder = Path(tempfile.mkdtemp(prefix="pg"))
         if self._user:
             shutil.chown(self._folder, self._user)
         self._data = self._folder / "data"
-        self._run(self._initdb, "-D", self._data, "-A", "trust", "-U", _USER, "-N")
+        self._listens, login = "-c listen_addresses=", ("-A", "trust")
+        self._place = f"/{{}}?host={self._folder}"
+        if password:
+            file = self._folder / "password"
+            file.write_text(password)
+            file.chmod(0o644)
+            with socket.create_server(("127.0.0.1", 0)) as listener:
+                host, port = listener.getsockname()
+            self._listens, self._place = f"-h {host} -p {port}", f"{host}:{port}/{{}}"
+            login = ("-A", "scram-sha-256", f"--pwfile={file}")
+        self._run(self._initdb, "-D", self._data, *login, "-U", _USER, "-N")
         self.start()
 
     def start(self):
-        options = f"-k {self._folder} -c listen_addresses= -c fsync=off"
+        options = f"-k {self._folder} {self._listens} -c fsync=off"
         log = self._folder / "log"
         self._control("-o", options, "-l", log, "start")
 
@@ -55,7 +69,7 @@ class PostgresServer:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def url(self, name="postgres"):
-        return f"postgresql+psycopg://{_USER}@/{name}?host={self._folder}"
+        return f"postgresql+psycopg://{_USER}@{self._place.format(name)}"
 
     def make_database(self, template="template1"):
         """Make a database of a name of its own, as its template is; return the name."""

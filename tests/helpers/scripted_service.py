@@ -24,8 +24,6 @@ from scripted_data import (
 
 _STAGES = {"analyse": "aligning", "discover": "discovering", "trend": "following"}
 ENDED = {"succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"}
-
-
 NOTHING_YET = ("started", "ended", "run_id", "monte_carlo", "result", "error")
 NOTHING_YET += ("target_um", "early_end")
 COUNTS = ("samples", "lost_samples", "crc_errors", "gaps", "repeats")
@@ -39,47 +37,28 @@ class ScriptedService:
     """State of the service, changed by the test and by the page."""
 
     def __init__(self):
-        self.connected = False
-        self.silent = False
-        self.refuse_connect = False
-        self.controller = None
-        self.log_in_required = False
-        self.user = None
-        self.conditions = []
-        self.deaf_to_stop = False
-        self.stopped = "unknown"
-        self.stops = 0
-        self.requests = []
-        self.looks = []
-        self.jobs = {}
-        self.runs = []
+        self.connected = self.silent = self.refuse_connect = False
+        self.log_in_required = self.deaf_to_stop = False
+        self.controller = self.user = None
+        self.stopped, self.stops = "unknown", 0
+        self.requests, self.looks = [], []
+        self.jobs, self.runs, self.conditions = {}, [], []
         self.plan = planned_path()
         self.planned = {"id": "plan-1", "state": "succeeded"}
-        self.grade = GRADE
-        self.machine = MACHINE
+        self.grade, self.machine, self.discovery = GRADE, MACHINE, DISCOVERY
         self.result = result()
-        self.verifications = {}
+        self.estimates, self.verifications, self.trend = {}, {}, {}
         self.conformity = {
             "machine_tolerance_um": None,
             "before": {"conformity": "outside"},
             "after_expected": {"conformity": "within"},
         }
-        self.discovery = DISCOVERY
-        self.trend = {}
-        self.machines = [machine_entry()]
-        self.held_machine = ""
-        self.histories = {}
-        self.standings = {}
-        self.changes = {}
-        self.comparison = {}
-        self.temperature = {}
+        self.machines, self.held_machine = [machine_entry()], ""
+        self.histories, self.standings, self.changes = {}, {}, {}
+        self.comparison, self.temperature = {}, {}
         self.temperature_refusal = "2 of 3 temperatures"
-        self.compensations = {}
-        self.rotary_account = {}
-        self.loaded_tables = {}
-        self.certificates = {}
-        self.identity = {}
-        self.estimates = {}
+        self.compensations, self.rotary_account, self.loaded_tables = {}, {}, {}
+        self.certificates, self.identity = {}, {}
         self._numbers = itertools.count(1)
         self._streams = set()
         self._lock = threading.Lock()
@@ -125,31 +104,27 @@ class ScriptedService:
         return job
 
     def measured(self, **more):
-        with self._telling_the_end():
+        with self.telling_late(only_last=True):
             job = self.measuring(**more)
             self.finish(job)
         return job
 
     def done(self, kind, **more):
         self.connected = True
-        with self._telling_the_end():
+        with self.telling_late(only_last=True):
             job = self.new_job(kind, **more)["id"]
             self.finish(job)
         return job
 
     def verified(self, content, **more):
-        with self._telling_the_end():
+        with self.telling_late(only_last=True):
             job = self.new_job("verify", **more)["id"]
             self.verifications[job] = content
             self.finish(job)
         return job
 
     def orders(self, path="/jobs"):
-        return [
-            body
-            for verb, place, body in self.requests
-            if (verb, place) == ("POST", path)
-        ]
+        return [body for *to, body in self.requests if to == ["POST", path]]
 
     def change(self, job_id, **change):
         job = self.jobs[job_id]
@@ -225,21 +200,15 @@ class ScriptedService:
             self._send(text)
 
     @contextmanager
-    def _telling_the_end(self):
-        """Tell only the last of the events: no page is led through what was before."""
-        self._kept_back = []
-        yield
-        last, self._kept_back = self._kept_back[-1:], None
-        for text in last:
-            self._send(text)
+    def telling_late(self, only_last=False):
+        """Tell no event before the end; what is asked is answered meanwhile.
 
-    @contextmanager
-    def telling_late(self):
-        """Tell no event before the end; what is asked is answered meanwhile."""
+        only_last : of the events, so that no page is led through what was before
+        """
         self._kept_back = []
         yield
         late, self._kept_back = self._kept_back, None
-        for text in late:
+        for text in late[-1:] if only_last else late:
             self._send(text)
 
     @contextmanager

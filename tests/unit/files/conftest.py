@@ -21,23 +21,15 @@ def stream(rng):
 
 @pytest.fixture
 def run(mill, square, stream):
-    return Run(
-        "monday",
-        mill,
-        square,
-        stream,
-        temperature=TemperatureSamples(
-            ("X", "air"),
-            np.array([1234.5, 1235.0]),
-            np.array([[20.1, 21.0], [20.2, 21.1]]),
-        ),
-        reference=(
-            DirectMeasurement(
-                "EXX", "+", "um", np.array([0.0, 100.0]), np.array([0.0, 1.5])
-            ),
-            DirectMeasurement("EAX", "-", "urad", np.array([50.0]), np.array([2.25])),
-        ),
+    time_s, celsius = np.array([1234.5, 1235.0]), np.array([[20.1, 21.0], [20.2, 21.1]])
+    warm = TemperatureSamples(("X", "air"), time_s, celsius)
+    scale = np.array([0.0, 100.0]), np.array([0.0, 1.5])
+    roll = np.array([50.0]), np.array([2.25])
+    measured = (
+        DirectMeasurement("EXX", "+", "um", *scale),
+        DirectMeasurement("EAX", "-", "urad", *roll),
     )
+    return Run("monday", mill, square, stream, temperature=warm, reference=measured)
 
 
 @pytest.fixture

@@ -1,8 +1,10 @@
 """The table of bad input: one edit of one file of a good bundle, one clear error."""
 
 import json
+import os
 import pickle
 from collections.abc import Callable
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +30,11 @@ def without(name):
 
 def holding(name, data):
     content = data.encode() if isinstance(data, str) else data
-    return lambda folder: (folder / name).write_bytes(content) and None
+    return lambda folder: (folder / name).write_bytes(content)
 
 
 def cut(name, size):
-    def edit(folder):
-        (folder / name).write_bytes((folder / name).read_bytes()[:size])
-
-    return edit
+    return lambda folder: os.truncate(folder / name, size)
 
 
 def change_lines(name, change):
@@ -56,10 +55,6 @@ def cell(name, row, column, text):
         lines[row - 1] = ",".join(cells)
 
     return change_lines(name, change)
-
-
-def renamed(name, column, to):
-    return cell(name, 1, column, to)
 
 
 def row(name, number, text):
@@ -87,10 +82,8 @@ def key(path, value):
 
     def edit(folder):
         content = json.loads((folder / "machine.json").read_text())
-        at = content
         *way, last = path.split(".")
-        for step in way:
-            at = at[step]
+        at = reduce(dict.get, way, content)
         at[last] = value
         if value is None:
             del at[last]
@@ -100,11 +93,7 @@ def key(path, value):
 
 
 def both(first, second):
-    def edit(folder):
-        first(folder)
-        second(folder)
-
-    return edit
+    return lambda folder: (first(folder), second(folder))
 
 
 def targets(**placed):
@@ -116,6 +105,12 @@ def targets(**placed):
 def streamed(text):
     """Put a stream of this text in place of the tracker's Parquet file."""
     return both(without("tracker.parquet"), holding("tracker.csv", text))
+
+
+def turning(stated):
+    """Put an axis C below X."""
+    chain = key("kinematic_chain", "w-C-X-b-Y-Z-t")
+    return both(key("axes.C", {**ROTARY, **stated}), chain)
 
 
 HEADER = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
@@ -202,10 +197,7 @@ FILES = [
     (targets(T1="roof"), 'targets.T1.on is "roof"; write one of tool, workpiece'),
     (targets(**{"": "tool"}), "targets. has no name; name every target"),
     (
-        both(
-            key("axes.C", {**ROTARY, "direction": [0, 0, 0]}),
-            key("kinematic_chain", "w-C-X-b-Y-Z-t"),
-        ),
+        turning({"direction": [0, 0, 0]}),
         "axes.C.direction is [0, 0, 0]; write a direction",
     ),
     (
@@ -225,17 +217,11 @@ FILES = [
     ),
     (holding("path.csv", HEADER), "path.csv: has no rows"),
     (holding("path.csv", HEADER + "0,0,0,1,0\n"), "has one row, and no line"),
-    (
-        renamed("path.csv", "feed_mm_min", "feed"),
-        "feed_mm_min: is missing; the file has",
-    ),
-    (renamed("path.csv", "y_mm", "why"), "path.csv, column y_mm: is missing"),
+    (cell("path.csv", 1, "feed_mm_min", "feed"), "feed_mm_min: is missing; the"),
+    (cell("path.csv", 1, "y_mm", "why"), "path.csv, column y_mm: is missing"),
     (holding("path.csv", HEADER.replace(",", ";")), "is missing; the file has x_mm;y"),
-    (
-        renamed("path.csv", "dwell_s", "a_deg"),
-        "column a_deg: is an unknown axis; the mac",
-    ),
-    (renamed("path.csv", "y_mm", "x_mm"), "column x_mm: appears more than once"),
+    (cell("path.csv", 1, "dwell_s", "a_deg"), "a_deg: is an unknown axis; the mac"),
+    (cell("path.csv", 1, "y_mm", "x_mm"), "column x_mm: appears more than once"),
     (row("path.csv", 3, "1,2,3,4"), "path.csv, row 3: has 4 cells, the header 5"),
     (row("path.csv", 3, "\n110,10,-10,6000"), "row 4: has 4 cells, the header 5"),
     (row("path.csv", 4, "110.0,10.0,-10.0,6000.0,0.1"), "row 4: the line starts"),
@@ -279,10 +265,10 @@ FILES = [
         streamed(TRACKER_HEADER + "0,1,1,1\n1,1,,1\n"),
         "row 3, column y_mm: is empty or NaN",
     ),
-    (renamed("environment.csv", "t_s", "t"), "environment.csv, column t_s: is"),
+    (cell("environment.csv", 1, "t_s", "t"), "environment.csv, column t_s: is"),
     (holding("environment.csv", "t_s,X_C\n1,2\n"), "has no temperatures; co"),
     (holding("environment.csv", "t_s,X_degC\n"), "nment.csv: has no ro"),
-    (renamed("reference.csv", "value", "v"), "reference.csv, column value: is"),
+    (cell("reference.csv", 1, "value", "v"), "reference.csv, column value: is"),
     (
         holding("reference.csv", "error,position_mm,direction,value,unit\n"),
         "reference.csv: has no rows; leave out the file",
@@ -331,7 +317,7 @@ def test_unknown_keys_are_kept_out_and_a_tracker_of_usual_noise_may_be_unsaid(bu
 
 
 def test_unknown_columns_are_tolerated(bundle):
-    renamed("environment.csv", "air_degC", "humidity_percent")(bundle)
+    cell("environment.csv", 1, "air_degC", "humidity_percent")(bundle)
     assert read_bundle(bundle).temperature.names == ("X",)
 
 
@@ -357,8 +343,7 @@ def test_a_machine_file_is_read_from_disk(bundle):
     ],
 )
 def test_how_an_nc_program_begins_survives_the_machine_file(bundle, stated):
-    file = bundle / "machine.json"
-    content = json.loads(file.read_text()) | {"approach": stated}
+    content = json.loads((bundle / "machine.json").read_text()) | {"approach": stated}
     machine = decode_machine(json.dumps(content).encode())
     written = json.loads(encode_machine(machine))
     assert written["approach"].items() >= stated.items()

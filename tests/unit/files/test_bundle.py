@@ -41,39 +41,29 @@ def test_the_quality_of_samples_is_kept_where_it_is_told(tmp_path, run):
 
 
 def standstill(run):
-    points = Configurations(
-        run.commanded.axes, run.commanded.position, np.full(len(run.commanded), 2.0)
-    )
+    path = run.commanded
+    points = Configurations(path.axes, path.position, np.full(len(path), 2.0))
     return replace(run, commanded=points, temperature=None, reference=())
 
 
 def five_axes(run):
     """The Run of a machine with a table C, an inclined B and two targets."""
+    b = RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8))
+    c = RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    on_tool = Target("T1", "tool", (20.0, 30.0, -150.0))
+    on_table = Target("T2", "workpiece", (0.0, 100.0, 50.0))
     machine = replace(
         run.machine,
         workpiece_side=("C", "X"),
         tool_side=("Y", "Z", "B"),
-        axes=(
-            *run.machine.axes,
-            RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8)),
-            RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ),
-        targets=(
-            Target("T1", "tool", (20.0, 30.0, -150.0)),
-            Target("T2", "workpiece", (0.0, 100.0, 50.0)),
-        ),
+        axes=(*run.machine.axes, b, c),
+        targets=(on_tool, on_table),
         tracker=replace(run.machine.tracker, stands_on="base", rate_hz=1000.0),
     )
-    path = run.commanded
-    angles = np.linspace(0.0, 80.0, len(path))
+    path, angles = run.commanded, np.linspace(0.0, 80.0, 4)
     position = np.column_stack([path.position, angles, 2 * angles])
-    commanded = Path(
-        ("X", "Y", "Z", "B", "C"),
-        position,
-        np.full(len(path), 3000.1),
-        path.dwell_s,
-        ("T1", "T1", "T2", "T2"),
-    )
+    given = np.full(4, 3000.1), path.dwell_s, ("T1", "T1", "T2", "T2")
+    commanded = Path(("X", "Y", "Z", "B", "C"), position, *given)
     return replace(run, machine=machine, commanded=commanded)
 
 
@@ -119,16 +109,16 @@ def test_a_csv_stream_is_read_like_a_parquet_stream(bundle, run):
 
 
 def test_a_stream_of_single_precision_and_integers_is_read(bundle):
-    columns = {"t_s": [0, 1, 2], "x_mm": [1.5, 2.5, 3.5], "y_mm": [1, 2, 3]}
-    kinds = (pa.int64(), pa.float32(), pa.int32())
-    arrays = map(pa.array, columns.values(), kinds)
-    columns = dict(zip(columns, arrays, strict=True)) | {"z_mm": pa.array([0.0] * 3)}
-    table = pa.table(columns)
-    pq.write_table(table, bundle / "tracker.parquet")
+    columns = {
+        "t_s": pa.array([0, 1, 2], pa.int64()),
+        "x_mm": pa.array([1.5, 2.5, 3.5], pa.float32()),
+        "y_mm": pa.array([1, 2, 3], pa.int32()),
+        "z_mm": pa.array([0.0] * 3),
+    }
+    pq.write_table(pa.table(columns), bundle / "tracker.parquet")
     tracker = read_bundle(bundle).tracker
-    np.testing.assert_array_equal(
-        tracker.position_mm, [[1.5, 1, 0], [2.5, 2, 0], [3.5, 3, 0]]
-    )
+    places = [[1.5, 1, 0], [2.5, 2, 0], [3.5, 3, 0]]
+    np.testing.assert_array_equal(tracker.position_mm, places)
     assert (tracker.status == 0).all()
 
 
@@ -195,10 +185,7 @@ def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatc
         (["/etc/machine.json"], "points out of the archive"),
         (["C:/machine.json"], "points out of the archive"),
         (["a\\..\\b"], "points out of the archive"),
-        (
-            [f"{number}.txt" for number in range(4)],
-            r"odd\.zip: holds more than 3 files",
-        ),
+        (["1.txt", "2.txt", "3.txt", "4.txt"], r"odd\.zip: holds more than 3 files"),
         (["a/machine.json", "b/path.csv"], "spreads a bundle over a, b"),
         (
             ["a/machine.json", "b/machine.json"],
@@ -261,10 +248,8 @@ def test_a_damaged_member_is_refused(run, tmp_path):
 def test_an_encrypted_archive_is_refused(run, tmp_path):
     file = tmp_path / "secret.zip"
     data = bytearray(zip_bundle(run))
-    for mark in (b"PK\x03\x04", b"PK\x01\x02"):
-        at = data.index(mark)
-        flags = at + (6 if mark == b"PK\x03\x04" else 8)
-        data[flags] |= 1
+    for mark, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(mark) + flags] |= 1
     file.write_bytes(data)
     with pytest.raises(BundleError, match="without a password"):
         read_bundle(file)

@@ -276,19 +276,19 @@ def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, 
     assert np.abs(got.samples.position_mm - seen).max() < 0.51 / factor + 1e-6
 
 
+def nine(head, row):
+    """Rows below a head, each with its number in place of K."""
+    return head + "\n".join(row.replace("K", str(k)) for k in range(9))
+
+
 SEEN = {
-    "GSI angles": (
-        "\n".join(f"11{k:04d}+0000000{k} 21.102+19723700 " for k in range(9)),
-        "21",
-    ),
+    "GSI angles": (nine("", "11000K+0000000K 21.102+19723700 "), "21"),
     "spherical": (
-        "// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n"
-        + "\n".join(f"A, g, p{k}, 2000.{k}, 12.{k}, 3.{k}" for k in range(9)),
+        nine("// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n", "A,g,pK,2.K,12.K,3.K"),
         "SPHERICAL",
     ),
     "polar": (
-        "Nr;Hz [gon];V [gon];D [mm]\n"
-        + "\n".join(f"{k};{k}.5;99.{k};2000.{k}" for k in range(9)),
+        nine("Nr;Hz [gon];V [gon];D [mm]\n", "K;K.5;99.K;2000.K"),
         r"Hz \[gon\]",
     ),
     "an interferometer": (
@@ -332,16 +332,12 @@ def test_names_are_matched_whole(spots):
 
 def test_shots_within_one_second_are_shots(spots):
     commanded, seen = spots
-    text = (
-        SA_HEAD
-        + "\n"
-        + "\n".join(
-            f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
-            for k, (x, y, z) in enumerate(seen)
-            for shot in (0.0, 0.001, 0.002)
-        )
+    shots = (
+        f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
+        for k, (x, y, z) in enumerate(seen)
+        for shot in (0.0, 0.001, 0.002)
     )
-    got = read(text, commanded)
+    got = read("\n".join([SA_HEAD, *shots]), commanded)
     assert got.points.row.tolist() == list(range(len(commanded)))
     assert set(got.points.count.tolist()) == {3}
 
@@ -400,12 +396,9 @@ def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
 
 
 def arguments(folder, path):
-    truth = folder / "truth"
-    return [
-        "import", str(folder / "export.txt"), "--machine",
-        str(truth / "machine.json"), "--path", str(truth / path), "-o",
-        str(folder / "bundle"), "--dry-run",
-    ]  # fmt: skip
+    truth, out = folder / "truth", folder / "bundle"
+    given = ["--machine", truth / "machine.json", "--path", truth / path, "-o", out]
+    return [*map(str, ["import", folder / "export.txt", *given, "--dry-run"])]
 
 
 def test_what_is_shown_survives_a_terminal_of_ascii(drive, tmp_path, monkeypatch):

@@ -2,8 +2,6 @@
 
 import json
 import re
-import tomllib
-from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -207,14 +205,6 @@ def test_nothing_of_ours_names_a_host():
             "http://www.w3.org/2000/svg", ""
         )
         assert not re.search(r"https?://", text), path
-
-
-def test_the_wheel_takes_every_file_of_the_page_along():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    patterns = project["tool"]["setuptools"]["package-data"]["*"]
-    for path in [TEMPLATE, *STATIC.rglob("*")]:
-        if path.is_file():
-            assert any(fnmatch(path.name, p) for p in patterns), path
 
 
 def test_what_is_vendored_brings_its_licence():
