@@ -167,14 +167,13 @@ def test_an_alarm_strikes_on_its_row(fast):
 
 def test_broken_connections_can_be_made_anew(plain):
     where = plain.motion_options["host"], plain.motion_options["port"]
-    with socket.create_connection(where, 5.0) as connection:
-        connection.sendall(READ)
-        assert connection.recv(100)
-        plain.inject("cnc:disconnect")
-        assert connection.recv(100) == b""
-    with socket.create_connection(where, 5.0) as connection:
-        connection.sendall(READ)
-        assert connection.recv(100)
+    for fault in ("cnc:disconnect", None):
+        with socket.create_connection(where, 5.0) as connection:
+            connection.sendall(READ)
+            assert connection.recv(100)
+            if fault:
+                plain.inject(fault)
+                assert connection.recv(100) == b""
 
 
 @pytest.mark.parametrize("fault", ["cnc:exception+1s*4", "cnc:silence+1s"])
@@ -203,13 +202,12 @@ def fails(motion):
 
 @pytest.mark.long
 def test_wrong_devices_are_refused():
-    with Bench(
-        seed=1, faults=["cnc:wrong-identity", "tracker:wrong-identity"]
-    ) as wrong:
-        with pytest.raises(WrongDevice), ModbusController(**wrong.motion_options):
-            pass
-        with pytest.raises(WrongDevice), StreamingTracker(**wrong.tracker_options):
-            pass
+    faults = ["cnc:wrong-identity", "tracker:wrong-identity"]
+    with Bench(seed=1, faults=faults) as wrong:
+        with pytest.raises(WrongDevice):
+            ModbusController(**wrong.motion_options).connect()
+        with pytest.raises(WrongDevice):
+            StreamingTracker(**wrong.tracker_options).connect()
 
 
 @pytest.mark.fault_row(6)
@@ -266,12 +264,9 @@ with running_rig({}) as rig:
 @pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_simulators_and_rigs_do_not_outlive_their_parent(number):
-    with subprocess.Popen(
-        [sys.executable, "-c", ORPHANS],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as parent:
+    words, nowhere = [sys.executable, "-c", ORPHANS], subprocess.DEVNULL
+    how = {"stdout": subprocess.PIPE, "stderr": nowhere, "text": True}
+    with subprocess.Popen(words, **how) as parent:
         assert parent.stdout is not None
         pids = [int(pid) for pid in parent.stdout.readline().split()]
         assert all(runs(pid) for pid in pids)
