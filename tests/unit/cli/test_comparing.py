@@ -31,15 +31,11 @@ def measured(truth, machine, seed=3):
             value = value + 12.0 + (0.02 * at if unit == "um" else 0.0)
             if symbol == f"E{axis.name}{axis.name}":
                 value = value - 0.02 * at
-            for sign, direction in ((1.0, "+"), (-1.0, "-")):
+            for half, direction in ((0.5, "+"), (-0.5, "-")):
                 for _ in range(RUNS):
                     noise = REPEATABILITY[unit] * rng.normal(size=len(at))
-                    half = 0.5 * sign * REVERSAL[unit]
-                    rows.append(
-                        DirectMeasurement(
-                            symbol, direction, unit, at, value + half + noise
-                        )
-                    )
+                    shown = value + half * REVERSAL[unit] + noise
+                    rows.append(DirectMeasurement(symbol, direction, unit, at, shown))
     return tuple(rows)
 
 
@@ -79,11 +75,8 @@ def compared(analysed, laser, tmp_path_factory):
 
 def test_compare_writes_table_figures_and_page_and_names_what_it_leaves_out(compared):
     folder, content = compared
-    assert {path.name for path in folder.iterdir()} == {
-        "comparison.json",
-        "comparison.csv",
-        "comparison.html",
-    }
+    names = {f"comparison.{kind}" for kind in ("json", "csv", "html")}
+    assert {path.name for path in folder.iterdir()} == names
     assert content["schema"] == "comparison/1"
     page = (folder / "comparison.html").read_text()
     assert page.count("<svg") == 4  # three axes and the volume
@@ -163,10 +156,8 @@ def test_uncertainty_of_the_instrument_widens_what_agrees(
 @pytest.fixture
 def words(analysed, tmp_path):
     def spell(*rows):
-        file, head = (
-            tmp_path / "reference.csv",
-            "error,position_mm,direction,value,unit",
-        )
+        file = tmp_path / "reference.csv"
+        head = "error,position_mm,direction,value,unit"
         file.write_text("\n".join([head, *rows]) + "\n")
         return ["compare", analysed / "result.json", file, "-o", tmp_path / "out"]
 
@@ -210,9 +201,7 @@ def test_another_scale_of_lengths_is_no_disagreement_beyond_what_is_stated(
     compare, truth_measured, result
 ):
     longer = [
-        replace(one, value=one.value + 0.02 * one.position_mm)
-        if one.error == "EXX"
-        else one
+        replace(one, value=one.value + 0.02 * one.position_mm * (one.error == "EXX"))
         for one in truth_measured
     ]
     within = {}

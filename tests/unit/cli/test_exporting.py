@@ -125,24 +125,19 @@ def test_lost_motion_that_the_result_states_is_in_both_directions(
     np.testing.assert_allclose(lost["Y"], 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("name", "output"),
-    [
+def test_the_result_itself_is_never_written_over(command, words, result, keep, names):
+    file = keep(result)
+    before = file.read_bytes()
+    for name, output in (
         ("siemens", "result.ini"),
         ("siemens-lec", "result.json"),
         ("json", "result.json"),
         ("json", "result"),
-    ],
-)
-def test_the_result_itself_is_never_written_over(
-    command, words, result, keep, names, name, output
-):
-    file = keep(result)
-    before = file.read_bytes()
-    said = command.refuse(*words(name, output, result=file))
-    assert "result.json: would be written over" in said
-    assert names() == {"result.json"}
-    assert file.read_bytes() == before
+    ):
+        said = command.refuse(*words(name, output, result=file))
+        assert "result.json: would be written over" in said
+        assert names() == {"result.json"}
+        assert file.read_bytes() == before
 
 
 def test_an_account_replaces_an_account_and_no_other_file(

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from api_builders import edited
 from truepath.cli.command import run
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
@@ -55,9 +56,9 @@ def left(record, active, tmp_path_factory):
     run_of_truth, truth = record(7, rows=24, setting=setting)
     write_bundle(run_of_truth, folder / "bundle")
     assert run(["analyse", str(folder / "bundle"), "-o", str(folder)]) == 0
-    file = folder / "result.json"
-    file.write_text(json.dumps(say_control(json.loads(file.read_text()), "on")))
-    return file, truth
+    with edited(folder / "result.json") as content:
+        say_control(content, "on")
+    return folder / "result.json", truth
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from functools import cache
 import pytest
 from tests.unit.alignment.test_arcs import random_path
 
+from api_builders import edited
 from recorded import record_run
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
@@ -22,10 +23,8 @@ def recorded_on(name):
 
 
 def change(bundle, edit):
-    file = bundle / "machine.json"
-    content = json.loads(file.read_text())
-    edit(content)
-    file.write_text(json.dumps(content))
+    with edited(bundle / "machine.json") as content:
+        edit(content)
 
 
 def edit_rows(bundle, rows):
