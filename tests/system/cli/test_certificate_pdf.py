@@ -37,10 +37,7 @@ def read_pages(file, *texts):
 def test_a_result_not_to_be_used_is_printed_alike_each_time(
     command, words, judged, tmp_path
 ):
-    file, (one, other) = (
-        judged("not-usable"),
-        (tmp_path / n for n in ("a.pdf", "b.pdf")),
-    )
+    file, one, other = judged("not-usable"), tmp_path / "a.pdf", tmp_path / "b.pdf"
     for name in (one.name, other.name):
         command.run(*words(file, name, "--accept-verdict"))
     assert one.read_bytes() == other.read_bytes()

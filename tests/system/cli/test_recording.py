@@ -65,15 +65,10 @@ def recording(files):
 
     def begin(*more):
         words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
-        process = subprocess.Popen(
-            [sys.executable, "-c", MAIN, *words,
-             "--config", "settings.toml", *more],
-            cwd=files,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
+        words += ["--config", "settings.toml", *more]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        how = {"cwd": files, "env": {**os.environ, "OMP_NUM_THREADS": "1"}, **pipes}
+        process = subprocess.Popen([sys.executable, "-c", MAIN, *words], **how)
         started.append(process)
         return process
 
@@ -132,13 +127,8 @@ def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
     said = json.loads(out)
     assert said["lost_samples"] == 0
     bundle = files / "bundle"
-    assert {p.name for p in bundle.iterdir()} == {
-        "machine.json",
-        "path.csv",
-        "tracker.parquet",
-        "environment.csv",
-        "run.sqlite",
-    }
+    names = "machine.json path.csv tracker.parquet environment.csv run.sqlite"
+    assert {p.name for p in bundle.iterdir()} == set(names.split())
     recorded = read_bundle(bundle)
     assert len(recorded.tracker) == said["samples"] > 5000
     assert recorded.temperature.names == ("X", "Y", "Z", "spindle", "air")
@@ -175,17 +165,13 @@ def test_a_tracker_that_falls_silent_ends_the_recording_and_keeps_it(
     assert (files / "bundle" / "run.sqlite").is_file()
 
 
-def test_an_earlier_recording_is_not_overwritten(files, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    (files / "bundle").mkdir()
-    (files / "bundle" / "run.sqlite").write_text("")
-    words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
-    assert run([*words, "--config", "settings.toml"]) == 2
-    assert "name another folder" in capsys.readouterr().err
-
-
-def test_without_a_machine_file_it_says_what_to_give(files, capsys, monkeypatch):
+def test_without_a_machine_file_or_beside_a_recording_it_says_what_to_give(
+    files, command, monkeypatch
+):
     monkeypatch.chdir(files)
     words = ["record", "path.csv", "-o", "bundle", "--config", "settings.toml"]
-    assert run(words) == 2
-    assert "--machine MACHINE.json" in capsys.readouterr().err
+    assert "--machine MACHINE.json" in command.refuse(*words)
+    (files / "bundle").mkdir()
+    (files / "bundle" / "run.sqlite").write_text("")
+    said = command.refuse(*words, "--machine", "machine.json")
+    assert "name another folder" in said
