@@ -19,11 +19,9 @@ class CncModel:
         self.rows = {}
         self.motion_s = 0.05
         self.takes_commands = True
-        self.answers_with = None
+        self.answers_with = self.keeps_watchdog_ms = None
         self.loses_rows = False
-        self.keeps_watchdog_ms = None
-        self._ends_s = 0.0
-        self._beat_s = 0.0
+        self._ends_s = self._beat_s = 0.0
         self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 2, 3,
                                 *b"XYZ", 0, 0, 0, *[0] * 6, 4096))  # fmt: skip
         for address, text in ((20, "Truepath"), (28, "loopback"), (36, "CNC-1")):

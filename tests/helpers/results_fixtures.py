@@ -27,6 +27,7 @@ AXES = (
     LinearAxis("Y", 10.0, 400.0),  # zero outside: the lowest position stands in
     LinearAxis("Z", 0.0, 310.0),
 )
+TRAVEL = np.array([(axis.low, axis.high) for axis in AXES]).T
 ONE_TARGET = (Target("", "tool", (20.0, 30.0, -150.0)),)
 THREE_TARGETS = (
     Target("short", "tool", (20.0, 30.0, -150.0)),
@@ -66,17 +67,12 @@ def construct():
         # Millimetres and radians differ in size as they do in a machine.
         size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
         spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
-        low = [axis.low for axis in AXES]
-        high = [axis.high for axis in AXES]
         residual = 1e-3 * rng.standard_normal((CELLS, 3))
-        residuals = Residuals(
-            residual,
-            np.linalg.norm(residual[:, 1:], axis=1),
-            np.repeat(np.arange(1, LINES + 1), CELLS // LINES),
-            rng.uniform(low, high, (CELLS, 3)),
-            float(np.sqrt(np.mean(residual**2))),
-            1e-3,
-        )
+        across = np.linalg.norm(residual[:, 1:], axis=1)
+        line = np.repeat(np.arange(1, LINES + 1), CELLS // LINES)
+        place = rng.uniform(*TRAVEL, (CELLS, 3))
+        rms = float(np.sqrt(np.mean(residual**2)))
+        residuals = Residuals(residual, across, line, place, rms, 1e-3)
         return Estimate(
             model,
             size * rng.standard_normal(model.size),
@@ -108,17 +104,9 @@ def estimate(construct):
 
 @pytest.fixture(scope="session")
 def provenance():
-    run = RunSummary(
-        "monday",
-        "otf",
-        "0" * 64,
-        LINES,
-        (2500.0, 10_000.0),
-        300.0,
-        10_000,
-        {"X": (19.9, 20.1)},
-        {"source": "monday.zip"},
-    )
+    feeds, warm = (2500.0, 10_000.0), {"X": (19.9, 20.1)}
+    told = LINES, feeds, 300.0, 10_000, warm, {"source": "monday.zip"}
+    run = RunSummary("monday", "otf", "0" * 64, *told)
     return Provenance((run,), "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
 
 
@@ -138,8 +126,7 @@ def load():
 
 
 def as_loaded(estimate):
-    model = estimate.model
-    return CalibrationResult(model, estimate.theta, estimate.covariance)
+    return CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
 
 
 @pytest.fixture(scope="session")
@@ -149,9 +136,7 @@ def three_targets():
 
 @pytest.fixture
 def travel_points(rng):
-    low = [axis.low for axis in AXES]
-    high = [axis.high for axis in AXES]
-    return rng.uniform(low, high, (60, 3))
+    return rng.uniform(*TRAVEL, (60, 3))
 
 
 @pytest.fixture(scope="session")

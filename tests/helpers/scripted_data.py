@@ -123,7 +123,7 @@ DISCOVERY = {
             "name": "setup-step",
             "parameters": {
                 "t_s": {"value": 40.02, "uncertainty": 0.03},
-                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1, 0.1, 0.1]},
+                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1] * 3},
             },
             "evidence": {"log_bayes_factor": 80.0, "share_of_gap": 0.066},
             "indistinguishable_from": [],
@@ -151,11 +151,8 @@ DISCOVERY = {
         }
     ],
     "gap": {
-        "unit": "um",
-        "before": 2.41,
-        "after": 1.21,
-        "noise_floor": 1.17,
-        "expected": 1.19,
+        **{"unit": "um", "noise_floor": 1.17, "expected": 1.19},
+        **{"before": 2.41, "after": 1.21},
     },
     "explained_by": {
         "before": {
@@ -194,19 +191,13 @@ def planned_path(lines=22):
     rng = np.random.default_rng(5)
     low = np.array([10.0, 10.0, -290.0])
     high = np.array([490.0, 390.0, -10.0])
-    share = rng.random((lines + 1, 3))
-    share[np.arange(lines + 1), rng.integers(0, 3, lines + 1)] = (
-        np.arange(lines + 1) % 2
-    )
+    share, number = rng.random((lines + 1, 3)), np.arange(lines + 1)
+    share[number, rng.integers(0, 3, lines + 1)] = number % 2
     share[0] = 0.0
     position = low + share * (high - low)
-    return {
-        "kind": "path",
-        "axes": ["X", "Y", "Z"],
-        "position": np.round(position, 3).tolist(),
-        "feed_mm_min": [6000.0] * len(position),
-        "dwell_s": [0.35] * len(position),
-    }
+    columns = {"feed_mm_min": [6000.0] * len(number), "dwell_s": [0.35] * len(number)}
+    position = np.round(position, 3).tolist()
+    return {"kind": "path", "axes": ["X", "Y", "Z"], "position": position, **columns}
 
 
 def plan_curve(rows=23):
@@ -214,21 +205,16 @@ def plan_curve(rows=23):
     points = []
     for row in range(3, rows + 1, 4):
         sigma = 4.0 * (row / 3) ** -1.0
-        points.append(
-            {
-                "row": row,
-                "time_s": 5.0 * row,
-                "volumetric_uncertainty_um": sigma,
-                "expanded_volumetric_uncertainty_um": 2 * sigma,
-                "grade": {"number": sigma / 8.0, "verdict": "usable"},
-                "weakest": [{"error": "ECX" if row < 15 else "EXX", "at_tool_um": 0.5}],
-            }
-        )
+        point = {"row": row, "time_s": 5.0 * row, "volumetric_uncertainty_um": sigma}
+        point["expanded_volumetric_uncertainty_um"] = 2 * sigma
+        point["grade"] = {"number": sigma / 8.0, "verdict": "usable"}
+        error = "ECX" if row < 15 else "EXX"
+        points.append({**point, "weakest": [{"error": error, "at_tool_um": 0.5}]})
     points[-1]["grade"]["verdict"] = "good"
     return {
         "plan_id": "plan-1",
         "points": points,
-        "tracker_mm": [1200.0, 300.0, -80.0],
+        "tracker_mm": TRACKER_STANDS_MM.tolist(),
         "tracker_is_assumed": True,
         "unobservable": [
             "ECZ (roll of Z) cannot be told; a second target separates it"
@@ -437,12 +423,8 @@ def rotary_account():
     """What files leave of two rotary axes: C has a table, of A little is known."""
 
     def change(before, after, u):
-        return {
-            "before": before,
-            "after": 0.5 * after,
-            "after_expected": after,
-            "after_expanded_uncertainty": u,
-        }
+        sizes = {"before": before, "after": 0.5 * after, "after_expected": after}
+        return {**sizes, "after_expanded_uncertainty": u}
 
     return {
         "over_all_axes_um": {
@@ -522,13 +504,8 @@ def verification(result_id, conformity="within"):
         values = {name: factor * mean for name, factor in sizes.items()}
         return values | {f"{name}_uncertainty": 0.1 for name in sizes}
 
-    decision = {
-        "conformity": conformity,
-        "tolerance_um": 5.0,
-        "coverage_factor": 3.5,
-        "length_um": 2.1,
-        "expanded_uncertainty_um": 0.4,
-    }
+    decision = {"conformity": conformity, "tolerance_um": 5.0, "coverage_factor": 3.5}
+    decision |= {"length_um": 2.1, "expanded_uncertainty_um": 0.4}
     return {
         "asked": {"result_id": result_id},
         "statements": ["Measurement and result agree."],
@@ -598,14 +575,11 @@ def circles_in_motion():
 def comparison():
     compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
     square = {"difference_urad": -4.5, "en": -1.8}
+    means = {"result_mean_um": 5.2, "reference_mean_um": 5.9, "difference_mean_um": 1.1}
     return {
         "errors": {"EXX": compared},
         "numbers": {"C0Y": square},
-        "volumetric": {
-            "result_mean_um": 5.2,
-            "reference_mean_um": 5.9,
-            "difference_mean_um": 1.1,
-        },
+        "volumetric": means,
         "not_compared": {"EYX": "the result does not hold it"},
         "links": {"report_html": "/api/v1/jobs/job-1/comparisons/a1/report.html"},
     }
@@ -613,6 +587,7 @@ def comparison():
 
 def temperature_dependence():
     """How a machine depends on temperature: X grows, its tilt is not seen to."""
+    growth = {"value_um_per_m_K": 11.4, "uncertainty_um_per_m_K": 0.3}
     return {
         "verdict": "usable",
         "reference_degC": 20.0,
@@ -622,13 +597,7 @@ def temperature_dependence():
             {"symbol": "C0Y", "is_significant": False, "chance": 0.6},
             {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
         ],
-        "expansion": {
-            "X": {
-                "value_um_per_m_K": 11.4,
-                "uncertainty_um_per_m_K": 0.3,
-                "is_significant": True,
-            }
-        },
+        "expansion": {"X": {**growth, "is_significant": True}},
         "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
         "coefficients": {
             "EXX": {

@@ -151,12 +151,9 @@ class SimulatedClock:
 
     def _wake(self):
         """Wake whose end has come; return how many those are."""
-        over = [
-            (ident, wait) for ident, wait in self._waits.items() if self._ends(wait)
-        ]
-        for ident, wait in over:
-            del self._waits[ident]
-            wait.gate.release()
+        over = [ident for ident, wait in self._waits.items() if self._ends(wait)]
+        for ident in over:
+            self._waits.pop(ident).gate.release()
         return len(over)
 
     def _ends(self, wait):

@@ -72,8 +72,7 @@ class LoopbackTracker(Peer):
         self.deaf_to = set()
         self.silent = False
         self.sent = 0
-        self.answered_rate_hz = None
-        self.nak = None
+        self.answered_rate_hz = self.nak = None
         self.damage = lambda data: data
         self._frames = FrameReader()
         self._stream = None
