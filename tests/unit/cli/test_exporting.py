@@ -5,10 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from truepath.compensation.formats.isg_csv import IsgCsv
-from truepath.files.bundle.machine_file import machine_from_json
-from truepath_simulators.scenario import load_machine
-
 pytestmark = pytest.mark.usefixtures("few_places")
 
 
@@ -72,19 +68,6 @@ def test_a_format_of_a_file_an_axis_begins_their_names(command, words, names, tm
 def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(command, words):
     said = command.run(*words("heidenhain", "comp"))
     assert "try one deliberate value before first use" in said.err
-
-
-def test_volumetric_tables_take_the_true_errors_away(
-    command, words, record, volume, rigid_free, tmp_path
-):
-    command.run(*words("isg-csv", "comp.csv"))
-    machine = machine_from_json(load_machine("demo"))
-    text = (tmp_path / "comp.csv").read_text()
-    correction = IsgCsv().read({"comp.csv": text}, machine)
-    q = volume(machine)
-    true = record(1, rows=24)[1].deviation_mm(q)
-    before, after = (rigid_free(q, e) for e in (true, true + correction(q, 1.0)))
-    assert np.sqrt(np.mean(after**2)) < 0.12 * np.sqrt(np.mean(before**2))
 
 
 @pytest.mark.parametrize(

@@ -220,12 +220,6 @@ def test_what_is_no_archive_is_refused(tmp_path, content):
         check_archive(file, 1 << 20)
 
 
-def test_a_text_file_that_is_too_large_is_refused(bundle, monkeypatch):
-    monkeypatch.setattr(bundle_file, "MAX_TEXT_BYTES", 100)
-    with pytest.raises(BundleError, match=r"machine\.json: is larger than"):
-        read_bundle(bundle)
-
-
 def test_a_truncated_archive_is_refused(run, tmp_path):
     file = tmp_path / "cut.zip"
     file.write_bytes(zip_bundle(run)[:-100])

@@ -79,11 +79,6 @@ def test_the_shell_remembers_the_language_of_the_panel(client):
     assert '<html lang="de"' in client.get("/").text
 
 
-def test_an_unknown_language_has_no_catalogue():
-    with pytest.raises(KeyError):
-        catalogue("xx")
-
-
 def test_the_page_forbids_scripts_from_elsewhere_and_eval(client):
     policy = client.get("/").headers["content-security-policy"]
     assert "script-src 'self';" in policy
@@ -95,12 +90,6 @@ def test_abort_is_a_form_where_no_script_runs(client):
     page = client.get("/").text
     form = page[page.index('<form id="abort-form"') :]
     assert 'method="post" action="api/v1/stop"' in form[:200]
-
-
-def test_plotly_comes_out_of_the_wheel(client):
-    script = client.get("/assets/plotly.min.js")
-    assert script.headers["content-type"].startswith("text/javascript")
-    assert "plotly.js" in script.text[:200]
 
 
 def test_a_browser_asks_before_it_reuses_a_file(client):
