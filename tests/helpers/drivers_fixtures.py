@@ -1,11 +1,11 @@
 """What every test of a driver gets: no thread is left, waits have deadlines."""
 
-import socket
 import threading
 import time
 
 import pytest
 
+from processes import until as until_met
 from simulated_clock import simulated_clock
 
 
@@ -19,16 +19,9 @@ def no_thread_is_left():
     assert set(threading.enumerate()) - before == set()
 
 
-def wait_until(condition, timeout_s=5.0):
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come true"
-        time.sleep(0.002)
-
-
 @pytest.fixture
 def until():
-    return wait_until
+    return until_met
 
 
 @pytest.fixture
@@ -36,9 +29,3 @@ def clock():
     """Let a test whose devices are in this process live on simulated time."""
     with simulated_clock() as clock:
         yield clock
-
-
-@pytest.fixture
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from processes import until
 from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
@@ -28,12 +29,12 @@ def run_program(program, tables):
         file = Path(rig.motion_options["program_folder"]) / "program.ngc"
         file.write_text(program)
         for wish in ("estop off", "machine on", "mode manual", "home -1"):
-            _until(lambda wish=wish: rsh.order(wish))
-        _until(lambda: rsh.read("joint_homed").startswith("YES YES YES"))
+            until(lambda wish=wish: rsh.order(wish), 20.0)
+        until(lambda: rsh.read("joint_homed").startswith("YES YES YES"), 20.0)
         begin = len(samples.rows)
         for wish in ("mode auto", f"open {file}", "run"):
-            _until(lambda wish=wish: rsh.order(wish))
-        _until(lambda: _has_ended(rsh), 60.0)
+            until(lambda wish=wish: rsh.order(wish), 20.0)
+        until(lambda: _has_ended(rsh), 60.0)
         time.sleep(0.3)
         assert rsh.take_errors() == []
         rsh.close()
@@ -68,10 +69,3 @@ def _has_ended(rsh):
     if status == "PAUSED":
         rsh.order("resume")
     return status == "IDLE"
-
-
-def _until(good, seconds=20.0):
-    deadline_s = time.monotonic() + seconds
-    while not good():
-        assert time.monotonic() < deadline_s, "LinuxCNC did not get there in time"
-        time.sleep(0.02)

@@ -1,6 +1,5 @@
 """Waiting for processes and for what they say."""
 
-import select
 import time
 
 import psutil
@@ -11,7 +10,7 @@ def until(condition, timeout_s=10.0):
     deadline_s = time.monotonic() + timeout_s
     while not (met := condition()):
         assert time.monotonic() < deadline_s, "waited in vain"
-        select.select([], [], [], 0.02)
+        time.sleep(0.01)
     return met
 
 

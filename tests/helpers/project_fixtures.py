@@ -1,6 +1,5 @@
 """What the tests of the project itself share: its files, as git sees them."""
 
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -45,9 +44,3 @@ def wheel(tmp_path_factory, project_files, root):
     built = subprocess.run(command, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     return next(target.glob("truepath-*.whl"))
-
-
-@pytest.fixture
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]

@@ -325,13 +325,9 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
     def connect(machine_id: str) -> Any:
         service.requests.append(("POST", f"/machines/{machine_id}:connect", None))
         if service.refuse_connect:
-            return problem(
-                409,
-                "wrong-device",
-                "Another device answers",
-                "The tracker's port is answered by a barcode reader.",
-                "Check the cable, then connect again.",
-            )
+            said = "The tracker's port is answered by a barcode reader."
+            remedy = "Check the cable, then connect again."
+            return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
         return {"connected": True, "tracker": TRACKER, "motion": MOTION}
 
