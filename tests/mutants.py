@@ -29,18 +29,9 @@ ROOMS = {
 }
 KINDS = "unit", "system"
 LIMIT_S = 1800.0  # of one room's tests
-_COMPARED = {
-    ast.Lt: "<=",
-    ast.LtE: "<",
-    ast.Gt: ">=",
-    ast.GtE: ">",
-    ast.Eq: "!=",
-    ast.NotEq: "==",
-    ast.Is: "is not",
-    ast.IsNot: "is",
-    ast.In: "not in",
-    ast.NotIn: "in",
-}
+_COMPARED = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">"}
+_COMPARED |= {ast.Eq: "!=", ast.NotEq: "==", ast.Is: "is not", ast.IsNot: "is"}
+_COMPARED |= {ast.In: "not in", ast.NotIn: "in"}
 _COMPUTED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
 
 
@@ -106,10 +97,8 @@ def choose(count, seed):
     chosen = []
     for number, room in enumerate(ROOMS):
         files = sorted((ROOT / room).rglob("*.py"))
-        found = sorted(
-            {m for f in files for m in find_mutants(room, f.relative_to(ROOT))},
-            key=lambda mutant: (str(mutant.file), mutant.begin),
-        )
+        found = {m for f in files for m in find_mutants(room, f.relative_to(ROOT))}
+        found = sorted(found, key=lambda mutant: (str(mutant.file), mutant.begin))
         share = (count + number) // len(ROOMS)
         chosen += rng.sample(found, share)
     return chosen
@@ -158,11 +147,8 @@ def main():
         trees = [copy_tree(Path(folder) / str(n)) for n in range(asked.jobs)]
 
         def work(share):
-            return [
-                mutant
-                for mutant in mutants[share :: asked.jobs]
-                if not is_noticed(mutant, trees[share])
-            ]
+            own = mutants[share :: asked.jobs]
+            return [mutant for mutant in own if not is_noticed(mutant, trees[share])]
 
         with ThreadPoolExecutor(asked.jobs) as pool:
             missed = [m for part in pool.map(work, range(asked.jobs)) for m in part]

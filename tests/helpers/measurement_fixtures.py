@@ -296,19 +296,16 @@ class FakeMotion(MotionController):
         self.override = min(self.override or largest, largest)
 
     def move_to(self, position, feed_mm_min):
-        self._reach()
-        self.calls.append("move_to")
+        self._reach("move_to")
         self._run([np.array(position, float)], feed_mm_min)
 
     def load(self, path):
-        self._reach()
-        self.calls.append("load")
+        self._reach("load")
         self.loaded = path
         self._state = MotionState.READY
 
     def start(self):
-        self._reach()
-        self.calls.append("start")
+        self._reach("start")
         assert self.loaded is not None
         places, owners = trace(self.loaded)
         self._run(list(places), float(self.loaded.feed_mm_min[0]))
@@ -318,22 +315,19 @@ class FakeMotion(MotionController):
         raise NotImplementedError
 
     def hold(self):
-        self._reach()
-        self.calls.append("hold")
+        self._reach("hold")
         with self._lock:
             if not self.ignores_hold:
                 self.stand("command")
 
     def resume(self):
-        self._reach()
-        self.calls.append("resume")
+        self._reach("resume")
         with self._lock:
             if self._state is MotionState.HELD and not self.ignores_resume:
                 self.go_on()
 
     def abort(self):
-        self._reach()
-        self.calls.append("abort")
+        self._reach("abort")
         with self._lock:
             self._advance()
             if self.ignores_abort:
@@ -363,9 +357,10 @@ class FakeMotion(MotionController):
     def begin_elsewhere(self):
         self._run([np.array([400.0, 0.0, 0.0])], 6.0)
 
-    def _reach(self):
+    def _reach(self, *calls):
         if self.out_of_reach:
             raise DeviceTimeout("the controller does not answer; is it on?")
+        self.calls += calls
 
     def _run(self, rows, feed_mm_min):
         with self._lock:
