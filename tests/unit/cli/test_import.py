@@ -236,20 +236,6 @@ def test_a_long_gap_and_a_position_that_stays_are_noted_with_their_rows(
     assert "rows 802 to 901 repeat one position" in said
 
 
-def test_rows_that_rounded_times_miss_are_said_and_leave_the_others_in_time(
-    bring, written, truth
-):
-    lines = written(stamp="{:.1f}".format).split(b"\n")
-    cut = [*range(602, 610), *range(1202, 1210)]
-    read, said = bring(b"\n".join(x for k, x in enumerate(lines) if k not in cut))
-    assert "rows are missing by their times" in said.err
-    expected_s = np.delete(truth.tracker.device_time_s, [k - 1 for k in cut])
-    late_s = read.tracker.device_time_s - expected_s
-    used = read.tracker.status == 0
-    assert np.ptp(late_s[used]) < 1e-3
-    assert 0 < (~used).sum() < 50
-
-
 def test_all_that_is_wrong_is_told_at_once_with_what_settles_it(
     command, words, written, tmp_path
 ):

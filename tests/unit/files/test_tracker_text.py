@@ -225,14 +225,17 @@ def test_stamps_of_arrival_in_bursts_become_even(drive):
     np.testing.assert_allclose(np.diff(got.samples.device_time_s), 0.002, rtol=1e-3)
 
 
-@pytest.mark.parametrize("hole", [(3100, 3500), (3100, 5300), (3000, 5000)])
-def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(hole, drive):
-    lines = stamped(drive, lambda k, t: t // 1.0).split("\n")
-    first, end = hole
+@pytest.mark.parametrize(
+    ("tick", "first", "end"),
+    [(1.0, 3100, 3500), (1.0, 3100, 5300), (1.0, 3000, 5000), (0.1, 3001, 3041)],
+)
+def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(tick, first, end, drive):
+    lines = stamped(drive, lambda k, t: t // tick * tick).split("\n")
     got = read("\n".join(lines[: first + 1] + lines[end + 1 :]), drive.commanded)
     time_s = np.delete(drive.tracker.device_time_s, np.arange(first, end))
     used = got.samples.status == 0
     assert np.ptp((got.samples.device_time_s - time_s)[used]) < 2e-3
+    assert (~used).sum() < 500 * tick  # rows of one stamp
     assert any("rows are missing by their times" in note for note in got.notes)
 
 
