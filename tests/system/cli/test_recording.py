@@ -33,6 +33,15 @@ def bench():
         yield bench
 
 
+def spell(value):
+    """Write a value as TOML has it."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{k} = {spell(v)}' for k, v in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(spell, value))}]"
+    return json.dumps(value)
+
+
 @pytest.fixture
 def files(bench, tmp_path):
     """What an operator has: machine file, path, its program, settings."""
@@ -41,20 +50,10 @@ def files(bench, tmp_path):
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
     (tmp_path / "path.csv").write_bytes(encode_commanded(path))
     (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
-    options = ", ".join(
-        f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()
-    )
-    sensors = {k: v for k, v in bench.thermometer_options.items() if k != "registers"}
-    rows = "".join(
-        "[[thermometer_options.registers]]\n"
-        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in row.items())
-        for row in bench.thermometer_options["registers"]
-    )
     (tmp_path / "settings.toml").write_text(
-        f"tracker_options = {{ {options} }}\n"
-        'thermometer_driver = "modbus-registers"\n[thermometer_options]\n'
-        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in sensors.items())
-        + rows
+        f"tracker_options = {spell(bench.tracker_options)}\n"
+        'thermometer_driver = "modbus-registers"\n'
+        f"thermometer_options = {spell(bench.thermometer_options)}\n"
     )
     return tmp_path
 
