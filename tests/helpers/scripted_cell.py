@@ -12,14 +12,7 @@ import numpy as np
 from truepath.catalogue.errors import Aborted
 from truepath.catalogue.run_reader import RunReader
 from truepath.files.earlier.verdict import Verdict, verdict_json
-from truepath.measurement.messages import (
-    CellState,
-    FaultReported,
-    LivePoints,
-    MeasurementProgress,
-    StateChanged,
-    TrackerTried,
-)
+from truepath.measurement import messages
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.progress import ignore_progress
@@ -86,7 +79,7 @@ class ScriptedCell:
     def try_tracker(self, trial):
         if not trial.streams_only:
             self.heard.append("try")
-        return TrackerTried(42, 42, 0, 1234.0)
+        return messages.TrackerTried(42, 42, 0, 1234.0)
 
     def begin(self, order):
         self.heard.append("begin")
@@ -147,10 +140,10 @@ class ScriptedCell:
         self._events.put(event)
 
     def say_state(self, state):
-        self.say(StateChanged(CellState(state)))
+        self.say(messages.StateChanged(messages.CellState(state)))
 
     def fault(self, code="beam-lost", text="the beam is lost", action="lock it"):
-        self.say(FaultReported(code, text, action))
+        self.say(messages.FaultReported(code, text, action))
 
     def record(self, n, line_s=0.0):
         sequence = np.arange(self._samples, self._samples + n)
@@ -158,7 +151,7 @@ class ScriptedCell:
         self._recorder.put_tracker(TrackerSamples(sequence, *columns))
         self._samples += n
         self.say(
-            MeasurementProgress(
+            messages.MeasurementProgress(
                 done=self._samples // 50,
                 total=10,
                 unit="lines",
@@ -170,7 +163,7 @@ class ScriptedCell:
                 line_s=line_s,
             )
         )
-        self.say(LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
+        self.say(messages.LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
 
     def end(self, state="finished", spoil=None):
         """Close the Run, let `spoil` have its file, say how it ended."""

@@ -11,16 +11,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from scripted_data import (
-    DISCOVERY,
-    GRADE,
-    MACHINE,
-    TRACKER_STANDS_MM,
-    estimate,
-    machine_entry,
-    planned_path,
-    result,
-)
+import scripted_data as data
 
 _STAGES = {"analyse": "aligning", "discover": "discovering", "trend": "following"}
 ENDED = {"succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"}
@@ -43,17 +34,21 @@ class ScriptedService:
         self.stopped, self.stops = "unknown", 0
         self.requests, self.looks = [], []
         self.jobs, self.runs, self.conditions = {}, [], []
-        self.plan = planned_path()
+        self.plan = data.planned_path()
         self.planned = {"id": "plan-1", "state": "succeeded"}
-        self.grade, self.machine, self.discovery = GRADE, MACHINE, DISCOVERY
-        self.result = result()
+        self.grade, self.machine, self.discovery = (
+            data.GRADE,
+            data.MACHINE,
+            data.DISCOVERY,
+        )
+        self.result = data.result()
         self.estimates, self.verifications, self.trend = {}, {}, {}
         self.conformity = {
             "machine_tolerance_um": None,
             "before": {"conformity": "outside"},
             "after_expected": {"conformity": "within"},
         }
-        self.machines, self.held_machine = [machine_entry()], ""
+        self.machines, self.held_machine = [data.machine_entry()], ""
         self.histories, self.standings, self.changes = {}, {}, {}
         self.comparison, self.temperature = {}, {}
         self.temperature_refusal = "2 of 3 temperatures"
@@ -150,7 +145,7 @@ class ScriptedService:
         known = {"progress": progress, "health": health}
         self.jobs[job_id].update(known)
         self.tell("progress", {"job_id": job_id, "stage": "measuring", **known})
-        points = [position + TRACKER_STANDS_MM]
+        points = [position + data.TRACKER_STANDS_MM]
         self.show_points(job_id, 5.6 * lines, points, axes=position.tolist())
 
     def show_points(self, job_id, end_s, points_mm, **more):
@@ -161,7 +156,7 @@ class ScriptedService:
 
     def estimate(self, job_id, content):
         """Tell an estimate: what it says, or after how many lines it is made."""
-        body = estimate(content) if isinstance(content, int) else content
+        body = data.estimate(content) if isinstance(content, int) else content
         before = self.estimates.get(job_id, {"course": {}})["course"]
         course = {
             name: [*before.get(name, []), body[name]]
