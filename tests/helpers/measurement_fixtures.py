@@ -11,21 +11,14 @@ import numpy as np
 import pytest
 
 from simulated_clock import simulated_clock
+from truepath.measurement import messages
 from truepath.measurement.engine.measurement import Measurement
-from truepath.measurement.messages import (
-    CellVerb,
-    FaultReported,
-    LivePoints,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-    StateChanged,
-)
 from truepath.measurement.run_file.run_file import LINK_STREAM
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
+from truepath_drivers.interfaces import tracker_records
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_drivers.interfaces.motion import MotionController
@@ -42,12 +35,6 @@ from truepath_drivers.interfaces.tracker import (
     EventSource,
     PolledTracker,
     Tracker,
-)
-from truepath_drivers.interfaces.tracker_records import (
-    Air,
-    Clock,
-    PointMeasurement,
-    TrackerCapabilities,
 )
 
 JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
@@ -182,7 +169,9 @@ class FakeTracker(Tracker, ByteLink):
 class FakePolledTracker(PolledTracker):
     @property
     def capabilities(self):
-        return TrackerCapabilities(streams=False, clock=Clock.HOST, distance="ADM")
+        return tracker_records.TrackerCapabilities(
+            streams=False, clock=tracker_records.Clock.HOST, distance="ADM"
+        )
 
     def connect(self):
         return Identity("Us", "fake polled tracker", "P1", "0")
@@ -228,8 +217,10 @@ class FakePolled(FakePolledTracker, EventSource):
             times.append(host_clock.now_s())
             if host_clock.wait(self.stopped, 0.005):
                 raise Refused("the measurement was stopped")
-        air = Air(21.5, 1013.0, 40.0)
-        return PointMeasurement.average(np.array(times), np.array(shots), air)
+        air = tracker_records.Air(21.5, 1013.0, 40.0)
+        return tracker_records.PointMeasurement.average(
+            np.array(times), np.array(shots), air
+        )
 
 
 @pytest.fixture
@@ -416,18 +407,20 @@ class Told:
 
     @property
     def states(self):
-        return [event.state for event in self.of(StateChanged)]
+        return [event.state for event in self.of(messages.StateChanged)]
 
     @property
     def faults(self):
-        return [event.code for event in self.of(FaultReported)]
+        return [event.code for event in self.of(messages.FaultReported)]
 
     def until_state(self, state):
         self.until(lambda: self.states[-1:] == [state])
 
     def until_done(self, rows=1):
         """Wait until so many lines or points are done: it moves."""
-        self.until(lambda: any(p.done >= rows for p in self.of(MeasurementProgress)))
+        self.until(
+            lambda: any(p.done >= rows for p in self.of(messages.MeasurementProgress))
+        )
 
 
 class Journal(Told):
@@ -466,14 +459,16 @@ class Running(Told):
 
     @property
     def fault(self):
-        return self.told(FaultReported)[-1]
+        return self.told(messages.FaultReported)[-1]
 
     def until_told(self, *codes):
         self.until(lambda: self.faults == list(codes))
 
     def until_seen(self, time_s):
         """Wait until the tracker has measured for so long; its clock begins at 100."""
-        self.until(lambda: any(b.device_time_s > time_s for b in self.of(LivePoints)))
+        self.until(
+            lambda: any(b.device_time_s > time_s for b in self.of(messages.LivePoints))
+        )
 
     def pass_until(self, condition):
         """Let time pass, a tenth of a second a look, until something has happened."""
@@ -482,22 +477,22 @@ class Running(Told):
             assert host_clock.now_s() < deadline_s, self.journal.events[-8:]
             host_clock.sleep_s(0.1)
 
-    def look(self, times=3, kind=MeasurementProgress):
+    def look(self, times=3, kind=messages.MeasurementProgress):
         """Let it look at its devices some more times."""
         told = len(self.told(kind))
         self.until(lambda: len(self.told(kind)) > told + times)
 
     def see(self, times=3):
         """Let it see where the target is some more times."""
-        self.look(times, LivePoints)
+        self.look(times, messages.LivePoints)
 
     def pause(self):
-        self.obey(CellVerb.PAUSE)
+        self.obey(messages.CellVerb.PAUSE)
         self.until_state("paused")
 
     def pause_and_resume(self):
         self.pause()
-        self.obey(CellVerb.RESUME)
+        self.obey(messages.CellVerb.RESUME)
         self.until_state("running")
 
     def ended(self):
@@ -519,7 +514,7 @@ class Running(Told):
         assert tuple(self.faults) == codes
 
     def resume_to_the_end(self):
-        self.obey(CellVerb.RESUME)
+        self.obey(messages.CellVerb.RESUME)
         self.finished()
 
     @property
@@ -543,7 +538,7 @@ def begin(tracker, motion, journal, calm):
     yield start
     for one in begun:
         if one.thread.is_alive():
-            one.obey(CellVerb.ABORT)
+            one.obey(messages.CellVerb.ABORT)
             host_clock.join(one.thread, 5.0)
 
 
@@ -551,7 +546,7 @@ def begin(tracker, motion, journal, calm):
 def order(mill, square, tmp_path):
     """Three lines in the travel of the mill."""
     file = str(tmp_path / "monday.sqlite")
-    return MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
+    return messages.MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
 
 
 def along(order, rows, feed_mm_min=6000.0, **given):
@@ -581,7 +576,7 @@ def measure(polled, motion, order, journal):
     def made(order=order, settings=QUICK):
         made.running = Running(order, polled, motion, journal, settings)
         made.running.measurement.run()
-        file = journal.of(RunClosed)[-1].run_file
+        file = journal.of(messages.RunClosed)[-1].run_file
         return journal.states[-1], made.running.run if file else None
 
     return made

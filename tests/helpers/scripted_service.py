@@ -36,12 +36,8 @@ class ScriptedService:
         self.jobs, self.runs, self.conditions = {}, [], []
         self.plan = data.planned_path()
         self.planned = {"id": "plan-1", "state": "succeeded"}
-        self.grade, self.machine, self.discovery = (
-            data.GRADE,
-            data.MACHINE,
-            data.DISCOVERY,
-        )
-        self.result = data.result()
+        self.grade, self.machine = data.GRADE, data.MACHINE
+        self.discovery, self.result = data.DISCOVERY, data.result()
         self.estimates, self.verifications, self.trend = {}, {}, {}
         self.conformity = {
             "machine_tolerance_um": None,

@@ -13,19 +13,9 @@ import pytest
 from argon2 import PasswordHasher
 from starlette.testclient import TestClient
 
+import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
-from scripted_cell import (
-    CellMaker,
-    Explorer,
-    Follower,
-    Inline,
-    ReaderHere,
-    Science,
-    ScriptedLive,
-    Verifier,
-    wait_until,
-)
 from serving import serving
 from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
@@ -77,28 +67,28 @@ def no_thread_is_left_over():
 
 @pytest.fixture
 def make_cell():
-    return CellMaker()
+    return scripted_cell.CellMaker()
 
 
 @pytest.fixture
 def science():
-    return Science()
+    return scripted_cell.Science()
 
 
 @pytest.fixture
 def explorer():
     """Finds backlash and, where a test gives it rows, asks for extra lines."""
-    return Explorer()
+    return scripted_cell.Explorer()
 
 
 @pytest.fixture
 def follower():
-    return Follower()
+    return scripted_cell.Follower()
 
 
 @pytest.fixture
 def verifier():
-    return Verifier()
+    return scripted_cell.Verifier()
 
 
 @pytest.fixture
@@ -142,13 +132,13 @@ def board():
 @pytest.fixture
 def reader():
     """Who reads what is uploaded; overridden where it is hostile."""
-    return ReaderHere()
+    return scripted_cell.ReaderHere()
 
 
 @pytest.fixture
 def scripted_cells(monkeypatch):
     """Machines that are added have scripted cells as well."""
-    make = CellMaker()
+    make = scripted_cell.CellMaker()
     monkeypatch.setattr(cell_setup, "Cell", lambda _: make())
 
 
@@ -179,7 +169,7 @@ def service(
     results.mkdir()
 
     def live_estimation(order, show):
-        estimates.append(ScriptedLive(order, show))
+        estimates.append(scripted_cell.ScriptedLive(order, show))
         return estimates[-1]
 
     registry = MachineRegistry(database)
@@ -187,7 +177,7 @@ def service(
         store=Store(database, publish),
         runs=RunCatalogue(database, tmp_path / "runs", reader),
         results=results,
-        executor=Inline(),
+        executor=scripted_cell.Inline(),
         science=science,
         machines=machines,
         live=live_estimation,
@@ -201,7 +191,7 @@ def service(
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:
         cell.start()
-        wait_until(lambda: cell.status.state == "disconnected")
+        scripted_cell.wait_until(lambda: cell.status.state == "disconnected")
     store, runs = context.store, context.runs
     calibrations = Calibrations(registry, store, runs, results, publish)
     cells = CellSetup(tmp_path, 0, calibrations)
@@ -259,7 +249,7 @@ def until(client):
             now = client.get(f"/api/v1/jobs/{job['id']}").json()
             return now if now["state"] in states else None
 
-        return wait_until(reached, f"{states}")
+        return scripted_cell.wait_until(reached, f"{states}")
 
     return wait
 

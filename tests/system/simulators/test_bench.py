@@ -13,12 +13,7 @@ import pytest
 
 from processes import runs, until
 from truepath_drivers.cnc.modbus.driver import ModbusController
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceError,
-    Refused,
-    WrongDevice,
-)
+from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 from truepath_drivers.interfaces.records import Path as MotionPath
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
@@ -124,7 +119,7 @@ def test_tcp_and_serial_masters_see_one_machine(fast):
     assert tcp.connect() == rtu.connect()
     tcp.load(LINE)
     assert rtu.status().state is MotionState.READY
-    with pytest.raises(Refused, match="another"):
+    with pytest.raises(errors.Refused, match="another"):
         rtu.start()  # it does not know the path
     assert drive(tcp).state is MotionState.FINISHED
     assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
@@ -136,7 +131,7 @@ def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(fast):
     here = tcp.status().position
     tcp.load(LINE)
     rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
-    with pytest.raises(Refused, match="another"):
+    with pytest.raises(errors.Refused, match="another"):
         tcp.start()
     assert tcp.status().state is MotionState.READY
     assert tcp.status().position == here
@@ -188,14 +183,14 @@ def test_a_master_notices_a_bad_link(plain, fault):
 def test_writes_that_are_not_applied_are_noticed(plain):
     with ModbusController(**plain.motion_options) as motion:
         plain.inject("cnc:ignore-writes+10s")
-        with pytest.raises(DeviceError):
+        with pytest.raises(errors.DeviceError):
             motion.load(LINE)
 
 
 def fails(motion):
     try:
         motion.status()
-    except DeviceError:
+    except errors.DeviceError:
         return True
     return False
 
@@ -204,9 +199,9 @@ def fails(motion):
 def test_wrong_devices_are_refused():
     faults = ["cnc:wrong-identity", "tracker:wrong-identity"]
     with Bench(seed=1, faults=faults) as wrong:
-        with pytest.raises(WrongDevice):
+        with pytest.raises(errors.WrongDevice):
             ModbusController(**wrong.motion_options).connect()
-        with pytest.raises(WrongDevice):
+        with pytest.raises(errors.WrongDevice):
             StreamingTracker(**wrong.tracker_options).connect()
 
 
@@ -215,7 +210,7 @@ def test_a_pulled_cable_is_noticed_and_the_port_comes_back(plain):
     with StreamingTracker(**plain.tracker_options) as tracker:
         tracker.start(500.0)
         plain.inject("tracker:disconnect")
-        with pytest.raises(ConnectionLost):
+        with pytest.raises(errors.ConnectionLost):
             read_for(tracker, 5.0)
     with StreamingTracker(**plain.tracker_options) as tracker:
         tracker.start(500.0)
