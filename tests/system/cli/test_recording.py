@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
 
 MAIN = "from truepath.cli.command import main; main()"
-SPEED = 16.0
+SPEED, OVERRIDE = 16.0, 0.8
 PATIENCE_S = 40.0
 
 
@@ -96,7 +97,8 @@ def drive_by_hand(bench, motion):
     with ModbusController(**bench.motion_options) as cnc:
         cnc.move_to(motion.position[0], 15_000.0)
         until_it_stands(cnc)
-        cnc.load(motion.path)
+        feed_mm_min = OVERRIDE * motion.path.feed_mm_min
+        cnc.load(replace(motion.path, feed_mm_min=feed_mm_min))
         cnc.start()
         assert until_it_stands(cnc).state is MotionState.FINISHED
 
