@@ -300,7 +300,7 @@ SEEN = {
         "HEADER::",
     ),
     "prose": ("Some words\nof a log\nthat holds nothing\n", "that holds nothing"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", SEEN)
