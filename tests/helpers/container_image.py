@@ -110,12 +110,8 @@ class Running:
 def build_image(root, folder):
     image = Image(folder)
     archive = folder / "base.tar"
-    made = subprocess.run(
-        ["mmdebstrap", "--variant=minbase", *_OPTIONS, SUITE, archive],
-        capture_output=True,
-        text=True,
-        timeout=BUILD_S,
-    )
+    words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, SUITE, archive]
+    made = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S)
     assert made.returncode == 0, made.stderr
     base = image.buildah("from", "scratch")
     image.buildah("add", base, archive, "/")

@@ -24,14 +24,9 @@ from truepath.measurement.process.cell import Cell
 from truepath_simulators.bench.bench import Bench
 
 QUICK = get_context("forkserver")
-QUICK.set_forkserver_preload(
-    [
-        "pytest",
-        "truepath.measurement.process.cell_process",
-        "truepath_drivers.tracker.streaming.driver",
-        "truepath_drivers.cnc.modbus.driver",
-    ]
-)
+DRIVERS = ("tracker.streaming.driver", "cnc.modbus.driver")
+ROOMS = ["pytest", "truepath.measurement.process.cell_process"]
+QUICK.set_forkserver_preload([*ROOMS, *(f"truepath_drivers.{d}" for d in DRIVERS)])
 """Starts processes with these imported: it takes longer than a short measurement."""
 
 

@@ -51,10 +51,8 @@ def shift(run, shift_mm):
 def compare_tables(found, expected):
     """Return how far tables are off those of another estimate, in u."""
     tables = build_error_tables(found)
-    return np.concatenate(
-        [
-            (tables.table(table.symbol).value - table.value)
-            / np.maximum(table.uncertainty, 0.05)
-            for table in build_error_tables(expected).tables
-        ]
-    )
+    off = [
+        (tables.table(one.symbol).value - one.value) / np.maximum(one.uncertainty, 0.05)
+        for one in build_error_tables(expected).tables
+    ]
+    return np.concatenate(off)

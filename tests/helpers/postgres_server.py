@@ -93,15 +93,9 @@ class PostgresServer:
 
     def _run(self, *command):
         # Output of a server that goes on must not hold a pipe of ours.
-        subprocess.run(
-            command,
-            check=True,
-            user=self._user,
-            cwd=self._folder,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=_PATIENCE_S,
-        )
+        nowhere = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+        how = {"user": self._user, "cwd": self._folder, "timeout": _PATIENCE_S}
+        subprocess.run(command, check=True, **how, **nowhere)
 
     def _signal(self, number):
         first = (self._data / "postmaster.pid").read_text().split()[0]

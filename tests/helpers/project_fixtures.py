@@ -18,14 +18,9 @@ def root():
 @pytest.fixture(scope="session")
 def project_files(root):
     """Every file that is in git or about to be: nothing that git ignores."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    files = {root / name for name in listed.stdout.split("\0") if name}
+    words = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.check_output(words, cwd=root, text=True)
+    files = {root / name for name in listed.split("\0") if name}
     return sorted(path for path in files if path.is_file())
 
 

@@ -150,19 +150,11 @@ class ScriptedCell:
         columns = sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
         self._recorder.put_tracker(TrackerSamples(sequence, *columns))
         self._samples += n
-        self.say(
-            messages.MeasurementProgress(
-                done=self._samples // 50,
-                total=10,
-                unit="lines",
-                stage="measuring",
-                position=(1.0, 2.0, 3.0),
-                samples=self._samples,
-                elapsed_s=self._samples / 500.0,
-                remaining_s=1.5,
-                line_s=line_s,
-            )
-        )
+        known = {"done": self._samples // 50, "total": 10, "unit": "lines"}
+        known |= {"stage": "measuring", "position": (1.0, 2.0, 3.0), "line_s": line_s}
+        times = {"elapsed_s": self._samples / 500.0, "remaining_s": 1.5}
+        progress = messages.MeasurementProgress
+        self.say(progress(samples=self._samples, **known, **times))
         self.say(messages.LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
 
     def end(self, state="finished", spoil=None):

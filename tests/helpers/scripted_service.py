@@ -128,15 +128,9 @@ class ScriptedService:
         rows = np.array(self.plan["position"])
         index = min(int(lines), len(rows) - 2)
         position = rows[index] + (lines - index) * (rows[index + 1] - rows[index])
-        progress = {
-            "done": int(lines),
-            "total": total,
-            "unit": "lines",
-            "eta_s": 5.6 * (total - lines),
-            "elapsed_s": 5.6 * lines,
-            "stage": "measuring",
-            "position": position.tolist(),
-        }
+        progress = {"done": int(lines), "total": total, "unit": "lines"}
+        progress |= {"eta_s": 5.6 * (total - lines), "elapsed_s": 5.6 * lines}
+        progress |= {"stage": "measuring", "position": position.tolist()}
         health = {**self.jobs[job_id]["health"], "samples": int(2800 * lines)}
         known = {"progress": progress, "health": health}
         self.jobs[job_id].update(known)
@@ -169,14 +163,9 @@ class ScriptedService:
         self.change(job_id, state="succeeded", stage="reporting", run_id=run_id)
 
     def add_run(self, run_id):
-        run = {
-            "id": run_id,
-            "name": f"VMC 500 {run_id}",
-            "samples": 61600,
-            "lost_samples": 0,
-            "machine": "VMC 500",
-            "created": "2026-03-14T08:05:00.000Z",
-        }
+        run = {"id": run_id, "name": f"VMC 500 {run_id}", "machine": "VMC 500"}
+        run |= {"samples": 61600, "lost_samples": 0}
+        run["created"] = "2026-03-14T08:05:00.000Z"
         self.runs.append(run)
         return run
 
@@ -226,14 +215,10 @@ class ScriptedService:
         return body
 
     def act(self, job_id, verb):
-        state = {
-            "arm": "running",
-            "pause": "paused",
-            "resume": "running",
-            "cancel": "cancelling",
-            "acknowledge": "preparing",
-            "abort": "aborting",
-        }.get(verb, self.jobs[job_id]["state"])
+        states = {"arm": "running", "pause": "paused", "resume": "running"}
+        states |= {"cancel": "cancelling", "acknowledge": "preparing"}
+        states["abort"] = "aborting"
+        state = states.get(verb, self.jobs[job_id]["state"])
         more = {"stage": "measuring"} if verb == "arm" else {}
         self.change(job_id, state=state, **more)
         answer = dict(self.jobs[job_id])

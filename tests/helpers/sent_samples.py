@@ -10,15 +10,10 @@ METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 
 def raw_samples(measured, number, clock_us, position_mm, status=0, signal=200):
     """What a tracker sends of these places; all samples have this status."""
-    n = len(position_mm)
-    return RawSamples(
-        measured,
-        np.asarray(number),
-        np.asarray(clock_us).astype(np.uint64),
-        *(METRES * to_spherical(position_mm)).T,
-        np.full(n, status),
-        np.broadcast_to(signal, n),
-    )
+    n, polar = len(position_mm), (METRES * to_spherical(position_mm)).T
+    number, clock_us = np.asarray(number), np.asarray(clock_us).astype(np.uint64)
+    told = np.full(n, status), np.broadcast_to(signal, n)
+    return RawSamples(measured, number, clock_us, *polar, *told)
 
 
 def one_sample(measured, number, clock_us, polar, *told):

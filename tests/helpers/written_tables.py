@@ -86,13 +86,9 @@ def round_numbers():
     across, turn = none.copy(), none.copy()
     across[:, 1] = [0.0, 0.020, 0.0]
     turn[:, 1] = [0.0, 50e-6, 0.0]
-    return make_content(
-        (
-            make_table("X", 0.005 * steps, across, 0.006, turn),
-            make_table("Y", -0.005 * steps, none, 0.0, none),
-            make_table("Z", np.zeros(3), none, 0.0, none),
-        )
-    )
+    x = make_table("X", 0.005 * steps, across, 0.006, turn)
+    y = make_table("Y", -0.005 * steps, none, 0.0, none)
+    return make_content((x, y, make_table("Z", np.zeros(3), none, 0.0, none)))
 
 
 def make_turn_table(axis, error_deg, half_deg, across_mm):

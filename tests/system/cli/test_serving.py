@@ -109,17 +109,9 @@ def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
 
 
 def job(state, **more):
-    return {
-        "id": "7",
-        "state": state,
-        "version": 3,
-        "stage": "measuring",
-        "progress": {"done": 1, "total": 4},
-        "health": {"samples": 10, "lost_samples": 0},
-        "verdict": None,
-        "error": None,
-        **more,
-    }
+    known = {"id": "7", "state": state, "version": 3, "stage": "measuring"}
+    known |= {"progress": {"done": 1, "total": 4}, "verdict": None, "error": None}
+    return {**known, "health": {"samples": 10, "lost_samples": 0}, **more}
 
 
 class Script:

@@ -16,12 +16,8 @@ from truepath_drivers.interfaces.records import Path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
-TO_AND_FRO = Path(
-    ("X", "Y", "Z"),
-    np.array([[100.0, 100.0, 100.0], [300.0, 200.0, 100.0]] * 4),
-    np.full(8, 9000.0),
-    np.full(8, 0.2),
-)
+ROWS = np.array([[100.0, 100.0, 100.0], [300.0, 200.0, 100.0]] * 4)
+TO_AND_FRO = Path(("X", "Y", "Z"), ROWS, np.full(8, 9000.0), np.full(8, 0.2))
 HOG = "import os\nwhile True: [bytearray(1 << 20) for _ in range(64)]"
 
 

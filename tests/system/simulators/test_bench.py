@@ -23,12 +23,8 @@ from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine_file import parse_machine
 
-LINE = MotionPath(
-    ("X", "Y", "Z"),
-    np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]]),
-    np.full(2, 6000.0),
-    np.full(2, 0.2),
-)
+ENDS = np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]])
+LINE = MotionPath(("X", "Y", "Z"), ENDS, np.full(2, 6000.0), np.full(2, 0.2))
 
 PLAY = (Backlash("X", 200.0), Backlash("Y", 100.0))
 READ = bytes.fromhex("0001 0000 0006 01 03 0000 0002")

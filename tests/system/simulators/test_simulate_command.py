@@ -25,12 +25,9 @@ Command = tuple["subprocess.Popen[str]", dict[str, Any]]
 @contextmanager
 def simulating(*options):
     module = "truepath_simulators.bench.command"
-    process = subprocess.Popen(
-        [sys.executable, "-m", module, "--json", *options],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    words = [sys.executable, "-m", module, "--json", *options]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, **pipes)
     assert process.stdout is not None
     try:
         yield process, json.loads(process.stdout.readline())

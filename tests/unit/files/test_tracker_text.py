@@ -158,13 +158,10 @@ def test_a_log_without_times_is_read_at_a_rate_or_refused_naming_it(drive):
 
 @pytest.mark.parametrize("unit", [1e3, 1e6])
 def test_the_one_unit_that_fits_is_taken_and_said(unit, drive):
-    text = lines_of(
-        drive,
-        lambda k, t, x, y, z: (
-            f"{t * unit:.0f} {x / 25.4:.7f} {y / 25.4:.7f} {z / 25.4:.7f}"
-        ),
-        "time x y z",
-    )
+    def form(k, t, *place):
+        return join("{}", " ", f"{t * unit:.0f}", *(f"{v / 25.4:.7f}" for v in place))
+
+    text = lines_of(drive, form, "time x y z")
     got = read(text, drive.commanded)
     assert_stream(got, drive)
     assert "inch" in got.facts["unit"]
@@ -182,13 +179,11 @@ def test_metres_that_are_stated_as_mm_are_refused_with_file_and_factor(drive):
 @pytest.mark.parametrize("beam", ["alone", "side by side"])
 def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
     gone = {500, 501, 502} if beam == "side by side" else {500, 900, 1500}
-    text = lines_of(
-        drive,
-        lambda k, t, x, y, z: (
-            f"{t:.6f}," + ("0,0,0" if k in gone else f"{x:.4f},{y:.4f},{z:.4f}")
-        ),
-        MM_HEAD,
-    )
+
+    def form(k, t, *place):
+        return f"{t:.6f},{'0,0,0' if k in gone else join('{:.4f}', ',', *place)}"
+
+    text = lines_of(drive, form, MM_HEAD)
     got = read(text, drive.commanded)
     assert set(np.flatnonzero(got.samples.status).tolist()) == gone
 
