@@ -1,19 +1,16 @@
 """Recordings with known truth, for every room that judges an estimate."""
 
-from __future__ import annotations
-
 import fcntl
 import importlib
 import json
 import logging
 import os
 import shutil
+import socket
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from types import ModuleType
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +29,6 @@ from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
@@ -40,7 +36,7 @@ sys.path.append(str(FilePath(__file__).parent / "helpers"))
 from postgres_server import PostgresServer
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     """Let the rooms of jobs and API be tested on either database."""
     parser.addoption(
         "--database",
@@ -55,7 +51,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     """Collect what tests measure where a file for it is named."""
     file = config.getoption("--measured")
     if file is not None and not hasattr(config, "workerinput"):
@@ -64,11 +60,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @dataclass(frozen=True)
 class Truth:
-    """What the recording was made from."""
-
     recording: synthetic.Recording
 
-    def deviation_mm(self, position_mm: np.ndarray) -> np.ndarray:
+    def deviation_mm(self, position_mm):
         """Volumetric error of the truth machine, exact transforms."""
         return self.recording.truth.deviation_mm(position_mm)
 
@@ -79,11 +73,11 @@ MEASURED = "measured"
 class Measured:
     """Keeps what passed tests have measured; those that did not run keep theirs."""
 
-    def __init__(self, file: FilePath) -> None:
+    def __init__(self, file):
         self._file = file
-        self._texts: dict[str, dict[str, list[str]]] = {}
+        self._texts = {}
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+    def pytest_runtest_logreport(self, report):
         """Take what a test that has passed noted."""
         if report.when != "call" or not report.passed:
             return
@@ -93,7 +87,7 @@ class Measured:
                 tests = self._texts.setdefault(str(row), {})
                 tests.setdefault(report.nodeid, []).append(text)
 
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self):
         """Write it beside what the file has of other tests."""
         content = {}
         if self._file.is_file():
@@ -105,51 +99,36 @@ class Measured:
         self._file.write_text(text, encoding="utf-8")
 
 
-Recorded = tuple[Run, Truth]
-Record = Callable[..., Recorded]
-
-
 @pytest.fixture
-def measured(request: pytest.FixtureRequest) -> Callable[[str], None]:
+def measured(request):
     """Note what a test of a fault has measured, for the table of docs/reliability.md.
 
     It is told under every row that the test proves.
     """
     rows = [mark.args[0] for mark in request.node.iter_markers("fault_row")]
-    notes: list[tuple[str, object]] = request.node.user_properties
+    notes = request.node.user_properties
 
-    def note(text: str) -> None:
+    def note(text):
         notes.extend((MEASURED, [row, text]) for row in rows)
 
     return note
 
 
-class HandClock:
-    """The computer's clock, standing until the test moves it."""
-
-    def __init__(self) -> None:
-        self.time_s = 0.0
-
-
 @pytest.fixture
-def hand_clock(monkeypatch: pytest.MonkeyPatch) -> HandClock:
-    """Let a test say what time it is."""
-    clock = HandClock()
+def hand_clock(monkeypatch):
+    """The computer's clock, standing until the test moves it."""
+    clock = SimpleNamespace(time_s=0.0)
     monkeypatch.setattr(host_clock, "now_s", lambda: clock.time_s)
     return clock
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
-    """Seeded randomness."""
+def rng():
     return np.random.default_rng(20230307)
 
 
-MakeOnce = Callable[[str, Callable[[FilePath], None]], FilePath]
-
-
 @pytest.fixture(scope="session")
-def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+def make_once(tmp_path_factory):
     """Make a folder once for all workers: make_once(name, make) gives it filled.
 
     `make` fills the folder that it is given. What is in it is not to be changed.
@@ -157,7 +136,7 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
 
-    def once(name: str, make: Callable[[FilePath], None]) -> FilePath:
+    def once(name, make):
         folder = shared / "made-once" / name
         folder.mkdir(parents=True, exist_ok=True)
         done = folder.with_name(f"{name}.done")
@@ -172,7 +151,7 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
 
 
 @pytest.fixture(scope="session")
-def run_reader() -> Iterator[RunReader]:
+def run_reader():
     """Read uploaded bundles in a process that starts with the first of them."""
     reader = RunReader()
     yield reader
@@ -180,8 +159,7 @@ def run_reader() -> Iterator[RunReader]:
 
 
 @pytest.fixture(scope="session")
-def postgres_server() -> Iterator[PostgresServer]:
-    """Start a server of PostgreSQL, gone at the end."""
+def postgres_server():
     try:
         server = PostgresServer()
     except FileNotFoundError:
@@ -190,34 +168,34 @@ def postgres_server() -> Iterator[PostgresServer]:
     server.close()
 
 
-@pytest.fixture(scope="session")
-def empty_postgres(postgres_server: PostgresServer) -> str:
-    """Name a migrated database to copy: migrating takes longer than most tests."""
-    name = postgres_server.make_database()
-    database = Database(postgres_server.url(name))
+def migrate(url):
+    database = Database(url)
     database.migrate()
     database.close()
+
+
+@pytest.fixture(scope="session")
+def empty_postgres(postgres_server):
+    """Name a migrated database to copy: migrating takes longer than most tests."""
+    name = postgres_server.make_database()
+    migrate(postgres_server.url(name))
     return name
 
 
 @pytest.fixture(scope="session")
-def empty_catalogue(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+def empty_catalogue(tmp_path_factory):
     """A migrated file to copy: migrating takes longer than most tests."""
     file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
-    database = Database(f"sqlite:///{file}")
-    database.migrate()
-    database.close()
+    migrate(f"sqlite:///{file}")
     return file
 
 
 @pytest.fixture
-def make_catalogue_url(
-    request: pytest.FixtureRequest, tmp_path: FilePath
-) -> Iterator[Callable[[str], str]]:
+def make_catalogue_url(request, tmp_path):
     """Make an empty catalogue of the newest schema; give its address."""
-    made: list[str] = []
+    made = []
 
-    def make(kind: str) -> str:
+    def make(kind):
         if kind == "sqlite":
             file = tmp_path / "catalogue.sqlite"
             shutil.copyfile(request.getfixturevalue("empty_catalogue"), file)
@@ -232,67 +210,52 @@ def make_catalogue_url(
 
 
 @pytest.fixture
-def database_kind(request: pytest.FixtureRequest) -> str:
-    """Say what catalogues stand on; overridden by tests of one of both."""
+def database_kind(request):
     return str(request.config.getoption("--database"))
 
 
 @pytest.fixture
-def catalogue_url(make_catalogue_url: Callable[[str], str], database_kind: str) -> str:
-    """Give the address of an empty catalogue."""
+def catalogue_url(make_catalogue_url, database_kind):
     return make_catalogue_url(database_kind)
 
 
 @pytest.fixture(scope="session")
-def mill() -> Machine:
+def mill():
     """Three linear axes, Z downwards."""
-    return Machine(
-        "small mill",
-        ("X",),
-        ("Y", "Z"),
-        (
-            LinearAxis("X", 0.0, 500.0),
-            LinearAxis("Y", 0.0, 400.0),
-            LinearAxis("Z", -300.0, 0.0),
-        ),
-        (Target("", "tool", (20.0, 30.0, -150.0)),),
-        TrackerNoise(),
-    )
+    travels = (("X", 0.0, 500.0), ("Y", 0.0, 400.0), ("Z", -300.0, 0.0))
+    axes = tuple(LinearAxis(*travel) for travel in travels)
+    targets = (Target("", "tool", (20.0, 30.0, -150.0)),)
+    return Machine("small mill", ("X",), ("Y", "Z"), axes, targets, TrackerNoise())
 
 
 @pytest.fixture
-def square() -> Path:
+def square():
     """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
-    n = len(rows)
-    return Path(
-        ("X", "Y", "Z"),
-        np.array(rows, float),
-        np.full(n, 6000.0),
-        np.array([0.1, 0.2, 0.1, 0.3]),
-    )
+    dwell_s = np.array([0.1, 0.2, 0.1, 0.3])
+    return Path(("X", "Y", "Z"), np.array(rows, float), np.full(4, 6000.0), dwell_s)
 
 
 @pytest.fixture(scope="session")
-def record() -> Record:
+def record():
     """Make a recording: record(seed, mode, rows=…, feed=…, chain=…, setting=…).
 
     The fewer mm its axes travel, the fewer parameters an estimate has.
     """
-    made: dict[Any, Recorded] = {}
+    made = {}
 
     def make(
-        seed: int = 1,
-        mode: str = "otf",
+        seed=1,
+        mode="otf",
         *,
-        rows: int = 24,
-        feed: float = 10_000.0,
-        chain: str = "w-b-X-Y-Z-t",
-        corners: bool = False,
-        program: Program | None = None,
-        setting: synthetic.Setting | None = None,
-        travel_mm: float | None = None,
-    ) -> Recorded:
+        rows=24,
+        feed=10_000.0,
+        chain="w-b-X-Y-Z-t",
+        corners=False,
+        program=None,
+        setting=None,
+        travel_mm=None,
+    ):
         how = (feed, chain, corners, travel_mm, repr(program), repr(setting))
         key = (seed, mode, rows, how)
         if key not in made:
@@ -315,7 +278,7 @@ def record() -> Record:
 
 
 @pytest.fixture(scope="session")
-def small_run(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+def small_run(tmp_path_factory):
     """A zipped standstill Run of a machine so small that its trials take a second."""
     content = load_machine("demo")
     for axis in content["axes"].values():
@@ -327,32 +290,26 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
     return file
 
 
-def _run(recording: synthetic.Recording) -> Run:
+def _run(recording):
     machine = machine_from_json(dict(recording.content), file="machine.json")
-    program, n = recording.program, len(recording)
-    axes = machine.axis_names
+    program, number = recording.program, np.arange(len(recording))
+    where = machine.axis_names, program.position
+    waits = program.dwell_s, program.target
     if recording.mode == "standstill":
-        commanded: Path | Configurations = Configurations(
-            axes, program.position, program.dwell_s, program.target
-        )
+        commanded = Configurations(*where, *waits)
     else:
-        feed_mm_min = program.feed_mm_s * 60.0
-        commanded = Path(
-            axes, program.position, feed_mm_min, program.dwell_s, program.target
-        )
-    samples = TrackerSamples(
-        np.arange(n), recording.time_s, recording.position_mm, recording.status
-    )
+        commanded = Path(*where, program.feed_mm_s * 60.0, *waits)
+    measured = recording.time_s, recording.position_mm, recording.status
+    samples = TrackerSamples(number, *measured)
     return Run("synthetic", machine, commanded, samples)
 
 
 @pytest.fixture(scope="session")
-def run_of() -> Callable[[synthetic.Recording], Run]:
-    """Make a Run of a recording."""
+def run_of():
     return _run
 
 
-def without_rigid_motion(position_mm: np.ndarray, error_mm: np.ndarray) -> np.ndarray:
+def without_rigid_motion(position_mm, error_mm):
     """Remove the rigid motion of the whole volume from errors at positions."""
     columns = np.zeros((len(position_mm), 3, 6))
     columns[:, :, :3] = np.eye(3)
@@ -364,16 +321,14 @@ def without_rigid_motion(position_mm: np.ndarray, error_mm: np.ndarray) -> np.nd
 
 
 @pytest.fixture(scope="session")
-def rigid_free() -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def rigid_free():
     """Give tests the map without its gauge."""
     return without_rigid_motion
 
 
 @pytest.fixture(scope="session")
-def volume() -> Callable[[Machine], np.ndarray]:
-    """Give random positions inside the travel of a machine."""
-
-    def points(machine: Machine, n: int = 300) -> np.ndarray:
+def volume():
+    def points(machine, n=300):
         axes = machine.linear_axes
         low = np.array([a.low + 15.0 for a in axes])
         high = np.array([a.high - 15.0 for a in axes])
@@ -383,23 +338,26 @@ def volume() -> Callable[[Machine], np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def at_rest() -> Callable[[Machine, np.ndarray], Any]:
-    """Give the conditions of a machine at rest."""
+def at_rest():
     return make_standstill
 
 
+@pytest.fixture
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
 @pytest.fixture(autouse=True)
-def no_log_of_another_test() -> Iterator[None]:
+def no_log_of_another_test():
     """Take away what a command has set up to write its log with."""
     yield
     root = logging.getLogger()
-    for handler in root.handlers[:]:
-        if type(handler) is logging.StreamHandler:
-            root.removeHandler(handler)
+    root.handlers = [h for h in root.handlers if type(h) is not logging.StreamHandler]
 
 
 @pytest.fixture(scope="module")
-def plain_log() -> Iterator[None]:
+def plain_log():
     """Log with short traces."""
     before = structlog.get_config()
     plain = structlog.dev.ConsoleRenderer(
@@ -416,7 +374,7 @@ def plain_log() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def trunnion(mill: Machine) -> Machine:
+def trunnion(mill):
     """A tilting table under a mill, and a target on each side."""
     return Machine(
         "trunnion mill",
@@ -433,14 +391,12 @@ def trunnion(mill: Machine) -> Machine:
 
 
 @pytest.fixture(scope="module")
-def import_code(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[Callable[[str, str], ModuleType]]:
+def import_code(tmp_path_factory):
     """Import code by a name under which child processes can import it as well."""
     folder = tmp_path_factory.mktemp("modules")
     sys.path.insert(0, str(folder))
 
-    def load(name: str, code: str) -> ModuleType:
+    def load(name, code):
         (folder / f"{name}.py").write_text(code)
         return importlib.import_module(name)
 

@@ -4,8 +4,6 @@ Each room that decides gets an equal share of random faults: a comparison turned
 sign, an `and`, a number. It counts as noticed once a test of its room fails or hangs.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os
@@ -14,7 +12,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,24 +29,10 @@ ROOMS = {
 }
 KINDS = "unit", "system"
 LIMIT_S = 1800.0  # of one room's tests
-_COMPARED: dict[type[ast.cmpop], str] = {
-    ast.Lt: "<=",
-    ast.LtE: "<",
-    ast.Gt: ">=",
-    ast.GtE: ">",
-    ast.Eq: "!=",
-    ast.NotEq: "==",
-    ast.Is: "is not",
-    ast.IsNot: "is",
-    ast.In: "not in",
-    ast.NotIn: "in",
-}
-_COMPUTED: dict[type[ast.operator], str] = {
-    ast.Add: "-",
-    ast.Sub: "+",
-    ast.Mult: "/",
-    ast.Div: "*",
-}
+_COMPARED = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">"}
+_COMPARED |= {ast.Eq: "!=", ast.NotEq: "==", ast.Is: "is not", ast.IsNot: "is"}
+_COMPARED |= {ast.In: "not in", ast.NotIn: "in"}
+_COMPUTED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
 
 
 @dataclass(frozen=True)
@@ -63,13 +46,12 @@ class Mutant:
     end: int
     text: str
 
-    def show(self) -> str:
-        """Return the place and what changed there."""
+    def show(self):
         before = (ROOT / self.file).read_bytes()[self.begin : self.end].decode()
         return f"{self.file}:{self.line}: {before!r} -> {self.text!r}"
 
 
-def find_mutants(room: str, file: Path) -> Iterator[Mutant]:
+def find_mutants(room, file):
     """Find every fault that could be made in the functions of a file."""
     source = (ROOT / file).read_bytes()  # the syntax tree counts bytes
     starts = [0]
@@ -90,7 +72,7 @@ def find_mutants(room: str, file: Path) -> Iterator[Mutant]:
                     yield Mutant(room, file, first.lineno, begin, end, text)
 
 
-def _list_faults(node: ast.AST) -> Iterator[tuple[ast.expr, ast.expr, str]]:
+def _list_faults(node):
     """Return what stands between two expressions, or is one, and its replacement."""
     match node:
         case ast.Compare(left=left, ops=[one], comparators=[right]):
@@ -109,22 +91,20 @@ def _list_faults(node: ast.AST) -> Iterator[tuple[ast.expr, ast.expr, str]]:
             return
 
 
-def choose(count: int, seed: int) -> list[Mutant]:
+def choose(count, seed):
     """Choose faults at random, equally many in each room."""
     rng = random.Random(seed)
-    chosen: list[Mutant] = []
+    chosen = []
     for number, room in enumerate(ROOMS):
         files = sorted((ROOT / room).rglob("*.py"))
-        found = sorted(
-            {m for f in files for m in find_mutants(room, f.relative_to(ROOT))},
-            key=lambda mutant: (str(mutant.file), mutant.begin),
-        )
+        found = {m for f in files for m in find_mutants(room, f.relative_to(ROOT))}
+        found = sorted(found, key=lambda mutant: (str(mutant.file), mutant.begin))
         share = (count + number) // len(ROOMS)
         chosen += rng.sample(found, share)
     return chosen
 
 
-def is_noticed(mutant: Mutant, tree: Path) -> bool:
+def is_noticed(mutant, tree):
     """Run the tests of a fault's room in a copy of the tree."""
     file = tree / mutant.file
     source = file.read_bytes()
@@ -149,13 +129,12 @@ def is_noticed(mutant: Mutant, tree: Path) -> bool:
     return done.returncode != 0
 
 
-def copy_tree(folder: Path) -> Path:
-    """Copy what the tests need."""
+def copy_tree(folder):
     left_out = shutil.ignore_patterns(".venv", ".git", "var", "__pycache__", ".*_cache")
     return Path(shutil.copytree(ROOT, folder / "tree", ignore=left_out))
 
 
-def main() -> None:
+def main():
     """Make the faults, print those that no test noticed, fail where they are many."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=60)
@@ -167,12 +146,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         trees = [copy_tree(Path(folder) / str(n)) for n in range(asked.jobs)]
 
-        def work(share: int) -> list[Mutant]:
-            return [
-                mutant
-                for mutant in mutants[share :: asked.jobs]
-                if not is_noticed(mutant, trees[share])
-            ]
+        def work(share):
+            own = mutants[share :: asked.jobs]
+            return [mutant for mutant in own if not is_noticed(mutant, trees[share])]
 
         with ThreadPoolExecutor(asked.jobs) as pool:
             missed = [m for part in pool.map(work, range(asked.jobs)) for m in part]

@@ -1,7 +1,5 @@
 """What tests of several files do to calibrations and their answers."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
 
@@ -18,22 +16,16 @@ def edited(file):
 
 
 def set_verdict(service, job_id, state):
-    """Let the result of a job have another verdict."""
     with edited(service.results / job_id / "result.json") as content:
         content["verdict"] = {"state": state, "reasons": ["few lines"], "details": []}
 
 
 def add_calibration(service, number):
     """Add a job of January that has calibrated the machine; return its identifier."""
-    job = Job(
-        JobKind.ANALYSE,
-        id=f"job-{number}",
-        state=State.SUCCEEDED,
-        desired_state="succeeded",
-        created=f"2026-01-0{number}T08:00:00.000Z",
-        verdict="usable",
-        machine="default",
-    )
+    when, known = f"2026-01-0{number}T08:00:00.000Z", {"verdict": "usable"}
+    known |= {"state": State.SUCCEEDED, "desired_state": "succeeded"}
+    named = {"id": f"job-{number}", "machine": "default"}
+    job = Job(JobKind.ANALYSE, created=when, **named, **known)
     service.store.add_recovered(job, None)
     (service.results / job.id).mkdir()
     return job.id

@@ -1,17 +1,13 @@
 """Arming in its two steps: ask what will move, then arm with the token."""
 
-from __future__ import annotations
-
 
 def request_token(client, job_id):
-    """Return the token that arms a job as it is now."""
     answer = client.post(f"/api/v1/jobs/{job_id}/arming")
     assert answer.status_code == 200, answer.text
     return answer.json()["token"]
 
 
 def arm_over_http(client, job):
-    """Arm a job as it was read; return the answer."""
     return client.post(
         f"/api/v1/jobs/{job['id']}/arm",
         headers={"If-Match": f'"{job["version"]}"'},

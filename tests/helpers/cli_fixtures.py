@@ -95,20 +95,16 @@ def analysed(recorded, make_once):
 
 @pytest.fixture
 def bundle(recorded, tmp_path):
-    """A bundle to spoil."""
     return shutil.copytree(recorded, tmp_path / "bundle")
 
 
 @pytest.fixture
 def result(analysed):
-    """The content of the result, to be changed."""
     return json.loads((analysed / "result.json").read_text())
 
 
 @pytest.fixture
 def keep(tmp_path):
-    """Write the content of a file."""
-
     def write(content, name="result.json"):
         file = tmp_path / name
         file.write_text(json.dumps(content))
@@ -134,7 +130,6 @@ def measure_again(keep):
 
 @pytest.fixture
 def points(tmp_path):
-    """Points to predict at."""
     file = tmp_path / "points.csv"
     file.write_text("x_mm,y_mm,z_mm\n0,0,0\n250,200,150\n500,400,300\n")
     return file

@@ -18,9 +18,5 @@ def loaded():
     size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
     rng = np.random.default_rng(5)
     theta = size * rng.standard_normal(model.size)
-    return CalibrationResult(
-        model,
-        theta,
-        np.diag((1e-2 * size) ** 2),
-        unobservable=tuple(str(one) for one in confounded),
-    )
+    covariance, merged = np.diag((1e-2 * size) ** 2), tuple(map(str, confounded))
+    return CalibrationResult(model, theta, covariance, unobservable=merged)

@@ -5,12 +5,9 @@ is reached; `buildah` builds and runs. An entry of the compose file is carried o
 `buildah run`: its environment, user, command, volumes. The network is the host's.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,12 +28,10 @@ _OPTIONS = (
 
 @dataclass(frozen=True)
 class Image:
-    """A built image in a store of its own."""
-
     folder: Path
     name: str = "localhost/truepath:test"
 
-    def buildah(self, *words: str | Path) -> str:
+    def buildah(self, *words):
         """Run buildah on this store; return what it prints."""
         done = subprocess.run(
             [*self._buildah, *words], capture_output=True, text=True, timeout=BUILD_S
@@ -45,17 +40,17 @@ class Image:
         return done.stdout.strip()
 
     @property
-    def _buildah(self) -> tuple[str | Path, ...]:
+    def _buildah(self):
         store = ("--root", self.folder / "store", "--runroot", self.folder / "run")
         return ("buildah", "--storage-driver", "vfs", *store)
 
-    def run_line(self, container: str, options: list[str], command: list[str]):
+    def run_line(self, container, options, command):
         """Return the words that run a command in a container as its user."""
         isolation = ["--isolation", "chroot", "--user", f"{USER}:{USER}"]
         return [*self._buildah, "run", *isolation, *options, container, "--", *command]
 
     @contextmanager
-    def container(self) -> Iterator[str]:
+    def container(self):
         """A container of the image, removed at the end."""
         name = self.buildah("from", "--pull-never", self.name)
         try:
@@ -64,13 +59,7 @@ class Image:
             self.buildah("rm", name)
 
     @contextmanager
-    def running(
-        self,
-        command: list[str],
-        environment: Mapping[str, str],
-        volumes: Mapping[Path, str],
-        log: Path,
-    ) -> Iterator[Running]:
+    def running(self, command, environment, volumes, log):
         """Run a command in a container of its own; end it with SIGTERM."""
         options = [f"--env={name}={value}" for name, value in environment.items()]
         options += [f"--volume={host}:{inside}" for host, inside in volumes.items()]
@@ -86,15 +75,13 @@ class Image:
 
 @dataclass(frozen=True)
 class Running:
-    """A command that runs in a container."""
-
     image: Image
     container: str
     begun: subprocess.Popen
     command: list[str]
     log: Path
 
-    def main_process(self) -> psutil.Process:
+    def main_process(self):
         """Return the interpreter of the command, below the processes of buildah.
 
         The oldest: numbers of processes begin again where they have run out.
@@ -103,35 +90,28 @@ class Running:
         ours = [p for p in below if Path(p.exe()).name.startswith("python")]
         return min(ours, key=lambda process: process.create_time())
 
-    def is_healthy(self, check: list[str]) -> bool:
-        """Whether a health check, run inside the container, succeeds."""
+    def is_healthy(self, check):
         line = self.image.run_line(self.container, [], check)
         return subprocess.run(line, capture_output=True, timeout=60).returncode == 0
 
-    def wait_until_healthy(self, check: list[str]) -> None:
-        """Wait for the health check; fail with the log."""
+    def wait_until_healthy(self, check):
         end = time.monotonic() + START_S
         while not self.is_healthy(check):
             assert self.begun.poll() is None, self.log.read_text()
             assert time.monotonic() < end, self.log.read_text()
 
-    def end(self) -> None:
+    def end(self):
         """Ask the command to end, as `docker stop` does, and hold it to a clean end."""
         if self.begun.poll() is None:
             self.main_process().terminate()
         assert self.begun.wait(timeout=30) == 0, self.log.read_text()
 
 
-def build_image(root: Path, folder: Path) -> Image:
-    """Build the base and the image."""
+def build_image(root, folder):
     image = Image(folder)
     archive = folder / "base.tar"
-    made = subprocess.run(
-        ["mmdebstrap", "--variant=minbase", *_OPTIONS, SUITE, archive],
-        capture_output=True,
-        text=True,
-        timeout=BUILD_S,
-    )
+    words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, SUITE, archive]
+    made = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S)
     assert made.returncode == 0, made.stderr
     base = image.buildah("from", "scratch")
     image.buildah("add", base, archive, "/")
@@ -146,7 +126,7 @@ def build_image(root: Path, folder: Path) -> Image:
     return image
 
 
-def _places_of_pip() -> list[str]:
+def _places_of_pip():
     """Files and folders by which pip finds packages here; none with the usual index."""
     debug, listed = (_tell_pip_config(command) for command in ("debug", "list"))
     files = [line.strip() for line in debug.splitlines() if line.endswith(": True")]
@@ -159,6 +139,6 @@ def _places_of_pip() -> list[str]:
     return sorted({place for place in places if Path(place).exists()})
 
 
-def _tell_pip_config(command: str) -> str:
+def _tell_pip_config(command):
     words = [sys.executable, "-m", "pip", "config", command]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout

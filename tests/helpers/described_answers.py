@@ -1,7 +1,5 @@
 """Answers held against the description of the interface: status, headers, content."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path
@@ -43,7 +41,6 @@ def _make_validator(schema):
 
 
 def list_errors(schema, instance):
-    """Return where an instance is not as its schema says, in words."""
     validator = _make_validator(json.dumps(schema))
     return [
         f"{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}"
@@ -52,7 +49,6 @@ def list_errors(schema, instance):
 
 
 def resolve(part):
-    """Return the part of the document that a reference leads to, or itself."""
     if "$ref" not in part:
         return part
     found = read_document()

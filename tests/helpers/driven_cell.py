@@ -1,134 +1,92 @@
 """Cell processes, and all that they say."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
 
 import psutil
 import pytest
 
+from measurement_fixtures import Told
 from truepath import child_process
 from truepath.measurement.messages import (
     CellConfig,
-    CellEvent,
     CellVerb,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
     RunClosed,
-    StateChanged,
 )
 from truepath.measurement.process.cell import Cell
 from truepath_simulators.bench.bench import Bench
-from truepath_simulators.processes import DeviceProcesses
 
-E = TypeVar("E")
 QUICK = get_context("forkserver")
-QUICK.set_forkserver_preload(
-    [
-        "pytest",
-        "truepath.measurement.process.cell_process",
-        "truepath_drivers.tracker.streaming.driver",
-        "truepath_drivers.cnc.modbus.driver",
-    ]
-)
+DRIVERS = ("tracker.streaming.driver", "cnc.modbus.driver")
+ROOMS = ["pytest", "truepath.measurement.process.cell_process"]
+QUICK.set_forkserver_preload([*ROOMS, *(f"truepath_drivers.{d}" for d in DRIVERS)])
 """Starts processes with these imported: it takes longer than a short measurement."""
 
 
-class Driven:
+class Driven(Told):
     """A cell that runs while this is entered, and all it has said.
 
     beats : tell it at each look that the service can be reached
     spawns : start it as the service does, with an interpreter of its own
     """
 
-    def __init__(
-        self, config: CellConfig, *, beats: bool = False, spawns: bool = False
-    ) -> None:
+    look_s = 0.1
+
+    def __init__(self, config, *, beats=False, spawns=False):
         with pytest.MonkeyPatch.context() as patch:
             if not spawns:
                 patch.setattr(child_process, "_SPAWN", QUICK)
             self.cell = Cell(config)
-        self.events: list[CellEvent] = []
+        self.events = []
         self._beats = beats
 
-    def __enter__(self) -> Driven:
+    def __enter__(self):
         self.cell.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.cell.close()
 
-    def begin(self, order: MeasurementOrder, line: int = 0) -> None:
-        """Begin to measure, and wait until so many lines or points are done."""
+    def begin(self, order, line=0):
         self.cell.begin(order)
         if line:
-            self.until_line(line)
+            self.until_done(line)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    def until(self, condition, timeout_s=60.0):
         deadline_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline_s, self.events[-5:]
             if self._beats:
                 self.cell.send(CellVerb.BEAT)
-            self.events += self.cell.poll(0.1)
+            self.events += self.cell.poll(self.look_s)
 
-    def of(self, kind: type[E]) -> list[E]:
-        return [event for event in self.events if isinstance(event, kind)]
-
-    @property
-    def states(self) -> list[str]:
-        return [event.state for event in self.of(StateChanged)]
-
-    @property
-    def faults(self) -> list[str]:
-        return [event.code for event in self.of(FaultReported)]
-
-    def until_state(self, state: str) -> None:
-        self.until(lambda: self.states[-1:] == [state])
-
-    def until_fault(self, code: str) -> None:
+    def until_fault(self, code):
         self.until(lambda: code in self.faults)
 
-    def until_line(self, line: int) -> None:
-        self.until(lambda: any(p.done >= line for p in self.of(MeasurementProgress)))
+    until_line = Told.until_done
 
-    def until_closed(self, timeout_s: float = 45.0) -> RunClosed:
+    def until_closed(self, timeout_s=45.0):
         self.until(lambda: bool(self.of(RunClosed)), timeout_s)
         return self.of(RunClosed)[-1]
 
 
-def config_of(bench: DeviceProcesses, **given) -> CellConfig:
-    """Return a cell of the tracker and the controller of a bench."""
-    config = CellConfig(
-        "streaming", bench.tracker_options, "modbus", bench.motion_options
-    )
-    return replace(config, **given)
+def config_of(bench, **given):
+    options = bench.tracker_options, bench.motion_options
+    return replace(CellConfig("streaming", options[0], "modbus", options[1]), **given)
 
 
-def measure_undisturbed(
-    order: MeasurementOrder,
-    content: dict,
-    folder: Path,
-    *,
-    speed: float = 10.0,
-    faults: Sequence[str] = (),
-) -> Driven:
+def measure_undisturbed(order, content, folder, *, speed=10.0, faults=()):
     """Measure on a bench of its own; nothing of it is a fault of the measurement."""
+    how = {"seed": 3, "speed": speed, "workdir": folder / "b", "faults": faults}
     with (
-        Bench(
-            content, seed=3, speed=speed, workdir=folder / "b", rtu=False, faults=faults
-        ) as bench,
+        Bench(content, rtu=False, **how) as bench,
         Driven(config_of(bench)) as driven,
     ):
         driven.cell.connect()
@@ -160,9 +118,7 @@ if __name__ == "__main__":
 
 
 @contextmanager
-def measured_by_another(
-    folder: Path, config: CellConfig, order: MeasurementOrder, *paths: Path
-) -> Iterator[tuple[subprocess.Popen, psutil.Process, Iterator[int]]]:
+def measured_by_another(folder, config, order, *paths):
     """Measure from another process until a file `end` is there.
 
     Yields the process, its cell, and how many lines are done at each report.

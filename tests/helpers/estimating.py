@@ -1,7 +1,5 @@
 """The batch estimate as an analysis makes it, and how far it is off the truth."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +16,6 @@ MARGIN_MM = 15.0  # of the travel of linear axes that is not judged at either en
 
 
 def estimate(*observed, names=(), known=None, **options):
-    """Estimate from the observations of some Runs of one machine."""
     names = names or [f"Run {number}" for number in range(1, len(observed) + 1)]
     machine = one_machine([each.at.machine for each in observed], names)
     known = known or KnownEffects()

@@ -1,7 +1,5 @@
 """A Run as the live estimate follows it, block by block."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +19,7 @@ class Followed:
     last: LiveEstimate | None = None
 
 
-def follow(run, *, blocks=None, with_notices=False, **options) -> Followed:
+def follow(run, *, blocks=None, with_notices=False, **options):
     """Give a Run to the live estimate in blocks, of 20 samples if none are given."""
     followed = Followed(LiveEstimator(run.machine, run.commanded, **options))
     for block in blocks or list_blocks(run):
@@ -53,10 +51,8 @@ def shift(run, shift_mm):
 def compare_tables(found, expected):
     """Return how far tables are off those of another estimate, in u."""
     tables = build_error_tables(found)
-    return np.concatenate(
-        [
-            (tables.table(table.symbol).value - table.value)
-            / np.maximum(table.uncertainty, 0.05)
-            for table in build_error_tables(expected).tables
-        ]
-    )
+    off = [
+        (tables.table(one.symbol).value - one.value) / np.maximum(one.uncertainty, 0.05)
+        for one in build_error_tables(expected).tables
+    ]
+    return np.concatenate(off)

@@ -1,7 +1,5 @@
 """What several tests of jobs are made of: rows, Runs, conditions."""
 
-from __future__ import annotations
-
 import numpy as np
 import psutil
 
@@ -35,7 +33,6 @@ def make_samples(sequence=range(10)):
 
 
 def write_bundle_zip(machine, file, sequence=range(10)):
-    """Write a zipped bundle of a Run of one point; return its file."""
     points = Configurations(machine.axis_names, np.array([[1.0, 2, 3]]), np.ones(1))
     file.write_bytes(zip_bundle(Run("b", machine, points, make_samples(sequence))))
     return file
@@ -49,7 +46,6 @@ def begin_run(runs, machine, run_id, job_id="", name="r"):
 
 
 def has_ended(pid):
-    """Whether a process has ended, reaped or not."""
     try:
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

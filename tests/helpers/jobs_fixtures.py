@@ -1,7 +1,5 @@
 """A service over a scripted cell, its catalogue on either database."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 
@@ -37,7 +35,6 @@ def database(catalogue_url):
 
 @pytest.fixture
 def told():
-    """Every stored event that listeners were told of."""
     return []
 
 
@@ -81,19 +78,14 @@ def machine():
 def scheduler():
     """A real Dask scheduler with two workers, in threads of this process."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
+    how = {"n_workers": 2, "threads_per_worker": 1, "processes": False}
+    how |= {"protocol": "tcp://", "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(**how) as cluster:
         yield cluster.scheduler_address
 
 
 @pytest.fixture
 def make_cell():
-    """Makes the cells of the service under test."""
     return CellMaker()
 
 
@@ -104,10 +96,10 @@ def science():
 
 @pytest.fixture
 def context(database, event_bus, make_cell, science, machine, tmp_path):
-    """Everything a job works with; the cell is not started yet."""
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
+    quick = (State.PAUSING, State.RESUMING, State.ABORTING)
     yield JobContext(
         store=Store(database, event_bus.publish),
         runs=RunCatalogue(database, tmp_path / "runs", ReaderHere()),
@@ -115,12 +107,7 @@ def context(database, event_bus, make_cell, science, machine, tmp_path):
         executor=Inline(),
         science=science,
         machines=Machines([MachineCell("default", machine, cell)]),
-        confirm_s={
-            State.PAUSING: 0.3,
-            State.RESUMING: 0.3,
-            State.ABORTING: 0.3,
-            State.CANCELLING: 30.0,
-        },
+        confirm_s={State.CANCELLING: 30.0, **dict.fromkeys(quick, 0.3)},
     )
     cell.close()
 
@@ -141,7 +128,6 @@ def open_dispatcher(context, event_bus):
 
 @pytest.fixture
 def dispatcher(context, open_dispatcher):
-    """Jobs can be given; the cell runs."""
     context.require_cell().start()
     return open_dispatcher()
 
@@ -160,8 +146,6 @@ def open_watched(context, open_dispatcher):
 
 @pytest.fixture
 def until(context):
-    """Wait until a job is in a state, or has ended; return it."""
-
     def wait(job, *states):
         def reached():
             now = context.store.get(job.id)
@@ -174,7 +158,6 @@ def until(context):
 
 @pytest.fixture
 def ready(dispatcher, until):
-    """A job that waits to be armed."""
     return until(dispatcher.create(OTF)[0], "ready")
 
 
@@ -194,14 +177,11 @@ def begin(dispatcher, until, make_cell):
 
 @pytest.fixture
 def cell(dispatcher, make_cell):
-    """The cell that measures."""
     return make_cell.cell
 
 
 @pytest.fixture
 def end_in_motion(cell, until):
-    """Has a fault end what is measured; returns the job then."""
-
     def end(job):
         cell.fault()
         cell.end("faulted")
@@ -229,5 +209,4 @@ def bundle(machine, tmp_path):
 
 @pytest.fixture
 def run(context, bundle):
-    """An uploaded Run."""
     return context.runs.add_uploaded(bundle, "from the shop floor")

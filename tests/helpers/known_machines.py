@@ -1,7 +1,7 @@
 """Machines that err in a known way: as results state them, and exact ones."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -14,35 +14,31 @@ from truepath.compensation.account.rotary_left import (
     read_rotary_files,
 )
 from truepath.compensation.installed import load_format
-from truepath.compensation.rotary_tables import AxisPlace
-from truepath.compensation.tables.error_map import ErrorMap, map_errors
+from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation
 from truepath.compensation.tables.unmeasured import find_measured_ranges
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.model import MachineModel
 from truepath_simulators.compensation.correction import measure_deviation_mm
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.machine.truth_machine import TruthMachine, perfect
+from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
 
 
-def build_model(content: Mapping[str, Any], **options: Any) -> MachineModel:
+def build_model(content, **options):
     """Build the model of a machine, once for all tests."""
     return _build(json.dumps(content), **options)
 
 
 @cache
-def _build(text: str, **options: Any) -> MachineModel:
+def _build(text, **options):
     machine = machine_from_json(json.loads(text), file="machine.json")
     offsets = np.array([target.offset_mm for target in machine.targets])
     return build_identifiable_model(machine, offsets, **options)[0]
 
 
-def map_known(
-    model: MachineModel, values: Mapping[str, Any] | np.ndarray, variance: Any = 1e-16
-) -> ErrorMap:
+def map_known(model, values, variance=1e-16):
     """Map the errors of a machine whose parameters are all of these, or 0."""
     theta = values
     if not isinstance(theta, np.ndarray):
@@ -53,9 +49,7 @@ def map_known(
     return map_errors(CalibrationResult(model, theta, covariance))
 
 
-def tabulate(
-    errors: ErrorMap, name: str, spacing_mm: float = 50.0, **choices: str
-) -> Tabulation:
+def tabulate(errors, name, spacing_mm=50.0, **choices):
     """What makes files of errors, with tables over the whole travel."""
     ranges = find_measured_ranges(errors.machine, {}, None)
     kind = load_format(name, choices)
@@ -71,7 +65,7 @@ class Written:
     rotary: Mapping[str, Any]
 
 
-def write(errors: ErrorMap, name: str, spacing_mm: float = 50.0) -> Written:
+def write(errors, name, spacing_mm=50.0):
     """Return files of a format without the costly rest of their account."""
     made = tabulate(errors, name, spacing_mm)
     content = made.tabulate(errors)
@@ -82,8 +76,7 @@ def write(errors: ErrorMap, name: str, spacing_mm: float = 50.0) -> Written:
     return Written(files, over or {}, describe_rotary(errors, rotary))
 
 
-def displace(content: Mapping[str, Any], places: Sequence[AxisPlace]) -> TruthMachine:
-    """Return the exact machine whose rotary axes are off their places."""
+def displace(content, places):
     truth = perfect(parse_machine(dict(content)))
     joints = dict(truth.joints)
     for place in places:
@@ -96,16 +89,13 @@ def displace(content: Mapping[str, Any], places: Sequence[AxisPlace]) -> TruthMa
     return replace(truth, joints=joints)
 
 
-def spread(axes: Sequence[Any], count: int) -> np.ndarray:
-    """Return positions all over the travel of all axes."""
+def spread(axes, count):
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
     unit = np.random.default_rng(2).uniform(size=(count, len(axes)))
     return low + unit * (high - low)
 
 
-def measure_left(
-    truth: TruthMachine, files: Mapping[str, str], position: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def measure_left(truth, files, position):
     """Return lengths of errors, mm, without files and once a control has them."""
     before, after = (
         np.linalg.norm(measure_deviation_mm(truth, one, position), axis=1)

@@ -1,36 +1,24 @@
 """Machines, Runs and bundles that the measurement tests start from."""
 
-from __future__ import annotations
-
 import itertools
-import pathlib
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 import pytest
 
-from simulated_clock import SimulatedClock, simulated_clock
-from truepath.files.bundle.run import Run
+from simulated_clock import simulated_clock
+from truepath.measurement import messages
 from truepath.measurement.engine.measurement import Measurement
-from truepath.measurement.messages import (
-    CellEvent,
-    CellVerb,
-    FaultReported,
-    LivePoints,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-    StateChanged,
-)
 from truepath.measurement.run_file.run_file import LINK_STREAM
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
+from truepath_drivers.interfaces import tracker_records
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_drivers.interfaces.motion import MotionController
@@ -48,19 +36,10 @@ from truepath_drivers.interfaces.tracker import (
     PolledTracker,
     Tracker,
 )
-from truepath_drivers.interfaces.tracker_records import (
-    Air,
-    Clock,
-    PointMeasurement,
-    TrackerCapabilities,
-    TrackerEvent,
-)
 
-E = TypeVar("E")
-Rows = Sequence[Sequence[float]] | np.ndarray
-Begin = Callable[..., "Running"]
 JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
 """The patience of the service."""
+Begin = Callable[..., "Running"]
 QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
 NOISE_MM = 0.001  # of a shot of a tracker that is polled
 PLACE_MM = np.array([2000.0, 300.0, 50.0])
@@ -68,19 +47,18 @@ PLACE_MM = np.array([2000.0, 300.0, 50.0])
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(7)
 
 
 @pytest.fixture
-def clock() -> Iterator[SimulatedClock]:
-    """Let a test live on simulated time."""
+def clock():
     with simulated_clock() as clock:
         yield clock
 
 
 @pytest.fixture(autouse=True)
-def no_thread_is_left_over() -> Iterator[None]:
+def no_thread_is_left_over():
     before = set(threading.enumerate())
     yield
     left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
@@ -88,30 +66,21 @@ def no_thread_is_left_over() -> Iterator[None]:
 
 
 @pytest.fixture
-def calm() -> EngineSettings:
+def calm():
     """Timeouts that a busy computer does not reach."""
-    return EngineSettings(
-        poll_s=0.02,
-        confirm_s=30.0,
-        stale_s=30.0,
-        link_s=30.0,
-        first_sample_s=30.0,
-        progress_s=0.0,
-        axes_rows=5,
-        timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0),
-    )
+    names = ("confirm_s", "stale_s", "link_s", "first_sample_s")
+    timeouts = StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0)
+    return replace(JUDGED, timeouts=timeouts, **dict.fromkeys(names, 30.0))
 
 
 @pytest.fixture
-def read_link_bytes() -> Callable[[str | pathlib.Path], bytes]:
+def read_link_bytes():
     """Read the bytes that the tracker's port received from a closed Run."""
 
-    def read(file: str | pathlib.Path) -> bytes:
-        database = sqlite3.connect(file)
+    def read(file):
         query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
-        rows = database.execute(query, (LINK_STREAM,)).fetchall()
-        database.close()
-        return b"".join(payload for (payload,) in rows)
+        with closing(sqlite3.connect(file)) as database:
+            return b"".join(row[0] for row in database.execute(query, (LINK_STREAM,)))
 
     return read
 
@@ -119,42 +88,36 @@ def read_link_bytes() -> Callable[[str | pathlib.Path], bytes]:
 class FakeTracker(Tracker, ByteLink):
     """A tracker in this process: its clock runs `speed` times faster than ours."""
 
-    def __init__(self, speed: float = 20.0) -> None:
+    def __init__(self, speed=20.0):
         self.speed = speed
-        self.silent = False
+        self.silent = self.restarted = self.streaming = False
         self.damaged = False  # of twenty samples one arrives
         self.beam = True
-        self.follows: FakeMotion | None = None  # its machine; else it moves by itself
+        self.follows = None  # its machine; else it moves by itself
         self.frozen = False  # it repeats the last place
         self.place = (1.0, 2.0, 3.0)  # of the target before the machine moved
         self._last = np.array(self.place)
-        self.error: Exception | None = None
-        self.refusal: Exception | None = None
-        self.restarted = False
-        self.streaming = False
-        self.stops = 0
-        self._begun_s = 0.0
-        self._sent = 0
-        self._rate_hz = 500.0
-        self._bytes = b""
+        self.error = self.refusal = None
+        self.stops = self._sent = 0
+        self._begun_s, self._rate_hz, self._bytes = 0.0, 500.0, b""
 
-    def connect(self) -> Identity:
+    def connect(self):
         return Identity("Us", "fake tracker", "T1", "0")
 
-    def close(self) -> None:
+    def close(self):
         self.stop()
 
-    def start(self, rate_hz: float) -> None:
+    def start(self, rate_hz):
         if self.refusal is not None:
             raise self.refusal
         self._rate_hz, self._begun_s, self._sent = rate_hz, host_clock.now_s(), 0
         self.streaming = True
 
-    def stop(self) -> None:
+    def stop(self):
         self.streaming = False
         self.stops += 1
 
-    def read(self, timeout_s: float) -> TrackerSamples:
+    def read(self, timeout_s):
         deadline_s = host_clock.now_s() + timeout_s
         while True:
             if self.error is not None:
@@ -164,15 +127,15 @@ class FakeTracker(Tracker, ByteLink):
                 return block
             host_clock.sleep_s(0.005)
 
-    def take_link_bytes(self) -> bytes:
+    def take_link_bytes(self):
         data, self._bytes = self._bytes, b""
         return data
 
     @property
-    def health(self) -> LinkHealth:
+    def health(self):
         return LinkHealth(frames=self._sent, crc_errors=2)
 
-    def _new(self) -> TrackerSamples:
+    def _new(self):
         if not self.streaming:
             return TrackerSamples.empty()
         passed_s = (host_clock.now_s() - self._begun_s) * self.speed
@@ -192,7 +155,7 @@ class FakeTracker(Tracker, ByteLink):
         )
         return samples.select(sequence % 20 == 0) if self.damaged else samples
 
-    def _see(self, count: int) -> np.ndarray:
+    def _see(self, count):
         """Return the place of the target `count` times; none of it is bit for bit."""
         if self.follows is not None and not self.frozen:
             self._last = self.follows.here + self.place
@@ -204,45 +167,45 @@ class FakeTracker(Tracker, ByteLink):
 
 
 class FakePolledTracker(PolledTracker):
-    """What every tracker that is polled in this process has."""
-
     @property
-    def capabilities(self) -> TrackerCapabilities:
-        return TrackerCapabilities(streams=False, clock=Clock.HOST, distance="ADM")
+    def capabilities(self):
+        return tracker_records.TrackerCapabilities(
+            streams=False, clock=tracker_records.Clock.HOST, distance="ADM"
+        )
 
-    def connect(self) -> Identity:
+    def connect(self):
         return Identity("Us", "fake polled tracker", "P1", "0")
 
-    def close(self) -> None:
+    def close(self):
         self.stop()
 
-    def stop(self) -> None:
+    def stop(self):
         """Nothing is under way."""
 
 
 class FakePolled(FakePolledTracker, EventSource):
     """Sees the axes of a controller in this process; shots come at 200 Hz."""
 
-    def __init__(self, motion) -> None:
+    def __init__(self, motion):
         self.motion = motion
         self.asked = self.connects = 0
-        self.before: Callable[[int], None] = lambda _: None
+        self.before = lambda _: None
         self.stopped = threading.Event()
-        self.events: list[TrackerEvent] = []
+        self.events = []
         self._rng = np.random.default_rng(5)
 
-    def connect(self) -> Identity:
+    def connect(self):
         self.connects += 1
         return super().connect()
 
-    def stop(self) -> None:
+    def stop(self):
         self.stopped.set()
 
-    def take_events(self) -> tuple[TrackerEvent, ...]:
+    def take_events(self):
         events, self.events = tuple(self.events), []
         return events
 
-    def measure(self, dwell_s: float) -> PointMeasurement:
+    def measure(self, dwell_s):
         self.stopped.clear()
         self.asked += 1
         self.before(self.asked)
@@ -254,12 +217,14 @@ class FakePolled(FakePolledTracker, EventSource):
             times.append(host_clock.now_s())
             if host_clock.wait(self.stopped, 0.005):
                 raise Refused("the measurement was stopped")
-        air = Air(21.5, 1013.0, 40.0)
-        return PointMeasurement.average(np.array(times), np.array(shots), air)
+        air = tracker_records.Air(21.5, 1013.0, 40.0)
+        return tracker_records.PointMeasurement.average(
+            np.array(times), np.array(shots), air
+        )
 
 
 @pytest.fixture
-def polled(motion) -> FakePolled:
+def polled(motion):
     motion.speed = 2000.0
     return FakePolled(motion)
 
@@ -267,59 +232,41 @@ def polled(motion) -> FakePolled:
 class FakeMotion(MotionController):
     """A controller in this process: constant speed, `speed` times faster than told."""
 
-    def __init__(self, speed: float = 20.0) -> None:
+    axes = ("X", "Y", "Z")
+    travel = ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+
+    def __init__(self, speed=20.0):
         self.speed = speed
-        self.calls: list[str] = []
-        self.out_of_reach = False
-        self.has_watchdog = True
-        self.stops_unasked = False
-        self.override: float | None = None
-        self.referenced: bool | None = None
-        self.compensation: bool | None = None
-        self.limits_override = True
+        self.calls = []
+        self.out_of_reach = self.stops_unasked = False
+        self.has_watchdog = self.limits_override = True
+        self.override = self.referenced = self.compensation = None
         self.ignores_hold = self.ignores_resume = self.ignores_abort = False
-        self.ends_after_s: float | None = None
+        self.ends_after_s = None
         self.runs_on = False  # another program follows the last row
         self.stale_looks = 0  # that still show the last line of the program before
         self.here = np.zeros(3)
-        self.loaded: Path | None = None
-        self.alarm = ""
+        self.loaded, self.alarm = None, ""
         self.beats = self.looks = 0
         self._is_fed = False
         self._state, self._reason = MotionState.IDLE, ""
-        self._rows: list[np.ndarray] = []
-        self._owners: list[int] = []
-        self._feed = 6000.0
-        self._done_s = 0.0
+        self._rows, self._owners = [], []
+        self._feed, self._done_s = 6000.0, 0.0
         self._since_s = host_clock.now_s()
         self._lock = threading.RLock()
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return ("X", "Y", "Z")
+    def connect(self):
+        known = {"has_watchdog": self.has_watchdog, "stops_unasked": self.stops_unasked}
+        return Identity("Us", "fake controller", "C1", "0", **known)
 
-    @property
-    def travel(self) -> tuple[tuple[float, float], ...]:
-        return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
-
-    def connect(self) -> Identity:
-        return Identity(
-            "Us",
-            "fake controller",
-            "C1",
-            "0",
-            self.has_watchdog,
-            stops_unasked=self.stops_unasked,
-        )
-
-    def close(self) -> None:
+    def close(self):
         self.abort()
 
-    def send_heartbeat(self) -> None:
+    def send_heartbeat(self):
         self._reach()
         self._is_fed = True
 
-    def status(self) -> MotionStatus:
+    def status(self):
         self._reach()
         with self._lock:
             line = self._advance()
@@ -330,61 +277,48 @@ class FakeMotion(MotionController):
                 self.looks += 1
                 self.beats += self._is_fed
             self._is_fed = False
-            return MotionStatus(
-                self._state,
-                tuple(self.here),
-                line,
-                self.alarm,
-                self._reason,
-                self.override,
-                self.referenced,
-                self.compensation,
-            )
+            stated = self.override, self.referenced, self.compensation
+            why = self.alarm, self._reason
+            return MotionStatus(self._state, tuple(self.here), line, *why, *stated)
 
-    def limit_override(self, largest: float) -> None:
+    def limit_override(self, largest):
         if not self.limits_override:
             super().limit_override(largest)
         self.override = min(self.override or largest, largest)
 
-    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        self._reach()
-        self.calls.append("move_to")
+    def move_to(self, position, feed_mm_min):
+        self._reach("move_to")
         self._run([np.array(position, float)], feed_mm_min)
 
-    def load(self, path: Path) -> None:
-        self._reach()
-        self.calls.append("load")
+    def load(self, path):
+        self._reach("load")
         self.loaded = path
         self._state = MotionState.READY
 
-    def start(self) -> None:
-        self._reach()
-        self.calls.append("start")
+    def start(self):
+        self._reach("start")
         assert self.loaded is not None
         places, owners = trace(self.loaded)
         self._run(list(places), float(self.loaded.feed_mm_min[0]))
         self._owners = owners.tolist()  # rows, where an arc is driven in chords
 
-    def wait(self, timeout_s: float) -> MotionStatus:
+    def wait(self, timeout_s):
         raise NotImplementedError
 
-    def hold(self) -> None:
-        self._reach()
-        self.calls.append("hold")
+    def hold(self):
+        self._reach("hold")
         with self._lock:
             if not self.ignores_hold:
                 self.stand("command")
 
-    def resume(self) -> None:
-        self._reach()
-        self.calls.append("resume")
+    def resume(self):
+        self._reach("resume")
         with self._lock:
             if self._state is MotionState.HELD and not self.ignores_resume:
                 self.go_on()
 
-    def abort(self) -> None:
-        self._reach()
-        self.calls.append("abort")
+    def abort(self):
+        self._reach("abort")
         with self._lock:
             self._advance()
             if self.ignores_abort:
@@ -395,41 +329,38 @@ class FakeMotion(MotionController):
 
     # What happens at the machine itself.
 
-    def stand(self, reason: str) -> None:
-        """Hold the feed for a reason."""
+    def stand(self, reason):
         with self._lock:
             self._advance()
             if self._state is MotionState.RUNNING:
                 self._state, self._reason = MotionState.HELD, reason
 
-    def go_on(self) -> None:
-        """Release the feed."""
+    def go_on(self):
         with self._lock:
             self._state, self._reason = MotionState.RUNNING, ""
             self._since_s = host_clock.now_s()
 
-    def raise_alarm(self, text: str) -> None:
-        """Stop with an alarm."""
+    def raise_alarm(self, text):
         with self._lock:
             self._advance()
             self._state, self.alarm = MotionState.ALARM, text
 
-    def begin_elsewhere(self) -> None:
-        """Run a program that nobody here has started."""
+    def begin_elsewhere(self):
         self._run([np.array([400.0, 0.0, 0.0])], 6.0)
 
-    def _reach(self) -> None:
+    def _reach(self, *calls):
         if self.out_of_reach:
             raise DeviceTimeout("the controller does not answer; is it on?")
+        self.calls += calls
 
-    def _run(self, rows: list[np.ndarray], feed_mm_min: float) -> None:
+    def _run(self, rows, feed_mm_min):
         with self._lock:
             self._rows = [self.here.copy(), *rows]
             self._owners = list(range(len(rows)))
             self._feed, self._done_s = feed_mm_min, 0.0
             self.go_on()
 
-    def _advance(self) -> int:
+    def _advance(self):
         """Bring position and state to now; return the row moved towards."""
         now_s = host_clock.now_s()
         if self._state is not MotionState.RUNNING:
@@ -451,169 +382,155 @@ class FakeMotion(MotionController):
         self._state = MotionState.FINISHED
         return max(len(self._rows) - 2, 0)
 
-    def _end_early(self) -> None:
+    def _end_early(self):
         if self.ends_after_s is not None and self._done_s > self.ends_after_s:
             self._state = MotionState.FINISHED
 
 
 @pytest.fixture
-def motion() -> FakeMotion:
+def motion():
     return FakeMotion()
 
 
 @pytest.fixture
-def tracker(motion: FakeMotion) -> FakeTracker:
+def tracker(motion):
     fake = FakeTracker()
     fake.follows = motion
     return fake
 
 
-class Journal:
-    """Collects events and waits for some."""
+class Told:
+    """What a measurement has told: `events`, and `until` waits for some."""
 
-    def __init__(self) -> None:
-        self.events: list[CellEvent] = []
+    def of(self, kind):
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def states(self):
+        return [event.state for event in self.of(messages.StateChanged)]
+
+    @property
+    def faults(self):
+        return [event.code for event in self.of(messages.FaultReported)]
+
+    def until_state(self, state):
+        self.until(lambda: self.states[-1:] == [state])
+
+    def until_done(self, rows=1):
+        """Wait until so many lines or points are done: it moves."""
+        self.until(
+            lambda: any(p.done >= rows for p in self.of(messages.MeasurementProgress))
+        )
+
+
+class Journal(Told):
+    def __init__(self):
+        self.events = []
         self._changed = threading.Condition()
 
-    def report(self, event: CellEvent) -> None:
+    def report(self, event):
         with self._changed:
             self.events.append(event)
             self._changed.notify_all()
 
-    def of(self, kind: type[E]) -> list[E]:
-        return [event for event in self.events if isinstance(event, kind)]
-
-    @property
-    def states(self) -> list[str]:
-        return [event.state for event in self.of(StateChanged)]
-
-    @property
-    def faults(self) -> list[str]:
-        return [event.code for event in self.of(FaultReported)]
-
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 25.0) -> None:
+    def wait(self, condition, timeout_s=25.0):
         with self._changed:
             came = host_clock.wait_for(self._changed, condition, timeout_s)
             assert came, self.events[-8:]
 
 
 @pytest.fixture
-def journal() -> Journal:
+def journal():
     return Journal()
 
 
-class Running:
+class Running(Told):
     """A measurement on devices in this process, in a thread, and what it leaves."""
 
-    def __init__(self, order, tracker, motion, journal, settings, sensors=None) -> None:
+    def __init__(self, order, tracker, motion, journal, settings, sensors=None):
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
         self.measurement = Measurement(
             order, tracker, motion, devices, journal.report, settings, sensors
         )
         self.obey, self.told = self.measurement.obey, journal.of
+        self.events, self.until = journal.events, journal.wait
         self.thread = threading.Thread(target=self.measurement.run)
 
     @property
-    def states(self) -> list[str]:
-        return self.journal.states
+    def fault(self):
+        return self.told(messages.FaultReported)[-1]
 
-    @property
-    def faults(self) -> list[str]:
-        return self.journal.faults
-
-    @property
-    def fault(self) -> FaultReported:
-        """The last one that was told."""
-        return self.told(FaultReported)[-1]
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        self.journal.wait(condition)
-
-    def until_state(self, state: str) -> None:
-        self.until(lambda: self.states[-1:] == [state])
-
-    def until_told(self, *codes: str) -> None:
-        """Wait until these faults, and no others, were told."""
+    def until_told(self, *codes):
         self.until(lambda: self.faults == list(codes))
 
-    def until_done(self, rows: int = 1) -> None:
-        """Wait until so many lines or points are done: it moves."""
-        told = self.told
-        self.until(lambda: any(p.done >= rows for p in told(MeasurementProgress)))
-
-    def until_seen(self, device_time_s: float) -> None:
+    def until_seen(self, time_s):
         """Wait until the tracker has measured for so long; its clock begins at 100."""
-        told = self.journal.of
         self.until(
-            lambda: any(b.device_time_s > device_time_s for b in told(LivePoints))
+            lambda: any(b.device_time_s > time_s for b in self.of(messages.LivePoints))
         )
 
-    def pass_until(self, condition: Callable[[], bool]) -> None:
+    def pass_until(self, condition):
         """Let time pass, a tenth of a second a look, until something has happened."""
         deadline_s = host_clock.now_s() + 25.0
         while not condition():
             assert host_clock.now_s() < deadline_s, self.journal.events[-8:]
             host_clock.sleep_s(0.1)
 
-    def look(self, times: int = 3, kind: type = MeasurementProgress) -> None:
+    def look(self, times=3, kind=messages.MeasurementProgress):
         """Let it look at its devices some more times."""
         told = len(self.told(kind))
         self.until(lambda: len(self.told(kind)) > told + times)
 
-    def see(self, times: int = 3) -> None:
+    def see(self, times=3):
         """Let it see where the target is some more times."""
-        self.look(times, LivePoints)
+        self.look(times, messages.LivePoints)
 
-    def pause(self) -> None:
-        self.obey(CellVerb.PAUSE)
+    def pause(self):
+        self.obey(messages.CellVerb.PAUSE)
         self.until_state("paused")
 
-    def pause_and_resume(self) -> None:
+    def pause_and_resume(self):
         self.pause()
-        self.obey(CellVerb.RESUME)
+        self.obey(messages.CellVerb.RESUME)
         self.until_state("running")
 
-    def ended(self) -> str:
-        """Wait for its end; return its last state."""
+    def ended(self):
         host_clock.join(self.thread, 30.0)
         assert not self.thread.is_alive(), self.journal.events[-8:]
         return self.states[-1]
 
-    def ends(self, state: str, *codes: str) -> None:
-        """It ends in this state, and these faults were told."""
+    def ends(self, state, *codes):
         assert (self.ended(), tuple(self.faults)) == (state, codes)
 
-    def finished(self) -> None:
+    def finished(self):
         """Let the machine be quick about the rest; it ends in order."""
         self.motion.speed = 5000.0
         self.motion.override = 5000.0  # it says so, or it would not be believed
         assert self.ended() == "finished"
 
-    def finished_after(self, *codes: str) -> None:
-        """Likewise, and these faults were told."""
+    def finished_after(self, *codes):
         self.finished()
         assert tuple(self.faults) == codes
 
-    def resume_to_the_end(self) -> None:
-        self.obey(CellVerb.RESUME)
+    def resume_to_the_end(self):
+        self.obey(messages.CellVerb.RESUME)
         self.finished()
 
     @property
-    def run(self) -> Run:
+    def run(self):
         return open_run(self.order.run_file)
 
-    def texts(self, kind: str) -> list[str]:
-        """Return the texts of events of the Run."""
+    def texts(self, kind):
         return [event.text for event in self.run.events if event.kind == kind]
 
 
 @pytest.fixture
-def begin(tracker, motion, journal, calm) -> Iterator[Begin]:
+def begin(tracker, motion, journal, calm):
     """Begin measurements in threads; those under way at the end are aborted."""
-    begun: list[Running] = []
+    begun = []
 
-    def start(order, *, settings=calm, tracker=tracker, sensors=None) -> Running:
+    def start(order, *, settings=calm, tracker=tracker, sensors=None):
         begun.append(Running(order, tracker, motion, journal, settings, sensors))
         begun[-1].thread.start()
         return begun[-1]
@@ -621,63 +538,45 @@ def begin(tracker, motion, journal, calm) -> Iterator[Begin]:
     yield start
     for one in begun:
         if one.thread.is_alive():
-            one.obey(CellVerb.ABORT)
+            one.obey(messages.CellVerb.ABORT)
             host_clock.join(one.thread, 5.0)
 
 
 @pytest.fixture
-def order(mill, square, tmp_path) -> MeasurementOrder:
+def order(mill, square, tmp_path):
     """Three lines in the travel of the mill."""
     file = str(tmp_path / "monday.sqlite")
-    return MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
+    return messages.MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
 
 
-def along(
-    order: MeasurementOrder, rows: Rows, feed_mm_min: float = 6000.0, **given
-) -> MeasurementOrder:
-    """Return the order with a path through rows, without a dwell."""
-    n = len(rows)
-    path = Path(
-        order.commanded.axes,
-        np.array(rows, float),
-        np.full(n, feed_mm_min),
-        np.zeros(n),
-        **given,
-    )
+def along(order, rows, feed_mm_min=6000.0, **given):
+    rows, n, axes = np.array(rows, float), len(rows), order.commanded.axes
+    path = Path(axes, rows, np.full(n, feed_mm_min), np.zeros(n), **given)
     return replace(order, commanded=path)
 
 
-def there_and_back(order: MeasurementOrder, times: int) -> MeasurementOrder:
+def there_and_back(order, times):
     """Return the order with long lines, a quarter of a second each."""
     return along(order, [[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]] * times)
 
 
-def standing_at(
-    order: MeasurementOrder, rows: Rows, dwell_s: float, target: Sequence[str] = ()
-) -> MeasurementOrder:
-    """Return the order with standstill points."""
-    dwells_s = np.full(len(rows), dwell_s)
-    points = Configurations(
-        order.commanded.axes, np.array(rows, float), dwells_s, tuple(target)
-    )
+def standing_at(order, rows, dwell_s, target=()):
+    given = np.array(rows, float), np.full(len(rows), dwell_s), tuple(target)
+    points = Configurations(order.commanded.axes, *given)
     return replace(order, commanded=points)
 
 
-def draw_rows(n: int) -> np.ndarray:
+def draw_rows(n):
     """Return rows anywhere in the travel of the mill."""
     return np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (n, 3))
 
 
 @pytest.fixture
 def measure(polled, motion, order, journal):
-    """Measure to the end; return the last state and the Run."""
-
-    def made(
-        order: MeasurementOrder = order, settings: EngineSettings = QUICK
-    ) -> tuple[str, Run | None]:
+    def made(order=order, settings=QUICK):
         made.running = Running(order, polled, motion, journal, settings)
         made.running.measurement.run()
-        file = journal.of(RunClosed)[-1].run_file
+        file = journal.of(messages.RunClosed)[-1].run_file
         return journal.states[-1], made.running.run if file else None
 
     return made

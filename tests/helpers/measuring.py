@@ -1,31 +1,16 @@
 """A cell that measures, as the tests of faults see it: what it has said so far."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
+from driven_cell import Driven, config_of
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import (
-    CellConfig,
-    CellEvent,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-)
-from truepath.measurement.process.cell import Cell
+from truepath.measurement.messages import MeasurementOrder, RunClosed
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.interfaces.tracker import Tracker
-from truepath_simulators.bench.bench import Bench
-from truepath_simulators.links.link_proxy import Harm, LinkProxy
+from truepath_simulators.links.link_proxy import Harm
 
-E = TypeVar("E", bound=CellEvent)
 RATE_HZ = 500.0
 LOST_DOUBLED_OR_HIT = [
     pytest.param(
@@ -42,53 +27,47 @@ IN_PIECES = pytest.param(
 )
 
 
-def order_of(bench: Bench, file: Path, lines: int = 4) -> MeasurementOrder:
+def order_of(bench, file, lines=4):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, lines=lines)
     return MeasurementOrder(file.stem, str(file), machine, path)
 
 
-class Measuring:
-    """A cell under way, and what it has said."""
+class Measuring(Driven):
+    """Started as the service does, under way when entered, and closed at the end."""
 
-    def __init__(self, config: CellConfig, order: MeasurementOrder) -> None:
-        self.said: list[CellEvent] = []
-        self.cell, self._order = Cell(config), order
+    look_s = 0.02
 
-    def __enter__(self) -> Measuring:
-        self.cell.start()
+    def __init__(self, config, order):
+        super().__init__(config, spawns=True)
+        self._order = order
+
+    def __enter__(self):
+        super().__enter__()
         try:
             self.who = self.cell.connect()
-            self.cell.begin(self._order)
-            self.until(lambda: any(p.done >= 1 for p in self.of(MeasurementProgress)))
+            self.begin(self._order, line=1)
         except BaseException:
             self.cell.close()
             raise
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.cell.close()
-
-    def of(self, kind: type[E]) -> list[E]:
-        return [event for event in self.said if isinstance(event, kind)]
-
     @property
-    def faults(self) -> set[str]:
-        return {event.code for event in self.of(FaultReported)}
+    def faults(self):
+        return set(super().faults)
 
-    def until(self, condition: Callable[[], bool], within_s: float = 60.0) -> None:
-        end_s = time.monotonic() + within_s
-        while not condition():
-            assert time.monotonic() < end_s, self.said[-5:]
-            self.said += self.cell.poll(0.02)
-
-    def until_closed(self, runs: int = 1, within_s: float = 60.0) -> RunClosed:
-        """Return how the last Run ended, once so many have."""
-        self.until(lambda: len(self.of(RunClosed)) == runs, within_s)
+    def until_closed(self, runs=1, timeout_s=60.0):
+        """How the last Run ended, once so many have."""
+        self.until(lambda: len(self.of(RunClosed)) == runs, timeout_s)
         return self.of(RunClosed)[-1]
 
 
-def read_through(tracker: Tracker, proxy: LinkProxy, harm: Harm) -> TrackerSamples:
+def measuring_on(bench, file, lines=4, **given):
+    """Measure on a bench; given : what else a CellConfig takes."""
+    return Measuring(config_of(bench, **given), order_of(bench, file, lines))
+
+
+def read_through(tracker, proxy, harm):
     """Return what a driver reads while harm is done, and half a second after it."""
     tracker.start(RATE_HZ)
     blocks = [tracker.read(1.0)]

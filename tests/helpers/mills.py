@@ -1,7 +1,5 @@
 """Machines of three linear axes, in no more words than a test needs."""
 
-from __future__ import annotations
-
 from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 

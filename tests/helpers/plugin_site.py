@@ -1,18 +1,12 @@
 """Distributions of somebody else, installed for one test into a folder of its own."""
 
-from __future__ import annotations
-
 import sys
-from collections.abc import Mapping
-from pathlib import Path
 from textwrap import dedent
 
 NAME = "hostile-plugins 1.2"
 
 
-def install(
-    site: Path, entry_points: Mapping[str, Mapping[str, str]], **modules: str
-) -> Path:
+def install(site, entry_points, **modules):
     """Install NAME with modules of this source; return its folder, for `sys.path`."""
     info = site / "hostile_plugins-1.2.dist-info"
     info.mkdir(parents=True)
@@ -20,7 +14,7 @@ def install(
     (info / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
     )
-    lines: list[str] = []
+    lines = []
     for group, points in entry_points.items():
         lines += [f"[truepath.{group}]", *(f"{n} = {v}" for n, v in points.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")

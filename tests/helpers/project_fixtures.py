@@ -1,6 +1,5 @@
 """What the tests of the project itself share: its files, as git sees them."""
 
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -12,21 +11,16 @@ SHIPPED = {"pyproject.toml", "README.md", "LICENSE", "app", "drivers", "simulato
 
 
 @pytest.fixture(scope="session")
-def root() -> Path:
+def root():
     return ROOT
 
 
 @pytest.fixture(scope="session")
-def project_files(root) -> list[Path]:
+def project_files(root):
     """Every file that is in git or about to be: nothing that git ignores."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    files = {root / name for name in listed.stdout.split("\0") if name}
+    words = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.check_output(words, cwd=root, text=True)
+    files = {root / name for name in listed.split("\0") if name}
     return sorted(path for path in files if path.is_file())
 
 
@@ -45,9 +39,3 @@ def wheel(tmp_path_factory, project_files, root):
     built = subprocess.run(command, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     return next(target.glob("truepath-*.whl"))
-
-
-@pytest.fixture
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]

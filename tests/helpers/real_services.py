@@ -1,109 +1,36 @@
-"""Real services over devices, and what a client does with them.
-
-One that is a process of its own is forked where its code is imported already: an import
-takes four seconds of a processor. All else is as `truepath serve` does it.
-"""
-
-from __future__ import annotations
+"""Real services over devices, and what a client does with them."""
 
 import json
-import multiprocessing
-import os
-import signal
-import sys
 from contextlib import contextmanager, suppress
-from types import ModuleType
-from unittest import mock
 
-import httpx2
 import psutil
 from starlette.testclient import TestClient
 
-from service_process import SPEED, arm, follow
-from serving import serve_forked
+import service_process
+from service_process import arm, follow
 from truepath.main import open_service
 from truepath.service.api.application import create_application
 from truepath.settings import load_settings
 from truepath_simulators.scenario import load_machine
 
-START_S = 60.0
-_FORKS = multiprocessing.get_context("forkserver")
-_FORKS.set_forkserver_preload(["truepath.main", "truepath_simulators.bench.bench"])
 
-
-def write_machine(file, rate_hz=100):
+def write_machine(place, rate_hz=100):
     """Write the file of the demo machine; its tracker sends a fifth of the samples."""
+    file = place / "machine.json" if place.is_dir() else place
     content = load_machine("demo")
     content["tracker"]["rate_hz"] = rate_hz
     file.write_text(json.dumps(content))
     return file
 
 
-@contextmanager
 def process(folder, descriptors=None, **environment):
-    """Run the service as its own process; yield it and a client of it.
-
-    descriptors : it gets so many, and no more if it asks
-    """
-    settings = {
-        "TRUEPATH_DATA_DIR": str(folder / "data"),
-        "TRUEPATH_PORT": "0",
-        "TRUEPATH_SIMULATED": "1",
-        "TRUEPATH_SIMULATED_SPEED": str(SPEED),
-        "TRUEPATH_MACHINE_FILE": str(folder / "usual-machine.json"),
-        "TRUEPATH_LOG_FORMAT": "json",
-        **environment,
-    }
-    write_machine(folder / "usual-machine.json")
-    running = Service(settings, folder / "service.log", descriptors)
-    try:
-        with httpx2.Client(base_url=running.address, timeout=30.0) as client:
-            yield running, client
-    finally:
-        running.close()
-
-
-class Service:
-    """A process of the service that answers; its verbs are those of a `Popen`."""
-
-    def __init__(self, settings, log, descriptors):
-        heard, told = _FORKS.Pipe(duplex=False)
-        arguments = settings, str(log), told, descriptors
-        self._process = _FORKS.Process(target=serve_forked, args=arguments)
-        # Nothing of the program that tests is run anew in the child.
-        with mock.patch.dict(sys.modules, {"__main__": ModuleType("__main__")}):
-            self._process.start()
-        told.close()
-        self.pid, self.kill = self._process.pid, self._process.kill
-        try:
-            assert heard.poll(START_S), log.read_text()
-            self.address = heard.recv()
-        except EOFError:
-            raise AssertionError(log.read_text()) from None
-        finally:
-            heard.close()
-
-    def poll(self):
-        return self._process.exitcode
-
-    def send_signal(self, number):
-        os.kill(self.pid, number)
-
-    def wait(self, patience_s):
-        self._process.join(patience_s)
-        assert self.poll() is not None, "the service does not end"
-        return self.poll()
-
-    def close(self):
-        if self.poll() is None:
-            self.send_signal(signal.SIGTERM)
-        self.wait(20)
-        self._process.close()
+    """Run the service of that machine as its own process."""
+    machine = {"TRUEPATH_MACHINE_FILE": str(write_machine(folder / "usual.json"))}
+    return service_process.process(folder, descriptors, **machine | environment)
 
 
 @contextmanager
 def simulated_service(folder, **settings):
-    """Yield a whole service over simulated devices, and a client of it."""
     file = write_machine(folder.with_name("usual-machine.json"))
     usual = {"simulated": True, "port": 0, "machine_file": file}
     chosen = load_settings(data_dir=folder, **usual, **settings)
@@ -113,7 +40,6 @@ def simulated_service(folder, **settings):
 
 @contextmanager
 def service_of(settings):
-    """Yield a whole service of some settings, and a client of it."""
     with (
         open_service(settings) as service,
         TestClient(create_application(service), base_url="http://localhost") as client,
@@ -122,7 +48,6 @@ def service_of(settings):
 
 
 def environment_of(motion, tracker, machine_file):
-    """Return what sets a service to devices by their options, and to their machine."""
     if not machine_file.exists():
         write_machine(machine_file)
     return {
@@ -146,7 +71,6 @@ def drive(client, *ends, **order):
 
 
 def find_child(parent, role):
-    """Return the process with this part in a service, or None."""
     for child in psutil.Process(parent).children(recursive=True):
         with suppress(psutil.NoSuchProcess):
             named = child.name().startswith(f"truepath-{role}")

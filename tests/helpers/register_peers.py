@@ -1,13 +1,10 @@
 """A CNC behind Modbus TCP and RTU, written from the page of the map, bytes by hand."""
 
-from __future__ import annotations
-
 import struct
 import time
 import zlib
-from collections.abc import Callable
 
-from wires import Peer, PtyWire, TcpWire, Wire
+from wires import Peer, PtyWire, TcpWire
 
 IDLE, READY, RUNNING, HELD, FINISHED, ABORTED, ALARM = range(7)
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
@@ -16,17 +13,15 @@ MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 class CncModel:
     """Registers and state machine; a motion is over after `motion_s`."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.words = [0] * 400
-        self.executed: list[int] = []
-        self.rows: dict[int, bytes] = {}
+        self.executed = []
+        self.rows = {}
         self.motion_s = 0.05
         self.takes_commands = True
-        self.answers_with: int | None = None
+        self.answers_with = self.keeps_watchdog_ms = None
         self.loses_rows = False
-        self.keeps_watchdog_ms: int | None = None
-        self._ends_s = 0.0
-        self._beat_s = 0.0
+        self._ends_s = self._beat_s = 0.0
         self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 2, 3,
                                 *b"XYZ", 0, 0, 0, *[0] * 6, 4096))  # fmt: skip
         for address, text in ((20, "Truepath"), (28, "loopback"), (36, "CNC-1")):
@@ -37,26 +32,26 @@ class CncModel:
         self.put(76, struct.pack(">I", 30_000_000))
         self.words[181] = 1000
 
-    def put(self, address: int, data: bytes) -> None:
+    def put(self, address, data):
         count = len(data) // 2
         self.words[address : address + count] = struct.unpack(f">{count}H", data)
 
-    def get(self, address: int, count: int) -> bytes:
+    def get(self, address, count):
         return struct.pack(f">{count}H", *self.words[address : address + count])
 
     @property
-    def state(self) -> int:
+    def state(self):
         return self.words[100]
 
     @state.setter
-    def state(self, state: int) -> None:
+    def state(self, state):
         self.words[100] = state
 
-    def raise_alarm(self, code: int, text: str) -> None:
+    def raise_alarm(self, code, text):
         self.state, self.words[102] = ALARM, code
         self.put(130, text.encode().ljust(64, b"\0"))
 
-    def advance(self) -> None:
+    def advance(self):
         """Let time pass: the motion ends, or the watchdog bites."""
         now_s = time.monotonic()
         if self.state != RUNNING:
@@ -66,7 +61,7 @@ class CncModel:
         elif now_s >= self._ends_s:
             self.state = FINISHED
 
-    def written(self, first: int, count: int) -> None:
+    def written(self, first, count):
         if self.keeps_watchdog_ms is not None:
             self.words[181] = self.keeps_watchdog_ms
         if first <= 180 < first + count:
@@ -78,7 +73,7 @@ class CncModel:
             self.words[106] = result if self.answers_with is None else self.answers_with
             self.words[105] = self.words[200]
 
-    def _run(self, verb: int) -> int:
+    def _run(self, verb):
         self.executed.append(verb)
         standing = self.state in (IDLE, READY, FINISHED, ABORTED)
         if verb in (MOVE_TO, PUT_ROWS, COMMIT, START) and not standing:
@@ -103,7 +98,7 @@ class CncModel:
             self._ends_s = self._beat_s + self.motion_s
         return 0
 
-    def _commit(self, count: int) -> int:
+    def _commit(self, count):
         data = b"".join(self.rows.get(i, bytes(32)) for i in range(count))
         if zlib.crc32(data) != int.from_bytes(self.get(204, 2), "big"):
             return 4
@@ -113,7 +108,7 @@ class CncModel:
         return 0
 
 
-def answer_pdu(model: CncModel, pdu: bytes) -> bytes:
+def answer_pdu(model, pdu):
     """Return the reply to a request by the Modbus specification, codes 3, 6 and 16."""
     code, address, value = struct.unpack_from(">BHH", pdu)
     count = 1 if code == 6 else value
@@ -136,15 +131,15 @@ class ModbusPeer(Peer):
     mangle : gets each reply as it would go out and returns what does
     """
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire):
         super().__init__(wire)
         self.model = CncModel()
         self.unit = 1
-        self.requests: list[bytes] = []
-        self.exceptions: list[int] = []
-        self.mangle: Callable[[bytes], bytes] = lambda reply: reply
+        self.requests = []
+        self.exceptions = []
+        self.mangle = lambda reply: reply
 
-    def answer(self, pdu: bytes) -> bytes:
+    def answer(self, pdu):
         self.requests.append(pdu)
         if self.exceptions and (code := self.exceptions.pop(0)):
             return bytes([pdu[0] | 0x80, code])
@@ -154,13 +149,13 @@ class ModbusPeer(Peer):
 class TcpPeer(ModbusPeer):
     """Modbus TCP: transaction, protocol 0, length, unit, PDU."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         wire = TcpWire()
         super().__init__(wire)
         self.drop = wire.drop
         self.hangs_up = False
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         if data and self.hangs_up:
             self.drop()
             return
@@ -175,12 +170,12 @@ class TcpPeer(ModbusPeer):
 class RtuPeer(ModbusPeer):
     """Modbus RTU on a pseudo-terminal: unit, PDU, CRC-16 (polynomial 0xA001)."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(PtyWire())
         self.options = {"serial_port": self.options["port"], "baudrate": 115_200}
         self._heard = b""
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         self._heard += data
         while len(self._heard) >= 8:
             length = 9 + self._heard[6] if self._heard[1] == 16 else 8
@@ -194,7 +189,7 @@ class RtuPeer(ModbusPeer):
                 self.wire.write(self.mangle(reply))
 
 
-def crc16(data: bytes) -> int:
+def crc16(data):
     crc = 0xFFFF
     for byte in data:
         crc ^= byte

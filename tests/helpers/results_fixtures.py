@@ -27,6 +27,7 @@ AXES = (
     LinearAxis("Y", 10.0, 400.0),  # zero outside: the lowest position stands in
     LinearAxis("Z", 0.0, 310.0),
 )
+TRAVEL = np.array([(axis.low, axis.high) for axis in AXES]).T
 ONE_TARGET = (Target("", "tool", (20.0, 30.0, -150.0)),)
 THREE_TARGETS = (
     Target("short", "tool", (20.0, 30.0, -150.0)),
@@ -36,11 +37,11 @@ THREE_TARGETS = (
 LINES, CELLS = 12, 240
 
 
-def machine_with(targets: tuple[Target, ...]) -> Machine:
+def machine_with(targets):
     return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
 
 
-def of_a_run(residuals: Residuals) -> RunEstimate:
+def of_a_run(residuals):
     return RunEstimate(
         NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
         RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
@@ -58,8 +59,6 @@ def of_a_run(residuals: Residuals) -> RunEstimate:
 
 @pytest.fixture(scope="session")
 def construct():
-    """Make an estimate with random parameters and a random covariance."""
-
     def made(targets=ONE_TARGET, seed=5):
         rng = np.random.default_rng(seed)
         machine = machine_with(targets)
@@ -68,17 +67,12 @@ def construct():
         # Millimetres and radians differ in size as they do in a machine.
         size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
         spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
-        low = [axis.low for axis in AXES]
-        high = [axis.high for axis in AXES]
         residual = 1e-3 * rng.standard_normal((CELLS, 3))
-        residuals = Residuals(
-            residual,
-            np.linalg.norm(residual[:, 1:], axis=1),
-            np.repeat(np.arange(1, LINES + 1), CELLS // LINES),
-            rng.uniform(low, high, (CELLS, 3)),
-            float(np.sqrt(np.mean(residual**2))),
-            1e-3,
-        )
+        across = np.linalg.norm(residual[:, 1:], axis=1)
+        line = np.repeat(np.arange(1, LINES + 1), CELLS // LINES)
+        place = rng.uniform(*TRAVEL, (CELLS, 3))
+        rms = float(np.sqrt(np.mean(residual**2)))
+        residuals = Residuals(residual, across, line, place, rms, 1e-3)
         return Estimate(
             model,
             size * rng.standard_normal(model.size),
@@ -96,8 +90,6 @@ def construct():
 
 @pytest.fixture(scope="session")
 def with_residuals():
-    """Change the residuals of an estimate's only Run, and what else is said of it."""
-
     def changed(estimate, residuals, **more):
         run = replace(estimate.runs[0], residuals=residuals, **more)
         return replace(estimate, runs=(run,))
@@ -112,17 +104,9 @@ def estimate(construct):
 
 @pytest.fixture(scope="session")
 def provenance():
-    run = RunSummary(
-        "monday",
-        "otf",
-        "0" * 64,
-        LINES,
-        (2500.0, 10_000.0),
-        300.0,
-        10_000,
-        {"X": (19.9, 20.1)},
-        {"source": "monday.zip"},
-    )
+    feeds, warm = (2500.0, 10_000.0), {"X": (19.9, 20.1)}
+    told = LINES, feeds, 300.0, 10_000, warm, {"source": "monday.zip"}
+    run = RunSummary("monday", "otf", "0" * 64, *told)
     return Provenance((run,), "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
 
 
@@ -133,7 +117,6 @@ def found(estimate, provenance):
 
 @pytest.fixture(scope="session")
 def loaded(estimate):
-    """The estimate as prediction reads it, without a file between."""
     return as_loaded(estimate)
 
 
@@ -142,9 +125,8 @@ def load():
     return as_loaded
 
 
-def as_loaded(estimate: Estimate) -> CalibrationResult:
-    model = estimate.model
-    return CalibrationResult(model, estimate.theta, estimate.covariance)
+def as_loaded(estimate):
+    return CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
 
 
 @pytest.fixture(scope="session")
@@ -154,10 +136,7 @@ def three_targets():
 
 @pytest.fixture
 def travel_points(rng):
-    """Positions all over the travel."""
-    low = [axis.low for axis in AXES]
-    high = [axis.high for axis in AXES]
-    return rng.uniform(low, high, (60, 3))
+    return rng.uniform(*TRAVEL, (60, 3))
 
 
 @pytest.fixture(scope="session")
@@ -192,6 +171,5 @@ def shorten(content):
 
 @pytest.fixture(scope="session")
 def calibrated(record):
-    """The result of a measurement of machine 1, as its file is read."""
     run, _ = record(1, rows=24, travel_mm=TRAVEL_MM)
     return result_from_json(json.loads(json.dumps(result_json(analyse(run)))))

@@ -1,7 +1,5 @@
 """Doubles of the tasks by which a measurement that was cut short goes on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from truepath.files.bundle.commanded_file import encode_commanded_json
@@ -11,8 +9,6 @@ PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
 
 
 class Resumer:
-    """Says how far each Run has got, and what it was told."""
-
     def __init__(self):
         self.calls, self.next_row, self.error = [], 4, None
 
@@ -28,8 +24,6 @@ class Resumer:
 
 
 class Closer:
-    """Says whether the target is where it was."""
-
     def __init__(self):
         self.calls, self.problem = [], ""
 

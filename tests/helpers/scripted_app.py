@@ -6,32 +6,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated, Any
 
-from fastapi import (
-    FastAPI,
-    Query,
-    Request,
-    UploadFile,
-    WebSocket,
-    WebSocketDisconnect,
-)
+from fastapi import FastAPI, Query, Request, UploadFile, WebSocket, WebSocketDisconnect
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
-from scripted_data import (
-    ARMING,
-    DRIVERS,
-    FORMATS,
-    MACHINE,
-    MOTION,
-    TRACKER,
-    TRACKER_NOISE,
-    VERSIONS,
-    certificate,
-    compensation,
-    machine_entry,
-    plan_curve,
-    volumetric_map,
-)
+import scripted_data as data
 from scripted_service import ScriptedService
 from truepath.service.api.security.security import Guard
 from truepath.service.page.pages import STATIC_PATH, router, static_files
@@ -65,7 +44,6 @@ class RefuseNobody:
 
 
 def scripted_app(service: ScriptedService) -> FastAPI:
-    """Return the page and the REST interface that the script plays."""
     app = FastAPI(docs_url=None, redoc_url=None)
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
@@ -82,18 +60,22 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
 
 def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
-    """Return what is only looked at, by its path."""
     tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
 
     def system() -> dict[str, Any]:
         cell = {"state": "ready" if service.connected else "idle"}
-        return {"version": "0", "simulated": True, "machine": MACHINE, "cell": cell}
+        return {
+            "version": "0",
+            "simulated": True,
+            "machine": data.MACHINE,
+            "cell": cell,
+        }
 
     def current() -> dict[str, Any]:
         known = service.connected
-        devices = {"tracker": TRACKER, "motion": MOTION}
+        devices = {"tracker": data.TRACKER, "motion": data.MOTION}
         shown = devices if known else dict.fromkeys(devices)
-        noise = {"tracker_noise": TRACKER_NOISE}
+        noise = {"tracker_noise": data.TRACKER_NOISE}
         return service.machine | noise | {"connected": known} | shown
 
     def conditions() -> dict[str, Any]:
@@ -105,24 +87,22 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
         "machines/current/conditions": conditions,
         "machines/{machine_id}/conditions": conditions,
         "machines": lambda: {"items": service.machines},
-        "drivers": lambda: {"items": DRIVERS},
-        "plans/{plan_id}/curve": plan_curve,
+        "drivers": lambda: {"items": data.DRIVERS},
+        "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
-        "compensation-formats": lambda: {"items": FORMATS},
+        "compensation-formats": lambda: {"items": data.FORMATS},
         "nc-dialects": lambda: {"items": [tnc]},
         "jobs/{job_id}/plan": lambda: service.plan,
         "jobs/{job_id}/plan/grade": lambda: service.grade,
         "jobs/{job_id}/result": lambda: service.result,
         "jobs/{job_id}/discovery": lambda: service.discovery,
         "jobs/{job_id}/trend": lambda: service.trend,
-        "models/{model_id}/versions": lambda: VERSIONS,
+        "models/{model_id}/versions": lambda: data.VERSIONS,
         "runs": lambda: {"items": service.runs, "next": None},
     }
 
 
 def add_session(app: FastAPI, service: ScriptedService) -> None:
-    """Who is logged in."""
-
     @app.get(f"{API}/session")
     def session() -> dict[str, Any]:
         name, role = service.user or (None, None)
@@ -204,7 +184,7 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         if order["unmeasured"] == "refuse":
             said = "X not measured from 450 to 500 mm; measure there"
             return problem(422, "bad-input", "The input cannot be used", said, "")
-        made = compensation(job_id, order["format"], order["unmeasured"])
+        made = data.compensation(job_id, order["format"], order["unmeasured"])
         made |= service.rotary_account
         service.compensations.setdefault(job_id, []).append(made)
         return made
@@ -226,7 +206,7 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
     async def issue(job_id: str, request: Request) -> Any:
         order = await service.note(request)
         kept = service.certificates.setdefault(job_id, [])
-        kept.append(certificate(job_id, len(kept) + 1, order["language"]))
+        kept.append(data.certificate(job_id, len(kept) + 1, order["language"]))
         return kept[-1]
 
     @app.get(f"{API}/jobs/{{job_id}}/certificates/{{number}}.html")
@@ -244,7 +224,7 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
 
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
     def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
-        return volumetric_map(state, compensation)
+        return data.volumetric_map(state, compensation)
 
     @app.put(f"{API}/runs/{{run_id}}/known-lengths")
     def keep_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
@@ -296,7 +276,7 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
             return problem(409, "machine-known", "Known", new["id"], "Choose another.")
         name, file = new["machine_file"]["name"], new["machine_file"]
         own = {"origin": "catalogue", "cell": "none", "connected": False}
-        entry = machine_entry(new["id"], name=name, machine_file=file, **own)
+        entry = data.machine_entry(new["id"], name=name, machine_file=file, **own)
         service.machines.append(entry)
         return entry
 
@@ -336,15 +316,11 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
     def connect(machine_id: str) -> Any:
         service.requests.append(("POST", f"/machines/{machine_id}:connect", None))
         if service.refuse_connect:
-            return problem(
-                409,
-                "wrong-device",
-                "Another device answers",
-                "The tracker's port is answered by a barcode reader.",
-                "Check the cable, then connect again.",
-            )
+            said = "The tracker's port is answered by a barcode reader."
+            remedy = "Check the cable, then connect again."
+            return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
-        return {"connected": True, "tracker": TRACKER, "motion": MOTION}
+        return {"connected": True, "tracker": data.TRACKER, "motion": data.MOTION}
 
     @app.get(f"{API}/machines/{{machine_id}}/history")
     def history(machine_id: str) -> Any:
@@ -383,7 +359,7 @@ def add_motion(app: FastAPI, service: ScriptedService) -> None:
     def prepare_arming(job_id: str) -> Any:
         if service.controller:
             return refuse()
-        return ARMING | {"job": job_id, "token": f"for {job_id}"}
+        return data.ARMING | {"job": job_id, "token": f"for {job_id}"}
 
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     async def act(job_id: str, verb: str, request: Request) -> Any:

@@ -1,12 +1,10 @@
 """Doubles that a test steps through: a cell without devices, science without sums."""
 
-from __future__ import annotations
-
 import json
 import queue
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partialmethod
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,23 +12,12 @@ import numpy as np
 from truepath.catalogue.errors import Aborted
 from truepath.catalogue.run_reader import RunReader
 from truepath.files.earlier.verdict import Verdict, verdict_json
-from truepath.measurement.messages import (
-    CellEvent,
-    CellState,
-    FaultReported,
-    LivePoints,
-    MeasurementOrder,
-    MeasurementProgress,
-    StateChanged,
-    TrackerTried,
-)
+from truepath.measurement import messages
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.motion.configurations import Configurations
-from truepath.planning.adaptive_plan import Part
 from truepath.progress import ignore_progress
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.records import Identity, Path, TrackerSamples
+from truepath_drivers.interfaces.records import Identity, TrackerSamples
 from truepath_simulators.scenario import load_machine
 
 DEADLINE_S = 150.0  # a plan takes a minute of a busy core
@@ -42,7 +29,7 @@ DEVICES = {
 }
 
 
-def wait_until(reached: Callable[[], object], what: str = "") -> object:
+def wait_until(reached, what=""):
     """Return what `reached` gives once it is true; fail after a deadline."""
     end_s, pause_s = host_clock.now_s() + DEADLINE_S, 0.005
     while not (found := reached()):
@@ -61,15 +48,15 @@ class ScriptedCell:
 
     def __init__(self, deaf=(), refuses=None):
         self.deaf, self.refuses = set(deaf), refuses
-        self.heard: list[str] = []
-        self.parts: list[Path | Configurations] = []
-        self.order: MeasurementOrder | None = None
+        self.heard = []
+        self.parts = []
+        self.order = None
         self.started, self.begun = threading.Event(), threading.Event()
         self.committed = 0
         self.closed = False
         self._alive = True
-        self._events: queue.SimpleQueue[CellEvent] = queue.SimpleQueue()
-        self._recorder: Recorder | None = None
+        self._events = queue.SimpleQueue()
+        self._recorder = None
         self._samples = 0
 
     # What the supervisor calls.
@@ -92,28 +79,18 @@ class ScriptedCell:
     def try_tracker(self, trial):
         if not trial.streams_only:
             self.heard.append("try")
-        return TrackerTried(42, 42, 0, 1234.0)
+        return messages.TrackerTried(42, 42, 0, 1234.0)
 
     def begin(self, order):
         self.heard.append("begin")
         self.order = order
         if "begin" in self.deaf:
             return
-        header = RunHeader(
-            order.run_name,
-            order.machine,
-            order.commanded,
-            order.rate_hz,
-            DEVICES,
-            order.machine.axis_names,
-            job_id=order.job_id,
-        )
-        self._recorder = Recorder(
-            FilePath(order.run_file),
-            header,
-            on_recorded=self._note_committed,
-            reserve_bytes=0,
-        )
+        given = order.run_name, order.machine, order.commanded, order.rate_hz
+        axes = order.machine.axis_names
+        header = RunHeader(*given, DEVICES, axes, job_id=order.job_id)
+        how = {"on_recorded": self._note_committed, "reserve_bytes": 0}
+        self._recorder = Recorder(FilePath(order.run_file), header, **how)
         self._samples = 0
         self.say_state("running")
         self.record(50)
@@ -131,9 +108,9 @@ class ScriptedCell:
             if self._recorder is not None:
                 self.end("aborted")
         else:
-            first = {"pause": "pausing", "resume": "resuming"}
-            self.say_state(first[verb])
-            self.say_state({"pause": "paused", "resume": "running"}[verb])
+            states = {"pause": ("pausing", "paused"), "resume": ("resuming", "running")}
+            for state in states[verb]:
+                self.say_state(state)
 
     def extend(self, part):
         self.heard.append("extend")
@@ -163,33 +140,22 @@ class ScriptedCell:
         self._events.put(event)
 
     def say_state(self, state):
-        self.say(StateChanged(CellState(state)))
+        self.say(messages.StateChanged(messages.CellState(state)))
 
     def fault(self, code="beam-lost", text="the beam is lost", action="lock it"):
-        self.say(FaultReported(code, text, action))
+        self.say(messages.FaultReported(code, text, action))
 
     def record(self, n, line_s=0.0):
-        """Record some samples and tell of them, and how long the line takes."""
         sequence = np.arange(self._samples, self._samples + n)
-        samples = TrackerSamples(
-            sequence, sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
-        )
-        self._recorder.put_tracker(samples)
+        columns = sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
+        self._recorder.put_tracker(TrackerSamples(sequence, *columns))
         self._samples += n
-        self.say(
-            MeasurementProgress(
-                done=self._samples // 50,
-                total=10,
-                unit="lines",
-                stage="measuring",
-                position=(1.0, 2.0, 3.0),
-                samples=self._samples,
-                elapsed_s=self._samples / 500.0,
-                remaining_s=1.5,
-                line_s=line_s,
-            )
-        )
-        self.say(LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
+        known = {"done": self._samples // 50, "total": 10, "unit": "lines"}
+        known |= {"stage": "measuring", "position": (1.0, 2.0, 3.0), "line_s": line_s}
+        times = {"elapsed_s": self._samples / 500.0, "remaining_s": 1.5}
+        progress = messages.MeasurementProgress
+        self.say(progress(samples=self._samples, **known, **times))
+        self.say(messages.LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
 
     def end(self, state="finished", spoil=None):
         """Close the Run, let `spoil` have its file, say how it ended."""
@@ -224,8 +190,6 @@ class ScriptedCell:
 
 @dataclass
 class CellMaker:
-    """Makes scripted cells; `cells` holds them, the newest last."""
-
     options: dict = field(default_factory=dict)
     cells: list[ScriptedCell] = field(default_factory=list)
     fails: int = 0
@@ -243,38 +207,27 @@ class CellMaker:
 
 
 class ScriptedLive:
-    """A live estimate that is what the test says."""
-
     def __init__(self, order, show):
         self.order, self.show = order, show
         self.newest = None
         self.is_over = False
-        self.heard: list[str] = []
-        self.parts: list[Part] = []
+        self.heard = []
+        self.parts = []
 
-    def start(self):
-        self.heard.append("start")
+    def _hear(self, verb, *_):
+        self.heard.append(verb)
 
-    def offer(self, samples):
-        self.heard.append("offer")
-
-    def ask(self):
-        self.heard.append("ask")
-
-    def extend(self, part):
-        self.heard.append("extend")
+    start = partialmethod(_hear, "start")
+    offer = partialmethod(_hear, "offer")
+    ask = partialmethod(_hear, "ask")
+    extend = partialmethod(_hear, "extend")
+    finish = partialmethod(_hear, "finish")
+    close = partialmethod(_hear, "close")
 
     def take_part(self):
         return self.parts.pop(0) if self.parts else None
 
-    def finish(self):
-        self.heard.append("finish")
-
-    def close(self):
-        self.heard.append("close")
-
     def publish(self, volumetric_uncertainty_um, done, total=10, verdict=None):
-        """Be told a newer estimate."""
         self.newest = {
             "verdict": verdict_json(verdict or Verdict()),
             "volumetric_uncertainty_um": volumetric_uncertainty_um,
@@ -283,11 +236,8 @@ class ScriptedLive:
             "elapsed_s": 5.0 * done,
             "device_time_s": 100.0 + 5.0 * done,
             "cells": 30 * done,
-            "is_last": False,
-            "age_s": 0.0,
-            "dropped_blocks": 0,
-            "error_tables": {},
-            "squareness_urad": {},
+            **{"is_last": False, "age_s": 0.0, "dropped_blocks": 0},
+            **{"error_tables": {}, "squareness_urad": {}},
         }
         self.show(self.newest)
 
@@ -342,9 +292,9 @@ class _Scripted:
 
     def __init__(self):
         self.verdict = Verdict()
-        self.hold: threading.Event | None = None
-        self.raises: Exception | None = None
-        self.calls: list[tuple] = []
+        self.hold = None
+        self.raises = None
+        self.calls = []
 
     def begin(self, on_progress, stage):
         on_progress(0.0, stage)
@@ -364,12 +314,10 @@ class _Scripted:
 
 
 class Science(_Scripted):
-    """A task that writes the files of a result."""
-
     def __init__(self):
         super().__init__()
-        self.trials: list[tuple] = []
-        self.models: list[tuple] = []
+        self.trials = []
+        self.models = []
 
     def __call__(
         self,
@@ -388,13 +336,10 @@ class Science(_Scripted):
         self.models.append((model_file, model_id))
         self.begin(on_progress, "aligning")
         on_progress(0.5, "estimating")
-        result = {
-            "schema": "result/1",
-            "machine": {"name": "demo"},
-            "verdict": verdict_json(self.verdict),
-            "error_tables": {"EXX": {"position_mm": [0.0], "value_um": [1.0]}},
-            "squareness_urad": {"C0Y": {"value": 1.0, "uncertainty": 0.1}},
-        }
+        result = {"schema": "result/1", "machine": {"name": "demo"}}
+        result["verdict"] = verdict_json(self.verdict)
+        result["error_tables"] = {"EXX": {"position_mm": [0.0], "value_um": [1.0]}}
+        result["squareness_urad"] = {"C0Y": {"value": 1.0, "uncertainty": 0.1}}
         state = self.write(folder, "Report", result=result)
         table = "error,position_mm\nEXX,0.0\n"
         (FilePath(folder) / "error_tables.csv").write_text(table)
@@ -412,7 +357,7 @@ class Explorer(_Scripted):
     def __init__(self):
         super().__init__()
         self.machine = load_machine("demo")
-        self.rows: list[dict] = []
+        self.rows = []
 
     def __call__(self, run_files, folder, model_file, model_id, *, on_progress):
         self.calls.append((run_files, model_file, model_id))
@@ -422,11 +367,8 @@ class Explorer(_Scripted):
             parent["version"] = json.loads(FilePath(model_file).read_text())["version"]
         text = "backlash X: width 6.1 ± 0.4 µm"
         change = {"kind": "added", "what": "backlash X", "text": text}
-        grown = {
-            "version": parent["version"] + 1,
-            "parent": parent,
-            "difference": [change],
-        }
+        grown = {"version": parent["version"] + 1, "parent": parent}
+        grown["difference"] = [change]
         found = {
             "schema": "discovery/1",
             "effects": [{"name": "backlash", "axis": "X"}],
@@ -455,8 +397,6 @@ TREND = {
 
 
 class Verifier(_Scripted):
-    """A task that writes the files of a verification, with this content."""
-
     def __init__(self):
         super().__init__()
         self.content = {"schema": "verification/1"}
@@ -470,8 +410,6 @@ class Verifier(_Scripted):
 
 
 class Follower(_Scripted):
-    """A task that writes the files of a machine over time."""
-
     def __call__(self, run_files, names, folder, asked, *, on_progress):
         self.calls.append((run_files, names, asked))
         self.begin(on_progress, "following")

@@ -1,10 +1,7 @@
 """What a service tells of one machine: its file, a path, estimates, a result."""
 
-from __future__ import annotations
-
 import copy
 import math
-from typing import Any
 
 import numpy as np
 
@@ -23,8 +20,7 @@ TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
 TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
 
 
-def device(model: str, number: str) -> dict[str, Any]:
-    """Who a device says that it is."""
+def device(model, number):
     names = {"maker": "Truepath", "model": model, "serial_number": number}
     return {**names, "firmware": "1.0"}
 
@@ -69,8 +65,7 @@ ARMING = {
 }
 
 
-def version(number: int, *difference: tuple[str, str, str]) -> dict[str, Any]:
-    """A version of a model, with how it differs from the one before."""
+def version(number, *difference):
     names = ("kind", "what", "text")
     return {
         "id": f"job-{number - 1}",
@@ -91,7 +86,7 @@ VERSIONS = [
 ]
 
 
-def lines_off(lines: int = 22) -> list[dict[str, Any]]:
+def lines_off(lines=22):
     """Return how far each line is off: Y− most, the later ones more."""
     return [
         {
@@ -128,7 +123,7 @@ DISCOVERY = {
             "name": "setup-step",
             "parameters": {
                 "t_s": {"value": 40.02, "uncertainty": 0.03},
-                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1, 0.1, 0.1]},
+                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1] * 3},
             },
             "evidence": {"log_bayes_factor": 80.0, "share_of_gap": 0.066},
             "indistinguishable_from": [],
@@ -156,11 +151,8 @@ DISCOVERY = {
         }
     ],
     "gap": {
-        "unit": "um",
-        "before": 2.41,
-        "after": 1.21,
-        "noise_floor": 1.17,
-        "expected": 1.19,
+        **{"unit": "um", "noise_floor": 1.17, "expected": 1.19},
+        **{"before": 2.41, "after": 1.21},
     },
     "explained_by": {
         "before": {
@@ -194,46 +186,35 @@ ASK = {
 }
 
 
-def planned_path(lines: int = 22) -> dict[str, Any]:
+def planned_path(lines=22):
     """Return chords through the travel, ends on its faces."""
     rng = np.random.default_rng(5)
     low = np.array([10.0, 10.0, -290.0])
     high = np.array([490.0, 390.0, -10.0])
-    share = rng.random((lines + 1, 3))
-    share[np.arange(lines + 1), rng.integers(0, 3, lines + 1)] = (
-        np.arange(lines + 1) % 2
-    )
+    share, number = rng.random((lines + 1, 3)), np.arange(lines + 1)
+    share[number, rng.integers(0, 3, lines + 1)] = number % 2
     share[0] = 0.0
     position = low + share * (high - low)
-    return {
-        "kind": "path",
-        "axes": ["X", "Y", "Z"],
-        "position": np.round(position, 3).tolist(),
-        "feed_mm_min": [6000.0] * len(position),
-        "dwell_s": [0.35] * len(position),
-    }
+    columns = {"feed_mm_min": [6000.0] * len(number), "dwell_s": [0.35] * len(number)}
+    position = np.round(position, 3).tolist()
+    return {"kind": "path", "axes": ["X", "Y", "Z"], "position": position, **columns}
 
 
-def plan_curve(rows: int = 23) -> dict[str, Any]:
+def plan_curve(rows=23):
     """Return uncertainty against time along `planned_path`, five seconds a row."""
     points = []
     for row in range(3, rows + 1, 4):
         sigma = 4.0 * (row / 3) ** -1.0
-        points.append(
-            {
-                "row": row,
-                "time_s": 5.0 * row,
-                "volumetric_uncertainty_um": sigma,
-                "expanded_volumetric_uncertainty_um": 2 * sigma,
-                "grade": {"number": sigma / 8.0, "verdict": "usable"},
-                "weakest": [{"error": "ECX" if row < 15 else "EXX", "at_tool_um": 0.5}],
-            }
-        )
+        point = {"row": row, "time_s": 5.0 * row, "volumetric_uncertainty_um": sigma}
+        point["expanded_volumetric_uncertainty_um"] = 2 * sigma
+        point["grade"] = {"number": sigma / 8.0, "verdict": "usable"}
+        error = "ECX" if row < 15 else "EXX"
+        points.append({**point, "weakest": [{"error": error, "at_tool_um": 0.5}]})
     points[-1]["grade"]["verdict"] = "good"
     return {
         "plan_id": "plan-1",
         "points": points,
-        "tracker_mm": [1200.0, 300.0, -80.0],
+        "tracker_mm": TRACKER_STANDS_MM.tolist(),
         "tracker_is_assumed": True,
         "unobservable": [
             "ECZ (roll of Z) cannot be told; a second target separates it"
@@ -241,8 +222,7 @@ def plan_curve(rows: int = 23) -> dict[str, Any]:
     }
 
 
-def result() -> dict[str, Any]:
-    """Return smooth error tables with uncertainties that open towards the ends."""
+def result():
     rng = np.random.default_rng(11)
     tables = {}
     for axis in "XYZ":
@@ -289,7 +269,7 @@ def result() -> dict[str, Any]:
     }
 
 
-def residuals(lines: int = 6, cells: int = 20) -> dict[str, Any]:
+def residuals(lines=6, cells=20):
     """Return residuals along lines of a path; the fourth row stands out."""
     rng = np.random.default_rng(3)
     along = []
@@ -306,7 +286,7 @@ def residuals(lines: int = 6, cells: int = 20) -> dict[str, Any]:
     return {"by_line": rows, "noise_floor_um": 1.1, "along_lines": along}
 
 
-def half_differences() -> dict[str, Any]:
+def half_differences():
     """Return what the direction of approach adds to two tables of `result`."""
     found = {}
     for symbol, size in (("EXX", 2.5), ("EBX", 6.0)):
@@ -318,7 +298,7 @@ def half_differences() -> dict[str, Any]:
     return found
 
 
-def estimate(done: int, total: int = 22) -> dict[str, Any]:
+def estimate(done, total=22):
     """Return the live estimate after so many lines: it tightens with each."""
     final = result()
     wider = 40.0 / max(done, 1) ** 1.5
@@ -351,7 +331,7 @@ TURNTABLE = {
 }
 
 
-def turntable_estimate(done: int) -> dict[str, Any]:
+def turntable_estimate(done):
     """Return an estimate that also has the error motions of a rotary axis."""
     found = estimate(done)
     degrees = np.linspace(0.0, 360.0, 37)
@@ -369,10 +349,8 @@ def turntable_estimate(done: int) -> dict[str, Any]:
     return found
 
 
-def volumetric_error() -> dict[str, Any]:
-    """Return the size of the volumetric error before and as expected after."""
-
-    def spread(mean: float, u: float) -> dict[str, Any]:
+def volumetric_error():
+    def spread(mean, u):
         sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
         return {
             name: {"value_um": factor * mean, "uncertainty_um": factor * u}
@@ -382,7 +360,7 @@ def volumetric_error() -> dict[str, Any]:
     return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
 
 
-def volumetric_map(state: str, compensation: str | None) -> dict[str, Any]:
+def volumetric_map(state, compensation):
     """Return a map of five points an axis, its ends of X beyond what was measured."""
     travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
     levels = [np.linspace(low, high, 5) for low, high in travel]
@@ -420,8 +398,7 @@ FORMATS = [
 ]
 
 
-def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
-    """What the service says of files of a format."""
+def compensation(job_id, name, unmeasured):
     settled = name == "linuxcnc"
     address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
@@ -442,16 +419,12 @@ def compensation(job_id: str, name: str, unmeasured: str) -> dict[str, Any]:
     }
 
 
-def rotary_account() -> dict[str, Any]:
+def rotary_account():
     """What files leave of two rotary axes: C has a table, of A little is known."""
 
-    def change(before: float, after: float, u: float) -> dict[str, float]:
-        return {
-            "before": before,
-            "after": 0.5 * after,
-            "after_expected": after,
-            "after_expanded_uncertainty": u,
-        }
+    def change(before, after, u):
+        sizes = {"before": before, "after": 0.5 * after, "after_expected": after}
+        return {**sizes, "after_expanded_uncertainty": u}
 
     return {
         "over_all_axes_um": {
@@ -477,7 +450,7 @@ def rotary_account() -> dict[str, Any]:
     }
 
 
-def driver_option(name: str, kind: str, *, usual: Any = None) -> dict[str, Any]:
+def driver_option(name, kind, *, usual=None):
     """An option of a driver; without a usual value it has to be given."""
     return {"name": name, "type": kind, "default": usual, "is_required": usual is None}
 
@@ -495,8 +468,7 @@ DRIVERS = [
 ]
 
 
-def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
-    """A machine as the registry lists it."""
+def machine_entry(machine_id="default", **more):
     names = ("maker", "model", "serial_number", "control", "customer", "place")
     entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
     entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
@@ -504,8 +476,7 @@ def machine_entry(machine_id: str = "default", **more: Any) -> dict[str, Any]:
     return {**entry, **more}
 
 
-def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
-    """The volumetric error of a machine over its calibrations."""
+def machine_history(machine_id, *measured):
     labels = ("mean", "p95", "largest")
     return {
         "machine": machine_id,
@@ -525,21 +496,16 @@ def machine_history(machine_id: str, *measured: str) -> dict[str, Any]:
     }
 
 
-def verification(result_id: str, conformity: str | None = "within") -> dict[str, Any]:
+def verification(result_id, conformity="within"):
     """A result held against points that it was not made from, the last on a line."""
     sizes = {"mean": 1.0, "p95": 1.6, "largest": 2.1}
 
-    def spread(mean: float) -> dict[str, float]:
+    def spread(mean):
         values = {name: factor * mean for name, factor in sizes.items()}
         return values | {f"{name}_uncertainty": 0.1 for name in sizes}
 
-    decision = {
-        "conformity": conformity,
-        "tolerance_um": 5.0,
-        "coverage_factor": 3.5,
-        "length_um": 2.1,
-        "expanded_uncertainty_um": 0.4,
-    }
+    decision = {"conformity": conformity, "tolerance_um": 5.0, "coverage_factor": 3.5}
+    decision |= {"length_um": 2.1, "expanded_uncertainty_um": 0.4}
     return {
         "asked": {"result_id": result_id},
         "statements": ["Measurement and result agree."],
@@ -567,7 +533,7 @@ def verification(result_id: str, conformity: str | None = "within") -> dict[str,
     }
 
 
-def circles_in_motion() -> dict[str, Any]:
+def circles_in_motion():
     """A circle off its centre with play where X turns back, and one that is missing."""
     angle_deg = np.arange(1.5, 360.0, 3.0)
     angle = np.radians(angle_deg)
@@ -577,7 +543,7 @@ def circles_in_motion() -> dict[str, Any]:
     names = ("H", "G", "G_counterclockwise", "G_clockwise", "F_max", "F_min")
     figures = dict(zip(names, (6.1, 13.6, 12.2, 12.4, 7.0, -7.0), strict=True))
 
-    def both(there: np.ndarray, back: np.ndarray) -> dict[str, list[float]]:
+    def both(there, back):
         return {"counterclockwise": there.tolist(), "clockwise": back.tolist()}
 
     circle = {
@@ -606,25 +572,22 @@ def circles_in_motion() -> dict[str, Any]:
     return {"circles_in_motion": [circle], "circles_missing": [9]}
 
 
-def comparison() -> dict[str, Any]:
-    """A result held against a direct measurement: of two errors one differs."""
+def comparison():
     compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
     square = {"difference_urad": -4.5, "en": -1.8}
+    means = {"result_mean_um": 5.2, "reference_mean_um": 5.9, "difference_mean_um": 1.1}
     return {
         "errors": {"EXX": compared},
         "numbers": {"C0Y": square},
-        "volumetric": {
-            "result_mean_um": 5.2,
-            "reference_mean_um": 5.9,
-            "difference_mean_um": 1.1,
-        },
+        "volumetric": means,
         "not_compared": {"EYX": "the result does not hold it"},
         "links": {"report_html": "/api/v1/jobs/job-1/comparisons/a1/report.html"},
     }
 
 
-def temperature_dependence() -> dict[str, Any]:
+def temperature_dependence():
     """How a machine depends on temperature: X grows, its tilt is not seen to."""
+    growth = {"value_um_per_m_K": 11.4, "uncertainty_um_per_m_K": 0.3}
     return {
         "verdict": "usable",
         "reference_degC": 20.0,
@@ -634,13 +597,7 @@ def temperature_dependence() -> dict[str, Any]:
             {"symbol": "C0Y", "is_significant": False, "chance": 0.6},
             {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
         ],
-        "expansion": {
-            "X": {
-                "value_um_per_m_K": 11.4,
-                "uncertainty_um_per_m_K": 0.3,
-                "is_significant": True,
-            }
-        },
+        "expansion": {"X": {**growth, "is_significant": True}},
         "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
         "coefficients": {
             "EXX": {
@@ -653,8 +610,7 @@ def temperature_dependence() -> dict[str, Any]:
     }
 
 
-def certificate(job_id: str, number: int, language: str) -> dict[str, Any]:
-    """A certificate as it was issued."""
+def certificate(job_id, number, language):
     name = f"TP-20260314-{job_id.upper()}-{number}"
     address = f"/api/v1/jobs/{job_id}/certificates/{name}"
     return {

@@ -3,92 +3,57 @@
 Nothing moves by itself: the test says when a job is ready, how far it is, how it ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
-from fastapi import Request
 
-from scripted_data import (
-    DISCOVERY,
-    GRADE,
-    MACHINE,
-    TRACKER_STANDS_MM,
-    estimate,
-    machine_entry,
-    planned_path,
-    result,
-)
+import scripted_data as data
 
 _STAGES = {"analyse": "aligning", "discover": "discovering", "trend": "following"}
 ENDED = {"succeeded", "aborted", "cancelled", "failed", "faulted", "interrupted"}
-
-
 NOTHING_YET = ("started", "ended", "run_id", "monte_carlo", "result", "error")
 NOTHING_YET += ("target_um", "early_end")
 COUNTS = ("samples", "lost_samples", "crc_errors", "gaps", "repeats")
 
 
-def event_text(kind: str, body: Any) -> str:
+def event_text(kind, body):
     return json.dumps({"event": kind, "data": body})
 
 
 class ScriptedService:
     """State of the service, changed by the test and by the page."""
 
-    def __init__(self) -> None:
-        self.connected = False
-        self.silent = False
-        self.refuse_connect = False
-        self.controller: str | None = None
-        self.log_in_required = False
-        self.user: tuple[str, str] | None = None
-        self.conditions: list[dict[str, Any]] = []
-        self.deaf_to_stop = False
-        self.stopped = "unknown"
-        self.stops = 0
-        self.requests: list[tuple[str, str, Any]] = []
-        self.looks: list[tuple[str, Any]] = []
-        self.jobs: dict[str, dict[str, Any]] = {}
-        self.runs: list[dict[str, Any]] = []
-        self.plan = planned_path()
-        self.planned: dict[str, Any] = {"id": "plan-1", "state": "succeeded"}
-        self.grade: dict[str, Any] = GRADE
-        self.machine: dict[str, Any] = MACHINE
-        self.result = result()
-        self.verifications: dict[str, dict[str, Any]] = {}
-        self.conformity: dict[str, Any] = {
+    def __init__(self):
+        self.connected = self.silent = self.refuse_connect = False
+        self.log_in_required = self.deaf_to_stop = False
+        self.controller = self.user = None
+        self.stopped, self.stops = "unknown", 0
+        self.requests, self.looks = [], []
+        self.jobs, self.runs, self.conditions = {}, [], []
+        self.plan = data.planned_path()
+        self.planned = {"id": "plan-1", "state": "succeeded"}
+        self.grade, self.machine = data.GRADE, data.MACHINE
+        self.discovery, self.result = data.DISCOVERY, data.result()
+        self.estimates, self.verifications, self.trend = {}, {}, {}
+        self.conformity = {
             "machine_tolerance_um": None,
             "before": {"conformity": "outside"},
             "after_expected": {"conformity": "within"},
         }
-        self.discovery: dict[str, Any] = DISCOVERY
-        self.trend: dict[str, Any] = {}
-        self.machines: list[dict[str, Any]] = [machine_entry()]
-        self.held_machine = ""
-        self.histories: dict[str, dict[str, Any]] = {}
-        self.standings: dict[str, dict[str, Any]] = {}
-        self.changes: dict[str, Any] = {}
-        self.comparison: dict[str, Any] = {}
-        self.temperature: dict[str, Any] = {}
+        self.machines, self.held_machine = [data.machine_entry()], ""
+        self.histories, self.standings, self.changes = {}, {}, {}
+        self.comparison, self.temperature = {}, {}
         self.temperature_refusal = "2 of 3 temperatures"
-        self.compensations: dict[str, list[dict[str, Any]]] = {}
-        self.rotary_account: dict[str, Any] = {}
-        self.loaded_tables: dict[str, Any] = {}
-        self.certificates: dict[str, list[dict[str, Any]]] = {}
-        self.identity: dict[str, str] = {}
-        self.estimates: dict[str, dict[str, Any]] = {}
+        self.compensations, self.rotary_account, self.loaded_tables = {}, {}, {}
+        self.certificates, self.identity = {}, {}
         self._numbers = itertools.count(1)
-        self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()
+        self._streams = set()
         self._lock = threading.Lock()
-        self._kept_back: list[str] | None = None
+        self._kept_back = None
         self._answering = threading.Event()
         self._answering.set()
         self.closing = threading.Event()
@@ -96,7 +61,7 @@ class ScriptedService:
 
     # What the test says.
 
-    def new_job(self, kind: str, **more: Any) -> dict[str, Any]:
+    def new_job(self, kind, **more):
         number = next(self._numbers)
         job = {
             "id": f"job-{number}",
@@ -119,88 +84,69 @@ class ScriptedService:
         self.tell("job", job)
         return job
 
-    def ready(self, kind: str = "measure-otf", **more: Any) -> str:
-        """Let a measurement wait for its start, with the devices connected."""
+    def ready(self, kind="measure-otf", **more):
         self.connected = True
         return self.new_job(kind, **{"state": "ready", **more})["id"]
 
-    def measuring(self, **more: Any) -> str:
+    def measuring(self, **more):
         """Let a measurement be under way; two of its lines are done."""
         job = self.ready(**{"state": "running", "stage": "measuring", **more})
         self.advance(job, 2.0)
         return job
 
-    def measured(self, **more: Any) -> str:
-        """Let a measurement have succeeded."""
-        with self._telling_the_end():
+    def measured(self, **more):
+        with self.telling_late(only_last=True):
             job = self.measuring(**more)
             self.finish(job)
         return job
 
-    def done(self, kind: str, **more: Any) -> str:
-        """Let a job of any kind have succeeded."""
+    def done(self, kind, **more):
         self.connected = True
-        with self._telling_the_end():
+        with self.telling_late(only_last=True):
             job = self.new_job(kind, **more)["id"]
             self.finish(job)
         return job
 
-    def verified(self, content: dict[str, Any], **more: Any) -> str:
-        """Let a verification that says this have succeeded."""
-        with self._telling_the_end():
+    def verified(self, content, **more):
+        with self.telling_late(only_last=True):
             job = self.new_job("verify", **more)["id"]
             self.verifications[job] = content
             self.finish(job)
         return job
 
-    def orders(self, path: str = "/jobs") -> list[Any]:
-        """Return what the page has posted to a path."""
-        return [
-            body
-            for verb, place, body in self.requests
-            if (verb, place) == ("POST", path)
-        ]
+    def orders(self, path="/jobs"):
+        return [body for *to, body in self.requests if to == ["POST", path]]
 
-    def change(self, job_id: str, **change: Any) -> None:
-        """Change a job and tell everybody."""
+    def change(self, job_id, **change):
         job = self.jobs[job_id]
         job.update(change, version=job["version"] + 1)
         if job["state"] in ENDED and not job["ended"]:
             job["ended"] = "2026-03-14T08:30:00.000Z"
         self.tell("job", job)
 
-    def advance(self, job_id: str, lines: float, total: int = 22) -> None:
-        """Tell that the machine has done so many lines."""
+    def advance(self, job_id, lines, total=22):
         rows = np.array(self.plan["position"])
         index = min(int(lines), len(rows) - 2)
         position = rows[index] + (lines - index) * (rows[index + 1] - rows[index])
-        progress = {
-            "done": int(lines),
-            "total": total,
-            "unit": "lines",
-            "eta_s": 5.6 * (total - lines),
-            "elapsed_s": 5.6 * lines,
-            "stage": "measuring",
-            "position": position.tolist(),
-        }
+        progress = {"done": int(lines), "total": total, "unit": "lines"}
+        progress |= {"eta_s": 5.6 * (total - lines), "elapsed_s": 5.6 * lines}
+        progress |= {"stage": "measuring", "position": position.tolist()}
         health = {**self.jobs[job_id]["health"], "samples": int(2800 * lines)}
         known = {"progress": progress, "health": health}
         self.jobs[job_id].update(known)
         self.tell("progress", {"job_id": job_id, "stage": "measuring", **known})
-        points = [position + TRACKER_STANDS_MM]
+        points = [position + data.TRACKER_STANDS_MM]
         self.show_points(job_id, 5.6 * lines, points, axes=position.tolist())
 
-    def show_points(
-        self, job_id: str, end_s: float, points_mm: Any, **more: Any
-    ) -> None:
+    def show_points(self, job_id, end_s, points_mm, **more):
         """Tell points of the tracker, a tenth of a second apart."""
         points = np.asarray(points_mm).tolist()
         live = {"job_id": job_id, "axes": [0.0, 0.0, 0.0], "device_time_s": end_s}
         self.tell("live", {**live, "tracker_mm": points, **more})
 
-    def estimate(self, job_id: str, content: dict[str, Any] | int) -> None:
+    def estimate(self, job_id, content):
         """Tell an estimate: what it says, or after how many lines it is made."""
-        body = estimate(content) if isinstance(content, int) else content
+        body = data.estimate(content) if isinstance(content, int) else content
         before = self.estimates.get(job_id, {"course": {}})["course"]
         course = {
             name: [*before.get(name, []), body[name]]
@@ -209,27 +155,21 @@ class ScriptedService:
         self.estimates[job_id] = {"job_id": job_id, **body, "course": course}
         self.tell("estimate", {"job_id": job_id, **body})
 
-    def finish(self, job_id: str) -> None:
-        """Let the job succeed."""
+    def finish(self, job_id):
         number = job_id.removeprefix("job-")
         run_id = self.jobs[job_id]["run_id"] or f"run-{number}"
         if all(run["id"] != run_id for run in self.runs):
             self.add_run(run_id)
         self.change(job_id, state="succeeded", stage="reporting", run_id=run_id)
 
-    def add_run(self, run_id: str) -> dict[str, Any]:
-        run = {
-            "id": run_id,
-            "name": f"VMC 500 {run_id}",
-            "samples": 61600,
-            "lost_samples": 0,
-            "machine": "VMC 500",
-            "created": "2026-03-14T08:05:00.000Z",
-        }
+    def add_run(self, run_id):
+        run = {"id": run_id, "name": f"VMC 500 {run_id}", "machine": "VMC 500"}
+        run |= {"samples": 61600, "lost_samples": 0}
+        run["created"] = "2026-03-14T08:05:00.000Z"
         self.runs.append(run)
         return run
 
-    def tell(self, kind: str, body: Any) -> None:
+    def tell(self, kind, body):
         """Send one event to every page."""
         if self.silent:
             return
@@ -240,25 +180,19 @@ class ScriptedService:
             self._send(text)
 
     @contextmanager
-    def _telling_the_end(self) -> Iterator[None]:
-        """Tell only the last of the events: no page is led through what was before."""
-        self._kept_back = []
-        yield
-        last, self._kept_back = self._kept_back[-1:], None
-        for text in last:
-            self._send(text)
+    def telling_late(self, only_last=False):
+        """Tell no event before the end; what is asked is answered meanwhile.
 
-    @contextmanager
-    def telling_late(self) -> Iterator[None]:
-        """Tell no event before the end; what is asked is answered meanwhile."""
+        only_last : of the events, so that no page is led through what was before
+        """
         self._kept_back = []
         yield
         late, self._kept_back = self._kept_back, None
-        for text in late:
+        for text in late[-1:] if only_last else late:
             self._send(text)
 
     @contextmanager
-    def answering_late(self) -> Iterator[None]:
+    def answering_late(self):
         """Answer no verb before the end; its events are told meanwhile."""
         self._answering.clear()
         try:
@@ -266,29 +200,25 @@ class ScriptedService:
         finally:
             self._answering.set()
 
-    def _send(self, text: str) -> None:
+    def _send(self, text):
         with self._lock:
             for loop, queue in self._streams:
                 loop.call_soon_threadsafe(queue.put_nowait, text)
 
     # What the page asks.
 
-    async def note(self, request: Request) -> Any:
+    async def note(self, request):
         """Keep what the page sends; return its body."""
         body = await request.json()
         path = request.url.path.removeprefix("/api/v1")
         self.requests.append((request.method, path, body))
         return body
 
-    def act(self, job_id: str, verb: str) -> dict[str, Any]:
-        state = {
-            "arm": "running",
-            "pause": "paused",
-            "resume": "running",
-            "cancel": "cancelling",
-            "acknowledge": "preparing",
-            "abort": "aborting",
-        }.get(verb, self.jobs[job_id]["state"])
+    def act(self, job_id, verb):
+        states = {"arm": "running", "pause": "paused", "resume": "running"}
+        states |= {"cancel": "cancelling", "acknowledge": "preparing"}
+        states["abort"] = "aborting"
+        state = states.get(verb, self.jobs[job_id]["state"])
         more = {"stage": "measuring"} if verb == "arm" else {}
         self.change(job_id, state=state, **more)
         answer = dict(self.jobs[job_id])
@@ -297,7 +227,7 @@ class ScriptedService:
         self._answering.wait()
         return answer
 
-    def stop(self) -> list[dict[str, Any]]:
+    def stop(self):
         if self.deaf_to_stop:
             return []
         active = [j for j in self.jobs.values() if j["state"] not in ENDED]
@@ -305,8 +235,8 @@ class ScriptedService:
             self.change(job["id"], state="aborted")
         return active
 
-    async def events(self) -> Any:
-        queue: asyncio.Queue[str] = asyncio.Queue()
+    async def events(self):
+        queue = asyncio.Queue()
         entry = (asyncio.get_running_loop(), queue)
         with self._lock:
             self._streams.add(entry)
@@ -328,10 +258,10 @@ class ScriptedService:
 class Played:
     """Whatever service a test plays, for routes that outlast it."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name):
         return getattr(self.__dict__["service"], name)
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name, value):
         if name == "service":
             self.__dict__[name] = value
         else:

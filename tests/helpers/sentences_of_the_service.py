@@ -1,11 +1,8 @@
 """Every form in which the service says what data do not determine, by its code."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re
-from collections.abc import Iterator
 from textwrap import dedent
 
 from truepath.answers.plan import plan_document
@@ -22,7 +19,7 @@ ENGLISH = frozenset(
 )
 
 
-def list_unobservable() -> Iterator[str]:
+def list_unobservable():
     """Yield every form in which the service says what data do not determine."""
     head = "ECZ (roll of Z)"
     merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
@@ -37,14 +34,14 @@ def list_unobservable() -> Iterator[str]:
     yield from _fill(observability._blind_shapes, _NAMES, "")
 
 
-def _fill(function, said: str, asked: str) -> Iterator[str]:
+def _fill(function, said, asked):
     """Yield the sentences that a function puts together, with these in their blanks."""
     blanks = {"said": said, "named": said, "axes": said, "does": "shows it"}
     blanks["many"] = "2 common shapes are"
     for node in ast.walk(ast.parse(dedent(inspect.getsource(function)))):
         if not isinstance(node, ast.JoinedStr) or len(ast.unparse(node)) < 45:
             continue
-        parts: list[str] = []
+        parts = []
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
                 blank = ast.unparse(part.value)

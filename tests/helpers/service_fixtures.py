@@ -1,7 +1,5 @@
 """The application over a scripted cell: no process, no device, real catalogue."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle
@@ -15,23 +13,13 @@ import pytest
 from argon2 import PasswordHasher
 from starlette.testclient import TestClient
 
+import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
-from scripted_cell import (
-    CellMaker,
-    Explorer,
-    Follower,
-    Inline,
-    Science,
-    ScriptedLive,
-    Verifier,
-    wait_until,
-)
 from serving import serving
 from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
-from truepath.catalogue.run_reader import RunReader
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
@@ -72,35 +60,35 @@ def logged_plainly(plain_log):
 def no_thread_is_left_over():
     before = set(threading.enumerate())
     yield
-    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
     # The client's portal and the loop's workers end with their client.
+    left = {t.name for t in threading.enumerate() if t not in before and not t.daemon}
     assert not [name for name in left if name.startswith(("job-", "cell-"))]
 
 
 @pytest.fixture
 def make_cell():
-    return CellMaker()
+    return scripted_cell.CellMaker()
 
 
 @pytest.fixture
 def science():
-    return Science()
+    return scripted_cell.Science()
 
 
 @pytest.fixture
 def explorer():
     """Finds backlash and, where a test gives it rows, asks for extra lines."""
-    return Explorer()
+    return scripted_cell.Explorer()
 
 
 @pytest.fixture
 def follower():
-    return Follower()
+    return scripted_cell.Follower()
 
 
 @pytest.fixture
 def verifier():
-    return Verifier()
+    return scripted_cell.Verifier()
 
 
 @pytest.fixture
@@ -111,16 +99,14 @@ def has_machine():
 
 @pytest.fixture
 def plan_orders():
-    """What has been asked of the planner."""
     return []
 
 
 @pytest.fixture
 def planner(plan_orders):
     """Plans a few lines at once; overridden by tests of real plans."""
-    rows = [[10, 10, 10], [400, 300, 200], [100, 350, 50], [20, 20, 290]]
-    feed, dwell = np.full(4, 6000.0), np.full(4, 0.4)
-    path = records.Path(("X", "Y", "Z"), np.array(rows, float), feed, dwell)
+    rows = np.array([[10, 10, 10], [400, 300, 200], [100, 350, 50], [20, 20, 290.0]])
+    path = records.Path(("X", "Y", "Z"), rows, np.full(4, 6000.0), np.full(4, 0.4))
 
     def plan(machine, order, *, on_progress):
         plan_orders.append(dict(order))
@@ -134,7 +120,6 @@ def planner(plan_orders):
 
 @pytest.fixture
 def estimates():
-    """The live estimates of the jobs that move the machine, the newest last."""
     return []
 
 
@@ -144,23 +129,16 @@ def board():
     return
 
 
-class ReaderHere(RunReader):
-    """Reads what is uploaded in this process, not in one of its own."""
-
-    def _call(self, task, file):
-        return task(on_progress=lambda *_: None)
-
-
 @pytest.fixture
 def reader():
     """Who reads what is uploaded; overridden where it is hostile."""
-    return ReaderHere()
+    return scripted_cell.ReaderHere()
 
 
 @pytest.fixture
 def scripted_cells(monkeypatch):
     """Machines that are added have scripted cells as well."""
-    make = CellMaker()
+    make = scripted_cell.CellMaker()
     monkeypatch.setattr(cell_setup, "Cell", lambda _: make())
 
 
@@ -183,6 +161,7 @@ def service(
     """Everything behind the routes."""
     database = Database(catalogue_url)
     event_bus = EventBus()
+    publish = event_bus.publish
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     machine = machine_from_json(load_machine("demo"))
     machines = Machines([MachineCell("default", machine, cell, board)] if cell else [])
@@ -190,15 +169,15 @@ def service(
     results.mkdir()
 
     def live_estimation(order, show):
-        estimates.append(ScriptedLive(order, show))
+        estimates.append(scripted_cell.ScriptedLive(order, show))
         return estimates[-1]
 
     registry = MachineRegistry(database)
     context = JobContext(
-        store=Store(database, event_bus.publish),
+        store=Store(database, publish),
         runs=RunCatalogue(database, tmp_path / "runs", reader),
         results=results,
-        executor=Inline(),
+        executor=scripted_cell.Inline(),
         science=science,
         machines=machines,
         live=live_estimation,
@@ -212,13 +191,11 @@ def service(
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:
         cell.start()
-        wait_until(lambda: cell.status.state == "disconnected")
-    calibrations = Calibrations(
-        registry, context.store, context.runs, results, event_bus.publish
-    )
-    setup = MachineSetup(
-        registry, context.store, CellSetup(tmp_path, 0, calibrations), calibrations
-    )
+        scripted_cell.wait_until(lambda: cell.status.state == "disconnected")
+    store, runs = context.store, context.runs
+    calibrations = Calibrations(registry, store, runs, results, publish)
+    cells = CellSetup(tmp_path, 0, calibrations)
+    setup = MachineSetup(registry, store, cells, calibrations)
     setup.machines = machines
     for one in machines.list_all():
         content = machine_to_json(one.machine)
@@ -228,15 +205,15 @@ def service(
         version="1.2.3",
         simulated=True,
         database=database,
-        store=context.store,
-        runs=context.runs,
+        store=store,
+        runs=runs,
         results=results,
         dispatcher=dispatcher,
         event_bus=event_bus,
         machines=machines,
         setup=setup,
         calibrations=calibrations,
-        deletion=Deletion(database, context.runs, results),
+        deletion=Deletion(database, runs, results),
         access=access,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,
@@ -250,7 +227,6 @@ def service(
 
 @pytest.fixture
 def client(service):
-    """A program on the same computer."""
     app = create_application(service, trusted_hosts=["shop-floor"])
     with TestClient(app, base_url=f"http://{LOOPBACK}:8411") as client:
         yield client
@@ -268,14 +244,12 @@ def live(service):
 
 @pytest.fixture
 def until(client):
-    """Follow a job over HTTP until it is in a state; return it."""
-
     def wait(job, *states):
         def reached():
             now = client.get(f"/api/v1/jobs/{job['id']}").json()
             return now if now["state"] in states else None
 
-        return wait_until(reached, f"{states}")
+        return scripted_cell.wait_until(reached, f"{states}")
 
     return wait
 
@@ -297,8 +271,6 @@ def quick_passwords(monkeypatch):
 
 @pytest.fixture
 def take(client, until):
-    """Order a job and follow it until it is in a state; return it."""
-
     def taken(state="succeeded", **order):
         answer = client.post("/api/v1/jobs", json=order)
         assert answer.status_code == 202, answer.text
@@ -316,19 +288,16 @@ ROWS = [
 
 @pytest.fixture
 def order():
-    """A short measurement on the fly."""
     return {"kind": "measure-otf", "path": [dict(row) for row in ROWS]}
 
 
 @pytest.fixture
 def ready(take, order):
-    """A job that waits to be armed."""
     return take("ready", **order)
 
 
 @pytest.fixture
 def armed(client, ready, make_cell):
-    """A job whose machine moves."""
     answer = arm_over_http(client, ready)
     assert answer.status_code == 202, answer.text
     assert make_cell.cell.begun.wait(5)
@@ -337,15 +306,12 @@ def armed(client, ready, make_cell):
 
 @pytest.fixture
 def finished(armed, make_cell, until):
-    """A job with a result."""
     make_cell.cell.end()
     return until(armed, "succeeded")
 
 
 @pytest.fixture(scope="session")
 def analysed(record, make_once):
-    """The files of a real result; not to be changed."""
-
     def make(folder):
         recorded, _ = record(1, rows=24)
         write_analysis(render_analysis(analyse(recorded)), folder)
@@ -355,7 +321,6 @@ def analysed(record, make_once):
 
 @pytest.fixture
 def with_result(service, finished, analysed):
-    """The identifier of a job with the files of a real result."""
     target = service.results / finished["id"]
     shutil.copytree(analysed, target, dirs_exist_ok=True)
     return finished["id"]
@@ -366,25 +331,21 @@ def bundle():
     """A small measurement bundle, zipped; members can be replaced or left out."""
 
     def make(**members):
+        path = (
+            "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n10,10,10,1000,1\n400,300,200,1000,1\n"
+        )
+        samples = "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100))
         content = {
             "machine.json": json.dumps(load_machine("demo")),
-            "path.csv": (
-                "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
-                "10,10,10,1000,1\n400,300,200,1000,1\n"
-            ),
-            "tracker.csv": "t_s,x_mm,y_mm,z_mm\n"
-            + "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100)),
+            "path.csv": path,
+            "tracker.csv": f"t_s,x_mm,y_mm,z_mm\n{samples}",
         }
-        for name, text in members.items():
-            key = name.replace("_", ".")
-            if text is None:
-                del content[key]
-            else:
-                content[key] = text
+        content |= {name.replace("_", "."): text for name, text in members.items()}
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, text in content.items():
-                archive.writestr(name, text)
+                if text is not None:
+                    archive.writestr(name, text)
         return packed.getvalue()
 
     return make
@@ -392,8 +353,6 @@ def bundle():
 
 @pytest.fixture
 def upload(client, bundle):
-    """Take in a bundle; return its Run."""
-
     def taken(name="mill.zip", **members):
         files = {"bundle": (name, bundle(**members))}
         answer = client.post("/api/v1/runs", files=files)
@@ -405,14 +364,11 @@ def upload(client, bundle):
 
 @pytest.fixture
 def run(upload):
-    """A Run that was taken in."""
     return upload()
 
 
 @pytest.fixture
 def is_problem():
-    """Check that an answer is a problem of a code; return its content."""
-
     def check(answer, status, code):
         assert answer.status_code == status, answer.text
         assert answer.headers["content-type"] == "application/problem+json"
@@ -420,9 +376,7 @@ def is_problem():
         assert content["status"] == status
         assert content["code"] == code, content
         assert content["type"] == f"/problems/{code}"
-        assert content["title"]
-        assert content["detail"]
-        assert content["action"]
+        assert all(content[word] for word in ("title", "detail", "action"))
         assert content["instance"].startswith("/")
         assert content["request_id"] == answer.headers["x-request-id"]
         return content
@@ -435,8 +389,6 @@ SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
 
 @pytest.fixture(scope="session")
 def short_plan(make_once):
-    """What the real planner makes of half a minute."""
-
     def make(folder):
         machine = machine_from_json(load_machine("demo"))
         made = plan_measurement(machine, SHORT, on_progress=lambda *_: None)

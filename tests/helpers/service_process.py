@@ -1,79 +1,96 @@
-"""The real service as a process of its own, and what a client does with it."""
+"""The real service as a process of its own, and what a client does with it.
 
-from __future__ import annotations
+It is forked where its code is imported already: an import takes four seconds of a
+processor. All else is as `truepath serve` does it.
+"""
 
+import multiprocessing
 import os
-import subprocess
+import signal
 import sys
 import time
 from contextlib import contextmanager
+from types import ModuleType
+from unittest import mock
 
 import httpx2
 import psutil
 
 from arming import arm_over_http
+from serving import serve_forked
 
-PROGRAM = """
-import sys
-from truepath.main import serve
-from truepath.settings import load_settings
-
-if __name__ == "__main__":
-    serve(load_settings())
-"""
+START_S = 60.0
+_FORKS = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(["truepath.main", "truepath_simulators.bench.bench"])
 SPEED = 12.0
 ENDS = {"succeeded", "failed", "faulted", "aborted", "cancelled", "interrupted"}
+_PLACES = [(20, 20, 20), (480, 370, 280), (20, 200, 280), (450, 30, 150)]
+_PLACES += [(100, 380, 30), (480, 200, 270), (30, 60, 100), (300, 380, 280)]
+_PLACES += [(470, 30, 20), (20, 350, 200)]
 ROWS = [
     {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000, "dwell_s": 0.6}
-    for x, y, z in [
-        (20, 20, 20),
-        (480, 370, 280),
-        (20, 200, 280),
-        (450, 30, 150),
-        (100, 380, 30),
-        (480, 200, 270),
-        (30, 60, 100),
-        (300, 380, 280),
-        (470, 30, 20),
-        (20, 350, 200),
-    ]
+    for x, y, z in _PLACES
 ]
 
 
 @contextmanager
-def process(tmp_path, **environment):
-    """Run the service as its own process; yield it and a client of it."""
-    program = tmp_path / "service.py"
-    program.write_text(PROGRAM)
+def process(folder, descriptors=None, **environment):
+    """Run the service as its own process; yield it and a client of it.
+
+    descriptors : it gets so many, and no more if it asks
+    """
     settings = {
-        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
+        "TRUEPATH_DATA_DIR": str(folder / "data"),
         "TRUEPATH_PORT": "0",
         "TRUEPATH_SIMULATED": "1",
         "TRUEPATH_SIMULATED_SPEED": str(SPEED),
         "TRUEPATH_LOG_FORMAT": "json",
         **environment,
     }
-    log = (tmp_path / "service.log").open("a")
-    running = subprocess.Popen(
-        [sys.executable, program],
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env=os.environ | settings,
-        start_new_session=True,
-    )
+    running = Service(settings, folder / "service.log", descriptors)
     try:
-        lines = [running.stdout.readline() for _ in range(4)]
-        page = next((x.split()[1] for x in lines if x.split()[:1] == ["page"]), None)
-        assert page, (tmp_path / "service.log").read_text()
-        with httpx2.Client(base_url=page, timeout=30.0) as client:
+        with httpx2.Client(base_url=running.address, timeout=30.0) as client:
             yield running, client
     finally:
-        if running.poll() is None:
-            running.terminate()
-        running.stdout.close()
-        running.wait(20)
-        log.close()
+        running.close()
+
+
+class Service:
+    """A process of the service that answers; its verbs are those of a `Popen`."""
+
+    def __init__(self, settings, log, descriptors):
+        heard, told = _FORKS.Pipe(duplex=False)
+        arguments = settings, str(log), told, descriptors
+        self._process = _FORKS.Process(target=serve_forked, args=arguments)
+        # Nothing of the program that tests is run anew in the child.
+        with mock.patch.dict(sys.modules, {"__main__": ModuleType("__main__")}):
+            self._process.start()
+        told.close()
+        self.pid, self.kill = self._process.pid, self._process.kill
+        try:
+            assert heard.poll(START_S), log.read_text()
+            self.address = heard.recv()
+        except EOFError:
+            raise AssertionError(log.read_text()) from None
+        finally:
+            heard.close()
+
+    def poll(self):
+        return self._process.exitcode
+
+    def send_signal(self, number):
+        os.kill(self.pid, number)
+
+    def wait(self, patience_s):
+        self._process.join(patience_s)
+        assert self.poll() is not None, "the service does not end"
+        return self.poll()
+
+    def close(self):
+        if self.poll() is None:
+            self.send_signal(signal.SIGTERM)
+        self.wait(20)
+        self._process.close()
 
 
 def create(client, **order):
@@ -83,8 +100,6 @@ def create(client, **order):
 
 
 def arm(client, job):
-    """Let a job move the machine, once the conditions are seen to be met."""
-
     def is_armed():
         answer = arm_over_http(client, job)
         if answer.status_code == 409 and answer.json()["code"] == "not-in-order":
@@ -111,14 +126,12 @@ def follow(client, job_id, *states, patience_s=50.0):
 
 
 def acknowledge(client, job_id):
-    """Let a measurement that was cut short get ready again."""
     answer = client.post(f"/api/v1/jobs/{job_id}/acknowledge")
     assert answer.status_code == 202, answer.text
     return follow(client, job_id, "ready")
 
 
 def moving(client, job_id):
-    """Wait until samples of a moving machine have come."""
     wait_for(
         lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
         "samples",
@@ -134,7 +147,6 @@ def wait_for(reached, what, patience_s=90.0):
 
 
 def wait_until_done(client, job_id, number, kind="measure-otf"):
-    """Wait for so many lines, or points, of what a job measures."""
     unit = "points" if kind == "measure-standstill" else "lines"
 
     def is_done():

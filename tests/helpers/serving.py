@@ -1,7 +1,5 @@
 """The server as `truepath serve` starts it: in a thread, or in a forked process."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource
@@ -21,7 +19,6 @@ from truepath.settings import load_settings
 
 @contextmanager
 def serving(service, access=None, **options):
-    """Yield host and port."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         place = listener.getsockname()
         app = create_application(replace(service, access=access or service.access))

@@ -7,17 +7,14 @@ thirtieth of a second. What is waited for is asked of any thread, under the lock
 clock: such a question takes no lock itself.
 """
 
-from __future__ import annotations
-
 import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from truepath_drivers import host_clock
 
@@ -45,41 +42,36 @@ class SimulatedClock:
     wall_jump_s : by which the wall clock was set
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.time_s = 1000.0
         self.wall_jump_s = 0.0
         self._lock = threading.RLock()
-        self._waits: dict[int, _Wait] = {}
-        self._runs: dict[int, tuple[list[str], float]] = {}
+        self._waits = {}
+        self._runs = {}
         self._before = set(threading.enumerate()) - {threading.current_thread()}
         self._is_closed = False
         self._ticker = threading.Thread(target=self._run, name="clock", daemon=True)
         self._ticker.start()
 
-    def now_s(self) -> float:
+    def now_s(self):
         return self.time_s
 
-    def now_ns(self) -> int:
+    def now_ns(self):
         return round(self.time_s * 1e9)
 
-    def wall_s(self) -> float:
+    def wall_s(self):
         return _EPOCH_S + self.time_s + self.wall_jump_s
 
-    def wall_ns(self) -> int:
+    def wall_ns(self):
         return round(self.wall_s() * 1e9)
 
-    def sleep_s(self, duration_s: float) -> None:
+    def sleep_s(self, duration_s):
         self._wait(lambda: False, self.time_s + duration_s)
 
-    def wait(self, event: threading.Event, timeout_s: float | None = None) -> bool:
+    def wait(self, event, timeout_s=None):
         return self._wait(event.is_set, self._end_s(timeout_s))
 
-    def wait_for(
-        self,
-        condition: threading.Condition,
-        is_so: Callable[[], bool],
-        timeout_s: float | None = None,
-    ) -> bool:
+    def wait_for(self, condition, is_so, timeout_s=None):
         until_s = self._end_s(timeout_s)
         while not is_so() and self.time_s < until_s and not self._is_closed:
             condition.release()
@@ -89,7 +81,7 @@ class SimulatedClock:
                 condition.acquire()
         return is_so()
 
-    def get(self, source: queue.Queue[Any], timeout_s: float | None = None) -> Any:
+    def get(self, source, timeout_s=None):
         until_s = self._end_s(timeout_s)
         while True:
             self._wait(lambda: not source.empty(), until_s)
@@ -99,9 +91,7 @@ class SimulatedClock:
                 if self.time_s >= until_s or self._is_closed:
                     raise
 
-    def put(
-        self, target: queue.Queue[Any], item: Any, timeout_s: float | None = None
-    ) -> None:
+    def put(self, target, item, timeout_s=None):
         until_s = self._end_s(timeout_s)
         while True:
             self._wait(lambda: not target.full(), until_s)
@@ -111,27 +101,27 @@ class SimulatedClock:
                 if self.time_s >= until_s or self._is_closed:
                     raise
 
-    def join(self, thread: threading.Thread, timeout_s: float | None = None) -> None:
+    def join(self, thread, timeout_s=None):
         until_s = self._end_s(timeout_s)
         if thread.ident not in self._waits:  # most calls are over at once
             thread.join(_LOOK_S)
         self._wait(lambda: not thread.is_alive(), until_s)
 
-    def result(self, future: Any, timeout_s: float | None = None) -> Any:
+    def result(self, future, timeout_s=None):
         self._wait(future.done, self._end_s(timeout_s))
         return future.result(0.0)
 
-    def close(self) -> None:
+    def close(self):
         """Let go of everybody who waits still."""
         with self._lock:
             self._is_closed = True
             self._wake()
         self._ticker.join()
 
-    def _end_s(self, timeout_s: float | None) -> float:
+    def _end_s(self, timeout_s):
         return float("inf") if timeout_s is None else self.time_s + timeout_s
 
-    def _wait(self, is_over: Callable[[], bool], until_s: float) -> bool:
+    def _wait(self, is_over, until_s):
         wait = _Wait(is_over, until_s)
         with self._lock:
             if is_over() or self._is_closed:
@@ -144,13 +134,13 @@ class SimulatedClock:
             raise wait.error
         return is_over()
 
-    def _run(self) -> None:
+    def _run(self):
         while not self._is_closed:
             time.sleep(_LOOK_S)
             with self._lock:
                 self._step()
 
-    def _step(self) -> None:
+    def _step(self):
         """Wake who need not wait any more, and let time pass where nobody works."""
         if self._wake() or not self._waits or not self._is_still():
             return
@@ -159,17 +149,14 @@ class SimulatedClock:
             self.time_s = max(self.time_s, until_s)
             self._wake()
 
-    def _wake(self) -> int:
+    def _wake(self):
         """Wake whose end has come; return how many those are."""
-        over = [
-            (ident, wait) for ident, wait in self._waits.items() if self._ends(wait)
-        ]
-        for ident, wait in over:
-            del self._waits[ident]
-            wait.gate.release()
+        over = [ident for ident, wait in self._waits.items() if self._ends(wait)]
+        for ident in over:
+            self._waits.pop(ident).gate.release()
         return len(over)
 
-    def _ends(self, wait: _Wait) -> bool:
+    def _ends(self, wait):
         if self._is_closed or wait.until_s <= self.time_s:
             return True
         try:
@@ -178,7 +165,7 @@ class SimulatedClock:
             wait.error = error
             return True
 
-    def _is_still(self) -> bool:
+    def _is_still(self):
         """Whether nobody works: all wait here, or sleep for long elsewhere."""
         left_out = self._before | {self._ticker}
         return all(
@@ -186,7 +173,7 @@ class SimulatedClock:
             for thread in threading.enumerate()
         )
 
-    def _sleeps(self, thread: threading.Thread) -> bool:
+    def _sleeps(self, thread):
         """Whether a thread was not on a processor for a while.
 
         One that waits for the interpreter or for a processor is, again and again.
@@ -208,8 +195,7 @@ class SimulatedClock:
 
 
 @contextmanager
-def simulated_clock() -> Iterator[SimulatedClock]:
-    """Put a simulated clock in the place of the computer's."""
+def simulated_clock():
     clock, before = SimulatedClock(), dict(vars(host_clock))
     try:
         for name in _NAMES:

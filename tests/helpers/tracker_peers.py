@@ -1,62 +1,54 @@
 """Trackers at the other end of the wire, small and inside the test's process."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 
 import numpy as np
 
 from sent_samples import raw_samples
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import (
-    RawSamples,
-    encode_measurements,
-)
+from truepath_drivers.tracker.streaming.measurements import encode_measurements
 from truepath_drivers.tracker.streaming.message_codec import (
     encode_message,
     parse_message,
 )
-from wires import Peer, Wire
+from wires import Peer
 
 
 class AnsweringPeer(Peer):
     """Sends what a function makes of the bytes that came, of none too."""
 
-    def __init__(self, wire: Wire, answer: Callable[[bytes], bytes]) -> None:
+    def __init__(self, wire, answer):
         super().__init__(wire)
         self._answer = answer
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         self.wire.write(self._answer(data))
 
 
 class LinePeer(Peer):
-    """Answers line by line."""
-
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire):
         super().__init__(wire)
         self._rest = b""
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         *lines, self._rest = (self._rest + data).split(b"\r\n")
         for line in lines:
             self.wire.write(self.answer(line))
 
-    def answer(self, line: bytes) -> bytes:
+    def answer(self, line):
         raise NotImplementedError
 
 
 class ScriptedPeer(Peer):
     """Expects exact bytes and answers with exact bytes; leftovers fail the test."""
 
-    def __init__(self, wire: Wire, table: list[tuple[str, str]]) -> None:
+    def __init__(self, wire, table):
         super().__init__(wire)
         self.rest = [(bytes.fromhex(a), bytes.fromhex(b)) for a, b in table]
         self._heard = b""
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         self._heard += data
         while self.rest and self._heard.startswith(self.rest[0][0]):
             sent, reply = self.rest.pop(0)
@@ -74,25 +66,24 @@ class LoopbackTracker(Peer):
     info = gst.DeviceInfo("Truepath", "loopback", "LB-1", "0.1", 5000.0)
     speed_mm_s = np.array([10.0, -5.0, 2.5])
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire):
         super().__init__(wire)
-        self.commands: list[gst.Message] = []
-        self.deaf_to: set[type] = set()
+        self.commands = []
+        self.deaf_to = set()
         self.silent = False
         self.sent = 0
-        self.answered_rate_hz: float | None = None
-        self.nak: gst.NakCode | None = None
-        self.damage: Callable[[bytes], bytes] = lambda data: data
+        self.answered_rate_hz = self.nak = None
+        self.damage = lambda data: data
         self._frames = FrameReader()
-        self._stream: gst.Start | None = None
+        self._stream = None
         self._began_s = 0.0
         self._began_at = 0
 
     @property
-    def rate_hz(self) -> float | None:
+    def rate_hz(self):
         return self._stream.rate_hz if self._stream else None
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         for command in map(parse_message, self._frames.feed(data)):
             if command is None:
                 continue
@@ -101,10 +92,10 @@ class LoopbackTracker(Peer):
                 self.wire.write(encode_message(self._reply(command)))
         self._emit()
 
-    def send(self, message: gst.Message) -> None:
+    def send(self, message):
         self.wire.write(encode_message(message))
 
-    def _reply(self, command: gst.Message) -> gst.Message:
+    def _reply(self, command):
         if self.nak is not None:
             kind = gst.Type[type(command).__name__.upper()]
             return gst.Nak(command.transaction, kind, self.nak, "not now")
@@ -131,7 +122,7 @@ class LoopbackTracker(Peer):
                 return gst.Ack(transaction, gst.Type.PING)
         raise AssertionError(command)
 
-    def _emit(self) -> None:
+    def _emit(self):
         if self._stream is None or self.silent:
             return
         elapsed_s = time.monotonic() - self._began_s
@@ -145,10 +136,10 @@ class LoopbackTracker(Peer):
     def _clock_us(self, number):
         return np.asarray(number) * 2000 + 7_000_000
 
-    def samples(self, number: np.ndarray, measured: gst.Format) -> RawSamples:
+    def samples(self, number, measured):
         place_mm = self.position_mm(number)
         return raw_samples(measured, number, self._clock_us(number), place_mm)
 
-    def position_mm(self, number: np.ndarray) -> np.ndarray:
+    def position_mm(self, number):
         start_mm = np.array([1500.0, 300.0, -200.0])
         return start_mm + np.outer(number * 2e-3, self.speed_mm_s)

@@ -8,7 +8,6 @@ from truepath_simulators.worlds import synthetic
 
 
 def load_slow_tracker(name):
-    """The content of a machine file, with a fifth of the samples."""
     content = load_machine(name)
     return {**content, "tracker": {**content["tracker"], "rate_hz": 100}}
 
@@ -26,7 +25,6 @@ def stretch(truth, name, strain):
 
 
 def record_warm(content, path, truth, seed):
-    """Drive a path on a machine that is given."""
     speed = path.feed_mm_min / 60.0
     program = Program(path.position, speed, path.dwell_s, target=path.target)
     setting = synthetic.Setting(truth=truth)

@@ -1,7 +1,5 @@
 """The device's end of a serial line or of a TCP connection, and a thread at it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select
@@ -11,23 +9,21 @@ import tty
 
 
 class PtyWire:
-    """The device end of a pseudo-terminal."""
-
-    def __init__(self, *, is_raw: bool = True) -> None:
+    def __init__(self, *, is_raw=True):
         self.master, self.slave = os.openpty()
         if is_raw:
             tty.setraw(self.slave)
         self.options = {"port": os.ttyname(self.slave)}
 
-    def read(self, timeout_s: float) -> bytes:
+    def read(self, timeout_s):
         if not select.select([self.master], [], [], timeout_s)[0]:
             return b""
         return os.read(self.master, 4096)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data):
         os.write(self.master, data)
 
-    def unplug(self) -> None:
+    def unplug(self):
         for end in (self.master, self.slave):
             with contextlib.suppress(OSError):
                 os.close(end)
@@ -36,14 +32,14 @@ class PtyWire:
 class TcpWire:
     """The device end of a TCP connection; a new host takes the place of the last."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._host: socket.socket | None = None
+        self._host = None
         self.connections = 0
         port = self._listener.getsockname()[1]
         self.options = {"host": "127.0.0.1", "port": port}
 
-    def read(self, timeout_s: float) -> bytes:
+    def read(self, timeout_s):
         host = self._host
         ends = [self._listener] if host is None else [self._listener, host]
         try:
@@ -61,12 +57,12 @@ class TcpWire:
             self.drop()
         return b""
 
-    def write(self, data: bytes) -> None:
+    def write(self, data):
         if self._host is not None:
             with contextlib.suppress(OSError):
                 self._host.sendall(data)
 
-    def drop(self, *, reset: bool = False) -> None:
+    def drop(self, *, reset=False):
         """Close the connection to the host, if there is one."""
         host, self._host = self._host, None
         if host is not None:
@@ -75,7 +71,7 @@ class TcpWire:
                 host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             host.close()
 
-    def unplug(self) -> None:
+    def unplug(self):
         self.drop()
         self._listener.close()
 
@@ -87,7 +83,7 @@ WIRES = {"serial": PtyWire, "tcp": TcpWire}
 class Peer:
     """A thread at the device end of a wire."""
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire):
         self.wire = wire
         self.options = wire.options
         self._closing = threading.Event()
@@ -100,17 +96,17 @@ class Peer:
     def __exit__(self, *_):
         self.unplug()
 
-    def halt(self) -> None:
+    def halt(self):
         self._closing.set()
         self._thread.join()
 
-    def unplug(self) -> None:
+    def unplug(self):
         self.halt()
         self.wire.unplug()
 
-    def _run(self) -> None:
+    def _run(self):
         while not self._closing.is_set():
             self.step(self.wire.read(0.004))
 
-    def step(self, data: bytes) -> None:
+    def step(self, data):
         raise NotImplementedError

@@ -61,13 +61,7 @@ PLACES = {
 }
 
 
-def make_table(
-    axis: str,
-    own_mm: np.ndarray,
-    across_mm: np.ndarray,
-    lost_mm: float,
-    turn_rad: np.ndarray,
-) -> AxisTable:
+def make_table(axis, own_mm, across_mm, lost_mm, turn_rad):
     """Return a table over 0 to 200 mm: own error, across (n, 3), pitch about each."""
     n, own = len(own_mm), "XYZ".index(axis)
     forward = np.array(across_mm, float)
@@ -82,30 +76,22 @@ def make_table(
     return AxisTable(MACHINE.linear(axis), at, 0, forward, backward, translation, turn)
 
 
-def make_content(tables: tuple[AxisTable, ...]) -> CompensationTables:
-    """Return the content of files."""
+def make_content(tables):
     return CompensationTables("round", MACHINE, tables, ("by hand",))
 
 
-def round_numbers() -> CompensationTables:
+def round_numbers():
     """Return 5 µm a step in X with 6 µm lost, 20 µm across, 50 µrad of pitch."""
     steps, none = np.arange(3.0), np.zeros((3, 3))
     across, turn = none.copy(), none.copy()
     across[:, 1] = [0.0, 0.020, 0.0]
     turn[:, 1] = [0.0, 50e-6, 0.0]
-    return make_content(
-        (
-            make_table("X", 0.005 * steps, across, 0.006, turn),
-            make_table("Y", -0.005 * steps, none, 0.0, none),
-            make_table("Z", np.zeros(3), none, 0.0, none),
-        )
-    )
+    x = make_table("X", 0.005 * steps, across, 0.006, turn)
+    y = make_table("Y", -0.005 * steps, none, 0.0, none)
+    return make_content((x, y, make_table("Z", np.zeros(3), none, 0.0, none)))
 
 
-def make_turn_table(
-    axis: str, error_deg: np.ndarray, half_deg: np.ndarray, across_mm: np.ndarray
-) -> RotaryTable:
-    """Return a table over the travel of an axis that carries the workpiece."""
+def make_turn_table(axis, error_deg, half_deg, across_mm):
     rotary = TRUNNION.rotary(axis)
     at = np.linspace(rotary.low, rotary.high, len(error_deg))
     motions = np.zeros((len(at), 6))
@@ -114,7 +100,7 @@ def make_turn_table(
     return RotaryTable(rotary, at, error_deg, motions, half_deg)
 
 
-def make_rotary_content(*turns: RotaryTable) -> CompensationTables:
+def make_rotary_content(*turns):
     """Return the content of files: straight axes without errors, rotary ones off."""
     at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
     tables = tuple(
@@ -126,7 +112,7 @@ def make_rotary_content(*turns: RotaryTable) -> CompensationTables:
     )
 
 
-def round_turns() -> CompensationTables:
+def round_turns():
     """Return a C axis that turns 0.001 deg a quarter too far, and loses as much."""
     none, half = np.zeros(3), np.full(5, 0.0005)
     step = np.array([0.0, 0.001, 0.002, 0.001, 0.0])
@@ -136,19 +122,17 @@ def round_turns() -> CompensationTables:
     )
 
 
-def write_files(order: str) -> dict[str, str]:
-    """Return the files of an order, by name."""
+def write_files(order):
     name, choices = ORDERS[order]
     return load_format(name, choices).write(round_numbers())
 
 
-def write_rotary_files(order: str) -> dict[str, str]:
-    """Return the files of an order for the trunnion, by name."""
+def write_rotary_files(order):
     name, choices = ROTARY_ORDERS[order]
     return load_format(name, choices).write(round_turns())
 
 
-def main() -> None:
+def main():
     """Write `golden/` anew."""
     made = {order: write_files(order) for order in ORDERS}
     made |= {f"{order}-rotary": write_rotary_files(order) for order in ROTARY_ORDERS}

@@ -1,9 +1,6 @@
 """One broken plug-in costs nobody else anything, and is named where it is asked for."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -52,16 +49,10 @@ OTHERS = """
         def write(self, content):
             raise RuntimeError("no control like this")
 """
+GROUPS = "trackers motion_controllers thermometers effects nc_dialects"
 POINTS = {
     group: {"broken": "broken:X", "leaving": "leaving:X", "absent": "not_there:X"}
-    for group in (
-        "trackers",
-        "motion_controllers",
-        "thermometers",
-        "effects",
-        "nc_dialects",
-        "compensation_formats",
-    )
+    for group in (*GROUPS.split(), "compensation_formats")
 }
 POINTS["trackers"] |= {"streaming": "broken:X", "../up": "broken:X"}
 POINTS["compensation_formats"] |= {"mute": "formats_here:Mute"}
@@ -71,16 +62,11 @@ POINTS["nc_dialects"] |= {"hostile": "others:Dialect"}
 
 
 @pytest.fixture(autouse=True)
-def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def hostile(tmp_path, monkeypatch):
     plugins.left_out.clear()
-    site = install(
-        tmp_path / "site",
-        POINTS,
-        broken=BROKEN,
-        leaving=LEAVING,
-        formats_here=FORMATS,
-        others=OTHERS,
-    )
+    modules = {"broken": BROKEN, "leaving": LEAVING}
+    modules |= {"formats_here": FORMATS, "others": OTHERS}
+    site = install(tmp_path / "site", POINTS, **modules)
     monkeypatch.syspath_prepend(site)
 
 

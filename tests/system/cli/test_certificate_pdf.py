@@ -10,8 +10,6 @@ ISSUED = ("--issued", "2026-11-24")
 
 @pytest.fixture
 def judged(result, keep):
-    """A result file that says another thing of itself."""
-
     def judge(state):
         verdict = {"state": state, "reasons": ["The table shook."]}
         return keep({**result, "verdict": verdict})
@@ -21,8 +19,6 @@ def judged(result, keep):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of a certificate."""
-
     def spell(result, name, *more):
         return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
 
@@ -30,7 +26,6 @@ def words(tmp_path):
 
 
 def read_pages(file, *texts):
-    """Return the pages of a PDF that has each text in one of them."""
     pages = [page.extract_text() for page in pypdf.PdfReader(file).pages]
     assert 5 <= len(pages) <= 12
     for text in texts:
@@ -42,10 +37,7 @@ def read_pages(file, *texts):
 def test_a_result_not_to_be_used_is_printed_alike_each_time(
     command, words, judged, tmp_path
 ):
-    file, (one, other) = (
-        judged("not-usable"),
-        (tmp_path / n for n in ("a.pdf", "b.pdf")),
-    )
+    file, one, other = judged("not-usable"), tmp_path / "a.pdf", tmp_path / "b.pdf"
     for name in (one.name, other.name):
         command.run(*words(file, name, "--accept-verdict"))
     assert one.read_bytes() == other.read_bytes()

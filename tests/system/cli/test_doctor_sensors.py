@@ -2,7 +2,7 @@
 
 import struct
 import threading
-import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -13,34 +13,28 @@ from truepath_simulators.cnc.modbus_wire import ILLEGAL_ADDRESS, exception
 pytestmark = pytest.mark.fault_row(43)
 
 
-class Gateway:
-    """Holding registers of one unit, from address 10 on."""
+@contextmanager
+def serving(words):
+    """Serve holding registers of one unit, from address 10 on; yield where."""
 
-    def __init__(self, words):
-        self.words, self.port = words, ModbusTcpPort("127.0.0.1", 0, (1,))
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._ending.set()
-        self._thread.join()
-        self.port.close()
-
-    def _serve(self):
-        while not self._ending.is_set():
-            self.port.serve(self._answer)
-            time.sleep(0.002)
-
-    def _answer(self, unit, pdu):
+    def answer(unit, pdu):
         function, address, count = struct.unpack(">BHH", pdu)
-        words = self.words[address - 10 : address - 10 + count]
-        if address < 10 or len(words) < count:
+        held = words[address - 10 : address - 10 + count]
+        if address < 10 or len(held) < count:
             return exception(pdu, ILLEGAL_ADDRESS)
-        return struct.pack(f">BB{count}H", function, 2 * count, *words)
+        return struct.pack(f">BB{count}H", function, 2 * count, *held)
+
+    def serve():
+        while not ending.wait(0.002):
+            port.serve(answer)
+
+    port, ending = ModbusTcpPort("127.0.0.1", 0, (1,)), threading.Event()
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield port.address
+    ending.set()
+    thread.join()
+    port.close()
 
 
 def words_of(value, *, swapped=False):
@@ -50,12 +44,10 @@ def words_of(value, *, swapped=False):
 
 @pytest.fixture
 def ask(tmp_path, capsys):
-    """Return what the doctor says of one sensor."""
-
     def ask(words, **row):
         row = {"name": "X_degC", "address": 10, "function": "holding"} | row
-        with Gateway(words) as gateway:
-            options = "".join(f"{k} = {v!r}\n" for k, v in gateway.port.address.items())
+        with serving(words) as address:
+            options = "".join(f"{k} = {v!r}\n" for k, v in address.items())
             keys = "".join(f"{k} = {v!r}\n" for k, v in row.items())
             (tmp_path / "t.toml").write_text(
                 f"data_dir = {str(tmp_path / 'data')!r}\n"

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
 
 MAIN = "from truepath.cli.command import main; main()"
-SPEED = 16.0
+SPEED, OVERRIDE = 16.0, 0.8
 PATIENCE_S = 40.0
 
 
@@ -31,6 +32,15 @@ PATIENCE_S = 40.0
 def bench():
     with Bench(seed=4, speed=SPEED, tracker="tcp", rtu=False) as bench:
         yield bench
+
+
+def spell(value):
+    """Write a value as TOML has it."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{k} = {spell(v)}' for k, v in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(spell, value))}]"
+    return json.dumps(value)
 
 
 @pytest.fixture
@@ -41,40 +51,24 @@ def files(bench, tmp_path):
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
     (tmp_path / "path.csv").write_bytes(encode_commanded(path))
     (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
-    options = ", ".join(
-        f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()
-    )
-    sensors = {k: v for k, v in bench.thermometer_options.items() if k != "registers"}
-    rows = "".join(
-        "[[thermometer_options.registers]]\n"
-        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in row.items())
-        for row in bench.thermometer_options["registers"]
-    )
     (tmp_path / "settings.toml").write_text(
-        f"tracker_options = {{ {options} }}\n"
-        'thermometer_driver = "modbus-registers"\n[thermometer_options]\n'
-        + "".join(f"{key} = {json.dumps(v)}\n" for key, v in sensors.items())
-        + rows
+        f"tracker_options = {spell(bench.tracker_options)}\n"
+        'thermometer_driver = "modbus-registers"\n'
+        f"thermometer_options = {spell(bench.thermometer_options)}\n"
     )
     return tmp_path
 
 
 @pytest.fixture
 def recording(files):
-    """Begin to record in a process of its own; ended with the test."""
     started = []
 
     def begin(*more):
         words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
-        process = subprocess.Popen(
-            [sys.executable, "-c", MAIN, *words,
-             "--config", "settings.toml", *more],
-            cwd=files,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
+        words += ["--config", "settings.toml", *more]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        how = {"cwd": files, "env": {**os.environ, "OMP_NUM_THREADS": "1"}, **pipes}
+        process = subprocess.Popen([sys.executable, "-c", MAIN, *words], **how)
         started.append(process)
         return process
 
@@ -103,7 +97,8 @@ def drive_by_hand(bench, motion):
     with ModbusController(**bench.motion_options) as cnc:
         cnc.move_to(motion.position[0], 15_000.0)
         until_it_stands(cnc)
-        cnc.load(motion.path)
+        feed_mm_min = OVERRIDE * motion.path.feed_mm_min
+        cnc.load(replace(motion.path, feed_mm_min=feed_mm_min))
         cnc.start()
         assert until_it_stands(cnc).state is MotionState.FINISHED
 
@@ -133,13 +128,8 @@ def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
     said = json.loads(out)
     assert said["lost_samples"] == 0
     bundle = files / "bundle"
-    assert {p.name for p in bundle.iterdir()} == {
-        "machine.json",
-        "path.csv",
-        "tracker.parquet",
-        "environment.csv",
-        "run.sqlite",
-    }
+    names = "machine.json path.csv tracker.parquet environment.csv run.sqlite"
+    assert {p.name for p in bundle.iterdir()} == set(names.split())
     recorded = read_bundle(bundle)
     assert len(recorded.tracker) == said["samples"] > 5000
     assert recorded.temperature.names == ("X", "Y", "Z", "spindle", "air")
@@ -176,17 +166,13 @@ def test_a_tracker_that_falls_silent_ends_the_recording_and_keeps_it(
     assert (files / "bundle" / "run.sqlite").is_file()
 
 
-def test_an_earlier_recording_is_not_overwritten(files, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    (files / "bundle").mkdir()
-    (files / "bundle" / "run.sqlite").write_text("")
-    words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
-    assert run([*words, "--config", "settings.toml"]) == 2
-    assert "name another folder" in capsys.readouterr().err
-
-
-def test_without_a_machine_file_it_says_what_to_give(files, capsys, monkeypatch):
+def test_without_a_machine_file_or_beside_a_recording_it_says_what_to_give(
+    files, command, monkeypatch
+):
     monkeypatch.chdir(files)
     words = ["record", "path.csv", "-o", "bundle", "--config", "settings.toml"]
-    assert run(words) == 2
-    assert "--machine MACHINE.json" in capsys.readouterr().err
+    assert "--machine MACHINE.json" in command.refuse(*words)
+    (files / "bundle").mkdir()
+    (files / "bundle" / "run.sqlite").write_text("")
+    said = command.refuse(*words, "--machine", "machine.json")
+    assert "name another folder" in said

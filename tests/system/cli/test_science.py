@@ -28,11 +28,8 @@ def bundles(record, tmp_path):
 
 
 def test_analyse_writes_result_tables_and_report(analysed, result):
-    assert {path.name for path in analysed.iterdir()} == {
-        "result.json",
-        "error_tables.csv",
-        "report.html",
-    }
+    names = {path.name for path in analysed.iterdir()}
+    assert names == {"result.json", "error_tables.csv", "report.html"}
     assert result["schema"] == "result/1"
     assert result["mode"] == "otf"
 
@@ -123,30 +120,15 @@ def test_predict_adds_error_and_uncertainty_to_the_points(
     command, analysed, points, tmp_path
 ):
     out, result = tmp_path / "predicted.csv", analysed / "result.json"
-    said = command.json("predict", result, "--points", points, "-o", out)
+    order = ["predict", result, "--points", points, "-o", out]
+    assert "3 points" in command.run(*order).out
+    said = command.json(*order)
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert [row["x_mm"] for row in rows] == ["0", "250", "500"]
     for row in rows:
         assert all(float(row[name]) > 0 for name in ("ux_um", "uy_um", "uz_um"))
     assert said["points"] == 3
     assert said["files"] == [str(out)]
-
-
-def test_predict_agrees_with_the_truth_within_its_uncertainty(
-    command, analysed, record, volume, rigid_free, tmp_path
-):
-    made, truth = record(1, rows=24)
-    q, file, out = volume(made.machine), tmp_path / "p.csv", tmp_path / "out.csv"
-    np.savetxt(file, q, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
-    order = ["predict", analysed / "result.json", "--points", file, "-o", out]
-    assert "300 points" in command.run(*order).out
-    table = np.genfromtxt(out, delimiter=",", names=True)
-    predicted = np.stack([table[f"d{axis}_um"] for axis in "xyz"], axis=1)
-    sigma = np.stack([table[f"u{axis}_um"] for axis in "xyz"], axis=1)
-    true_um = 1e3 * truth.deviation_mm(q)
-    left = rigid_free(q, true_um - predicted)
-    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(rigid_free(q, true_um))
-    assert (np.abs(left) < 2 * sigma).mean() > 0.85
 
 
 def test_points_beyond_the_travel_are_noted_and_predicted(command, analysed, tmp_path):

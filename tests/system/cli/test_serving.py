@@ -9,16 +9,13 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import httpx2
 import pytest
 
 from truepath.cli import calibration
-from truepath.cli.calibration import (
-    calibrate,
-    follow_to_the_end,
-    measure_on_the_fly,
-)
+from truepath.cli.calibration import calibrate, follow_to_the_end, measure_on_the_fly
 from truepath.client import Client
 from truepath.errors import MeasurementFailed
 
@@ -49,11 +46,7 @@ def logging_as_before():
         (["--config", "file"], "prot = 1", "setting prot: "),
         (["--config", "file"], "port = 99999", "setting port: "),
         (["--config", "file"], 'host = "0.0.0.0"', "--allow-plain-http"),
-        (
-            ["--config", "file"],
-            'machine_file = "none.json"',
-            "none.json: cannot be read",
-        ),
+        (["--config", "file"], 'machine_file = "no.json"', "no.json: cannot be read"),
         (["--measure"], None, "it needs --simulated"),
         (["--hide", "backlash"], None, "it needs --simulated"),
         (["--simulated", "--hide", "poltergeist"], None, "no effect 'poltergeist'"),
@@ -90,14 +83,10 @@ def read_until(pattern, stream, seen=None):
 @pytest.mark.timeout(180)
 def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
     """The command of `make run`, its device clocks three times faster."""
-    service = subprocess.Popen(
-        [TRUEPATH, "serve", "--simulated", "--measure", "--port", "0"],
-        env=os.environ
-        | {"TRUEPATH_DATA_DIR": str(tmp_path), "TRUEPATH_SIMULATED_SPEED": "3"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = [TRUEPATH, "serve", "--simulated", "--measure", "--port", "0"]
+    own = {"TRUEPATH_DATA_DIR": str(tmp_path), "TRUEPATH_SIMULATED_SPEED": "3"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    service = subprocess.Popen(words, env=os.environ | own, **pipes)
     progress, said = service.stderr, []
     with service:
         try:
@@ -120,17 +109,9 @@ def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
 
 
 def job(state, **more):
-    return {
-        "id": "7",
-        "state": state,
-        "version": 3,
-        "stage": "measuring",
-        "progress": {"done": 1, "total": 4},
-        "health": {"samples": 10, "lost_samples": 0},
-        "verdict": None,
-        "error": None,
-        **more,
-    }
+    known = {"id": "7", "state": state, "version": 3, "stage": "measuring"}
+    known |= {"progress": {"done": 1, "total": 4}, "verdict": None, "error": None}
+    return {**known, "health": {"samples": 10, "lost_samples": 0}, **more}
 
 
 class Script:
@@ -183,12 +164,12 @@ def test_a_job_that_fails_before_it_is_ready_is_never_armed():
 def test_progress_is_told_until_the_end():
     nothing = {"done": 0, "total": 0}
     script = Script(job("running"), job("running", progress=nothing), job("succeeded"))
-    told = []
+    told = Mock()
     with script.open() as client:
-        follow_to_the_end(client, "7", lambda *words: told.append(words))
-    assert told[0] == (0.25, "measuring", "10 samples, 0 lost")
-    assert told[1][0] == 0.0
-    assert len(told) == 3
+        follow_to_the_end(client, "7", told)
+    first, second, _ = (call.args for call in told.call_args_list)
+    assert first == (0.25, "measuring", "10 samples, 0 lost")
+    assert second[0] == 0.0
 
 
 def test_a_job_that_ends_badly_says_why():

@@ -25,13 +25,8 @@ def test_a_command_computes_on_one_thread_or_on_as_many_as_the_user_has_set(
 ):
     kept = {name: v for name, v in os.environ.items() if "_NUM_THREADS" not in name}
     kept |= {f"{name}_NUM_THREADS": str(n) for name, n in set_by_user.items()}
-    answer = subprocess.run(
-        [sys.executable, "-c", COMMAND],
-        env=kept,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    number, running = map(int, answer.stdout.split()[-2:])
+    words = [sys.executable, "-c", COMMAND]
+    said = subprocess.check_output(words, env=kept, text=True)
+    number, running = map(int, said.split()[-2:])
     assert number == threads
     assert running == min(threads, len(os.sched_getaffinity(0)))

@@ -1,7 +1,5 @@
 """`users`, `keys` and `audit`, on the computer of the service itself."""
 
-from __future__ import annotations
-
 import io
 import json
 
@@ -23,8 +21,6 @@ def logged_plainly(plain_log):
 
 @pytest.fixture
 def call(tmp_path, capsys, monkeypatch):
-    """Run a command on a data folder; return status and what was printed."""
-
     def call(*words, says=""):
         monkeypatch.setattr("sys.stdin", io.StringIO(says))
         status = run([*words, "--data-dir", str(tmp_path)])
@@ -102,10 +98,8 @@ def test_the_audit_log_is_verified_and_exported(call, catalogue, tmp_path):
     assert (status, said[:31]) == (0, "2 rows, each as it was written;")
     call("audit", "export", "-o", str(tmp_path / "audit.jsonl"))
     lines = (tmp_path / "audit.jsonl").read_text().splitlines()
-    assert [json.loads(line)["what"] for line in lines] == [
-        "users add anna",
-        "keys create plant",
-    ]
+    what = [json.loads(line)["what"] for line in lines]
+    assert what == ["users add anna", "keys create plant"]
     assert call("audit", "export")[1].splitlines() == lines
     with catalogue.engine.begin() as connection:
         connection.execute(text("DROP TRIGGER audit_no_delete"))
@@ -132,11 +126,7 @@ LOG_IN = {"LOG_IN": "always"}
     [
         (LOG_IN, ["--port", "0"], "truepath users add NAME --role administrator"),
         (LOG_IN, ["--simulated", "--measure"], "begins with nobody logged in"),
-        (
-            {"TLS_CERT": "c.pem", "TLS_KEY": "k.pem"},
-            ["--port", "0"],
-            "setting tls_cert",
-        ),
+        ({"TLS_CERT": "c.pem", "TLS_KEY": "k"}, ["--port", "0"], "setting tls_cert"),
     ],
     ids=["no user", "nobody logged in", "no certificate"],
 )

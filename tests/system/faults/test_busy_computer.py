@@ -1,10 +1,7 @@
 """A cell measures at 500 Hz while others take the processors."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -12,25 +9,20 @@ import numpy as np
 import psutil
 import pytest
 
-from measuring import Measuring, order_of
-from truepath.measurement.messages import CellConfig
+from driven_cell import config_of
+from measuring import Measuring, measuring_on, order_of
 from truepath.measurement.run_file.run_reading import open_run
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
-TO_AND_FRO = Path(
-    ("X", "Y", "Z"),
-    np.array([[100.0, 100.0, 100.0], [300.0, 200.0, 100.0]] * 4),
-    np.full(8, 9000.0),
-    np.full(8, 0.2),
-)
+ROWS = np.array([[100.0, 100.0, 100.0], [300.0, 200.0, 100.0]] * 4)
+TO_AND_FRO = Path(("X", "Y", "Z"), ROWS, np.full(8, 9000.0), np.full(8, 0.2))
 HOG = "import os\nwhile True: [bytearray(1 << 20) for _ in range(64)]"
 
 
 @contextmanager
-def hogs(count: int) -> Iterator[None]:
-    """Let processes compute and take memory in vain, as many as are asked for."""
+def hogs(count):
     begun = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(count)]
     try:
         yield
@@ -44,15 +36,10 @@ def hogs(count: int) -> Iterator[None]:
 @pytest.mark.fault_row(31)
 def test_every_sample_is_recorded_or_counted_as_lost(tmp_path, measured):
     with Bench(seed=12, rtu=False) as bench:
-        config = CellConfig(
-            "streaming", bench.tracker_options, "modbus", bench.motion_options
-        )
         order = replace(order_of(bench, tmp_path / "busy.sqlite"), commanded=TO_AND_FRO)
-        with (
-            Measuring(config, order) as measuring,
-            hogs(2 * (psutil.cpu_count() or 2)),
-        ):
-            closed = measuring.until_closed(within_s=120.0)
+        cores = psutil.cpu_count() or 2
+        with Measuring(config_of(bench), order) as measuring, hogs(2 * cores):
+            closed = measuring.until_closed(timeout_s=120.0)
     assert closed.outcome in ("finished", "faulted")
     run = open_run(closed.run_file)
     gaps = int((np.diff(run.tracker.sequence) - 1).sum())
@@ -71,9 +58,8 @@ def test_a_late_link_is_no_broken_beam_and_no_silence(tmp_path):
         LinkProxy(bench.tracker_options, seed=3) as proxy,
     ):
         proxy.harm(to_host=Harm(latency_s=0.2, jitter_s=0.1))
-        config = CellConfig("streaming", proxy.options, "modbus", bench.motion_options)
-        order = order_of(bench, tmp_path / "late.sqlite", lines=2)
-        with Measuring(config, order) as measuring:
+        file, options = tmp_path / "late.sqlite", proxy.options
+        with measuring_on(bench, file, 2, tracker_options=options) as measuring:
             closed = measuring.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
     assert measuring.faults == set()

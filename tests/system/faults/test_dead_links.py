@@ -1,14 +1,12 @@
 """A link of a cell that measures goes dead: it stays open, nothing comes through."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
 import pytest
 
-from measuring import Measuring, order_of
-from truepath.measurement.messages import CellConfig, StateChanged
+from measuring import measuring_on
+from truepath.measurement.messages import StateChanged
 from truepath.measurement.run_file.run_reading import open_run
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
@@ -27,14 +25,14 @@ def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(
         LinkProxy(bench.motion_options, seed=3) as proxy,
         ModbusController(**bench.motion_options) as onlooker,
     ):
-        config = CellConfig("streaming", bench.tracker_options, "modbus", proxy.options)
-        with Measuring(config, order_of(bench, tmp_path / "dead.sqlite")) as measuring:
+        file, options = tmp_path / "dead.sqlite", proxy.options
+        with measuring_on(bench, file, motion_options=options) as measuring:
             proxy.harm(to_host=HOLE, to_device=HOLE)
             begun_s = time.monotonic()
-            measuring.until(lambda: onlooker.status().state == "held", within_s=3.0)
+            measuring.until(lambda: onlooker.status().state == "held", timeout_s=3.0)
             measured(f"held after {time.monotonic() - begun_s:.2f} s")
             assert onlooker.status().hold_reason == "watchdog"
-            measuring.until(lambda: bool(measuring.faults), within_s=4.0)
+            measuring.until(lambda: bool(measuring.faults), timeout_s=4.0)
             closed = measuring.until_closed()
             here = onlooker.status().position
         assert onlooker.status().position == here
@@ -51,8 +49,8 @@ def test_a_dead_link_to_the_tracker_holds_the_feed_within_a_second(tmp_path):
         LinkProxy(bench.tracker_options, seed=3) as proxy,
         ModbusController(**bench.motion_options) as onlooker,
     ):
-        config = CellConfig("streaming", proxy.options, "modbus", bench.motion_options)
-        with Measuring(config, order_of(bench, tmp_path / "dead.sqlite")) as measuring:
+        file, options = tmp_path / "dead.sqlite", proxy.options
+        with measuring_on(bench, file, tracker_options=options) as measuring:
             proxy.harm(to_host=HOLE)
             told = measuring.of
             measuring.until(lambda: told(StateChanged)[-1].state == "paused", 1.5)

@@ -1,18 +1,16 @@
 """Between our drivers and their devices lies a link that does harm, by a seed."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from measuring import IN_PIECES, LOST_DOUBLED_OR_HIT, RATE_HZ, read_through
+from processes import until
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import DeviceError
-from truepath_drivers.interfaces.records import MotionState, TrackerSamples
+from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.tracker.streaming.codec import SampleDecoder
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_drivers.tracker.streaming.framing import FrameReader
@@ -23,14 +21,12 @@ from truepath_simulators.links.link_proxy import Harm, LinkProxy
 @pytest.fixture(
     scope="module", params=["tcp", pytest.param("pty", marks=pytest.mark.long)]
 )
-def bench(request) -> Iterator[Bench]:
+def bench(request):
     with Bench(seed=9, tracker=request.param) as started:
         yield started
 
 
-def stream_through(
-    bench: Bench, harm: Harm, seed: int
-) -> tuple[TrackerSamples, int, int]:
+def stream_through(bench, harm, seed):
     """Return what the driver has read right, of how many, and how often harm hit."""
     with LinkProxy(bench.tracker_options, seed=seed) as proxy:
         with StreamingTracker(**proxy.options) as tracker:
@@ -42,7 +38,7 @@ def stream_through(
     return read, len(truth), harmed
 
 
-def require_true(read: TrackerSamples, truth: TrackerSamples) -> None:
+def require_true(read, truth):
     """Every sample that was read is one that was sent, bit by bit and once."""
     index = np.searchsorted(truth.device_time_s, read.device_time_s)
     assert (np.diff(index) > 0).all()
@@ -89,13 +85,13 @@ over_tcp = pytest.mark.parametrize("bench", ["tcp"], indirect=True)
 
 
 @pytest.fixture
-def driven(bench) -> Iterator[tuple[LinkProxy, ModbusController]]:
-    with LinkProxy(bench.motion_options, seed=6) as proxy:
-        controller = ModbusController(**proxy.options)
-        controller.connect()
+def driven(bench):
+    with (
+        LinkProxy(bench.motion_options, seed=6) as proxy,
+        ModbusController(**proxy.options) as controller,
+    ):
         yield proxy, controller
         proxy.harm()
-        controller.close()
 
 
 @over_tcp
@@ -136,12 +132,12 @@ def test_a_link_that_is_away_is_not_stormed_and_comes_back(driven):
     assert proxy.connections <= 1 + tries
     assert proxy.connections < 15
     proxy.harm()
-    end_s = time.monotonic() + 5.0
-    state = None
-    while state is not MotionState.IDLE:
-        assert time.monotonic() < end_s
+
+    def is_back():
         with suppress(DeviceError):
-            state = controller.status().state
+            return controller.status().state is MotionState.IDLE
+
+    until(is_back, 5.0)
 
 
 @over_tcp
@@ -151,19 +147,19 @@ def test_commands_over_a_line_that_loses_replies_run_once_each(driven):
     proxy, controller = driven
     proxy.harm(to_host=Harm(drop=0.2))
     low = np.array([axis[0] for axis in controller.travel])
+
+    def is_sent():
+        with suppress(DeviceError):
+            controller.move_to(goal, 6000.0)
+            return True
+
+    def stands():
+        with suppress(DeviceError):
+            controller.send_heartbeat()
+            status = controller.status()
+            return status.state is not MotionState.RUNNING and status
+
     for step in (3.0, 6.0, 2.0):
         goal = tuple(low + step)
-        moved = False
-        while not moved:
-            with suppress(DeviceError):
-                controller.move_to(goal, 6000.0)
-                moved = True
-        end_s = time.monotonic() + 20.0
-        while True:
-            assert time.monotonic() < end_s
-            with suppress(DeviceError):
-                controller.send_heartbeat()
-                status = controller.status()
-                if status.state is not MotionState.RUNNING:
-                    break
-        assert status.position == pytest.approx(goal, abs=0.001)
+        until(is_sent)
+        assert until(stands, 20.0).position == pytest.approx(goal, abs=0.001)

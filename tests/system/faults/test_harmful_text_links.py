@@ -1,9 +1,6 @@
 """Drivers that talk in lines of text, over a link that does harm by a seed."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,8 +8,7 @@ import pytest
 from measuring import IN_PIECES, LOST_DOUBLED_OR_HIT, RATE_HZ, read_through
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
-from truepath_drivers.interfaces.records import MotionState, TrackerSamples
-from truepath_drivers.interfaces.tracker import PolledTracker
+from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.tracker.geocom.driver import GeoComTracker
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
@@ -28,23 +24,21 @@ LATE = Harm(latency_s=0.1, jitter_s=0.05)
 SERIAL_HARM = Harm(drop=0.15, double=0.2, swap=0.1, noise=0.15, noise_bytes=40)
 
 
-def write_line(samples: TrackerSamples, k: int) -> str:
+def write_line(samples, k):
     cells = [f"{samples.sequence[k]},{samples.device_time_s[k]:.6f}"]
     cells += [f"{value:.5f}" for value in samples.position_mm[k]]
     return ",".join([*cells, f"{samples.status[k]}"])
 
 
 @pytest.fixture(scope="module")
-def relay() -> Iterator[TextRelay]:
+def relay():
     with Bench(tracker="tcp", rtu=False) as bench:
         tracker = StreamingTracker(**bench.tracker_options)
         with TextRelay(tracker, write_line, link="pty") as started:
             yield started
 
 
-def read_lines(
-    relay: TextRelay, harm: Harm, seed: int
-) -> tuple[TrackerSamples, list[str], int]:
+def read_lines(relay, harm, seed):
     """Return what the driver reads, the lines that were sent, how often harm hit.
 
     Every sample that was read is a line that was sent, digit by digit and once.
@@ -72,11 +66,7 @@ def test_lines_that_are_lost_doubled_or_hit_are_counted_and_never_wrong(relay, h
 
 
 @pytest.mark.parametrize(
-    "harm",
-    [
-        IN_PIECES,
-        pytest.param(LATE, marks=pytest.mark.fault_row(8), id="late"),
-    ],
+    "harm", [IN_PIECES, pytest.param(LATE, marks=pytest.mark.fault_row(8), id="late")]
 )
 def test_lines_that_come_late_or_in_pieces_are_the_same(relay, harm):
     read, lines, _ = read_lines(relay, harm, seed=8)
@@ -88,7 +78,7 @@ def test_lines_that_come_late_or_in_pieces_are_the_same(relay, harm):
 @pytest.fixture(
     scope="module", params=["geocom", pytest.param("t2sa", marks=pytest.mark.long)]
 )
-def polled(request) -> Iterator[tuple[str, Bench]]:
+def polled(request):
     link = "pty" if request.param == "geocom" else "tcp"
     with Bench(
         protocol=request.param, tracker=link, speed=20.0, rtu=False, seed=3
@@ -96,12 +86,12 @@ def polled(request) -> Iterator[tuple[str, Bench]]:
         yield request.param, bench
 
 
-def open_tracker(protocol: str, proxy: LinkProxy) -> PolledTracker:
+def open_tracker(protocol, proxy):
     waits = {"reply_timeout_s": 0.4, "shot_s": 0.4}
     return DRIVERS[protocol](**proxy.options, **waits, **TURNS[protocol])
 
 
-def move_to(bench: Bench, x_mm: float) -> None:
+def move_to(bench, x_mm):
     with ModbusController(**bench.motion_options) as controller:
         goal = list(controller.status().position)
         goal[0] = x_mm
@@ -111,8 +101,7 @@ def move_to(bench: Bench, x_mm: float) -> None:
             time.sleep(0.02)
 
 
-def measure_at_last(tracker: PolledTracker):
-    """Return the first place that is told within 4 s."""
+def measure_at_last(tracker):
     end_s = time.monotonic() + 4.0
     while True:
         try:
@@ -122,7 +111,7 @@ def measure_at_last(tracker: PolledTracker):
             assert time.monotonic() < end_s
 
 
-def measure_by(tracker: PolledTracker, bench: Bench, harm: Harm, proxy: LinkProxy):
+def measure_by(tracker, bench, harm, proxy):
     """Return places in pairs, with and without harm, and how often it was an error."""
     pairs, errors = [], 0
     for x_mm in (90.0, 30.0):
@@ -141,7 +130,7 @@ def measure_by(tracker: PolledTracker, bench: Bench, harm: Harm, proxy: LinkProx
     return pairs, errors
 
 
-def require_places(pairs) -> None:
+def require_places(pairs):
     for harmed, clean in pairs:
         assert np.linalg.norm(harmed - clean) < NOISE_MM
 

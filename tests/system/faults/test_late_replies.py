@@ -3,15 +3,12 @@
 Its requests arrive: what decides is how old the last valid status is.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 
 import pytest
 
-from measuring import Measuring, order_of
-from truepath.measurement.messages import CellConfig, RunClosed, StateChanged
+from measuring import measuring_on
+from truepath.measurement.messages import RunClosed, StateChanged
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy
@@ -29,26 +26,23 @@ PATIENT = {"watchdog_s": 2.0}
 
 
 @pytest.fixture
-def measuring(
-    tmp_path,
-) -> Iterator[tuple[Measuring, Bench, LinkProxy, ModbusController]]:
+def measuring(tmp_path):
     with (
         Bench(seed=12, speed=2.0, rtu=False) as bench,
         LinkProxy(bench.motion_options, seed=3) as proxy,
         ModbusController(**bench.motion_options, **PATIENT) as onlooker,
     ):
         options = proxy.options | PATIENT
-        config = CellConfig("streaming", bench.tracker_options, "modbus", options)
-        with Measuring(config, order_of(bench, tmp_path / "late.sqlite")) as begun:
+        with measuring_on(
+            bench, tmp_path / "r.sqlite", motion_options=options
+        ) as begun:
             yield begun, bench, proxy, onlooker
 
 
-def until_it(
-    measuring: Measuring, onlooker: ModbusController, is_so, within_s
-) -> float:
+def until_it(measuring, onlooker, is_so, within_s):
     """Wait until the machine itself is so; return how long it took."""
     begun_s = time.monotonic()
-    measuring.until(lambda: is_so(onlooker.status()), within_s=within_s)
+    measuring.until(lambda: is_so(onlooker.status()), timeout_s=within_s)
     return time.monotonic() - begun_s
 
 
@@ -74,9 +68,9 @@ def test_a_controller_that_is_busy_for_long_is_named_as_that(measuring):
     """Exception 6 for three seconds of the wall: its watchdog holds meanwhile."""
     running, bench, _, onlooker = measuring
     bench.inject("cnc:exception+6s*6")
-    running.until(lambda: bool(running.faults), within_s=5.0)
+    running.until(lambda: bool(running.faults), timeout_s=5.0)
     assert running.faults == {"control-busy"}
-    running.until_closed(within_s=10.0)
+    running.until_closed(timeout_s=10.0)
     assert running.faults == {"control-busy"}
     assert onlooker.status().state == "held"
 

@@ -1,13 +1,9 @@
 """The process that records a stream stands still, with all its threads."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,13 +19,13 @@ from truepath_simulators.bench.bench import Bench
 
 
 @pytest.fixture(scope="module")
-def bench() -> Iterator[Bench]:
+def bench():
     """A machine at rest and its tracker, by the time of the wall."""
     with Bench(seed=21, rtu=False) as started:
         yield started
 
 
-def hold_the_interpreter(for_s: float) -> None:
+def hold_the_interpreter(for_s):
     """Let no thread of this process run Python meanwhile, as a stalled scheduler does.
 
     What is called by way of `PyDLL` keeps the interpreter's lock.
@@ -37,7 +33,7 @@ def hold_the_interpreter(for_s: float) -> None:
     ctypes.PyDLL(None).poll(None, ctypes.c_ulong(0), round(1000 * for_s))
 
 
-def collect_garbage() -> None:
+def collect_garbage():
     """Look for garbage in a huge heap, where there is none, again and again."""
     kept = [[None] for _ in range(3_000_000)]
     end_s = time.monotonic() + 2.0
@@ -46,7 +42,7 @@ def collect_garbage() -> None:
     kept.clear()
 
 
-def record(bench: Bench, folder: Path, rate_hz: float, stall: Callable[[], None]):
+def record(bench, folder, rate_hz, stall):
     """Record some samples, a stall, and what comes in half a second more.
 
     Returns how it was closed, the Run, whose samples are as sent by their numbers,
@@ -57,10 +53,10 @@ def record(bench: Bench, folder: Path, rate_hz: float, stall: Callable[[], None]
     path = default_path(machine, lines=1)
     header = RunHeader("paused", machine, path, rate_hz, {}, axes)
     recorder = Recorder(file, header, reserve_bytes=0)
-    states: set[StreamState] = set()
+    states = set()
     end_s = math.inf
 
-    def is_over(wait_s: float) -> bool:
+    def is_over(wait_s):
         nonlocal end_s
         time.sleep(wait_s)
         if recorder.samples and end_s == math.inf:
@@ -68,7 +64,7 @@ def record(bench: Bench, folder: Path, rate_hz: float, stall: Callable[[], None]
             end_s = time.monotonic() + 0.5
         return time.monotonic() > end_s
 
-    def note(_samples: int, _lost: int, state: StreamState) -> None:
+    def note(_samples, _lost, state):
         states.add(state)
 
     with StreamingTracker(**bench.tracker_options) as tracker:

@@ -16,14 +16,6 @@ FORBIDDEN = re.compile(
         ]
     )
 )
-ROOMS_IN_CODE = ("app", "drivers", "simulators")
-
-
-def text_of(path):
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        return ""
 
 
 def test_no_file_names_a_package_registry_or_a_path_of_one_machine(project_files, root):
@@ -31,7 +23,7 @@ def test_no_file_names_a_package_registry_or_a_path_of_one_machine(project_files
         f"{path.relative_to(root)}:{number}: {line.strip()[:80]}"
         for path in project_files
         if not path.name.endswith(".min.js") and "vendor" not in path.parts
-        for number, line in enumerate(text_of(path).splitlines(), 1)
+        for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1)
         if FORBIDDEN.search(line)
     ]
     assert not found, "\n".join(found)
@@ -52,18 +44,17 @@ def test_nothing_is_left_to_do_in_the_code(project_files, root):
         f"{path.relative_to(root)}:{number}"
         for path in project_files
         if path.suffix == ".py" and "vendor" not in path.parts
-        for number, line in enumerate(text_of(path).splitlines(), 1)
+        for number, line in enumerate(path.read_text().splitlines(), 1)
         if marker.search(line)
     ]
     assert not found, "\n".join(found)
 
 
-def python_files(project_files, root, rooms=ROOMS_IN_CODE):
-    return [
-        path
-        for path in project_files
-        if path.suffix == ".py" and path.relative_to(root).parts[0] in rooms
-    ]
+@pytest.fixture(scope="module")
+def code(project_files, root):
+    rooms = tuple(root / room for room in ("app", "drivers", "simulators"))
+    ours = [path for path in project_files if path.suffix == ".py"]
+    return [path for path in ours if any(map(path.is_relative_to, rooms))]
 
 
 def public_definitions(tree):
@@ -94,20 +85,20 @@ def is_ellipsis(function):
     return ast.unparse(function.body[-1]) == "..." and len(function.body) == 1
 
 
-def test_everything_public_says_what_it_is(project_files, root):
+def test_everything_public_says_what_it_is(code, root):
     silent = [
         f"{path.relative_to(root)}: {name}"
-        for path in python_files(project_files, root)
+        for path in code
         for name, node in public_definitions(ast.parse(path.read_text()))
         if not ast.get_docstring(node)
     ]
     assert not silent, "\n".join(silent)
 
 
-def test_packages_export_nothing_but_their_theory(project_files, root):
+def test_packages_export_nothing_but_their_theory(code, root):
     busy = [
         str(path.relative_to(root))
-        for path in python_files(project_files, root)
+        for path in code
         if path.name == "__init__.py"
         and path.parent.name != "client"  # what other programs import
         and len(ast.parse(path.read_text()).body) != 1
@@ -116,10 +107,6 @@ def test_packages_export_nothing_but_their_theory(project_files, root):
 
 
 @pytest.mark.parametrize("word", ["utils", "common", "helpers", "manager"])
-def test_no_room_is_called_after_nothing(project_files, root, word):
-    named = [
-        str(path.relative_to(root))
-        for path in python_files(project_files, root)
-        if word in (*path.relative_to(root).parts[:-1], path.stem)
-    ]
-    assert not named
+def test_no_room_is_called_after_nothing(code, root, word):
+    places = [path.relative_to(root).with_suffix("") for path in code]
+    assert not [str(place) for place in places if word in place.parts]

@@ -5,14 +5,10 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import sys
-import tempfile
-import time
 import zipfile
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import Request, urlopen
 
@@ -21,6 +17,8 @@ import pytest
 import yaml
 
 from container_image import USER, build_image
+from postgres_server import PostgresServer
+from processes import until
 
 pytestmark = pytest.mark.long
 
@@ -75,7 +73,6 @@ def serve(image, compose, volume, tmp_path, free_port):
 
 
 def health_check(port):
-    """The check of the Dockerfile, at this port."""
     address = f"http://127.0.0.1:{port}/healthz"
     line = f"import urllib.request; urllib.request.urlopen({address!r}, timeout=4)"
     return ["python", "-c", line]
@@ -93,30 +90,20 @@ def ask(port, path, **body):
 
 
 def wait_for(job, get, *states):
-    """Follow a job until it is in one of the states."""
-    end = time.monotonic() + JOB_S
-    while time.monotonic() < end:
+    def reached():
         told = json.loads(get(f"/api/v1/jobs/{job}"))
-        if told["state"] in states:
-            return told
         assert told["state"] not in ("failed", "faulted", "interrupted"), told
-        time.sleep(0.1)
-    pytest.fail(f"the job is {told['state']}")
+        return told if told["state"] in states else None
+
+    return until(reached, JOB_S)
 
 
 def find_first_job(get):
     """Return the job that the service takes on by itself."""
-    end = time.monotonic() + JOB_S
-    while time.monotonic() < end:
-        jobs = json.loads(get("/api/v1/jobs"))["items"]
-        if jobs:
-            return jobs[0]
-        time.sleep(0.1)
-    pytest.fail("no job has begun")
+    return until(lambda: json.loads(get("/api/v1/jobs"))["items"], JOB_S)[0]
 
 
 def measure(get):
-    """Drive the default path, armed at once; return the finished job."""
     job = json.loads(get("/api/v1/jobs", json={"kind": "measure-otf"}))
     ready = wait_for(job["id"], get, "ready")
     version = {"If-Match": f'"{ready["version"]}"'}
@@ -135,55 +122,12 @@ def check_tables(job, get):
     assert zipfile.is_zipfile(io.BytesIO(bundle))
 
 
-@dataclass(frozen=True)
-class Server:
-    """A PostgreSQL with a password, reached over TCP as in the compose file."""
-
-    port: int
-    password: str
-
-    @property
-    def url(self):
-        return f"postgresql+psycopg://truepath@127.0.0.1:{self.port}/postgres"
-
-    def count(self, table):
-        words = {"host": "127.0.0.1", "port": self.port, "password": self.password}
-        with psycopg.connect(user="truepath", dbname="postgres", **words) as connection:
-            return connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
-
-
 @pytest.fixture
 def postgres_server():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        server = Server(listener.getsockname()[1], "pass/word")
-    places = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-    path = os.pathsep.join([os.environ["PATH"], *map(str, places)])
-    folder = Path(tempfile.mkdtemp(prefix="pg"))
-    shutil.chown(folder, "postgres")
-    (folder / "password").write_text(server.password)
-    (folder / "password").chmod(0o644)
-
-    def run(program, *words):
-        subprocess.run(
-            [shutil.which(program, path=path), "-D", folder / "data", *words],
-            check=True,
-            user="postgres",
-            cwd=folder,
-            capture_output=True,
-            timeout=60,
-        )
-
-    try:
-        login = ("-A", "scram-sha-256", f"--pwfile={folder / 'password'}")
-        run("initdb", "-U", "truepath", *login)
-        options = f"-k {folder} -c listen_addresses=127.0.0.1 -p {server.port}"
-        run("pg_ctl", "-o", options, "-l", folder / "log", "-w", "start")
-        try:
-            yield server
-        finally:
-            run("pg_ctl", "-m", "immediate", "-w", "stop")
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    """With a password, reached over TCP as in the compose file."""
+    server = PostgresServer("pass/word")
+    yield server
+    server.close()
 
 
 def test_the_image_is_small(image, root):
@@ -235,7 +179,7 @@ def test_the_service_keeps_its_catalogue_in_postgresql(
     secret.write_text(postgres_server.password)
     secret.chmod(0o444)
     environment = {
-        "TRUEPATH_DATABASE_URL": postgres_server.url,
+        "TRUEPATH_DATABASE_URL": postgres_server.url(),
         "TRUEPATH_SIMULATED_SPEED": "10",
     }
     mounts = {secret: "/run/secrets/database_password"}
@@ -243,4 +187,8 @@ def test_the_service_keeps_its_catalogue_in_postgresql(
     with serve("truepath-postgres", *options, volumes=mounts, **environment) as get:
         job = find_first_job(get)
         wait_for(job["id"], get, "succeeded")
-        assert postgres_server.count("jobs") == 1
+        words = {"password": postgres_server.password}
+        address = postgres_server.url().replace("+psycopg", "")
+        with psycopg.connect(address, **words) as connection:
+            (count,) = connection.execute("SELECT count(*) FROM jobs").fetchone()
+        assert count == 1

@@ -97,10 +97,17 @@ def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
     assert all(f"`{name}`" in text for name in bound)
 
 
-def test_the_wheel_carries_the_licence(wheel, root):
+@pytest.fixture(scope="module")
+def packed(wheel):
+    """The members of the wheel."""
     with zipfile.ZipFile(wheel) as archive:
-        names = [n for n in archive.namelist() if n.endswith("licenses/LICENSE")]
-        texts = [archive.read(name).decode() for name in names]
+        return {
+            name: archive.read(name).decode("latin-1") for name in archive.namelist()
+        }
+
+
+def test_the_wheel_carries_the_licence(packed, root):
+    texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
     assert texts == [(root / "LICENSE").read_text()]
 
 
@@ -114,39 +121,22 @@ def test_hooks_before_a_commit_run_what_make_check_runs(root):
     assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
-def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):
-    with zipfile.ZipFile(wheel) as archive:
-        packed = set(archive.namelist())
-    sources = {"app", "drivers", "simulators"}
-    wanted = {
-        str(path.relative_to(root / path.relative_to(root).parts[0]))
-        for path in project_files
-        if path.relative_to(root).parts[0] in sources
-    }
-    assert wanted <= packed, f"left out: {sorted(wanted - packed)}"
+def test_the_wheel_holds_every_file_of_the_rooms_and_takes_no_other_names(
+    packed, project_files, root
+):
+    places = [path.relative_to(root).parts for path in project_files]
+    wanted = {"/".join(names) for room, *names in places if room in SOURCES}
+    assert wanted <= packed.keys(), f"left out: {sorted(wanted - packed.keys())}"
+    first = {name.split("/")[0] for name in packed}
+    rooms = {"truepath", "truepath_drivers", "truepath_simulators"}
+    assert {name for name in first if not name.endswith(".dist-info")} == rooms
 
 
-def test_the_wheel_takes_no_other_names_in_site_packages(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        first = {name.split("/")[0] for name in archive.namelist()}
-    assert {name for name in first if not name.endswith(".dist-info")} == {
-        "truepath",
-        "truepath_drivers",
-        "truepath_simulators",
-    }
-
-
-def test_the_wheel_registers_the_command_and_the_plug_ins(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        name = next(n for n in archive.namelist() if n.endswith("entry_points.txt"))
-        points = archive.read(name).decode()
+def test_the_wheel_registers_the_command_and_the_plug_ins(packed):
+    (points,) = (text for n, text in packed.items() if n.endswith("entry_points.txt"))
     groups = set(re.findall(r"^\[(.+)\]$", points, re.MULTILINE))
-    assert groups >= {
-        "console_scripts",
-        "truepath.trackers",
-        "truepath.motion_controllers",
-        "truepath.simulators",
-    }
+    kinds = ("trackers", "motion_controllers", "simulators")
+    assert groups >= {"console_scripts", *(f"truepath.{kind}" for kind in kinds)}
 
 
 def test_every_entry_point_loads():

@@ -7,15 +7,16 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import zipfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.error import URLError
 from urllib.parse import urljoin
 from urllib.request import urlopen
 
 import pytest
+
+from processes import until
 
 START_S = 30.0
 MAIN = "from truepath.cli.command import main; main()"
@@ -41,15 +42,12 @@ def running(command, address, folder, **environment):
 
 
 def wait_until_healthy(service, address, log):
-    end = time.monotonic() + START_S
-    while time.monotonic() < end and service.poll() is None:
-        try:
-            with urlopen(f"{address}/healthz", timeout=5) as answer:
-                assert answer.status == 200
-                return
-        except URLError:
-            time.sleep(0.05)
-    pytest.fail(f"the service did not start: {log.read_text()}")
+    def is_healthy():
+        assert service.poll() is None, log.read_text()
+        with suppress(URLError), urlopen(f"{address}/healthz", timeout=5) as answer:
+            return answer.status == 200
+
+    until(is_healthy, START_S)
 
 
 def fetched(address):
@@ -69,15 +67,10 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         "TRUEPATH_DATA_DIR": str(folder / "data"),
         "TRUEPATH_PORT": str(free_port),
     }
-    where = subprocess.run(
-        [sys.executable, "-c", "import truepath; print(truepath.__file__)"],
-        env=os.environ | environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert Path(where.stdout.strip()).is_relative_to(unpacked)
+    ask = [sys.executable, "-c", "import truepath; print(truepath.__file__)"]
+    given = {"env": os.environ | environment, "cwd": folder, "text": True}
+    place = subprocess.check_output(ask, **given).strip()
+    assert Path(place).is_relative_to(unpacked)
     command = [sys.executable, "-c", MAIN, "serve"]
     with running(command, address, folder, **environment):
         page = fetched(f"{address}/").decode()
@@ -85,14 +78,11 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         assert links
         for link in links:
             assert fetched(urljoin(f"{address}/", link)), link
-        assets = [
-            name for name in names if name.startswith("truepath/service/page/static/")
-        ]
+        room = "truepath/service/page/"
+        assets = [name for name in names if name.startswith(f"{room}static/")]
         assert assets
         for name in assets:
-            assert fetched(
-                f"{address}/{name.removeprefix('truepath/service/page/')}"
-            ), name
+            assert fetched(f"{address}/{name.removeprefix(room)}"), name
         assert b"swagger-ui" in fetched(f"{address}/docs")
 
 
@@ -130,13 +120,9 @@ def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
 
 
 def test_make_lists_its_targets(root):
-    listed = subprocess.run(
-        [shutil.which("make"), "--no-print-directory", "help"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    words = [shutil.which("make"), "--no-print-directory", "help"]
+    how = {"capture_output": True, "text": True, "check": True}
+    listed = subprocess.run(words, cwd=root, **how)
     assert not listed.stderr, "a rule that make warns about"
     for target in ("run", "test", "test-long", "check", "bench", "setup", "clean"):
         assert re.search(rf"^  make {target} +\w", listed.stdout, re.MULTILINE), target
@@ -150,10 +136,6 @@ def test_the_import_contracts_hold(root):
 
 def test_starting_the_service_loads_no_heavy_library():
     heavy = {"scipy", "matplotlib", "pyarrow.compute"}
-    code = (
-        f"import sys, truepath.main\nprint(*sorted({heavy} & set(sys.modules)), end='')"
-    )
-    asked = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert not asked.stdout, f"import truepath.main loads {asked.stdout}"
+    code = f"import sys, truepath.main\nprint(*({heavy} & set(sys.modules)), end='')"
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert not loaded, f"import truepath.main loads {loaded}"

@@ -1,7 +1,5 @@
 """Both simulators as processes, with our drivers at the other end of the wire."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -15,17 +13,8 @@ import pytest
 
 from processes import runs, until
 from truepath_drivers.cnc.modbus.driver import ModbusController
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceError,
-    Refused,
-    WrongDevice,
-)
-from truepath_drivers.interfaces.records import (
-    MotionState,
-    MotionStatus,
-    TrackerSamples,
-)
+from truepath_drivers.interfaces import errors
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 from truepath_drivers.interfaces.records import Path as MotionPath
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
@@ -34,12 +23,8 @@ from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine_file import parse_machine
 
-LINE = MotionPath(
-    ("X", "Y", "Z"),
-    np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]]),
-    np.full(2, 6000.0),
-    np.full(2, 0.2),
-)
+ENDS = np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]])
+LINE = MotionPath(("X", "Y", "Z"), ENDS, np.full(2, 6000.0), np.full(2, 0.2))
 
 PLAY = (Backlash("X", 200.0), Backlash("Y", 100.0))
 READ = bytes.fromhex("0001 0000 0006 01 03 0000 0002")
@@ -63,22 +48,19 @@ def fast():
         yield running, tcp, rtu
 
 
-def read_for(tracker: StreamingTracker, duration_s: float) -> TrackerSamples:
+def read_for(tracker, duration_s):
     blocks, end_s = [], time.monotonic() + duration_s
     while time.monotonic() < end_s:
         blocks.append(tracker.read(0.1))
     return TrackerSamples.join(blocks)
 
 
-def drive(motion: ModbusController) -> MotionStatus:
-    """Run the loaded path, beating, until it stands."""
+def drive(motion):
     motion.start()
     return until(lambda: stands(motion), 30.0)
 
 
-def stands(
-    motion: ModbusController, moving: tuple[MotionState, ...] = (MotionState.RUNNING,)
-) -> MotionStatus | None:
+def stands(motion, moving=(MotionState.RUNNING,)):
     motion.send_heartbeat()
     status = motion.status()
     return None if status.state in moving else status
@@ -133,7 +115,7 @@ def test_tcp_and_serial_masters_see_one_machine(fast):
     assert tcp.connect() == rtu.connect()
     tcp.load(LINE)
     assert rtu.status().state is MotionState.READY
-    with pytest.raises(Refused, match="another"):
+    with pytest.raises(errors.Refused, match="another"):
         rtu.start()  # it does not know the path
     assert drive(tcp).state is MotionState.FINISHED
     assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
@@ -145,7 +127,7 @@ def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(fast):
     here = tcp.status().position
     tcp.load(LINE)
     rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
-    with pytest.raises(Refused, match="another"):
+    with pytest.raises(errors.Refused, match="another"):
         tcp.start()
     assert tcp.status().state is MotionState.READY
     assert tcp.status().position == here
@@ -176,14 +158,13 @@ def test_an_alarm_strikes_on_its_row(fast):
 
 def test_broken_connections_can_be_made_anew(plain):
     where = plain.motion_options["host"], plain.motion_options["port"]
-    with socket.create_connection(where, 5.0) as connection:
-        connection.sendall(READ)
-        assert connection.recv(100)
-        plain.inject("cnc:disconnect")
-        assert connection.recv(100) == b""
-    with socket.create_connection(where, 5.0) as connection:
-        connection.sendall(READ)
-        assert connection.recv(100)
+    for fault in ("cnc:disconnect", None):
+        with socket.create_connection(where, 5.0) as connection:
+            connection.sendall(READ)
+            assert connection.recv(100)
+            if fault:
+                plain.inject(fault)
+                assert connection.recv(100) == b""
 
 
 @pytest.mark.parametrize("fault", ["cnc:exception+1s*4", "cnc:silence+1s"])
@@ -198,27 +179,26 @@ def test_a_master_notices_a_bad_link(plain, fault):
 def test_writes_that_are_not_applied_are_noticed(plain):
     with ModbusController(**plain.motion_options) as motion:
         plain.inject("cnc:ignore-writes+10s")
-        with pytest.raises(DeviceError):
+        with pytest.raises(errors.DeviceError):
             motion.load(LINE)
 
 
-def fails(motion: ModbusController) -> bool:
+def fails(motion):
     try:
         motion.status()
-    except DeviceError:
+    except errors.DeviceError:
         return True
     return False
 
 
 @pytest.mark.long
 def test_wrong_devices_are_refused():
-    with Bench(
-        seed=1, faults=["cnc:wrong-identity", "tracker:wrong-identity"]
-    ) as wrong:
-        with pytest.raises(WrongDevice), ModbusController(**wrong.motion_options):
-            pass
-        with pytest.raises(WrongDevice), StreamingTracker(**wrong.tracker_options):
-            pass
+    faults = ["cnc:wrong-identity", "tracker:wrong-identity"]
+    with Bench(seed=1, faults=faults) as wrong:
+        with pytest.raises(errors.WrongDevice):
+            ModbusController(**wrong.motion_options).connect()
+        with pytest.raises(errors.WrongDevice):
+            StreamingTracker(**wrong.tracker_options).connect()
 
 
 @pytest.mark.fault_row(6)
@@ -226,7 +206,7 @@ def test_a_pulled_cable_is_noticed_and_the_port_comes_back(plain):
     with StreamingTracker(**plain.tracker_options) as tracker:
         tracker.start(500.0)
         plain.inject("tracker:disconnect")
-        with pytest.raises(ConnectionLost):
+        with pytest.raises(errors.ConnectionLost):
             read_for(tracker, 5.0)
     with StreamingTracker(**plain.tracker_options) as tracker:
         tracker.start(500.0)
@@ -275,12 +255,9 @@ with running_rig({}) as rig:
 @pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_simulators_and_rigs_do_not_outlive_their_parent(number):
-    with subprocess.Popen(
-        [sys.executable, "-c", ORPHANS],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as parent:
+    words, nowhere = [sys.executable, "-c", ORPHANS], subprocess.DEVNULL
+    how = {"stdout": subprocess.PIPE, "stderr": nowhere, "text": True}
+    with subprocess.Popen(words, **how) as parent:
         assert parent.stdout is not None
         pids = [int(pid) for pid in parent.stdout.readline().split()]
         assert all(runs(pid) for pid in pids)

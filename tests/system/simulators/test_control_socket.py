@@ -1,7 +1,5 @@
 """Rigs worked by their control socket, and the fixtures that stand on it."""
 
-from __future__ import annotations
-
 import json
 import socket
 import stat
@@ -26,6 +24,10 @@ PLACE = np.array([[60.0, 20.0, 10.0]])
 def rig():
     with running_rig({"seed": 4, "speed": 5.0, "tracker": "tcp"}) as started:
         yield started
+
+
+def find_target(tracker):
+    return tracker.read(2.0).position_mm.mean(axis=0)
 
 
 def test_state_follows_the_devices(rig):
@@ -53,17 +55,14 @@ def test_a_table_loaded_while_the_axes_stand_moves_the_measured_point(rig, tmp_p
         motion.move_to((60.0, 20.0, 10.0), 3000.0)
         assert motion.wait(10.0).state is MotionState.FINISHED
         tracker.start(500.0)
-        before, seen = rig.read_position(), tracker.read(2.0).position_mm.mean(axis=0)
+        before, seen = rig.read_position(), find_target(tracker)
         assert rig.load_compensation([table]) == ["shift-X.tbl"]
         after, error_um = rig.read_position(), rig.truth_at(PLACE)
         shift = np.subtract(after["target_mm"], before["target_mm"])[0]
         np.testing.assert_allclose(shift, [-0.05, 0.0, 0.0], atol=1e-4)
         assert after["position"] == before["position"]  # as commanded
-        until(
-            lambda: (
-                np.linalg.norm(tracker.read(2.0).position_mm.mean(axis=0) - seen) > 0.04
-            )
-        )
+        far = 0.04
+        until(lambda: np.linalg.norm(find_target(tracker) - seen) > far)
         assert rig.read_state()["cnc"]["compensation"] == ["shift-X.tbl"]
         motion.move_to((400.0, 20.0, 10.0), 1000.0)
         with pytest.raises(SimulatorError, match="axes move"):
@@ -72,18 +71,10 @@ def test_a_table_loaded_while_the_axes_stand_moves_the_measured_point(rig, tmp_p
         motion.wait(10.0)
     until(lambda: rig.read_state()["cnc"]["state"] != "running")
     assert rig.load_compensation([]) == []
-    np.testing.assert_allclose(
-        rig.truth_at(PLACE) - error_um, [[50.0, 0.0, 0.0]], atol=0.1
-    )
+    more_um = rig.truth_at(PLACE) - error_um
+    np.testing.assert_allclose(more_um, [[50.0, 0.0, 0.0]], atol=0.1)
     with pytest.raises(SimulatorError, match=r"nowhere\.tbl"):
         rig.load_compensation([tmp_path / "nowhere.tbl"])
-
-
-def test_a_fault_strikes_when_it_is_ordered(rig):
-    with ModbusController(**rig.motion_options) as motion:
-        rig.inject("cnc:alarm+1s*4711")
-        until(lambda: rig.read_state()["cnc"]["alarm_code"] == 4711)
-        assert motion.status().state is MotionState.ALARM
 
 
 def test_the_measured_point_is_the_true_one_seen_from_the_pose(rig):
@@ -91,7 +82,7 @@ def test_the_measured_point_is_the_true_one_seen_from_the_pose(rig):
     pose = truth["pose"]
     with StreamingTracker(**rig.tracker_options) as tracker:
         tracker.start(200.0)
-        measured = tracker.read(2.0).position_mm.mean(axis=0)
+        measured = find_target(tracker)
     true = np.array(rig.read_position()["target_mm"][0])
     seen = (true - pose["position_mm"]) @ np.array(pose["rotation"])
     assert np.linalg.norm(measured - seen) < 0.05

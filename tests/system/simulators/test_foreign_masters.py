@@ -4,14 +4,12 @@ mbpoll asks once; LinuxCNC's mb2hal reads and writes all its registers over and 
 as a PLC does.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,22 +28,18 @@ IDENTITY = [0x5450, 0x4331, 0x0102, 0x0304, 2]
 
 
 @pytest.fixture(scope="module")
-def bench() -> Iterator[Bench]:
-    if shutil.which("mbpoll") is None:
-        pytest.fail(
-            "mbpoll is not installed; it proves the Modbus map from outside: "
-            "apt-get install mbpoll"
-        )
+def bench():
+    assert shutil.which("mbpoll"), "it proves the map from outside: apt install mbpoll"
     with Bench(seed=1, tracker="tcp") as running:
         yield running
 
 
 @pytest.fixture(params=["tcp", "rtu"])
-def poll(request, bench) -> Poll:
+def poll(request, bench):
     """Run a command as the page prints it, on a link of the bench; return its words."""
     tty, port = bench.motion_options_rtu["serial_port"], bench.motion_options["port"]
 
-    def run(command: str) -> str:
+    def run(command):
         if request.param == "rtu":
             command = command.replace("-m tcp -p 1502", "-m rtu -b 115200 -P none")
             command = command.replace("127.0.0.1", tty)
@@ -57,7 +51,7 @@ def poll(request, bench) -> Poll:
     return run
 
 
-def read(poll: Poll, name: str, count: int, kind: str = "4") -> list[int]:
+def read(poll, name, count, kind="4"):
     """Return the values of lines such as `[100]:  0x5450` or `[112]:  1000 (…)`."""
     where = f"-t {kind} -r {BY_NAME[name].address} -c {count}"
     shown = poll(f"{HERE} {where} -1 127.0.0.1")
@@ -65,12 +59,12 @@ def read(poll: Poll, name: str, count: int, kind: str = "4") -> list[int]:
     return [int(value, 0) for value in values]
 
 
-def write(poll: Poll, name: str, *values: int) -> None:
+def write(poll, name, *values):
     words = " ".join(map(str, values))
     poll(f"{HERE} -t 4 -r {BY_NAME[name].address} 127.0.0.1 {words}")
 
 
-def order(poll: Poll, verb: Command, *arguments: int) -> Result:
+def order(poll, verb, *arguments):
     """Give a command as one does by hand: one write, then a look at the result."""
     number = read(poll, "command_ack", 1)[0] + 1
     write(poll, "command_sequence", number, int(verb), *arguments)
@@ -124,13 +118,9 @@ def test_a_hold_by_hand_holds_and_the_driver_goes_on(poll, bench):
 
 
 def test_what_is_not_there_is_an_exception(bench):
-    done = subprocess.run(
-        f"mbpoll -m tcp -p {bench.motion_options['port']} -0 -t 4 -r 900 -1 "
-        "127.0.0.1".split(),
-        capture_output=True,
-        text=True,
-        timeout=10,
-    )
+    where = f"-p {bench.motion_options['port']} -0 -t 4 -r 900 -1 127.0.0.1"
+    words = ["mbpoll", "-m", "tcp", *where.split()]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=10)
     assert "Illegal data address" in done.stdout + done.stderr
 
 
@@ -144,6 +134,8 @@ TRANSACTIONS = (
     ("watchdog", "watchdog", 1, "fnct_06_write_single_register"),
     ("order", "command_sequence", 22, "fnct_16_write_multiple_registers"),
 )
+EACH = ("MB_SLAVE_ID=1", "MAX_UPDATE_RATE=0.0", "DEBUG=1")
+EACH += ("MB_RESPONSE_TIMEOUT_MS=500", "MB_BYTE_TIMEOUT_MS=500")
 # HAL's shared memory and its programs are gone with the namespaces.
 ALONE = "unshare --ipc --mount --pid --fork --kill-child --mount-proc"
 
@@ -158,39 +150,27 @@ def folder():
         yield Path(name)
 
 
-def write_transaction(number: int, link: dict[str, str], entry: tuple) -> str:
+def write_transaction(number, link, entry):
     pins, register, count, function = entry
-    keys = link | {
-        "MB_SLAVE_ID": "1",
-        "FIRST_ELEMENT": str(BY_NAME[register].address),
-        "NELEMENTS": str(count),
-        "MAX_UPDATE_RATE": "0.0",
-        "MB_TX_CODE": function,
-        "MB_RESPONSE_TIMEOUT_MS": "500",
-        "MB_BYTE_TIMEOUT_MS": "500",
-        "HAL_TX_NAME": pins,
-        "DEBUG": "1",
-    }
-    lines = [f"{key}={value}" for key, value in keys.items()]
-    return "\n".join([f"[TRANSACTION_{number:02d}]", *lines]) + "\n"
+    lines = [f"[TRANSACTION_{number:02d}]", *(f"{k}={v}" for k, v in link.items())]
+    lines += [f"FIRST_ELEMENT={BY_NAME[register].address}", f"NELEMENTS={count}"]
+    lines += [f"MB_TX_CODE={function}", f"HAL_TX_NAME={pins}", *EACH]
+    return "\n".join(lines) + "\n"
 
 
-def describe_link(bench: Bench, link: str) -> dict[str, str]:
+def describe_link(bench, link):
     if link == "tcp":
-        where = bench.motion_options
-        end = {"TCP_IP": where["host"], "TCP_PORT": str(where["port"])}
-        return {"LINK_TYPE": "tcp", **end}
+        host, port = (bench.motion_options[key] for key in ("host", "port"))
+        return {"LINK_TYPE": "tcp", "TCP_IP": host, "TCP_PORT": port}
     where = bench.motion_options_rtu
-    line = {"BITS": "8", "PARITY": "none", "STOP": "1", "DELAY_MS": "0"}
-    return {
-        "LINK_TYPE": "serial",
-        "SERIAL_PORT": str(Path(where["serial_port"]).resolve()),  # 32 characters fit
-        "SERIAL_BAUD": str(where["baudrate"]),
-        **{f"SERIAL_{key}": value for key, value in line.items()},
-    }
+    line = {"BITS": 8, "PARITY": "none", "STOP": 1, "DELAY_MS": 0}
+    line["PORT"] = Path(where["serial_port"]).resolve()  # 32 characters fit
+    line["BAUD"] = where["baudrate"]
+    serial = {f"SERIAL_{key}": value for key, value in line.items()}
+    return {"LINK_TYPE": "serial", **serial}
 
 
-def run_mb2hal(folder: Path, link: dict[str, str], orders: list[str]) -> dict[str, int]:
+def run_mb2hal(folder, link, orders):
     """Poll with the orders given to its pins; return what the pins show then."""
     head = f"[MB2HAL_INIT]\nINIT_DEBUG=1\nTOTAL_TRANSACTIONS={len(TRANSACTIONS)}\n"
     head += "SLOWDOWN=0.0\nHAL_MODULE_NAME=mb2hal\n"
@@ -198,12 +178,9 @@ def run_mb2hal(folder: Path, link: dict[str, str], orders: list[str]) -> dict[st
     (folder / "mb2hal.ini").write_text(head + "".join(entries))
     lines = ["loadusr -W mb2hal config=mb2hal.ini", *orders, "show pin mb2hal"]
     (folder / "poll.hal").write_text("\n".join(lines) + "\n")
-    environment = {
-        "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
-        "HOME": str(folder),
-        "RTAPI_UID": "65534",
-        "RTAPI_FIFO_PATH": str(folder / "run" / "fifo"),
-    }
+    environment = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": str(folder)}
+    fifo = str(folder / "run" / "fifo")
+    environment |= {"RTAPI_UID": "65534", "RTAPI_FIFO_PATH": fifo}
     done = subprocess.run(
         [*ALONE.split(), "halrun", "-f", "poll.hal"],
         cwd=folder,
@@ -216,9 +193,7 @@ def run_mb2hal(folder: Path, link: dict[str, str], orders: list[str]) -> dict[st
     )
     assert done.returncode == 0, done.stdout + done.stderr
     shown = re.findall(r"(\S+)  mb2hal\.(\S+)$", done.stdout, re.MULTILINE)
-    return {pin: int(float(v)) for v, pin in shown if "0x" not in v} | {
-        pin: int(v, 16) for v, pin in shown if "0x" in v
-    }
+    return {pin: int(v, 16) if "0x" in v else int(float(v)) for v, pin in shown}
 
 
 @pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")

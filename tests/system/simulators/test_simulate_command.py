@@ -1,14 +1,10 @@
 """The command `truepath simulate` as a process, with our drivers at its links."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,14 +23,11 @@ Command = tuple["subprocess.Popen[str]", dict[str, Any]]
 
 
 @contextmanager
-def simulating(*options: str) -> Iterator[Command]:
+def simulating(*options):
     module = "truepath_simulators.bench.command"
-    process = subprocess.Popen(
-        [sys.executable, "-m", module, "--json", *options],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    words = [sys.executable, "-m", module, "--json", *options]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, **pipes)
     assert process.stdout is not None
     try:
         yield process, json.loads(process.stdout.readline())
@@ -44,18 +37,18 @@ def simulating(*options: str) -> Iterator[Command]:
 
 
 @pytest.fixture
-def by_tcp() -> Iterator[Command]:
+def by_tcp():
     with simulating("--tracker", "tcp") as command:
         yield command
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory) -> Path:
+def lines(tmp_path_factory):
     return tmp_path_factory.mktemp("lines")
 
 
 @pytest.fixture(scope="module")
-def polled(lines) -> Iterator[Command]:
+def polled(lines):
     """An instrument that is asked point by point, all links of it serial."""
     options = ["--speed", "20", "--protocol", "geocom", "--rtu", "--links", str(lines)]
     with simulating(*options) as command:
@@ -82,9 +75,7 @@ def test_it_serves_by_tcp_and_takes_orders_by_standard_input_until_ctrl_c(by_tcp
     leaves_nothing(process, where, signal.SIGINT)
 
 
-def leaves_nothing(
-    process: subprocess.Popen[str], where: dict[str, Any], number: signal.Signals
-) -> None:
+def leaves_nothing(process, where, number):
     process.send_signal(number)
     assert process.wait(10) == 0
     assert not any(psutil.pid_exists(pid) for pid in where["pids"].values())
@@ -119,13 +110,11 @@ def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigt
     leaves_nothing(process, where, signal.SIGTERM)
 
 
-def order(process: subprocess.Popen[str], *lines: str) -> None:
-    """Write lines to a command's standard input."""
+def order(process, *lines):
     assert process.stdin is not None
     process.stdin.writelines(f"{line}\n" for line in lines)
     process.stdin.flush()
 
 
-def measure_range_mm(tracker: StreamingTracker) -> float:
-    """Return the distance of the last sample that has come."""
+def measure_range_mm(tracker):
     return float(np.linalg.norm(tracker.read(2.0).position_mm[-1]))

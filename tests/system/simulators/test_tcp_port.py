@@ -20,7 +20,6 @@ def connect(port):
 
 
 def receive(port, wanted):
-    """Return what the port receives until it is what is wanted."""
     deadline = time.monotonic() + 5.0
     while (data := port.receive()) != wanted:
         assert time.monotonic() < deadline, data

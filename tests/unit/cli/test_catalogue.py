@@ -1,7 +1,5 @@
 """`catalogue check` and `catalogue rebuild`, and a service that meets a damaged one."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.catalogue.data_folder import hold_folder
@@ -22,7 +20,6 @@ def folder(tmp_path):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of `catalogue` in that folder."""
     return lambda verb: ("catalogue", verb, "--data-dir", tmp_path)
 
 

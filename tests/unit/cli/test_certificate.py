@@ -12,10 +12,7 @@ import pytest
 import tinyhtml5
 
 from truepath.answers.certificate import pdf
-from truepath.answers.certificate.issue import (
-    gather_certificate,
-    read_result_source,
-)
+from truepath.answers.certificate.issue import gather_certificate, read_result_source
 from truepath.cli.command import run
 from truepath.errors import BundleError
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
@@ -43,7 +40,6 @@ def read_page(file):
 
 
 def numbers(text):
-    """The numbers of a cell, in either language."""
     plain = text.replace("−", "-").replace("\u202f", "").replace(",", ".")
     return [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", plain)]
 
@@ -70,8 +66,6 @@ def issued(analysed, tmp_path_factory):
 
 @pytest.fixture
 def words(analysed, tmp_path):
-    """The command line of a certificate."""
-
     def spell(name, *more, result=analysed / "result.json"):
         return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
 
@@ -80,8 +74,6 @@ def words(analysed, tmp_path):
 
 @pytest.fixture
 def issue(command, words, tmp_path):
-    """Issue a certificate; return its file."""
-
     def certify(name, *more, **source):
         command.run(*words(name, *more, **source))
         return tmp_path / name
@@ -91,8 +83,6 @@ def issue(command, words, tmp_path):
 
 @pytest.fixture
 def refuse(command, words, tmp_path):
-    """Ask for what is refused; return the line that says why."""
-
     def ask(name, *more, **source):
         said = command.refuse(*words(name, *more, **source))
         assert not (tmp_path / name).exists()
@@ -102,7 +92,6 @@ def refuse(command, words, tmp_path):
 
 
 def half_a_digit(text):
-    """The rounding of the numbers of a cell."""
     decimals = re.search(r"[.,](\d+)", text)
     return 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
 
@@ -141,11 +130,10 @@ def test_squareness_volume_and_budget_are_those_of_the_result(issued, result):
         stated = result["squareness_urad"][symbol]
         both = [stated["value"], 2.0 * stated["uncertainty"]]
         assert numbers(cell)[:2] == pytest.approx(both, abs=half_a_digit(cell))
-    before = tables["brief"][0][1]
+    shown = tables["brief"][0][1][1]
     mean = result["volumetric_error"]["before"]["mean"]
-    assert numbers(before[1]) == pytest.approx(
-        [mean["value_um"], 2.0 * mean["uncertainty_um"]], abs=half_a_digit(before[1])
-    )
+    both = [mean["value_um"], 2.0 * mean["uncertainty_um"]]
+    assert numbers(shown) == pytest.approx(both, abs=half_a_digit(shown))
     *sources, total, expanded = tables["budget"][0][1:]
     squares = sum(numbers(row[4])[0] ** 2 for row in sources)
     stated = result["volumetric_uncertainty_um"]
@@ -158,11 +146,9 @@ def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
     issue, result, keep
 ):
     position = result["error_tables"]["EYY"]["position_mm"]
-    half = {
-        "position_mm": position,
-        "value_um": [-3.0] * len(position),
-        "uncertainty_um": [0.05] * len(position),
-    }
+    columns = {"value_um": -3.0, "uncertainty_um": 0.05}
+    half = {name: [value] * len(position) for name, value in columns.items()}
+    half["position_mm"] = position
     direction = {"model": "constant", "half_difference": {"EYY": half}}
     file = keep({**result, "direction": direction})
     page = read_page(issue("c.html", result=file))
@@ -234,12 +220,10 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
     assert "It fails." in page.text
     assert ["Tolerance at every place", "3.25 µm"] in page.tables["verification"][0]
     after = json.loads(account.read_text())["volumetric_error_um"]["after"]
-    shown = dict(page.tables["compensation"][0])[
-        "With the files, as the control reads them"
-    ]
-    assert numbers(shown)[:2] == pytest.approx(
-        [after["mean"], 2.0 * after["mean_uncertainty"]], abs=half_a_digit(shown)
-    )
+    rows = dict(page.tables["compensation"][0])
+    shown = rows["With the files, as the control reads them"]
+    both = [after["mean"], 2.0 * after["mean_uncertainty"]]
+    assert numbers(shown)[:2] == pytest.approx(both, abs=half_a_digit(shown))
     assert [row[0] for row in page.tables["brief"][0][1:]][-1] == "As left, measured"
     assert "the control has not said it" in page.text
     assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
@@ -326,14 +310,11 @@ def test_a_result_as_left_that_is_not_to_be_used_states_nothing(
 def test_another_tool_or_travel_is_not_the_machine_as_left(
     refuse, result, measure_again
 ):
-    other_tool, other_travel = copy.deepcopy(result), copy.deepcopy(result)
-    other_tool["machine"]["tool_offset_mm"] = [0.0, 0.0, -10.0]
-    other_travel["machine"]["axes"]["X"]["max_mm"] = 300.0
-    for again, said in (
-        (other_tool, "has other targets"),
-        (other_travel, "has other travel"),
-    ):
-        assert said in refuse("c.html", "--as-left", measure_again(again))
+    again = copy.deepcopy(result)
+    again["machine"]["axes"]["X"]["max_mm"] = 300.0
+    assert "has other travel" in refuse("c.html", "--as-left", measure_again(again))
+    result["machine"]["tool_offset_mm"] = [0.0, 0.0, -10.0]
+    assert "has other targets" in refuse("c.html", "--as-left", measure_again(result))
 
 
 def test_a_file_of_another_kind_is_refused_by_its_name(refuse, analysed):

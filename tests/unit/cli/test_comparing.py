@@ -31,28 +31,22 @@ def measured(truth, machine, seed=3):
             value = value + 12.0 + (0.02 * at if unit == "um" else 0.0)
             if symbol == f"E{axis.name}{axis.name}":
                 value = value - 0.02 * at
-            for sign, direction in ((1.0, "+"), (-1.0, "-")):
+            for half, direction in ((0.5, "+"), (-0.5, "-")):
                 for _ in range(RUNS):
                     noise = REPEATABILITY[unit] * rng.normal(size=len(at))
-                    half = 0.5 * sign * REVERSAL[unit]
-                    rows.append(
-                        DirectMeasurement(
-                            symbol, direction, unit, at, value + half + noise
-                        )
-                    )
+                    shown = value + half * REVERSAL[unit] + noise
+                    rows.append(DirectMeasurement(symbol, direction, unit, at, shown))
     return tuple(rows)
 
 
 @pytest.fixture(scope="module")
 def truth_measured(record):
-    """What the laser sees of the machine that was analysed."""
     run_of_truth, truth = record(1, rows=24)
     return measured(truth, run_of_truth.machine)
 
 
 @pytest.fixture(scope="module")
 def laser(truth_measured, tmp_path_factory):
-    """The `reference.csv` of it."""
     file = tmp_path_factory.mktemp("laser") / "reference.csv"
     file.write_bytes(encode_reference(truth_measured))
     return file
@@ -81,11 +75,8 @@ def compared(analysed, laser, tmp_path_factory):
 
 def test_compare_writes_table_figures_and_page_and_names_what_it_leaves_out(compared):
     folder, content = compared
-    assert {path.name for path in folder.iterdir()} == {
-        "comparison.json",
-        "comparison.csv",
-        "comparison.html",
-    }
+    names = {f"comparison.{kind}" for kind in ("json", "csv", "html")}
+    assert {path.name for path in folder.iterdir()} == names
     assert content["schema"] == "comparison/1"
     page = (folder / "comparison.html").read_text()
     assert page.count("<svg") == 4  # three axes and the volume
@@ -164,13 +155,9 @@ def test_uncertainty_of_the_instrument_widens_what_agrees(
 
 @pytest.fixture
 def words(analysed, tmp_path):
-    """The command line that compares the result with the rows of a reference."""
-
     def spell(*rows):
-        file, head = (
-            tmp_path / "reference.csv",
-            "error,position_mm,direction,value,unit",
-        )
+        file = tmp_path / "reference.csv"
+        head = "error,position_mm,direction,value,unit"
         file.write_text("\n".join([head, *rows]) + "\n")
         return ["compare", analysed / "result.json", file, "-o", tmp_path / "out"]
 
@@ -214,9 +201,7 @@ def test_another_scale_of_lengths_is_no_disagreement_beyond_what_is_stated(
     compare, truth_measured, result
 ):
     longer = [
-        replace(one, value=one.value + 0.02 * one.position_mm)
-        if one.error == "EXX"
-        else one
+        replace(one, value=one.value + 0.02 * one.position_mm * (one.error == "EXX"))
         for one in truth_measured
     ]
     within = {}

@@ -37,8 +37,7 @@ def test_a_model_that_cannot_be_used_is_refused_in_one_line(
     content = json.loads((discovered / "model.json").read_text())
 
     def refuse(file):
-        order = ["discover", recorded, "-o", tmp_path / "out", "--model", file]
-        line = command.refuse(*order)
+        line = command.refuse("discover", recorded, "-o", tmp_path, "--model", file)
         assert file.name in line
         return line
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from api_builders import edited
 from truepath.cli.command import run
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
@@ -25,7 +26,6 @@ def export(result, output, *more):
 
 
 def say_control(content, state):
-    """The result with what the control said of its compensation."""
     for source in (content["provenance"], *content["runs"]):
         source["source"] = {**source["source"], "control_compensation": state}
     return content
@@ -37,7 +37,6 @@ def list_files(folder):
 
 @pytest.fixture(scope="module")
 def active(few_places, analysed, tmp_path_factory):
-    """Files of the machine as it was found."""
     folder = tmp_path_factory.mktemp("active")
     export(analysed / "result.json", folder / "t")
     return list_files(folder)
@@ -45,7 +44,6 @@ def active(few_places, analysed, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def given(active):
-    """The words that name the active files to an export."""
     return [word for file in active for word in ("--active", str(file))]
 
 
@@ -58,9 +56,9 @@ def left(record, active, tmp_path_factory):
     run_of_truth, truth = record(7, rows=24, setting=setting)
     write_bundle(run_of_truth, folder / "bundle")
     assert run(["analyse", str(folder / "bundle"), "-o", str(folder)]) == 0
-    file = folder / "result.json"
-    file.write_text(json.dumps(say_control(json.loads(file.read_text()), "on")))
-    return file, truth
+    with edited(folder / "result.json") as content:
+        say_control(content, "on")
+    return folder / "result.json", truth
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +80,6 @@ def find_left_um(truth, files, q, rigid_free):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of an export into a folder of the test."""
-
     def spell(result, *more):
         output = tmp_path / "t" / "t"
         return ["export", result, "--format", "siemens", "-o", output, *more]

@@ -13,6 +13,7 @@ from truepath_simulators.scenario import load_machine
 
 LINUXCNC = ("--control", "linuxcnc")
 STAND = {"position_mm": [200.0, -1200.0, 0.0]}
+BLIND = {"direction": [0, 0, 0], "half_angle_deg": 30}
 FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
 
 pytestmark = pytest.mark.usefixtures("little_search")
@@ -25,9 +26,7 @@ def machine(machine_file):
 
 @pytest.fixture(scope="module")
 def box(machine):
-    """A corner of the travel that nothing may enter."""
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
     return 0.7 * low + 0.3 * high, high
 
 
@@ -35,10 +34,9 @@ def box(machine):
 def planned(little_search, machine_file, box, tmp_path_factory):
     folder = tmp_path_factory.mktemp("planned")
     low, high = (place.tolist() for place in box)
+    content = {"keep_out": [{"min_mm": low, "max_mm": high}], "tracker": STAND}
     workspace = folder / "workspace.json"
-    workspace.write_text(
-        json.dumps({"keep_out": [{"min_mm": low, "max_mm": high}], "tracker": STAND})
-    )
+    workspace.write_text(json.dumps(content))
     options = ["-o", str(folder / "out"), "--minutes", "1", "--seed", "5"]
     options += ["--workspace", str(workspace)]
     assert run(["plan", str(machine_file), *options]) == 0
@@ -65,19 +63,20 @@ def read_rows(file, machine):
     )
 
 
+@pytest.fixture(scope="module")
+def document(planned):
+    return json.loads((planned / "plan.json").read_text())
+
+
 def test_a_plan_is_a_path_that_fits_into_the_minutes_and_says_what_it_leaves(
-    planned, machine
+    planned, document, machine
 ):
-    document = json.loads((planned / "plan.json").read_text())
     assert document["schema"] == "plan/1"
     assert document["mode"] == "otf"
     assert document["rows"] == len(read_rows(planned / "path.csv", machine)) > 5
     assert 45.0 < document["duration_s"] <= 60.0
-    assert {file.name for file in planned.iterdir() if file.is_file()} == {
-        "path.csv",
-        "plan.json",
-        "plan.html",
-    }
+    names = {file.name for file in planned.iterdir() if file.is_file()}
+    assert names == {"path.csv", "plan.json", "plan.html"}
     predicted = document["predicted"]
     expanded = predicted["expanded_volumetric_uncertainty_um"]
     assert expanded == pytest.approx(2.0 * predicted["volumetric_uncertainty_um"])
@@ -92,8 +91,7 @@ def test_a_plan_is_a_path_that_fits_into_the_minutes_and_says_what_it_leaves(
     assert "<svg" in (planned / "plan.html").read_text()
 
 
-def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, box, machine):
-    document = json.loads((planned / "plan.json").read_text())
+def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, document, box, machine):
     assert not document["tracker"]["assumed"]
     path = read_rows(planned / "path.csv", machine)
     share = np.linspace(0.0, 1.0, 300)[:, None, None]
@@ -103,11 +101,10 @@ def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, box, machine):
 
 
 @pytest.mark.parametrize("control", list_dialects())
-def test_every_control_gets_a_program_of_the_same_rows(planned, control):
+def test_every_control_gets_a_program_of_the_same_rows(planned, document, control):
     (program,) = (planned / control).iterdir()
     motion = read_program(program.read_text(), control)
-    rows = json.loads((planned / "plan.json").read_text())["rows"]
-    assert len(motion.path) == rows
+    assert len(motion.path) == document["rows"]
 
 
 def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_path):
@@ -123,11 +120,10 @@ def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_
 
 def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
     document, _ = plan("--target-um", "5", "--minutes", "0.6", "--feed", "6000")
-    assert document["target"] == {
-        "volumetric_uncertainty_um": 5.0,
-        "expanded_volumetric_uncertainty_um": 10.0,
-        "reached": True,
-    }
+    target = document["target"]
+    assert target.pop("reached")
+    name = "volumetric_uncertainty_um"
+    assert target == {name: 5.0, f"expanded_{name}": 10.0}
     assert document["predicted"]["volumetric_uncertainty_um"] <= 5.0
     assert document["duration_s"] < 30.0
 
@@ -164,25 +160,23 @@ def test_a_target_on_the_axis_that_turns_it_is_refused(command, keep, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (
-            ["--mode", "dancing", "--minutes", "0.3"],
-            "mode is 'dancing'; it is otf or standstill",
-        ),
-        (["--corner-path", "--minutes", "2"], "leave minutes and target out"),
-        (["--minutes", "0.1", "--feed", "60"], "give more time or a higher feed"),
-        (["--control", "abacus", "--minutes", "0.2"], "abacus"),
-        (
-            ["--workspace", "nowhere.json", "--minutes", "0.3"],
-            "nowhere.json: cannot be read",
-        ),
+        ("--mode dancing --minutes 1", "mode is 'dancing'; it is otf or standstill"),
+        ("--corner-path --minutes 2", "leave minutes and target out"),
+        ("--minutes 0.1 --feed 60", "give more time or a higher feed"),
+        ("--control abacus --minutes 0.2", "abacus"),
+        ("--workspace nowhere.json --minutes 1", "nowhere.json: cannot be read"),
     ],
 )
 def test_a_plan_that_cannot_be_is_refused_in_one_line(
     command, machine_file, tmp_path, options, said
 ):
     out = tmp_path / "out"
-    assert said in command.refuse("plan", machine_file, "-o", out, *options)
+    assert said in command.refuse("plan", machine_file, "-o", out, *options.split())
     assert not list(out.rglob("*.csv"))
+
+
+def box_to(*place):
+    return {"min_mm": [0, 0, 0], "max_mm": place}
 
 
 @pytest.mark.parametrize(
@@ -190,24 +184,15 @@ def test_a_plan_that_cannot_be_is_refused_in_one_line(
     [
         ({"schema": "workspace/9"}, "schema is"),
         ({"keep_out": [{"min_mm": [0, 0, 0]}]}, "keep_out[0].max_mm"),
-        (
-            {"keep_out": [{"min_mm": [0, 0, 0], "max_mm": [1, 0, 1]}]},
-            "keep_out[0].max_mm is [1, 0, 1]; each must exceed min_mm",
-        ),
-        (
-            {"blocks_sight": [{"min_mm": [0, 0, 0], "max_mm": [1, 1, 1]}]},
-            "state tracker.position_mm",
-        ),
+        ({"keep_out": [box_to(1, 0, 1)]}, "[0].max_mm is [1, 0, 1]; each must exceed"),
+        ({"blocks_sight": [box_to(1, 1, 1)]}, "state tracker.position_mm"),
         ({"tracker": {"nearest_mm": 300}}, "tracker.position_mm is missing"),
         (
-            {"tracker": {"areas": [{"min_mm": [0, 0, 0], "max_mm": [1, -1, 0]}]}},
+            {"tracker": {"areas": [box_to(1, -1, 0)]}},
             "tracker.areas[0].max_mm lies below min_mm",
         ),
         (
-            {
-                "tracker": {"areas": [FLOOR]},
-                "reflector": {"direction": [0, 0, 0], "half_angle_deg": 30},
-            },
+            {"tracker": {"areas": [FLOOR]}, "reflector": BLIND},
             "reflector.direction has no length",
         ),
     ],
@@ -237,8 +222,7 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     random_um = stations["options"][0]["random_um"]
     assert random_um < predicted_um < 1.2 * random_um
     assert stations["recommended"] == 1
-    for statement in stations["statement"]:
-        assert f"tracker: {statement}" in said
+    assert all(f"tracker: {one}" in said for one in stations["statement"])
     page = (tmp_path / "out" / "plan.html").read_text()
     assert "one station is enough" in page
 
@@ -253,8 +237,7 @@ def test_a_plan_says_what_the_tracker_may_be_off_by_and_what_takes_that_away(
     document = json.loads((tmp_path / "out" / "plan.json").read_text())
     statements = document["predicted"]["tracker_errors"]["statement"]
     assert len(statements) == 3
-    for statement in statements:
-        assert f"tracker: {statement}" in said
+    assert all(f"tracker: {statement}" in said for statement in statements)
 
 
 def test_several_stations_have_a_folder_each(plan, machine, tmp_path):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from api_builders import edited
 from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
@@ -31,8 +32,8 @@ def surround(bundle):
         ]
         header = ",".join(["t_s", *columns])
         (bundle / "environment.csv").write_text("\n".join([header, *lines]) + "\n")
-        content = json.loads((bundle / "machine.json").read_text()) | (machine or {})
-        (bundle / "machine.json").write_text(json.dumps(content))
+        with edited(bundle / "machine.json") as content:
+            content |= machine or {}
         return bundle
 
     return write
@@ -44,7 +45,6 @@ def noisy(level, sigma=0.02, seed=0):
 
 
 def broken(good, bad):
-    """Return a sensor that shows `bad` from the middle on."""
     return lambda share: good(share) if share < 0.5 else bad(share)
 
 

@@ -1,7 +1,5 @@
 """`temperature`: a machine calibrated at four temperatures, from bundles to files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -17,11 +15,8 @@ from truepath.planning.lines.default_path import default_path
 from truepath.results.prediction import predict
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.bundle_files import write_bundle_files
-from truepath_simulators.worlds.synthetic import Setting
+from warm_machine import load_slow_tracker, record_warm, stretch
 
 DEGC, THERMOMETER_K = (18.0, 25.0, 20.0, 22.0), (0.1, -0.05, -0.1, 0.08)
 GROWTH_PER_K = {"X": 11e-6, "Y": 8e-6, "Z": 14e-6}
@@ -31,26 +26,18 @@ UNSEEN_DEGC = 23.5
 
 def warm(truth, celsius):
     """Return the machine at a temperature: axes grow, Y leans."""
-    joints = dict(truth.joints)
-    for column, axis in enumerate(truth.machine.linear_axes):
-        joint = joints[axis.name]
-        motions = list(joint.translation)
-        strain = GROWTH_PER_K[axis.name] * (celsius - 20.0)
-        motions[column] = motions[column].shift(
-            strain * (axis.low - axis.zero_mm), strain
-        )
-        if axis.name == "Y":
-            motions[0] = motions[0].shift(0.0, LEAN_PER_K * (celsius - 20.0))
-        joints[axis.name] = replace(joint, translation=tuple(motions))
+    for name, growth in GROWTH_PER_K.items():
+        truth = stretch(truth, name, growth * (celsius - 20.0))
+    leaning = truth.joints["Y"]
+    x, *others = leaning.translation
+    motions = (x.shift(0.0, LEAN_PER_K * (celsius - 20.0)), *others)
+    joints = {**truth.joints, "Y": replace(leaning, translation=motions)}
     return replace(truth, joints=joints)
 
 
 def analyse_at(content, path, truth, number, folder):
     """Measure and analyse the machine at one of the temperatures; return the file."""
-    speed = path.feed_mm_min / 60.0
-    program = Program(path.position, speed, path.dwell_s, target=path.target)
-    setting = Setting(truth=warm(truth, DEGC[number]))
-    recording = synthetic.record(content, program, 60 + number, "otf", setting)
+    recording = record_warm(content, path, warm(truth, DEGC[number]), 60 + number)
     shown = recording.temperatures
     celsius = shown.celsius + DEGC[number] + THERMOMETER_K[number] - 20.0
     recording = replace(recording, temperatures=replace(shown, celsius=celsius))
@@ -72,8 +59,7 @@ def find_left_um(result, truth, points):
 def test_growth_and_squareness_per_kelvin_are_told_and_serve_at_a_new_temperature(
     tmp_path,
 ):
-    content = {**load_machine("demo")}
-    content["tracker"] = {**content["tracker"], "rate_hz": 100}
+    content = load_slow_tracker("demo")
     path = default_path(machine_from_json(content, file=""), 9000.0, lines=20)
     truth = random_machine(parse_machine(content), 5)
     files = [analyse_at(content, path, truth, k, tmp_path) for k in range(len(DEGC))]

@@ -1,8 +1,6 @@
 """What a person sees: a bar at a terminal, a line a stage in a log."""
 
-import json
-
-from truepath.cli.terminal import print_json, print_table, show_progress
+from truepath.cli.terminal import print_table, show_progress
 
 
 def test_a_log_gets_a_line_a_stage(capsys):
@@ -33,8 +31,3 @@ def test_a_table_keeps_its_columns(monkeypatch, capsys):
     print_table("Errors", ("error", "value"), [("EXX", "1.5"), ("C0Y", "-20.0")])
     lines = capsys.readouterr().out.splitlines()
     assert any("EXX" in line and line.rstrip().endswith("1.5 │") for line in lines)
-
-
-def test_json_is_alone_on_standard_output(capsys):
-    print_json({"schema": "summary/1", "value": 1.5})
-    assert json.loads(capsys.readouterr().out) == {"schema": "summary/1", "value": 1.5}

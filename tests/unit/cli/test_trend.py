@@ -1,6 +1,7 @@
 """`trend`: a machine whose X scale warms, from short bundles to files."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ AT = ",".join(map(str, HOURS))
 
 
 def write_bundles(content, path, folder):
-    """Write a bundle of the machine at each hour; return their places."""
     truth = random_machine(parse_machine(content), 5)
     places = [folder / f"run{number}" for number in range(len(HOURS))]
     for number, place in enumerate(places):
@@ -32,7 +32,6 @@ def write_bundles(content, path, folder):
 
 @pytest.fixture(scope="module")
 def warming(tmp_path_factory):
-    """Bundles of the machine."""
     content = load_slow_tracker("demo")
     for axis in content["axes"].values():
         axis["max_mm"] = axis["min_mm"] + 300.0
@@ -60,11 +59,8 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(command, warming, tmp_
     assert [at["time_h"] for at in content["runs"]] == pytest.approx(HOURS)
     found_um, grown_um = find_growth_um(content)
     assert np.abs(found_um - grown_um).max() < 1.5
-    assert content["outlook"]["state"] in (
-        "due",
-        "cannot-be-said",
-        "not-within-horizon",
-    )
+    said = ("due", "cannot-be-said", "not-within-horizon")
+    assert content["outlook"]["state"] in said
     TrendOut.model_validate(content, extra="forbid")
     page = (tmp_path / "report.html").read_text()
     assert content["outlook"]["sentence"] in page
@@ -102,18 +98,15 @@ def test_the_task_of_a_job_writes_what_the_command_writes(warming, tmp_path):
     for file, bundle in zip(zipped, warming, strict=False):
         file.write_bytes(zip_bundle(read_bundle(bundle)))
     asked = {"at_h": [8.0, 9.0], "limit_um": 4.0}
-    files, stages = list(map(str, zipped)), []
-
-    def note(share, stage):
-        stages.append(stage)
-
-    follow_recorded(files, names, str(tmp_path / "out"), asked, on_progress=note)
+    files, told = list(map(str, zipped)), Mock()
+    follow_recorded(files, names, str(tmp_path / "out"), asked, on_progress=told)
     content = json.loads((tmp_path / "out" / "trend.json").read_text())
     TrendOut.model_validate(content, extra="forbid")
     assert [at["name"] for at in content["runs"]] == names
     assert [at["time_h"] for at in content["runs"]] == [0.0, 1.0]
     assert content["outlook"]["state"] == "not-known"
-    assert {"estimating", "following"} <= set(stages)
+    stages = {call.args[1] for call in told.call_args_list}
+    assert {"estimating", "following"} <= stages
 
 
 @pytest.mark.long

@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import pytest
 
+from api_builders import edited
 from truepath.cli.summary import print_result
 from truepath.files.bundle.bundle import read_bundle
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.results import analysis
 
-LEFT_OUT = Reason(
-    "samples-left-out",
-    "usable",
-    {"samples": 42, "line": 7, "from_s": 61.2, "to_s": 61.3, "distance_um": 5012.0},
-)
+ASIDE = {"samples": 42, "line": 7, "from_s": 61.2, "to_s": 61.3, "distance_um": 5012.0}
+LEFT_OUT = Reason("samples-left-out", "usable", ASIDE)
 OPEN = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
 VERDICTS = {
@@ -27,8 +25,6 @@ VERDICTS = {
 
 @pytest.fixture
 def judged(result, keep):
-    """Write the result with another verdict; return its file."""
-
     def write(state):
         verdict = verdict_json(VERDICTS[state])
         return keep({**result, "verdict": verdict}, f"{state}.json")
@@ -38,8 +34,6 @@ def judged(result, keep):
 
 @pytest.fixture
 def words(tmp_path):
-    """The command line of an export into a folder of its own."""
-
     def spell(file, *more, name="linuxcnc", output="comp.tbl"):
         place = tmp_path / "tables" / output
         return ["export", file, "--format", name, "-o", place, *more]
@@ -126,11 +120,9 @@ def test_a_prediction_says_it_of_the_result(command, judged, points, tmp_path, s
 
 
 def of_another_run(file):
-    """Let a result be made from a Run that nobody analyses here."""
-    content = json.loads(file.read_text())
-    for one in content["provenance"]["runs"]:
-        one |= {"input_sha256": "f" * 64, "sketch": ""}
-    file.write_text(json.dumps(content))
+    with edited(file) as content:
+        for one in content["provenance"]["runs"]:
+            one |= {"input_sha256": "f" * 64, "sketch": ""}
     return file
 
 

@@ -20,8 +20,6 @@ def held_out(record, tmp_path_factory):
 
 @pytest.fixture
 def words(analysed, held_out, tmp_path):
-    """The command line of a verification."""
-
     def spell(*more, bundle=held_out):
         result = analysed / "result.json"
         return ["verify", result, bundle, "-o", tmp_path / "out", *more]
@@ -35,10 +33,7 @@ def test_verify_writes_its_file_and_its_page(command, words, tmp_path):
     assert said["conformity"]["deviation"]["conformity"] == "within"
     assert said["agreement"]["consistent"]
     out = tmp_path / "out"
-    assert {path.name for path in out.iterdir()} == {
-        "verification.json",
-        "report.html",
-    }
+    assert {path.name for path in out.iterdir()} == {"verification.json", "report.html"}
     content = json.loads((out / "verification.json").read_text())
     assert content["schema"] == "verification/1"
     assert content["statements"] == said["statements"]

@@ -1,14 +1,12 @@
 """A machine file or path that is not that of the data is named for what it is."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
-from pathlib import Path
 
 import pytest
 from tests.unit.alignment.test_arcs import random_path
 
+from api_builders import edited
 from recorded import record_run
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
@@ -21,19 +19,15 @@ BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
 
 @cache
 def recorded_on(name):
-    """A recording of a machine with rotary axes."""
     return random_path(name, rate_hz=100)[0]
 
 
-def change(bundle: Path, edit) -> None:
-    """Change the machine file of a bundle."""
-    file = bundle / "machine.json"
-    content = json.loads(file.read_text())
-    edit(content)
-    file.write_text(json.dumps(content))
+def change(bundle, edit):
+    with edited(bundle / "machine.json") as content:
+        edit(content)
 
 
-def edit_rows(bundle: Path, rows: slice) -> None:
+def edit_rows(bundle, rows):
     """Leave these rows of the path, in the order that they are taken in."""
     file = bundle / "path.csv"
     head, *lines = file.read_text().splitlines()

@@ -1,20 +1,15 @@
 """A Run and its bundle, for the tests of the border."""
 
-from __future__ import annotations
-
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.run import DirectMeasurement, Run
-from truepath.kinematics.machine.machine import Machine
-from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from truepath_drivers.interfaces.records import TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture
-def stream(rng: np.random.Generator) -> TrackerSamples:
+def stream(rng):
     n = 400
     time_s = 1234.5 + np.arange(n) * 0.002
     status = np.zeros(n, np.int64)
@@ -25,28 +20,20 @@ def stream(rng: np.random.Generator) -> TrackerSamples:
 
 
 @pytest.fixture
-def run(mill: Machine, square: Path, stream: TrackerSamples) -> Run:
-    return Run(
-        "monday",
-        mill,
-        square,
-        stream,
-        temperature=TemperatureSamples(
-            ("X", "air"),
-            np.array([1234.5, 1235.0]),
-            np.array([[20.1, 21.0], [20.2, 21.1]]),
-        ),
-        reference=(
-            DirectMeasurement(
-                "EXX", "+", "um", np.array([0.0, 100.0]), np.array([0.0, 1.5])
-            ),
-            DirectMeasurement("EAX", "-", "urad", np.array([50.0]), np.array([2.25])),
-        ),
+def run(mill, square, stream):
+    time_s, celsius = np.array([1234.5, 1235.0]), np.array([[20.1, 21.0], [20.2, 21.1]])
+    warm = TemperatureSamples(("X", "air"), time_s, celsius)
+    scale = np.array([0.0, 100.0]), np.array([0.0, 1.5])
+    roll = np.array([50.0]), np.array([2.25])
+    measured = (
+        DirectMeasurement("EXX", "+", "um", *scale),
+        DirectMeasurement("EAX", "-", "urad", *roll),
     )
+    return Run("monday", mill, square, stream, temperature=warm, reference=measured)
 
 
 @pytest.fixture
-def bundle(run: Run, tmp_path: FilePath) -> FilePath:
+def bundle(run, tmp_path):
     folder = tmp_path / "bundle"
     write_bundle(run, folder)
     return folder

@@ -1,10 +1,10 @@
 """The table of bad input: one edit of one file of a good bundle, one clear error."""
 
-from __future__ import annotations
-
 import json
+import os
 import pickle
 from collections.abc import Callable
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -24,28 +24,21 @@ from truepath.files.bundle.machine_file import (
 Edit = Callable[[Path], None]
 
 
-def without(name: str) -> Edit:
-    """Leave a file out."""
+def without(name):
     return lambda folder: (folder / name).unlink()
 
 
-def holding(name: str, data: str | bytes) -> Edit:
-    """Put a file with this content in."""
+def holding(name, data):
     content = data.encode() if isinstance(data, str) else data
-    return lambda folder: (folder / name).write_bytes(content) and None
+    return lambda folder: (folder / name).write_bytes(content)
 
 
-def cut(name: str, size: int) -> Edit:
-    """Keep only the beginning of a file."""
-
-    def edit(folder: Path) -> None:
-        (folder / name).write_bytes((folder / name).read_bytes()[:size])
-
-    return edit
+def cut(name, size):
+    return lambda folder: os.truncate(folder / name, size)
 
 
-def change_lines(name: str, change: Callable[[list[str]], None]) -> Edit:
-    def edit(folder: Path) -> None:
+def change_lines(name, change):
+    def edit(folder):
         lines = (folder / name).read_text().splitlines()
         change(lines)
         (folder / name).write_text("\n".join(lines) + "\n")
@@ -53,10 +46,10 @@ def change_lines(name: str, change: Callable[[list[str]], None]) -> Edit:
     return edit
 
 
-def cell(name: str, row: int, column: str, text: str) -> Edit:
+def cell(name, row, column, text):
     """Change one cell of a CSV file; row 1 is the header."""
 
-    def change(lines: list[str]) -> None:
+    def change(lines):
         cells = lines[row - 1].split(",")
         cells[lines[0].split(",").index(column)] = text
         lines[row - 1] = ",".join(cells)
@@ -64,20 +57,14 @@ def cell(name: str, row: int, column: str, text: str) -> Edit:
     return change_lines(name, change)
 
 
-def renamed(name: str, column: str, to: str) -> Edit:
-    """Rename a column of a CSV file."""
-    return cell(name, 1, column, to)
-
-
-def row(name: str, number: int, text: str) -> Edit:
-    """Replace one row of a CSV file."""
+def row(name, number, text):
     return change_lines(name, lambda lines: lines.__setitem__(number - 1, text))
 
 
-def column(name: str, value: object, at: int | None = None) -> Edit:
+def column(name, value, at=None):
     """Set a column of the tracker's Parquet file, or one of its values; None drops."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         table = pq.read_table(folder / "tracker.parquet").to_pydict()
         if at is not None:
             table[name][at] = value
@@ -90,15 +77,13 @@ def column(name: str, value: object, at: int | None = None) -> Edit:
     return edit
 
 
-def key(path: str, value: object) -> Edit:
+def key(path, value):
     """Set a key of machine.json, `axes.X.min_mm`; None removes it."""
 
-    def edit(folder: Path) -> None:
+    def edit(folder):
         content = json.loads((folder / "machine.json").read_text())
-        at = content
         *way, last = path.split(".")
-        for step in way:
-            at = at[step]
+        at = reduce(dict.get, way, content)
         at[last] = value
         if value is None:
             del at[last]
@@ -107,25 +92,25 @@ def key(path: str, value: object) -> Edit:
     return edit
 
 
-def both(first: Edit, second: Edit) -> Edit:
-    """Do two edits."""
-
-    def edit(folder: Path) -> None:
-        first(folder)
-        second(folder)
-
-    return edit
+def both(first, second):
+    return lambda folder: (first(folder), second(folder))
 
 
-def targets(**placed: str) -> Edit:
+def targets(**placed):
     """State named targets in machine.json, each by what it is on."""
     stated = {name: {"on": on, "offset_mm": [0, 0, 0]} for name, on in placed.items()}
     return both(key("targets", stated), key("tool_offset_mm", None))
 
 
-def streamed(text: str) -> Edit:
+def streamed(text):
     """Put a stream of this text in place of the tracker's Parquet file."""
     return both(without("tracker.parquet"), holding("tracker.csv", text))
+
+
+def turning(stated):
+    """Put an axis C below X."""
+    chain = key("kinematic_chain", "w-C-X-b-Y-Z-t")
+    return both(key("axes.C", {**ROTARY, **stated}), chain)
 
 
 HEADER = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
@@ -133,7 +118,7 @@ TRACKER_HEADER = "t_s,x_mm,y_mm,z_mm\n"
 ROTARY = {"type": "rotary", "min_deg": 0, "max_deg": 360}
 
 # Keys of machine.json, what they are set to, and what is said of it.
-KEYS: list[tuple[str, object, str]] = [
+KEYS = [
     ("name", "x\ud800", "machine.json: holds \\ud800, which"),
     ("name", "x\x00", "machine.json: holds \\u0000, which"),
     ("schema", None, "machine.json: schema is missing; add it"),
@@ -181,7 +166,7 @@ KEYS: list[tuple[str, object, str]] = [
 ]
 
 # Cells of CSV files: file, row, column and text.
-CELLS: list[tuple[str, int, str, str, str]] = [
+CELLS = [
     ("path.csv", 4, "y_mm", "abc", "row 4, column y_mm: is 'abc', not a"),
     ("path.csv", 2, "x_mm", '"1,5"', "row 2, column x_mm: is '1,5', not"),
     ("path.csv", 3, "z_mm", "NaN", "path.csv, row 3, column z_mm: is empty"),
@@ -201,7 +186,7 @@ CELLS: list[tuple[str, int, str, str, str]] = [
     ("reference.csv", 4, "unit", "inch", "row 4, column unit: is 'inch'; w"),
 ]
 
-FILES: list[tuple[Edit, str]] = [
+FILES = [
     (without("machine.json"), "machine.json: is missing"),
     (cut("machine.json", 40), "machine.json, row 3: is not JSON"),
     (holding("machine.json", b"\xff\xfe{}"), "is not text in UTF-8"),
@@ -212,10 +197,7 @@ FILES: list[tuple[Edit, str]] = [
     (targets(T1="roof"), 'targets.T1.on is "roof"; write one of tool, workpiece'),
     (targets(**{"": "tool"}), "targets. has no name; name every target"),
     (
-        both(
-            key("axes.C", {**ROTARY, "direction": [0, 0, 0]}),
-            key("kinematic_chain", "w-C-X-b-Y-Z-t"),
-        ),
+        turning({"direction": [0, 0, 0]}),
         "axes.C.direction is [0, 0, 0]; write a direction",
     ),
     (
@@ -235,17 +217,11 @@ FILES: list[tuple[Edit, str]] = [
     ),
     (holding("path.csv", HEADER), "path.csv: has no rows"),
     (holding("path.csv", HEADER + "0,0,0,1,0\n"), "has one row, and no line"),
-    (
-        renamed("path.csv", "feed_mm_min", "feed"),
-        "feed_mm_min: is missing; the file has",
-    ),
-    (renamed("path.csv", "y_mm", "why"), "path.csv, column y_mm: is missing"),
+    (cell("path.csv", 1, "feed_mm_min", "feed"), "feed_mm_min: is missing; the"),
+    (cell("path.csv", 1, "y_mm", "why"), "path.csv, column y_mm: is missing"),
     (holding("path.csv", HEADER.replace(",", ";")), "is missing; the file has x_mm;y"),
-    (
-        renamed("path.csv", "dwell_s", "a_deg"),
-        "column a_deg: is an unknown axis; the mac",
-    ),
-    (renamed("path.csv", "y_mm", "x_mm"), "column x_mm: appears more than once"),
+    (cell("path.csv", 1, "dwell_s", "a_deg"), "a_deg: is an unknown axis; the mac"),
+    (cell("path.csv", 1, "y_mm", "x_mm"), "column x_mm: appears more than once"),
     (row("path.csv", 3, "1,2,3,4"), "path.csv, row 3: has 4 cells, the header 5"),
     (row("path.csv", 3, "\n110,10,-10,6000"), "row 4: has 4 cells, the header 5"),
     (row("path.csv", 4, "110.0,10.0,-10.0,6000.0,0.1"), "row 4: the line starts"),
@@ -289,10 +265,10 @@ FILES: list[tuple[Edit, str]] = [
         streamed(TRACKER_HEADER + "0,1,1,1\n1,1,,1\n"),
         "row 3, column y_mm: is empty or NaN",
     ),
-    (renamed("environment.csv", "t_s", "t"), "environment.csv, column t_s: is"),
+    (cell("environment.csv", 1, "t_s", "t"), "environment.csv, column t_s: is"),
     (holding("environment.csv", "t_s,X_C\n1,2\n"), "has no temperatures; co"),
     (holding("environment.csv", "t_s,X_degC\n"), "nment.csv: has no ro"),
-    (renamed("reference.csv", "value", "v"), "reference.csv, column value: is"),
+    (cell("reference.csv", 1, "value", "v"), "reference.csv, column value: is"),
     (
         holding("reference.csv", "error,position_mm,direction,value,unit\n"),
         "reference.csv: has no rows; leave out the file",
@@ -341,7 +317,7 @@ def test_unknown_keys_are_kept_out_and_a_tracker_of_usual_noise_may_be_unsaid(bu
 
 
 def test_unknown_columns_are_tolerated(bundle):
-    renamed("environment.csv", "air_degC", "humidity_percent")(bundle)
+    cell("environment.csv", 1, "air_degC", "humidity_percent")(bundle)
     assert read_bundle(bundle).temperature.names == ("X",)
 
 
@@ -367,8 +343,7 @@ def test_a_machine_file_is_read_from_disk(bundle):
     ],
 )
 def test_how_an_nc_program_begins_survives_the_machine_file(bundle, stated):
-    file = bundle / "machine.json"
-    content = json.loads(file.read_text()) | {"approach": stated}
+    content = json.loads((bundle / "machine.json").read_text()) | {"approach": stated}
     machine = decode_machine(json.dumps(content).encode())
     written = json.loads(encode_machine(machine))
     assert written["approach"].items() >= stated.items()
@@ -390,7 +365,7 @@ def test_a_path_in_metres_is_named_as_such(bundle):
         read_bundle(bundle)
 
 
-def write_packed(folder: Path, columns: dict[str, pa.Array]) -> int:
+def write_packed(folder, columns):
     file = folder / "tracker.parquet"
     pq.write_table(pa.table(columns), file, compression="zstd")
     return file.stat().st_size

@@ -12,7 +12,7 @@ from truepath_drivers.interfaces.records import Path, TemperatureSamples, Tracke
 
 
 @pytest.fixture
-def run(mill, rng) -> Run:
+def run(mill, rng):
     n = 1000
     time_s, position_mm = 5.0 + np.arange(n) / 500.0, rng.normal(size=(n, 3))
     stream = TrackerSamples(np.arange(n), time_s, position_mm, np.zeros(n, int))

@@ -1,7 +1,5 @@
 """A recording is known again by any part of it, and taken for no other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

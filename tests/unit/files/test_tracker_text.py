@@ -21,7 +21,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture(scope="module")
 def drive(record):
-    """A recording on the fly."""
     return record(1, rows=12)[0]
 
 
@@ -55,9 +54,7 @@ MM_HEAD = "t_s,x_mm,y_mm,z_mm"
 def stamped(run, stamp):
     """Return lines of millimetres; stamp(number, seconds) writes the time."""
     return lines_of(
-        run,
-        lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}",
-        MM_HEAD,
+        run, lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}", MM_HEAD
     )
 
 
@@ -91,7 +88,6 @@ def join(form, between, *values):
 
 
 def group(between, mark, *place, form="{:,.4f}"):
-    """Write micrometres with a mark between thousands."""
     return between.join(form.format(1e3 * v).replace(",", mark) for v in place)
 
 
@@ -162,13 +158,10 @@ def test_a_log_without_times_is_read_at_a_rate_or_refused_naming_it(drive):
 
 @pytest.mark.parametrize("unit", [1e3, 1e6])
 def test_the_one_unit_that_fits_is_taken_and_said(unit, drive):
-    text = lines_of(
-        drive,
-        lambda k, t, x, y, z: (
-            f"{t * unit:.0f} {x / 25.4:.7f} {y / 25.4:.7f} {z / 25.4:.7f}"
-        ),
-        "time x y z",
-    )
+    def form(k, t, *place):
+        return join("{}", " ", f"{t * unit:.0f}", *(f"{v / 25.4:.7f}" for v in place))
+
+    text = lines_of(drive, form, "time x y z")
     got = read(text, drive.commanded)
     assert_stream(got, drive)
     assert "inch" in got.facts["unit"]
@@ -186,13 +179,11 @@ def test_metres_that_are_stated_as_mm_are_refused_with_file_and_factor(drive):
 @pytest.mark.parametrize("beam", ["alone", "side by side"])
 def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
     gone = {500, 501, 502} if beam == "side by side" else {500, 900, 1500}
-    text = lines_of(
-        drive,
-        lambda k, t, x, y, z: (
-            f"{t:.6f}," + ("0,0,0" if k in gone else f"{x:.4f},{y:.4f},{z:.4f}")
-        ),
-        MM_HEAD,
-    )
+
+    def form(k, t, *place):
+        return f"{t:.6f},{'0,0,0' if k in gone else join('{:.4f}', ',', *place)}"
+
+    text = lines_of(drive, form, MM_HEAD)
     got = read(text, drive.commanded)
     assert set(np.flatnonzero(got.samples.status).tolist()) == gone
 
@@ -229,14 +220,17 @@ def test_stamps_of_arrival_in_bursts_become_even(drive):
     np.testing.assert_allclose(np.diff(got.samples.device_time_s), 0.002, rtol=1e-3)
 
 
-@pytest.mark.parametrize("hole", [(3100, 3500), (3100, 5300), (3000, 5000)])
-def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(hole, drive):
-    lines = stamped(drive, lambda k, t: t // 1.0).split("\n")
-    first, end = hole
+@pytest.mark.parametrize(
+    ("tick", "first", "end"),
+    [(1.0, 3100, 3500), (1.0, 3100, 5300), (1.0, 3000, 5000), (0.1, 3001, 3041)],
+)
+def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(tick, first, end, drive):
+    lines = stamped(drive, lambda k, t: t // tick * tick).split("\n")
     got = read("\n".join(lines[: first + 1] + lines[end + 1 :]), drive.commanded)
     time_s = np.delete(drive.tracker.device_time_s, np.arange(first, end))
     used = got.samples.status == 0
     assert np.ptp((got.samples.device_time_s - time_s)[used]) < 2e-3
+    assert (~used).sum() < 500 * tick  # rows of one stamp
     assert any("rows are missing by their times" in note for note in got.notes)
 
 
@@ -280,19 +274,19 @@ def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, 
     assert np.abs(got.samples.position_mm - seen).max() < 0.51 / factor + 1e-6
 
 
+def nine(head, row):
+    """Rows below a head, each with its number in place of K."""
+    return head + "\n".join(row.replace("K", str(k)) for k in range(9))
+
+
 SEEN = {
-    "GSI angles": (
-        "\n".join(f"11{k:04d}+0000000{k} 21.102+19723700 " for k in range(9)),
-        "21",
-    ),
+    "GSI angles": (nine("", "11000K+0000000K 21.102+19723700 "), "21"),
     "spherical": (
-        "// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n"
-        + "\n".join(f"A, g, p{k}, 2000.{k}, 12.{k}, 3.{k}" for k in range(9)),
+        nine("// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n", "A,g,pK,2.K,12.K,3.K"),
         "SPHERICAL",
     ),
     "polar": (
-        "Nr;Hz [gon];V [gon];D [mm]\n"
-        + "\n".join(f"{k};{k}.5;99.{k};2000.{k}" for k in range(9)),
+        nine("Nr;Hz [gon];V [gon];D [mm]\n", "K;K.5;99.K;2000.K"),
         r"Hz \[gon\]",
     ),
     "an interferometer": (
@@ -301,7 +295,7 @@ SEEN = {
         "HEADER::",
     ),
     "prose": ("Some words\nof a log\nthat holds nothing\n", "that holds nothing"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", SEEN)
@@ -336,22 +330,17 @@ def test_names_are_matched_whole(spots):
 
 def test_shots_within_one_second_are_shots(spots):
     commanded, seen = spots
-    text = (
-        SA_HEAD
-        + "\n"
-        + "\n".join(
-            f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
-            for k, (x, y, z) in enumerate(seen)
-            for shot in (0.0, 0.001, 0.002)
-        )
+    shots = (
+        f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
+        for k, (x, y, z) in enumerate(seen)
+        for shot in (0.0, 0.001, 0.002)
     )
-    got = read(text, commanded)
+    got = read("\n".join([SA_HEAD, *shots]), commanded)
     assert got.points.row.tolist() == list(range(len(commanded)))
     assert set(got.points.count.tolist()) == {3}
 
 
 def import_export(capsys, folder, lines, run, path):
-    """Import lines for a Run's machine and path; return the status and what is said."""
     if not (folder / "truth").exists():
         write_bundle(run, folder / "truth")
     (folder / "export.txt").write_text("\n".join(lines), encoding="utf-8")
@@ -405,12 +394,9 @@ def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
 
 
 def arguments(folder, path):
-    truth = folder / "truth"
-    return [
-        "import", str(folder / "export.txt"), "--machine",
-        str(truth / "machine.json"), "--path", str(truth / path), "-o",
-        str(folder / "bundle"), "--dry-run",
-    ]  # fmt: skip
+    truth, out = folder / "truth", folder / "bundle"
+    given = ["--machine", truth / "machine.json", "--path", truth / path, "-o", out]
+    return [*map(str, ["import", folder / "export.txt", *given, "--dry-run"])]
 
 
 def test_what_is_shown_survives_a_terminal_of_ascii(drive, tmp_path, monkeypatch):

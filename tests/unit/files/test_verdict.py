@@ -15,11 +15,8 @@ from truepath.files.earlier.verdict import (
     verdict_json,
 )
 
-LEFT_OUT = Reason(
-    "samples-left-out",
-    "usable",
-    {"samples": 42, "line": 7, "from_s": 61.25, "to_s": 61.33, "distance_um": 5012.0},
-)
+ASIDE = {"samples": 42, "line": 7, "from_s": 61.25, "to_s": 61.33, "distance_um": 5012}
+LEFT_OUT = Reason("samples-left-out", "usable", ASIDE)
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
 
 

@@ -27,11 +27,6 @@ def test_a_file_larger_than_it_may_be_is_not_read(tmp_path):
         read_whole(file, largest_bytes=1 << 20)
 
 
-def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
-    with pytest.raises(BundleError, match=r"nowhere\.csv.*No such file.*check"):
-        read_whole(tmp_path / "nowhere.csv")
-
-
 def test_two_threads_may_write_one_file_at_once(tmp_path, monkeypatch):
     """The second begins once the first has its draft; both end with a whole file."""
     file, both = tmp_path / "map.json", threading.Barrier(2, timeout=5)

@@ -1,11 +1,7 @@
 """The page as the service sends it, before any script runs."""
 
-from __future__ import annotations
-
 import json
 import re
-import tomllib
-from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -16,16 +12,7 @@ from truepath.compensation.installed import list_formats
 from truepath.kinematics.effects.family import list_families
 from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
 from truepath.service.api.security.security import Guard
-from truepath.service.page.pages import (
-    LANGUAGE_COOKIE,
-    LANGUAGES,
-    STATIC_PATH,
-    catalogue,
-    choose_language,
-    digest_files,
-    router,
-    static_files,
-)
+from truepath.service.page import pages
 from truepath_drivers.interfaces.records import UNABLE
 
 ROOT = Path(__file__).parents[3]
@@ -48,10 +35,10 @@ TOLD = re.compile(
 
 
 @pytest.fixture
-def client() -> TestClient:
+def client():
     app = FastAPI()
-    app.include_router(router)
-    app.mount(STATIC_PATH, static_files())
+    app.include_router(pages.router)
+    app.mount(pages.STATIC_PATH, pages.static_files())
     app.add_middleware(Guard)
     return TestClient(app, base_url="http://localhost")
 
@@ -69,7 +56,7 @@ def client() -> TestClient:
     ],
 )
 def test_the_operators_choice_comes_before_the_browsers(remembered, accepted, language):
-    assert choose_language(remembered, accepted) == language
+    assert pages.choose_language(remembered, accepted) == language
 
 
 def test_the_shell_comes_in_german_to_a_german_browser(client):
@@ -79,13 +66,8 @@ def test_the_shell_comes_in_german_to_a_german_browser(client):
 
 
 def test_the_shell_remembers_the_language_of_the_panel(client):
-    client.cookies.set(LANGUAGE_COOKIE, "de")
+    client.cookies.set(pages.LANGUAGE_COOKIE, "de")
     assert '<html lang="de"' in client.get("/").text
-
-
-def test_an_unknown_language_has_no_catalogue():
-    with pytest.raises(KeyError):
-        catalogue("xx")
 
 
 def test_the_page_forbids_scripts_from_elsewhere_and_eval(client):
@@ -101,38 +83,33 @@ def test_abort_is_a_form_where_no_script_runs(client):
     assert 'method="post" action="api/v1/stop"' in form[:200]
 
 
-def test_plotly_comes_out_of_the_wheel(client):
-    script = client.get("/assets/plotly.min.js")
-    assert script.headers["content-type"].startswith("text/javascript")
-    assert "plotly.js" in script.text[:200]
-
-
 def test_a_browser_asks_before_it_reuses_a_file(client):
-    first = client.get(f"{STATIC_PATH}/js/main.js")
+    first = client.get(f"{pages.STATIC_PATH}/js/main.js")
     assert first.headers["cache-control"] == "no-cache"
     again = client.get(
-        f"{STATIC_PATH}/js/main.js", headers={"If-None-Match": first.headers["etag"]}
+        f"{pages.STATIC_PATH}/js/main.js",
+        headers={"If-None-Match": first.headers["etag"]},
     )
     assert again.status_code == 304
 
 
 def test_a_browser_keeps_what_the_page_asks_for_as_long_as_the_page_is_the_same(client):
     script = re.search(r'src="(\S+/js/main\.js)"', client.get("/").text)[1]
-    assert f"/{script}".startswith(f"{STATIC_PATH}/{digest_files()}/")
+    assert f"/{script}".startswith(f"{pages.STATIC_PATH}/{pages.digest_files()}/")
     kept = client.get(script)
     assert "immutable" in kept.headers["cache-control"]
-    assert kept.text == client.get(f"{STATIC_PATH}/js/main.js").text
-    other = script.replace(digest_files(), "0" * 16)
+    assert kept.text == client.get(f"{pages.STATIC_PATH}/js/main.js").text
+    other = script.replace(pages.digest_files(), "0" * 16)
     assert client.get(other).status_code == 404  # of another version of the page
 
 
 def test_no_script_asks_for_a_file_past_the_digest():
     for path in OURS:
-        assert f"{STATIC_PATH}/" not in path.read_text(encoding="utf-8"), path
+        assert f"{pages.STATIC_PATH}/" not in path.read_text(encoding="utf-8"), path
 
 
 def test_catalogues_have_the_same_keys_and_the_same_blanks():
-    first, *others = (catalogue(language) for language in LANGUAGES)
+    first, *others = (pages.catalogue(language) for language in pages.LANGUAGES)
     for other in others:
         own = {k for k in other if not (TOLD.fullmatch(k) or PROBLEM.fullmatch(k))}
         assert own == {key for key in first if not PROBLEM.fullmatch(key)}
@@ -149,19 +126,19 @@ def test_effects_and_formats_have_words_in_the_languages_the_service_does_not_sp
         words |= {f"format.{name}.{word}" for word in told}
         less_usual = [word for known in kind.choices.values() for word in known[1:]]
         words |= {f"format.{name}.note_{word}" for word in less_usual}
-    for language in LANGUAGES:
-        known = catalogue(language)
+    for language in pages.LANGUAGES:
+        known = pages.catalogue(language)
         assert names <= known.keys(), language
         told = {key for key in known if TOLD.fullmatch(key)}
         assert told == (set() if language == "en" else words), language
 
 
-def blanks(text: str) -> set[str]:
+def blanks(text):
     return set(re.findall(r"\{\w+\}", text))
 
 
 def test_no_catalogue_says_a_key_twice():
-    for language in LANGUAGES:
+    for language in pages.LANGUAGES:
         text = (STATIC / "locales" / f"{language}.json").read_text(encoding="utf-8")
         keys = [key for key, _ in json.loads(text, object_pairs_hook=list)]
         assert len(keys) == len(set(keys))
@@ -170,7 +147,7 @@ def test_no_catalogue_says_a_key_twice():
 def test_every_text_is_used_and_every_used_text_exists():
     sources = [TEMPLATE, *(path for path in OURS if path.suffix == ".js")]
     written = "\n".join(path.read_text(encoding="utf-8") for path in sources)
-    known = set(catalogue("en"))
+    known = set(pages.catalogue("en"))
     used = set(re.findall(r"\bt\(\s*\"([a-z]+\.[\w-]+)\"", written))
     used |= set(re.findall(r"text\[[\"']([a-z]+\.[\w-]+)[\"']\]", written))
     assert used <= known
@@ -183,7 +160,7 @@ def test_every_text_is_used_and_every_used_text_exists():
     assert idle == set()
 
 
-def _family(template: str) -> str:
+def _family(template):
     """Return what matches each key that a template of a script can make."""
     fixed = re.split(r"\$\{[^}]*\}", template)
     return r"[\w.-]+".join(map(re.escape, fixed))
@@ -194,8 +171,8 @@ def test_every_problem_has_a_title_and_a_way_out_in_every_language():
     faults = set(re.findall(r'Fault\(\s*"([a-z-]+)"', FAULTS.read_text("utf-8")))
     faults |= {f"motion-{state}" for state in UNABLE}
     faults |= {"closure", "cancel-overdue"}  # told by the job
-    for language in LANGUAGES:
-        known = catalogue(language).keys()
+    for language in pages.LANGUAGES:
+        known = pages.catalogue(language).keys()
         assert {f"problem.code.{code}" for code in faults} <= known
         if language != "en":
             codes = kinds | faults
@@ -209,14 +186,6 @@ def test_nothing_of_ours_names_a_host():
             "http://www.w3.org/2000/svg", ""
         )
         assert not re.search(r"https?://", text), path
-
-
-def test_the_wheel_takes_every_file_of_the_page_along():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    patterns = project["tool"]["setuptools"]["package-data"]["*"]
-    for path in [TEMPLATE, *STATIC.rglob("*")]:
-        if path.is_file():
-            assert any(fnmatch(path.name, p) for p in patterns), path
 
 
 def test_what_is_vendored_brings_its_licence():

@@ -4,11 +4,8 @@ The words are collected where the service has them: one that is added there and 
 the catalogues is found here.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
-from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from string import Formatter
@@ -39,7 +36,7 @@ UNITS = (
 )
 
 
-def keys_of_words() -> Iterator[str]:
+def keys_of_words():
     """Yield the key of each word that the page takes over from the service."""
     yield from (f"budget.{source}" for source in SOURCES)
     yield from (f"kind.{kind}" for kind in JobKind if kind is not JobKind.PLAN)

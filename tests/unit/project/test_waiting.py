@@ -23,21 +23,12 @@ REAL = {
     "app/truepath/catalogue/store/postgres_connection.py": "psycopg waits by itself",
     "app/truepath/users/access.py": "bounds how many hash passwords at once",
 }
-WAITS = {
-    "wait",
-    "wait_for",
-    "join",
-    "get",
-    "put",
-    "result",
-    "acquire",
-    "poll",
-    "settimeout",
-}
+WAITS = {"wait", "wait_for", "join", "get", "put", "result", "acquire"}
+WAITS |= {"poll", "settimeout"}
 CLOCKS = {"monotonic", "monotonic_ns", "time", "time_ns", "sleep", "perf_counter"}
 
 
-def waits_for_real_time(node: ast.AST) -> bool:
+def waits_for_real_time(node):
     if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
         return False
     owner, name = ast.unparse(node.func.value), node.func.attr
@@ -46,18 +37,16 @@ def waits_for_real_time(node: ast.AST) -> bool:
     if owner in ("host_clock", "client", "self") or name not in WAITS:
         return False
     named = {word.arg for word in node.keywords}
-    is_timed = (
-        bool(named & {"timeout", "timeout_s"})
-        or (
-            name not in ("get", "put")
-            and any(_is_duration(given) for given in node.args)
-        )
-        or (name in ("poll", "settimeout") and bool(node.args))
-    )
-    return is_timed or (owner == "asyncio" and name.startswith("wait"))
+    if named & {"timeout", "timeout_s"}:
+        return True
+    if name not in ("get", "put") and any(map(_is_duration, node.args)):
+        return True
+    if name in ("poll", "settimeout") and node.args:
+        return True
+    return owner == "asyncio" and name.startswith("wait")
 
 
-def _is_duration(node: ast.expr) -> bool:
+def _is_duration(node):
     return ast.unparse(node).lower().endswith("_s")
 
 
