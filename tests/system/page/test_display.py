@@ -7,6 +7,7 @@ import re
 import time
 from typing import Literal
 
+import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
@@ -130,6 +131,7 @@ def test_the_state_stays_clear_of_what_is_beside_it_on_a_german_phone(panel, ser
     assert min(widths) >= 48
 
 
+@pytest.mark.fault_row(32)
 def test_where_no_events_come_the_page_asks_and_follows(panel, service, witness):
     witness.expect("net::ERR_FAILED")
     job = service.measuring()

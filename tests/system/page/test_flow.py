@@ -8,13 +8,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from page_steps import DESK, NEXT, PHONE, choose, follow, go, held
 
+SHORT_PX = 420
 REFUSED = ("the server responded with a status of",)
 NO_ANSWER = ("net::ERR_FAILED",)
 JOBS = re.compile(r"/api/v1/jobs[/?]")
+DROP = """(where) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File(["PK"], "recorded.zip", { type: "application/zip" }));
+  for (const kind of ["dragover", "drop"])
+    if (document.querySelector(where).dispatchEvent(
+      new DragEvent(kind, { dataTransfer, bubbles: true, cancelable: true })))
+      throw new Error(`the browser opens the file at ${kind}`);
+}"""
 # As in a busy browser: states are drawn between a new address and its view.
 TURNS_SLOWLY = """
 window.visited = [];
@@ -49,23 +58,12 @@ def test_motion_starts_only_after_the_button_was_held(panel, service):
     assert ("POST", f"/jobs/{job}/arm", '"1"') in service.requests
 
 
-def test_the_hold_works_from_the_keyboard(panel, service):
-    job = service.ready()
-    page = panel.open()
-    button = page.locator(NEXT, has_text="Hold to start motion")
-    expect(button).to_be_enabled()
-    button.focus()
-    page.keyboard.down("Enter")
-    page.wait_for_url(f"**/#/run/{job}")
-    page.keyboard.up("Enter")
-
-
 def test_motion_does_not_start_on_stale_data(panel, service, witness):
-    witness.expect("net::ERR_FAILED")
+    witness.expect(*NO_ANSWER)
     service.ready()
     page = panel.open()
     expect(page.locator(NEXT)).to_be_enabled()
-    page.route(re.compile(r"/api/v1/jobs[/?]"), lambda route: route.abort())
+    page.route(JOBS, lambda route: route.abort())
     service.silent = True
     expect(page.locator(NEXT)).to_be_disabled()
     expect(page.locator("#reason")).to_contain_text("No live data")
@@ -218,33 +216,22 @@ def test_stations_that_are_left_can_still_be_measured(panel, service):
     assert service.orders() == [{"kind": "measure-otf", "continues": job["id"]}]
 
 
-def test_events_after_the_answer_do_not_lead_a_discarded_check_elsewhere(
-    panel, service
+@pytest.mark.parametrize("late", ["telling_late", "answering_late"])
+def test_events_round_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service, late
 ):
     job = service.ready()
     page = panel.open(before=TURNS_SLOWLY)
-    discard = page.locator("#back button", has_text="Discard")
-    with service.telling_late():
-        discard.click()
-        expect(page.locator("#state")).to_have_text("Aborting")
-        expect(page.locator("h1")).to_have_text("Plan")
+    shown = {"telling_late": "Aborting", "answering_late": "Aborted"}[late]
+    with getattr(service, late)():
+        page.locator("#back button", has_text="Discard").click()
+        expect(page.locator("#state")).to_have_text(shown)
+        if late == "telling_late":
+            expect(page.locator("h1")).to_have_text("Plan")
     expect(page.locator("#state")).to_have_text("Aborted")
     expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
     assert service.jobs[job]["state"] == "aborted"
-    assert visited(page) == [f"#/check/{job}", "#/plan"]
-
-
-def test_events_before_the_answer_do_not_lead_a_discarded_check_elsewhere(
-    panel, service
-):
-    job = service.ready()
-    page = panel.open(before=TURNS_SLOWLY)
-    discard = page.locator("#back button", has_text="Discard")
-    with service.answering_late():
-        discard.click()
-        expect(page.locator("#state")).to_have_text("Aborted")
-    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
-    assert visited(page) == [f"#/check/{job}", "#/plan"]
+    assert page.evaluate("window.visited") == [f"#/check/{job}", "#/plan"]
 
 
 def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Path):
@@ -267,25 +254,29 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     expect(moves).to_contain_text("2:05 min")
 
 
-def test_an_uploaded_bundle_is_analysed(panel, service, tmp_path: Path):
+def test_a_bundle_that_is_dropped_or_chosen_is_analysed(panel, service, tmp_path: Path):
     bundle = tmp_path / "recorded.zip"
     bundle.write_bytes(b"PK")
     page = panel.open()
-    for kind in ("dragover", "drop"):  # one that misses its zone changes nothing
-        opens = page.evaluate(
-            "kind => document.body.dispatchEvent("
-            "new DragEvent(kind, { bubbles: true, cancelable: true }))",
-            kind,
-        )
-        assert not opens, kind
-    page.locator("#bundle").set_input_files(bundle)
-    page.wait_for_url("**/#/run/*")
-    expect(page.locator("h1")).to_have_text("Analysis")
-    (job,) = service.jobs
-    assert ("POST", "/runs", "recorded.zip") in service.requests
-    assert service.jobs[job]["run_id"] == "run-uploaded"
-    service.finish(job)
-    expect(page.locator(".chart canvas")).to_have_count(17)
+    page.evaluate(DROP, "body")  # one that misses its zone changes nothing
+    zone = page.locator(".drop")
+    expect(zone).to_be_visible()
+    for number, send in enumerate(
+        (
+            lambda: page.evaluate(DROP, ".drop"),
+            lambda: page.locator("#bundle").set_input_files(bundle),
+        ),
+        start=1,
+    ):
+        send()
+        page.wait_for_url(f"**/#/run/job-{number}")
+        expect(page.locator("h1")).to_have_text("Analysis")
+        assert service.requests[-2] == ("POST", "/runs", "recorded.zip")
+        assert service.jobs[f"job-{number}"]["run_id"] == "run-uploaded"
+        service.finish(f"job-{number}")
+        expect(page.locator(".chart canvas")).to_have_count(17)
+        go(page, "#/connect")
+        expect(zone).to_be_visible()
 
 
 def test_records_lead_to_results_and_bundles(panel, service, tmp_path: Path):
@@ -364,31 +355,26 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     )
 
 
-def visited(page: Page) -> list[str]:
-    return page.evaluate("window.visited")
-
-
 def test_the_hold_waits_until_the_safety_text_was_in_sight(panel, service):
-    job = service.ready()
-    page = panel.open(f"#/check/{job}", size=(390, 420))
-    expect(page.locator("#reason")).to_contain_text("Before you start")
-    expect(page.locator(NEXT)).to_be_disabled()
-    for text in page.locator(".before li").all():
-        text.evaluate("item => item.scrollIntoView({ block: 'center' })")
-        page.wait_for_timeout(100)
-    expect(page.locator(NEXT)).to_be_enabled()
-
-
-def test_the_safety_text_is_in_sight_at_once_on_a_panel(panel, service):
     service.connected = True
     page = panel.open("#/plan")
-    for language, hold in (("English", "Hold to start"), ("Deutsch", "Zum Starten")):
+    for language, hold, first in (
+        ("English", "Hold to start", "Before you start"),
+        ("Deutsch", "Zum Starten", "Vor dem Start"),
+    ):
         choose(page, language)
-        for width, height in (DESK, PHONE):
+        for width, height in (DESK, PHONE, (390, SHORT_PX)):
             page.set_viewport_size({"width": width, "height": height})
             job = service.ready()
             go(page, f"#/check/{job}")
-            expect(page.locator(NEXT, has_text=hold)).to_be_enabled()
+            button = page.locator(NEXT, has_text=hold)
+            if height == SHORT_PX:
+                expect(button).to_be_disabled()
+                expect(page.locator("#reason")).to_contain_text(first)
+                for text in page.locator(".before li").all():
+                    text.evaluate("item => item.scrollIntoView({ block: 'center' })")
+                    page.wait_for_timeout(100)
+            expect(button).to_be_enabled()
             service.change(job, state="aborted")
             page.wait_for_url(f"**/#/run/{job}")
 
