@@ -1,7 +1,5 @@
 """A page in a real browser over a service that a test steps through."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket
@@ -65,7 +63,6 @@ _GRAPHICS_CARD = (
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what needs Chromium."""
     for item in items:
         if item.path.parent == HERE and "playwright" in item.fixturenames:  # type: ignore[attr-defined]
             item.add_marker(pytest.mark.ui)
@@ -73,7 +70,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def service() -> ScriptedService:
-    """The service's part of the play; nobody listens yet."""
     return ScriptedService()
 
 
@@ -98,7 +94,6 @@ class SharedServer:
 
 @pytest.fixture(scope="package")
 def shared_server() -> Iterator[SharedServer]:
-    """Where scripted services listen."""
     listening = socket.create_server((LOOPBACK, 0))
     shared = SharedServer(f"http://{LOOPBACK}:{listening.getsockname()[1]}")
     config = uvicorn.Config(
@@ -116,7 +111,6 @@ def shared_server() -> Iterator[SharedServer]:
 
 @pytest.fixture
 def address(service: ScriptedService, shared_server: SharedServer) -> Iterator[str]:
-    """Where the scripted service listens."""
     shared_server.played.service = service
     yield shared_server.address
     service.closing.set()
@@ -173,14 +167,11 @@ class Window:
 
 @dataclass
 class Windows:
-    """Browsers of operators, empty but for the files of the page."""
-
     browser: Browser
     address: str
     free: dict[str, list[Window]] = field(default_factory=dict)
 
     def take(self, clock: bool, **options: Any) -> tuple[str, Window]:
-        """Return one that nobody uses, and its kind."""
         kind = repr((clock, options))
         if waiting := self.free.get(kind):
             return kind, waiting.pop()
@@ -192,7 +183,6 @@ class Windows:
         return kind, window
 
     def give_back(self, kind: str, window: Window) -> None:
-        """Keep it for another test."""
         window.clear()
         self.free.setdefault(kind, []).append(window)
 
@@ -219,7 +209,6 @@ class Witness:
         page.on("pageerror", self._note)
 
     def leave(self, page: Page) -> None:
-        """Watch it no longer; look where its files have come from."""
         page.remove_listener("console", self._hear)
         page.remove_listener("pageerror", self._note)
         self.strangers += page.evaluate(_STRANGERS, LOOPBACK)
@@ -244,8 +233,6 @@ def witness() -> Witness:
 
 @dataclass
 class Panel:
-    """Opens pages as an operator's panel would: size, language, light or dark."""
-
     windows: Windows
     address: str
     service: ScriptedService

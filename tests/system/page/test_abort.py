@@ -1,7 +1,5 @@
 """ABORT: always there, one touch, whatever else of the page has failed."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

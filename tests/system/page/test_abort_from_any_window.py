@@ -4,8 +4,6 @@ One browser opens six HTTP/1.1 connections to a host, for all its windows togeth
 devices run beside the service: the test looks what the control truly does.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import socket
@@ -41,7 +39,6 @@ def rig():
 
 @pytest.fixture(scope="module")
 def client(rig, tmp_path_factory):
-    """A client of the service that has these devices."""
     trusted = {"TRUEPATH_TRUSTED_HOSTS": f'["{NAME}"]'}
     with service_of(rig, tmp_path_factory.mktemp("service"), **trusted) as asking:
         connect(asking)
@@ -59,7 +56,6 @@ def one_browser(browser):
 
 @pytest.fixture
 def context(one_browser):
-    """This browser without a window."""
     yield one_browser
     for page in one_browser.pages:
         page.close()
@@ -67,7 +63,6 @@ def context(one_browser):
 
 @pytest.fixture
 def page(client, context):
-    """A window with live data."""
     return open_window(client, context)
 
 
@@ -200,7 +195,6 @@ def nginx() -> str:
 
 @contextmanager
 def proxy(folder, locations, *, tls=False):
-    """Run nginx with these locations; all else is another application's."""
     with closing(socket.create_server(("127.0.0.1", 0))) as free:
         port = free.getsockname()[1]
     certificate = ""

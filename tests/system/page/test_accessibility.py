@@ -1,7 +1,5 @@
 """Every view by axe-core and by Tab alone; no motion for who has asked for none."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -170,7 +168,6 @@ def violations(page: Page, where: str, options: dict[str, Any]) -> list[str]:
 
 
 def small_targets(page: Page, where: str, least_px: int) -> list[str]:
-    """Controls that are lower than a gloved finger needs."""
     found = page.evaluate(
         """([selector, least]) => [...document.querySelectorAll(selector)]
             .map((e) => [e.getBoundingClientRect().height, e])

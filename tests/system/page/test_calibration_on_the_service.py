@@ -4,8 +4,6 @@ One service has a machine that the model describes, simulated by itself; the dev
 the other, whose machine has backlash, run beside it and do what a test orders.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,13 +14,7 @@ from tests.system.page.conftest import Panel
 
 from page_steps import DESK, PHONE, Taps, assert_fits, held, job_of
 from service_process import follow, process, wait_for
-from service_with_devices import (
-    connect,
-    is_on_path,
-    moves,
-    running_devices,
-    service_of,
-)
+from service_with_devices import connect, is_on_path, moves, running_devices, service_of
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.motion.configurations import select_rows
 from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
@@ -40,7 +32,6 @@ BACKLASH = '{"name": "backlash", "axis": "X", "width_um": 8}'
 
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory) -> Iterator[httpx2.Client]:
-    """A client of the service with the usual simulated machine."""
     speed = {"TRUEPATH_SIMULATED_SPEED": str(USUAL_SPEED)}
     with process(tmp_path_factory.mktemp("usual"), **speed) as (_, client):
         yield client
@@ -48,14 +39,12 @@ def usual(tmp_path_factory) -> Iterator[httpx2.Client]:
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Rig]:
-    """Devices of a machine with backlash, at a raised speed."""
     with running_devices(speed=SPEED, hide=BACKLASH) as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def worn(rig, tmp_path_factory) -> Iterator[httpx2.Client]:
-    """A client of the service that has these devices."""
     # Nobody but the operator brings the beam back.
     patience = {"TRUEPATH_TRACKER_PATIENCE_S": '{"search": 0}'}
     with service_of(rig, tmp_path_factory.mktemp("worn"), **patience) as client:
@@ -64,7 +53,6 @@ def worn(rig, tmp_path_factory) -> Iterator[httpx2.Client]:
 
 @pytest.fixture
 def address(request: pytest.FixtureRequest) -> str:
-    """Where the service listens that a test names."""
     client = request.getfixturevalue(request.param)
     return str(client.base_url).rstrip("/")
 
@@ -146,12 +134,10 @@ def look_on(panel: Panel, page: Page, job: str) -> None:
 
 
 def read_share(page: Page) -> str:
-    """Return how much of the run is done, as the page says it."""
     return page.locator(".big-progress strong").inner_text()
 
 
 def take_pdf(operator: Taps) -> str:
-    """Take the certificate that was issued as PDF; return its number."""
     page = operator.page
     frame = page.frame_locator("iframe.preview")
     expect(frame.locator("h1")).to_be_visible(timeout=PATIENCE_MS)
@@ -218,7 +204,6 @@ def test_on_a_german_phone_faults_are_survived_and_a_hidden_effect_is_found_and_
 
 
 def is_order(answer: Response) -> bool:
-    """Whether the page has ordered a job."""
     is_posted = answer.request.method == "POST"
     return is_posted and answer.url.endswith("/api/v1/jobs")
 
@@ -240,7 +225,6 @@ def lose_beam(page: Page, rig: Rig) -> None:
 
 
 def hold_feed(page: Page, rig: Rig) -> None:
-    """Hold the feed at the machine; the run goes on when it is let go there."""
     rig.inject(f"cnc:feed-hold+{4 * SPEED}s")
     said = page.locator(".notice.is-held", has_text="Vorschub an der Maschine")
     expect(said).to_be_visible(timeout=PATIENCE_MS)
@@ -265,7 +249,6 @@ def discover(operator: Taps) -> str:
 
 
 def read_path(rig: Rig) -> tuple[int, int]:
-    """Return the number of rows of the controller's path, and their CRC."""
     options = rig.motion_options
     link = ModbusLink(TcpAddress(options["host"], options["port"]), options["unit"])
     link.open()

@@ -1,7 +1,5 @@
 """Circles that a verification drove on the fly, as a ballbar shows them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -14,7 +12,6 @@ from scripted_service import ScriptedService
 
 
 def show(panel, service: ScriptedService, circles) -> tuple[Page, Locator]:
-    """Open the verification of a result that drove circles."""
     proof = service.verified(verification(service.measured()) | circles)
     page = panel.open(f"#/verify/{proof}")
     card = page.locator("[data-card=circles]")
@@ -23,7 +20,6 @@ def show(panel, service: ScriptedService, circles) -> tuple[Page, Locator]:
 
 
 def read_radii(path: Locator) -> np.ndarray:
-    """Return how far the points of a curve are from the middle of its chart."""
     points = re.findall(r"([\d.]+) ([\d.]+)", path.get_attribute("d") or "")
     return np.linalg.norm(np.array(points, float) - 210.0, axis=1)
 

@@ -1,7 +1,5 @@
 """The step after the result: what the model lacks, and how far the gap has closed."""
 
-from __future__ import annotations
-
 import copy
 import re
 
@@ -121,7 +119,6 @@ def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
 
 
 def turn_to(page: Page, service, **change) -> str:
-    """Turn to another discovery; return its job."""
     service.discovery = copy.deepcopy(DISCOVERY) | change
     job = discovered(service)
     go(page, f"#/discover/{job}")

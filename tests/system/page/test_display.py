@@ -1,7 +1,5 @@
 """What the page shows and how: age of data, units, languages, light and dark, touch."""
 
-from __future__ import annotations
-
 import io
 import re
 import time
@@ -68,7 +66,6 @@ def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
 
 
 def look_in(page: Page, theme: Literal["dark", "light"]) -> list[str]:
-    """Turn to a theme; return the look of a number then."""
     page.emulate_media(color_scheme=theme)
     expect(page.locator("html")).to_have_attribute("data-theme", theme)
     return page.wait_for_function(LOOK).json_value()

@@ -1,7 +1,5 @@
 """The files for the controller: seen for what they leave before they are taken."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The task from Connect to Result, as an operator does it."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import UTC, datetime

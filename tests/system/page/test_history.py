@@ -1,7 +1,5 @@
 """What is said of a machine over its calibrations, and of what is recorded of it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

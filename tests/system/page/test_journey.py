@@ -1,7 +1,5 @@
 """From the first look to the certificate, by the one button that leads on."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -30,7 +28,6 @@ TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 
 
 def measure(taps: Taps, service) -> str:
-    """Lead from Connect to the result of the first job."""
     page = taps.page
     taps.press("Connect devices")
     expect(page.locator("#answered")).to_contain_text("Simulated tracker T-0001")
@@ -202,7 +199,6 @@ def test_the_files_that_were_verified_go_into_the_certificate(panel, service):
 
 
 def show_proof(page: Page, service: ScriptedService, **content: Any) -> Locator:
-    """Turn to a verification that says this; return its verdict."""
     result = service.measured()
     go(page, f"#/verify/{service.verified(verification(result) | content)}")
     proof = page.locator(".proof")

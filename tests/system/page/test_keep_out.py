@@ -1,7 +1,5 @@
 """Boxes that no motion may touch: stated on the page, sent with each order, shown."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -15,7 +13,6 @@ KEPT = f"localStorage.setItem('truepath.keep_out', '{json.dumps({'default': [VIC
 
 
 def fill_box(page: Page, box: dict) -> None:
-    """Add a box and type it."""
     card = page.locator("[data-card=keep-out]")
     card.get_by_role("button", name="Add a box").click()
     card.get_by_label("Name").last.fill(box["name"])

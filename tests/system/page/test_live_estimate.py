@@ -1,7 +1,5 @@
 """What is known while the machine moves: tables, a target, an early end."""
 
-from __future__ import annotations
-
 import io
 import re
 from typing import Any
@@ -195,7 +193,6 @@ def test_an_estimate_that_is_not_renewed_is_stamped_stale(panel, service):
 
 
 def tables(panel, **more: Any) -> Page:
-    """Open the page and turn to the tables."""
     page = panel.open(**more)
     page.get_by_role("button", name="Error tables").click()
     return page

@@ -1,7 +1,5 @@
 """What is noticed while the machine moves is told, and answered, on the page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from playwright.sync_api import expect

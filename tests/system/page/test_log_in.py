@@ -1,7 +1,5 @@
 """The page where somebody has to log in; the name of a user is its role here."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import pytest
@@ -12,7 +10,6 @@ from page_steps import NEXT, choose
 
 @pytest.fixture
 def closed(service, witness):
-    """A service that asks for a log-in."""
     service.log_in_required = True
     witness.expect("401")
     return service

@@ -3,8 +3,6 @@
 It is added while the service runs; its simulated truth is changed between both.
 """
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """What may be asked of a measurement under way, and what is said of it."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -139,7 +137,6 @@ def stream_until(
 
 
 def distance_um(points: np.ndarray) -> str:
-    """Return the distance of the last point from the line of least squares."""
     centred = points - points.mean(axis=0)
     direction = np.linalg.svd(centred)[2][0]
     across = centred[-1] - (centred[-1] @ direction) * direction

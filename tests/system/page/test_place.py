@@ -1,7 +1,5 @@
 """The plan is asked for the tracker's place, and says what each station brings."""
 
-from __future__ import annotations
-
 from playwright.sync_api import expect
 
 from page_steps import go, prepare

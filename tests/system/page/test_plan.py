@@ -1,7 +1,5 @@
 """What is chosen on Plan is what is ordered; what cannot be is not."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,7 +38,6 @@ def ordered(page: Page, service: ScriptedService) -> Iterator[tuple[str, Any]]:
 
 @pytest.fixture
 def page(panel, service) -> Page:
-    """Plan, with connected devices."""
     service.connected = True
     return panel.open("#/plan")
 

@@ -1,7 +1,5 @@
 """What time buys: one curve with a handle, and everything that follows it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -17,7 +15,6 @@ POINTS = plan_curve()["points"]
 def show(
     panel, service: ScriptedService, predicted=None, **more
 ) -> tuple[Page, Locator]:
-    """Open Plan with the curve computed."""
     service.connected = True
     service.planned = {
         "id": "plan-1",
@@ -34,7 +31,6 @@ def show(
 
 
 def plans(service: ScriptedService) -> list:
-    """Return for how long each plan was asked for."""
     return [order["minutes"] for order in service.orders("/plans")]
 
 

@@ -1,7 +1,5 @@
 """A result beside a direct measurement that the operator has as a file."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import expect

@@ -1,19 +1,11 @@
 """What the result says beside its tables."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import expect
 
 from page_steps import choose
-from scripted_data import (
-    GRADE,
-    half_differences,
-    residuals,
-    result,
-    turntable_estimate,
-)
+from scripted_data import GRADE, half_differences, residuals, result, turntable_estimate
 
 
 def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):

@@ -4,8 +4,6 @@ The sentences are collected where the service has them: one that is added there 
 in the scripts of the page is found here.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import math
@@ -35,7 +33,6 @@ from truepath_drivers.interfaces.thermometers import Channel, Reading
 
 
 def faults() -> Iterator[tuple[str, str]]:
-    """Yield code and text of whatever ends or holds a measurement."""
     yield from ((f.code, f.text) for f in vars(fault_words).values() if _is_fault(f))
     held = MotionStatus(MotionState.ALARM, (1.5, 20.0), 3, alarm="500 drive X")
     made = [
@@ -91,7 +88,6 @@ def judged_faults() -> Iterator[Fault]:
 
 
 def temperature_refusals() -> Iterator[str]:
-    """Yield why the service says nothing of a machine's temperature."""
     tree = ast.parse(inspect.getsource(temperature_model))
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "BadInput":

@@ -1,7 +1,5 @@
 """How a machine depends on its temperature, on the page."""
 
-from __future__ import annotations
-
 from playwright.sync_api import expect
 
 from page_steps import choose, go

@@ -1,7 +1,5 @@
 """A machine over time: which Runs, how far it is off, when to calibrate again."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

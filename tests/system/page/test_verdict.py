@@ -1,18 +1,12 @@
 """What a result says of itself is seen first, in words, in the operator's language."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import choose, go, job_of
 from scripted_service import ScriptedService
-from truepath.files.earlier.verdict import (
-    Reason,
-    Verdict,
-    verdict_json,
-)
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.files.environment.refraction import CAUSES, Refraction
 from truepath.results.verdict import judge_air
 
@@ -30,7 +24,6 @@ BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 
 
 
 def turn_to(page: Page, service: ScriptedService, *reasons: Reason) -> Locator:
-    """Turn to a result with a verdict; return where that is said."""
     verdict = Verdict(reasons)
     service.result["verdict"] = verdict_json(verdict)
     job = service.measured(verdict=verdict.state)

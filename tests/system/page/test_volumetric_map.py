@@ -1,7 +1,5 @@
 """The volumetric error as a person sees it: its first line, arrows, planes, numbers."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import Page, expect

@@ -4,8 +4,6 @@ The truth of the bench hides an effect; the service knows nothing of it. Extra l
 driven as any other motion: armed by whoever has looked at them.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

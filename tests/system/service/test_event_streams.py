@@ -1,7 +1,5 @@
 """Server-sent events over a real socket."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import threading
@@ -32,7 +30,6 @@ class Event:
 
 
 def parse(lines):
-    """Yield the events of a stream."""
     fields: dict[str, str] = {}
     for line in lines:
         if line and not line.startswith(":"):
@@ -53,7 +50,6 @@ def stream(client, path=EVENTS, last=None):
 
 
 def read(found, count, types=("job",)):
-    """Return the next events of some types."""
     chosen = []
     for event in found:
         if event.type in types:

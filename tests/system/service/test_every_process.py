@@ -5,8 +5,6 @@ no job is active for ever, what failed says why, a machine whose service has die
 still, and nothing moves before it is armed anew.
 """
 
-from __future__ import annotations
-
 import itertools
 import random
 import time
@@ -39,7 +37,6 @@ SETTLED = ENDS | {"paused", "ready"}  # nothing moves, or somebody has to say so
 def find_process(
     parent: int, role: str, patience_s: float = BEGIN_S
 ) -> psutil.Process | None:
-    """Return the process with this part in the service, if it runs or begins to."""
     found, end_s = None, time.monotonic() + patience_s
     while found is None and time.monotonic() < end_s:
         found = find_child(parent, role)
@@ -96,7 +93,6 @@ STATES: dict[str, Callable[[httpx2.Client], str]] = {
 
 
 def harm(found: psutil.Process, is_kill: bool, frozen_s: float = FROZEN_S) -> None:
-    """Kill a process, or let it stand still for a while."""
     with suppress(psutil.NoSuchProcess):  # it may have ended by itself
         if is_kill:
             found.kill()
@@ -117,7 +113,6 @@ def current_job(client: httpx2.Client) -> str | None:
 
 
 def stop(client: httpx2.Client) -> None:
-    """Stop; after that no job is active."""
     assert client.post("/api/v1/stop").status_code == 202
     wait_for(lambda: current_job(client) is None, "the end of the job")
 
@@ -247,7 +242,6 @@ class Ledger:
 
 
 def list_event_ids(client: httpx2.Client) -> list[int]:
-    """Return the numbers of all events that are kept."""
     ids: list[int] = []
     with client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "0"}) as got:
         for line in got.iter_lines():
@@ -259,7 +253,6 @@ def list_event_ids(client: httpx2.Client) -> list[int]:
 
 
 def list_jobs(client: httpx2.Client) -> list[dict]:
-    """Return all jobs, page by page."""
     jobs, after = [], ""
     while after is not None:
         page = client.get(f"/api/v1/jobs?limit=50{after and f'&after={after}'}").json()
@@ -324,7 +317,6 @@ def harm_once(rng, running, client, ledger) -> bool:
 
 
 def work(client, ledger, end_s) -> None:
-    """Measure until it is time to be harmed; note what was answered."""
     client.post("/api/v1/machines/current:connect")
     answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", "path": ROWS})
     if answer.status_code != 202:  # a cell that begins anew

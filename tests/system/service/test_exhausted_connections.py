@@ -1,7 +1,5 @@
 """Nobody takes the place of a stop by holding connections."""
 
-from __future__ import annotations
-
 import resource
 import socket
 import ssl

@@ -1,7 +1,5 @@
 """Corpus of hostile requests, over every route that the interface describes."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -187,7 +185,6 @@ def encode_stream():
 
 
 def pack_again(bundle, method=zipfile.ZIP_DEFLATED, **added):
-    """Return a bundle with members added under any names, or in place of others."""
     sink = io.BytesIO()
     with (
         zipfile.ZipFile(io.BytesIO(bundle)) as old,

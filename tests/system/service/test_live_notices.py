@@ -1,7 +1,5 @@
 """A knock of the tracker during a Run, on simulated devices over their real links."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,7 +42,6 @@ def knocked_floor(folder: Path) -> Iterator[tuple[httpx2.Client, list[JobEvent]]
 
 
 def measure(client: httpx2.Client, end: str, on_notice: str) -> dict[str, Any]:
-    """Measure random lines; return the job in its end."""
     program = paths.chord_path(parse_machine(load_machine("demo")), 3, ROWS, 8000.0)
     path = [
         {"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": dwell}

@@ -1,7 +1,5 @@
 """The whole service: real processes, simulated devices on real links."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -35,10 +33,7 @@ ONE_EACH = ("feed_mm_min", "dwell_s")
 @pytest.fixture
 def settings(tmp_path):
     return load_settings(
-        data_dir=tmp_path / "data",
-        simulated=True,
-        simulated_speed=SPEED,
-        port=0,
+        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
     )
 
 
@@ -344,7 +339,6 @@ def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
 
 
 def _children(process_id):
-    """Return the identifiers of all processes below one."""
     return [p.pid for p in psutil.Process(process_id).children(recursive=True)]
 
 

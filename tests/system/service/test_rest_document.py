@@ -1,7 +1,5 @@
 """docs/rest-api.md: every example is sent as it stands, and answered as it says."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy
@@ -21,7 +19,6 @@ BASE = "http://127.0.0.1:8411/api/v1"
 
 
 def section(heading):
-    """Return the curl commands of a section, as lists of words."""
     body = TEXT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     fences = "".join(re.findall(r"```sh\n(.*?)```", body, re.DOTALL))
     words = shlex.split(fences.replace("\\\n", " "), comments=True)
@@ -131,7 +128,6 @@ def curl(live, make_cell, tmp_path):
 
 @pytest.fixture
 def sent_in(curl, bundle, tmp_path):
-    """Take in a Run from elsewhere; return its identifier."""
 
     def sent(**members):
         (tmp_path / "run.zip").write_bytes(bundle(**members))

@@ -4,8 +4,6 @@ The devices are no children of the service: they go on when it dies, so that a r
 can be knocked, or the tracker carried to its next station, while nobody looks.
 """
 
-from __future__ import annotations
-
 import json
 import random
 
@@ -74,7 +72,6 @@ TWO_TOOLS = [
 
 @pytest.fixture
 def machine(tmp_path, request):
-    """The file of the demo machine, or with other targets."""
     file = tmp_path / "machine.json"
     content, targets = load_machine("demo"), getattr(request, "param", None)
     if targets is not None:

@@ -1,7 +1,5 @@
 """Where the service listens, and what systemd hears of it: ready, alive, ending."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

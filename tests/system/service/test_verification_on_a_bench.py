@@ -1,7 +1,5 @@
 """A result proved by further motion of simulated devices over their real links."""
 
-from __future__ import annotations
-
 import pytest
 
 from real_services import drive, simulated_service
@@ -12,7 +10,6 @@ JOBS = "/api/v1/jobs"
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """A client of the real service over simulated devices."""
     folder = tmp_path_factory.mktemp("bench") / "data"
     with simulated_service(folder, simulated_speed=SPEED) as (_, client):
         yield client
@@ -20,7 +17,6 @@ def bench(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def job(bench):
-    """The identifier of a job that has calibrated the machine."""
     return drive(bench)["id"]
 
 

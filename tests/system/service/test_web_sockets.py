@@ -1,7 +1,5 @@
 """WebSockets of the service: the stop, events, every sample; and who may hear them."""
 
-from __future__ import annotations
-
 import json
 import struct
 import time
@@ -30,7 +28,6 @@ ELSEWHERE = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
 
 @pytest.fixture
 def open_socket(live):
-    """Opens a WebSocket of the service."""
     base = str(live.base_url).replace("http", "ws", 1).rstrip("/") + API
 
     def opened(path, headers=None):
