@@ -44,7 +44,7 @@ def test_who_comes_soon_after_the_run_finds_its_result(panel, service):
     page.wait_for_url(f"**/#/result/{job}")
 
 
-def test_motion_starts_only_after_the_button_was_held(panel, service):
+def test_motion_starts_and_goes_on_only_after_a_button_was_held(panel, service):
     job = service.ready()
     page = panel.open()
     button = page.locator(NEXT, has_text="Hold to start motion")
@@ -54,6 +54,16 @@ def test_motion_starts_only_after_the_button_was_held(panel, service):
     with held(page, button):
         page.wait_for_url(f"**/#/run/{job}")
     assert ("POST", f"/jobs/{job}/arm", '"1"') in service.requests
+    expect(page.locator("#resume")).to_be_disabled()
+    page.locator("#pause").click()
+    expect(page.locator("#state")).to_have_text("Paused")
+    expect(page.locator("#pause")).to_be_disabled()
+    version = service.jobs[job]["version"]
+    page.locator("#resume").click()
+    assert service.jobs[job]["state"] == "paused"
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#state")).to_have_text("Running")
+    assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
 
 
 def test_motion_does_not_start_on_stale_data(panel, service, witness):
@@ -65,21 +75,6 @@ def test_motion_does_not_start_on_stale_data(panel, service, witness):
     service.silent = True
     expect(page.locator(NEXT)).to_be_disabled()
     expect(page.locator("#reason")).to_contain_text("No live data")
-
-
-def test_pause_is_a_touch_and_resume_is_held(panel, service):
-    job = service.measuring()
-    page = panel.open()
-    expect(page.locator("#resume")).to_be_disabled()
-    page.locator("#pause").click()
-    expect(page.locator("#state")).to_have_text("Paused")
-    expect(page.locator("#pause")).to_be_disabled()
-    version = service.jobs[job]["version"]
-    page.locator("#resume").click()
-    assert service.jobs[job]["state"] == "paused"
-    with held(page, page.locator("#resume")):
-        expect(page.locator("#state")).to_have_text("Running")
-    assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
 
 
 def test_a_job_begun_elsewhere_comes_onto_the_page(panel, service):
@@ -190,16 +185,10 @@ def test_the_page_asks_for_the_tracker_and_motion_goes_on_once_armed(panel, serv
     station = {"number": 2, "total": 2, "position_mm": places[1], "checks": [check]}
     service.change(job, state="awaiting-move", stage="waiting", station=station)
     page.wait_for_url(f"**/#/check/{job}")
-    notices = page.locator(".notice")
-    for language, title, label in (
-        ("English", "Station 2 of 2: set up the tracker", "Hold to start motion"),
-        ("Deutsch", "Standort 2 von 2: Tracker aufstellen", "Zum Starten halten"),
-    ):
-        choose(page, language)
-        expect(notices.filter(has_text=title)).to_contain_text("X −650 mm, Y 200 mm")
-        expect(notices.filter(has_text=text)).to_be_visible()
-        expect(page.locator(NEXT)).to_contain_text(label)
-    with held(page, page.locator(NEXT)):
+    asked = page.locator(".notice", has_text="Station 2 of 2: set up the tracker")
+    expect(asked).to_contain_text("X −650 mm, Y 200 mm")
+    expect(page.locator(".notice", has_text=text)).to_be_visible()
+    with held(page, page.locator(NEXT, has_text="Hold to start motion")):
         page.wait_for_url(f"**/#/run/{job}")
 
 
@@ -406,14 +395,11 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
     job = service.ready()
     page = panel.open(f"#/check/{job}")
     row = page.locator('[data-type="controller-able"]')
-    for language, words in (
-        ("English", "A door is open"),
-        ("Deutsch", "Eine Tür ist offen"),
-    ):
+    expect(row).to_have_attribute("data-level", "false")
+    expect(page.locator(NEXT)).to_be_disabled()
+    for language, words in (("English", "A door is"), ("Deutsch", "Eine Tür ist")):
         choose(page, language)
-        expect(row).to_have_attribute("data-level", "false")
         expect(row).to_contain_text(words)
-        expect(page.locator(NEXT)).to_be_disabled()
         expect(page.locator("#reason")).to_contain_text(words)
     service.conditions = [SHUT]
     expect(page.locator(NEXT)).to_be_enabled()
@@ -437,13 +423,9 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     service.connected = True
     page = panel.open("#/connect")
     card = page.locator("[data-card=sensors]")
-    for language, set_, likely in (
-        ("English", "0.06 · as set · unlikely", "20.53 · likely"),
-        ("Deutsch", "0,06 · wie eingestellt · unwahrscheinlich", "20,53 · wahrsch"),
-    ):
-        choose(page, language)
-        for words in (refused, 'word_order = "little"', set_, likely):
-            expect(card).to_contain_text(words)
+    told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
+    for words in (*told, "20.53 · likely"):
+        expect(card).to_contain_text(words)
 
 
 OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}

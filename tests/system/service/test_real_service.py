@@ -158,31 +158,6 @@ def test_a_frozen_service_leaves_a_machine_that_stands(shared):
     assert (meanwhile == meanwhile[0]).all()
 
 
-@pytest.mark.fault_row(23)
-def test_a_killed_cell_leaves_a_run_and_the_next_one_takes_over(shared):
-    running, client, data = shared
-
-    def count_restarts():
-        return client.get("/api/v1/system").json()["cell"]["restarts"]
-
-    before = count_restarts()
-    job = create(client, path=LONG)
-    arm(client, job)
-    moving(client, job["id"])
-    (cell,) = [p for p in _children(running.pid) if _is_cell(p, data)]
-    os.kill(cell, signal.SIGKILL)
-    faulted = follow(client, job["id"], "faulted")
-    assert faulted["error"]["code"] == "cell-died"
-    run = client.get(faulted["links"]["run"]).json()
-    assert run["samples"] > 500
-    assert not run["complete"]
-    wait_until(lambda: count_restarts() == before + 1)
-    wait_until(
-        lambda: client.post("/api/v1/machines/current:connect").status_code == 200
-    )
-    client.post(f"/api/v1/jobs/{create(client, path=ROWS)['id']}/abort")
-
-
 @pytest.mark.parametrize(
     "how", ["terminated", pytest.param("Ctrl+C", marks=pytest.mark.long)]
 )
@@ -323,26 +298,5 @@ def test_a_service_that_cannot_be_as_it_is_set_says_why(settings, tmp_path):
             pass
 
 
-def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
-    changes = {
-        "simulated": False,
-        "machine_file": write_machine(tmp_path / "machine.json"),
-        "tracker_options": {"port": str(tmp_path / "no-such-port")},
-        "motion_driver": "abacus",
-    }
-    iron = settings.model_copy(update=changes)
-    with service_of(iron) as (_, client):
-        answer = client.post("/api/v1/machines/current:connect")
-        assert answer.status_code == 409
-        assert answer.json()["code"] == "device-settings"
-        assert "abacus" in answer.json()["detail"]
-
-
 def _children(process_id):
     return [p.pid for p in psutil.Process(process_id).children(recursive=True)]
-
-
-def _is_cell(process_id, data):
-    """Tell the cell by what it has open: the Run that it records."""
-    files = [f.path for f in psutil.Process(process_id).open_files()]
-    return any(str(data / "runs") in name for name in files)
