@@ -18,13 +18,6 @@ import pytest
 from real_services import drive, service_of
 from service_process import (
     ENDS,
-    acknowledge,
-    arm,
-    create,
-    follow,
-    kill,
-    process,
-    wait_until_done,
 )
 from truepath.settings import load_settings
 from truepath_simulators.hidden.effect import HiddenEffect
@@ -163,26 +156,3 @@ def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
         order = {"run_ids": [first.run_id, extra["run_id"]], "model_id": first.model_id}
         second = drive(client, kind="discover", **order)
         check_what_is_decided(read_discovery(client, second["id"]), hidden)
-
-
-@pytest.mark.fault_row(25)
-def test_extra_lines_whose_service_was_killed_go_on_and_decide(tmp_path):
-    hidden = LateralBacklash("Y", "EXY", 8.0, 0.3)
-    settings = {
-        "TRUEPATH_SIMULATED_SPEED": "3",  # slow enough to be met between lines
-        "TRUEPATH_SIMULATED_SEED": str(MACHINE),
-        "TRUEPATH_SIMULATED_HIDDEN": json.dumps([json.dumps(as_json(hidden))]),
-    }
-    with process(tmp_path, **settings) as (service, client):
-        first = discover_at_points(client, tmp_path)
-        order = {"kind": "measure-extra", "discovery_id": first.discovery_id}
-        extra = create(client, **order)
-        arm(client, extra)
-        wait_until_done(client, extra["id"], 1)  # of few lines
-        kill(service)
-    with process(tmp_path, **settings) as (_, client):
-        arm(client, acknowledge(client, extra["id"]))
-        ended = follow(client, extra["id"], "succeeded", patience_s=120.0)
-        assert ended["run_ids"][0] == first.run_id
-        assert len(ended["run_ids"]) == 3
-        check_what_is_decided(read_discovery(client, ended["id"]), hidden)

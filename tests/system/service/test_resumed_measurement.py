@@ -10,9 +10,7 @@ import random
 import numpy as np
 import pytest
 
-from arming import arm_over_http
 from service_process import (
-    ENDS,
     acknowledge,
     arm,
     create,
@@ -44,10 +42,7 @@ ROWS = [
     }
     for _ in range(24)
 ]
-MANY_ROWS = [
-    *ROWS,
-    *({**row, "x_mm": 500.0 - row["x_mm"], "z_mm": 300 - row["z_mm"]} for row in ROWS),
-]
+
 AREAS = {
     "tracker": {
         "areas": [
@@ -177,54 +172,6 @@ def list_digests(folder, run_ids):
     return [digest_run(open_run(file)) for file in files]
 
 
-@pytest.mark.fault_row(25)
-def test_an_adaptive_measurement_whose_service_was_killed_plans_on_and_is_right(
-    start, rig, tmp_path
-):
-    planning = {"mode": "otf", "minutes": 4.0}  # by the clock of the machine
-    with start() as (service, client):
-        job = create(client, kind="measure-adaptive", planning=planning)
-        arm(client, job)
-        first_part = len(read_rows(client, job["id"])) - 1
-        wait_until_done(client, job["id"], first_part + 1)  # of those chosen meanwhile
-        kill(service)
-    with start() as (_, client):
-        chosen = read_rows(client, job["id"])
-        ended, first_row = go_on(client, rig, job["id"])
-        assert 0 < first_row < len(chosen)
-        driven = read_rows(client, job["id"])
-        assert driven[: len(chosen)] == chosen
-        assert len(driven) > len(chosen), "nothing more was planned"
-        result = client.get(ended["result"]["result"]).json()
-        used = [run["input_sha256"] for run in result["provenance"]["runs"]]
-        assert used == list_digests(tmp_path, ended["run_ids"])
-        assert_agrees_with_truth(client, ended, rig)
-
-
-@pytest.mark.fault_row(25)
-def test_what_acts_on_notices_goes_on_after_its_service_was_killed_and_is_right(
-    start, rig
-):
-    with start() as (service, client):
-        job = create(client, path=MANY_ROWS, on_notice="check")
-        arm(client, job)
-        wait_until_done(client, job["id"], 14)
-        rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
-        wait_for(
-            lambda: len(read_rows(client, job["id"])) > len(MANY_ROWS),
-            "lines that are driven again",
-        )
-        wait_until_done(client, job["id"], 22)  # the places that the check compares
-        kill(service)
-    with start() as (_, client):
-        kept = client.get(f"/api/v1/jobs/{job['id']}").json()["notices"]
-        assert kept
-        ended, first_row = go_on(client, rig, job["id"])
-        assert first_row > 14
-        assert ended["notices"][: len(kept)] == kept
-        assert_agrees_with_truth(client, ended, rig)
-
-
 def compare_with_places(found, rig):
     """Return by how much each place is measured off the truth, µm, and U of that.
 
@@ -341,43 +288,6 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
         left_um = result["volumetric_uncertainty_um"]
         assert result["runs"][-1]["without_it_um"] > left_um
         assert_agrees_with_truth(client, ended, rig)
-
-
-def test_a_service_restarted_while_it_waits_goes_on_with_what_is_recorded(start, rig):
-    with start() as (_, client):
-        order, _ = plan_stations(client)
-        job = create(client, **order)
-        set_down(rig, job, 1)
-        arm(client, job)
-        asked = follow(client, job["id"], "awaiting-move")
-        set_down(rig, asked, 2)
-    with start() as (_, client):
-        ended = client.get(f"/api/v1/jobs/{job['id']}").json()
-        assert ended["state"] == "interrupted"
-        assert ended["run_ids"] == asked["run_ids"]
-        assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["complete"]
-        again = create(client, continues=job["id"])
-        assert again["station"]["number"] == 2
-        arm(client, again)
-        rig.inject(f"tracker:beam-break+{8.0 * SPEED}s")  # known points are hidden
-        asked = follow(client, again["id"], "awaiting-move")
-        assert asked["station"]["checks"][-1]["problem"] == "not-seen"
-        wait_for(lambda: try_again(client, again["id"]), "the beam")
-        done = client.get(f"/api/v1/jobs/{again['id']}").json()
-        assert done["run_ids"][0] == ended["run_id"]
-        result = client.get(done["result"]["result"]).json()
-        assert len(result["runs"]) == 2
-
-
-def try_again(client, job_id):
-    """Arm a job where it asks for the tracker; tell whether it has succeeded."""
-    job = client.get(f"/api/v1/jobs/{job_id}").json()
-    assert job["state"] == "succeeded" or job["state"] not in ENDS, job["error"]
-    if job["state"] == "awaiting-move":
-        answer = arm_over_http(client, job)
-        if answer.status_code != 202:  # the beam is not back yet
-            assert answer.json()["conditions"] == ["target-in-sight"]
-    return job["state"] == "succeeded"
 
 
 @pytest.mark.fault_row(25)
