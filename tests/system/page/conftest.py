@@ -139,52 +139,39 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
 
 
 @dataclass
-class Window:
-    """An operator's browser with one page, which stays for the next test.
+class Windows:
+    """Browsers of operators, empty but for the files of the page.
 
-    The process of a page that is closed ends with it, and with the process go the
-    compiled scripts: they take longer than what most tests do.
+    Each has one page, which stays for the next test: the process of a page that is
+    closed ends with it, and with the process go the compiled scripts, which take longer
+    than what most tests do.
     """
 
-    page: Page
-    address: str
-    undo: list[Any] = field(default_factory=list)
-
-    def clear(self) -> None:
-        """Leave the page of the service and forget what it has stored."""
-        page = self.page
-        for other in page.context.pages:
-            if other is not page:
-                other.close()
-        page.unroute_all(behavior="ignoreErrors")
-        for script in self.undo:
-            script.close()
-        self.undo.clear()
-        page.mouse.move(-9, -9)  # it points at nothing
-        page.goto(f"{self.address}{NOTHING}")
-        page.context.clear_cookies()
-
-
-@dataclass
-class Windows:
     browser: Browser
     address: str
-    free: dict[str, list[Window]] = field(default_factory=dict)
+    free: dict[str, list[Page]] = field(default_factory=dict)
 
-    def take(self, clock: bool, **options: Any) -> tuple[str, Window]:
+    def take(self, clock: bool, **options: Any) -> tuple[str, Page]:
         kind = repr((clock, options))
         if waiting := self.free.get(kind):
             return kind, waiting.pop()
         viewport: ViewportSize = {"width": DESK[0], "height": DESK[1]}
         context = self.browser.new_context(viewport=viewport, **options)
         context.set_default_timeout(PATIENCE_MS)
-        window = Window(context.new_page(), self.address)
-        window.page.goto(f"{self.address}{NOTHING}")
-        return kind, window
+        page = context.new_page()
+        page.goto(f"{self.address}{NOTHING}")
+        return kind, page
 
-    def give_back(self, kind: str, window: Window) -> None:
-        window.clear()
-        self.free.setdefault(kind, []).append(window)
+    def give_back(self, kind: str, page: Page) -> None:
+        """Leave the page of the service and forget what it has stored."""
+        for other in page.context.pages:
+            if other is not page:
+                other.close()
+        page.unroute_all(behavior="ignoreErrors")
+        page.mouse.move(-9, -9)  # it points at nothing
+        page.goto(f"{self.address}{NOTHING}")
+        page.context.clear_cookies()
+        self.free.setdefault(kind, []).append(page)
 
 
 @pytest.fixture(scope="package")
@@ -237,7 +224,7 @@ class Panel:
     address: str
     service: ScriptedService
     witness: Witness
-    taken: list[tuple[str, Window]] = field(default_factory=list)
+    taken: list[tuple[str, Page, Any]] = field(default_factory=list)
 
     def open(
         self,
@@ -261,9 +248,7 @@ class Panel:
         Nothing moves on its own but where motion is wanted: that is drawn by the CPU.
         """
         self.service.is_heard.clear()
-        kind, window = self.windows.take(clock, locale=language, has_touch=touch)
-        self.taken.append((kind, window))
-        page = window.page
+        kind, page = self.windows.take(clock, locale=language, has_touch=touch)
         viewport: ViewportSize = {"width": size[0], "height": size[1]}
         if page.viewport_size != viewport:
             page.set_viewport_size(viewport)
@@ -272,7 +257,8 @@ class Panel:
             reduced_motion="no-preference" if motion else "reduce",
         )
         graphics = _GRAPHICS_CARD if card else _NO_GRAPHICS
-        window.undo.append(page.add_init_script(_ALL_FILES + graphics + before))
+        script = page.add_init_script(_ALL_FILES + graphics + before)
+        self.taken.append((kind, page, script))
         self.witness.watch(page)
         page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
         if hears:
@@ -280,9 +266,10 @@ class Panel:
         return page
 
     def close(self) -> None:
-        for kind, window in self.taken:
-            self.witness.leave(window.page)
-            self.windows.give_back(kind, window)
+        for kind, page, script in self.taken:
+            self.witness.leave(page)
+            script.close()
+            self.windows.give_back(kind, page)
 
 
 @pytest.fixture

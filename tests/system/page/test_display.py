@@ -41,7 +41,9 @@ LOOK = """() => {
 }"""
 
 
-def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
+def test_data_older_than_2_5_s_are_stamped_stale_until_some_come_again(
+    panel, service, witness
+):
     witness.expect("net::ERR_FAILED")
     service.measuring()
     page = panel.open()
@@ -60,9 +62,14 @@ def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
         assert look_in(page, theme) == fresh[theme]
         expect(stale).to_have_attribute("data-age", re.compile(r"^\d+ s old$"))
         assert "gradient" in stale.evaluate("e => getComputedStyle(e).backgroundImage")
+    page.evaluate("location.hash = '#/run/job-2'")
+    expect(page.locator("#problems")).to_contain_text("The service does not answer")
+    page.unroute(JOBS)
+    page.evaluate("location.hash = '#/run/job-1'")
     service.silent = False
     expect(page.locator("#stamp")).to_have_text("Live data")
     expect(page.locator(".is-stale-data")).to_have_count(0)
+    expect(page.locator("#problems")).to_be_empty()
 
 
 def look_in(page: Page, theme: Literal["dark", "light"]) -> list[str]:

@@ -140,22 +140,6 @@ def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
     expect(problem).to_contain_text("The service has not answered")
 
 
-def test_a_service_that_answers_again_is_not_said_to_be_silent(panel, service, witness):
-    witness.expect(*NO_ANSWER)
-    page = panel.open("#/records")
-    expect(page.locator("#stamp")).to_have_text("Live data")
-    service.silent = True
-    page.route(JOBS, lambda route: route.abort())
-    expect(page.locator("#stamp")).to_contain_text("STALE")
-    page.evaluate("location.hash = '#/run/job-1'")
-    problem = page.locator("#problems")
-    expect(problem).to_contain_text("The service does not answer")
-    page.unroute(JOBS)
-    service.silent = False
-    expect(page.locator("#stamp")).to_have_text("Live data")
-    expect(problem).to_be_empty()
-
-
 def test_a_fault_says_why_and_stays_until_it_is_taken_away(panel, service):
     job = service.measuring()
     page = panel.open()

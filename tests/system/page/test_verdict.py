@@ -70,7 +70,7 @@ def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
     expect(rows.nth(4)).to_contain_text("42 Messpunkte der Geraden 8, von 61,2 s bis")
 
 
-def test_a_usable_result_says_quietly_what_was_left_out_of_it(panel, service):
+def test_a_result_that_may_be_used_or_is_doubtful_says_so_quietly(panel, service):
     page = panel.open("#/records")
     band = turn_to(page, service, LEFT_OUT)
     expect(band).to_have_attribute("role", "note")
@@ -84,14 +84,11 @@ def test_a_usable_result_says_quietly_what_was_left_out_of_it(panel, service):
     expect(band).to_have_count(0)
     mark = page.locator(".view-head .verdict-mark")
     expect(mark).to_have_text("May be used")
-
-
-def test_a_doubtful_result_says_so_even_in_words_of_a_later_version(panel, service):
-    page = panel.open("#/records")
-    band = turn_to(page, service, OPEN)
+    turn_to(page, service, OPEN)
     expect(band.get_by_role("heading")).to_have_text("Doubtful")
     assert page.locator(".verdict-mark").count() == 0
     expect(band.locator("li")).to_have_count(1)
+    # Words of a later version stand as they are.
     moon = {"kind": "moon", "state": "doubtful", "run": "", "values": {}}
     service.result["verdict"] = {
         "state": "doubtful",

@@ -4,11 +4,9 @@ import json
 import os
 import signal
 import sqlite3
-import threading
 import time
 from contextlib import closing
 
-import httpx2
 import psutil
 import pytest
 
@@ -21,7 +19,7 @@ from scripted_cell import wait_until
 from service_process import ROWS, SPEED, arm, create, follow, moving
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
-from truepath.main import open_service, serve
+from truepath.main import open_service
 from truepath.measurement.run_file.run_reading import open_run
 from truepath.settings import load_settings
 
@@ -35,18 +33,6 @@ def settings(tmp_path):
     return load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
     )
-
-
-def resumed(client, job_id):
-    """Press Resume where the job stands, again where it was refused; tell if it runs.
-
-    On a busy computer the stream may be silent at that very moment.
-    """
-    job = client.get(f"/api/v1/jobs/{job_id}").json()
-    if job["state"] == "paused":
-        version = {"If-Match": f'"{job["version"]}"'}
-        client.post(f"/api/v1/jobs/{job_id}/resume", headers=version)
-    return job["state"] == "running"
 
 
 @pytest.fixture(scope="module")
@@ -114,23 +100,6 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
         again = follow(client, again["id"], "succeeded")
         same = client.get(again["result"]["result"]).json()
         assert same["error_tables"]["EXX"] == result["error_tables"]["EXX"]
-
-
-def test_pause_resume_and_abort_reach_the_machine(shared):
-    _, client, _ = shared
-    job = create(client, path=LONG)
-    arm(client, job)
-    moving(client, job["id"])
-    client.post(f"/api/v1/jobs/{job['id']}/pause")
-    follow(client, job["id"], "paused")
-    wait_until(lambda: resumed(client, job["id"]), "motion")
-    begun = time.monotonic()
-    client.post("/api/v1/stop")
-    aborted = follow(client, job["id"], "aborted")
-    assert time.monotonic() - begun < 5
-    run = client.get(aborted["links"]["run"]).json()
-    assert run["samples"] > 500
-    assert not run["complete"]
 
 
 @pytest.mark.fault_row(30)
@@ -259,21 +228,6 @@ def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path, mea
         assert system["current_job"] is None
         assert system["cell"]["connected"] is False
     measured(f"killed in motion: {run['samples']} samples kept, no device opened again")
-
-
-def test_whoever_waits_for_the_service_is_told_its_address(settings):
-    told: list[str] = []
-    heard = threading.Event()
-
-    def listening(address):
-        told.append(httpx2.get(f"{address}/healthz").json()["status"])
-        heard.set()
-        os.kill(os.getpid(), signal.SIGINT)
-
-    plain = settings.model_copy(update={"simulated": False})
-    serve(plain, listening=listening)
-    assert heard.is_set()
-    assert told == ["ok"]
 
 
 def test_data_in_use_are_refused(settings):
