@@ -208,16 +208,18 @@ def show_proof(page: Page, service: ScriptedService, **content: Any) -> Locator:
 
 def test_what_a_verification_has_not_seen_or_known_is_said(panel, service):
     page = panel.open("#/records")
+    english = ("across the travel", "along X and Y", "Not driven: Z, C.")
     show_proof(
         page,
         service,
+        statements=["; ".join(english)],
         components="three at standstills, the two across the travel on lines",
         unseen_directions=["X", "Y"],
         axes_at_rest=["Z", "C"],
     )
     said = page.locator(".card", has=page.locator(".proof-table")).locator(".lines")
     for language, texts in (
-        ("English", ("across the travel", "along X and Y", "Not driven: Z, C.")),
+        ("English", english),
         ("Deutsch", ("quer zur Fahrt", "Längs X und Y", "Nicht verfahren: Z, C")),
     ):
         choose(page, language)

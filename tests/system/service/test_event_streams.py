@@ -1,6 +1,8 @@
 """Server-sent events over a real socket."""
 
+import asyncio
 import json
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,6 +16,7 @@ from truepath.catalogue.errors import StorageFull, StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, JobKind, encode_job
 from truepath.catalogue.transitions import State
 from truepath.service.api.routes import events
+from truepath.service.api.topics import Topics
 
 pytestmark = pytest.mark.database
 EVENTS = "/api/v1/events"
@@ -268,3 +271,14 @@ def test_an_open_stream_ends_with_its_session_but_not_with_the_catalogue(
         assert read(found, 99, ("never",)) == []
     assert time.monotonic() - begun_s < 0.9
     assert not service.closing.is_set()
+
+
+def test_notices_after_the_loop_has_ended_are_harmless(service):
+    async def subscribe():
+        return events.Subscription(service, Topics(), lambda: True)
+
+    subscription = asyncio.run(subscribe())
+    event = JobEvent("live", None, {})
+    thread = threading.Thread(target=subscription.put, args=(event,))
+    thread.start()
+    thread.join()
