@@ -75,7 +75,7 @@ def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
     ):
         link = page.get_by_role("link", name=name)
         expect(link).to_have_attribute("href", re.compile(address))
-    choose(page, "Deutsch")
+    page = panel.open(f"#/discover/{job}", language="de")
     strips = page.locator(".heat-strip")
     expect(strips.locator("b")).to_contain_text(
         ["Geraden", "Bewegte Achse", "Zeit", "Temperatur X"]
