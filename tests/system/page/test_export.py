@@ -43,9 +43,9 @@ def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
     page, card = show(panel, service)
     account = card.locator("[data-rotary]")
     choose(page, "Deutsch")
+    card.get_by_text("LinuxCNC").click()
     for width, height in (DESK, PHONE):
         page.set_viewport_size({"width": width, "height": height})
-        card.get_by_text("LinuxCNC").click()
         for text, count in (
             ("48,3 → 1,6 µrad ± 0,7 µrad (k = 2)", 1),
             ("Nicht im Ergebnis", 2),
