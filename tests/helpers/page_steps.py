@@ -79,3 +79,24 @@ def assert_fits(page: Page) -> None:
     page.wait_for_function(
         "() => document.documentElement.scrollWidth <= window.innerWidth"
     )
+
+
+class Taps:
+    """What an operator presses at one page, counted."""
+
+    def __init__(self, page: Page, patience_ms: float | None = None) -> None:
+        self.page, self.count, self._patience_ms = page, 0, patience_ms
+
+    def press(self, label: str, *, where: str = NEXT) -> None:
+        button = self.page.locator(where, has_text=label)
+        expect(button).to_be_enabled(timeout=self._patience_ms)
+        button.click()
+        self.count += 1
+
+    def hold_until(self, label: str, address: str) -> None:
+        """Hold the button that starts motion until the page has gone on."""
+        button = self.page.locator(NEXT, has_text=label)
+        expect(button).to_be_enabled(timeout=self._patience_ms)
+        with held(self.page, button):
+            self.page.wait_for_url(address)
+        self.count += 1

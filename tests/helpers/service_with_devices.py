@@ -38,12 +38,9 @@ def connect(client):
     wait_for(lambda: client.post(CONNECT).status_code == 200, "the devices")
 
 
-def set_in_motion(client: httpx2.Client, rig: Rig, newer_plans: int = 0) -> str:
-    """Drive a long slow path, and order plans after it; return its job."""
+def set_in_motion(client: httpx2.Client, rig: Rig) -> str:
+    """Drive a long slow path; return its job."""
     job = create(client, path=LONG_PATH)
-    for _ in range(newer_plans):
-        answer = client.post("/api/v1/plans", json={"minutes": 5})
-        assert answer.status_code == 202, answer.text
     arm(client, job)
     wait_for(lambda: is_on_path(rig), "motion on the path")
     return job["id"]

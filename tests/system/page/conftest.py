@@ -1,7 +1,5 @@
 """A page in a real browser over a service that a test steps through."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket
@@ -65,7 +63,6 @@ _GRAPHICS_CARD = (
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what needs Chromium."""
     for item in items:
         if item.path.parent == HERE and "playwright" in item.fixturenames:  # type: ignore[attr-defined]
             item.add_marker(pytest.mark.ui)
@@ -73,7 +70,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def service() -> ScriptedService:
-    """The service's part of the play; nobody listens yet."""
     return ScriptedService()
 
 
@@ -98,7 +94,6 @@ class SharedServer:
 
 @pytest.fixture(scope="package")
 def shared_server() -> Iterator[SharedServer]:
-    """Where scripted services listen."""
     listening = socket.create_server((LOOPBACK, 0))
     shared = SharedServer(f"http://{LOOPBACK}:{listening.getsockname()[1]}")
     config = uvicorn.Config(
@@ -116,7 +111,6 @@ def shared_server() -> Iterator[SharedServer]:
 
 @pytest.fixture
 def address(service: ScriptedService, shared_server: SharedServer) -> Iterator[str]:
-    """Where the scripted service listens."""
     shared_server.played.service = service
     yield shared_server.address
     service.closing.set()
@@ -145,56 +139,39 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
 
 
 @dataclass
-class Window:
-    """An operator's browser with one page, which stays for the next test.
-
-    The process of a page that is closed ends with it, and with the process go the
-    compiled scripts: they take longer than what most tests do.
-    """
-
-    page: Page
-    address: str
-    undo: list[Any] = field(default_factory=list)
-
-    def clear(self) -> None:
-        """Leave the page of the service and forget what it has stored."""
-        page = self.page
-        for other in page.context.pages:
-            if other is not page:
-                other.close()
-        page.unroute_all(behavior="ignoreErrors")
-        for script in self.undo:
-            script.close()
-        self.undo.clear()
-        page.mouse.move(-9, -9)  # it points at nothing
-        page.goto(f"{self.address}{NOTHING}")
-        page.context.clear_cookies()
-
-
-@dataclass
 class Windows:
-    """Browsers of operators, empty but for the files of the page."""
+    """Browsers of operators, empty but for the files of the page.
+
+    Each has one page, which stays for the next test: the process of a page that is
+    closed ends with it, and with the process go the compiled scripts, which take longer
+    than what most tests do.
+    """
 
     browser: Browser
     address: str
-    free: dict[str, list[Window]] = field(default_factory=dict)
+    free: dict[str, list[Page]] = field(default_factory=dict)
 
-    def take(self, clock: bool, **options: Any) -> tuple[str, Window]:
-        """Return one that nobody uses, and its kind."""
+    def take(self, clock: bool, **options: Any) -> tuple[str, Page]:
         kind = repr((clock, options))
         if waiting := self.free.get(kind):
             return kind, waiting.pop()
         viewport: ViewportSize = {"width": DESK[0], "height": DESK[1]}
         context = self.browser.new_context(viewport=viewport, **options)
         context.set_default_timeout(PATIENCE_MS)
-        window = Window(context.new_page(), self.address)
-        window.page.goto(f"{self.address}{NOTHING}")
-        return kind, window
+        page = context.new_page()
+        page.goto(f"{self.address}{NOTHING}")
+        return kind, page
 
-    def give_back(self, kind: str, window: Window) -> None:
-        """Keep it for another test."""
-        window.clear()
-        self.free.setdefault(kind, []).append(window)
+    def give_back(self, kind: str, page: Page) -> None:
+        """Leave the page of the service and forget what it has stored."""
+        for other in page.context.pages:
+            if other is not page:
+                other.close()
+        page.unroute_all(behavior="ignoreErrors")
+        page.mouse.move(-9, -9)  # it points at nothing
+        page.goto(f"{self.address}{NOTHING}")
+        page.context.clear_cookies()
+        self.free.setdefault(kind, []).append(page)
 
 
 @pytest.fixture(scope="package")
@@ -219,7 +196,6 @@ class Witness:
         page.on("pageerror", self._note)
 
     def leave(self, page: Page) -> None:
-        """Watch it no longer; look where its files have come from."""
         page.remove_listener("console", self._hear)
         page.remove_listener("pageerror", self._note)
         self.strangers += page.evaluate(_STRANGERS, LOOPBACK)
@@ -244,13 +220,11 @@ def witness() -> Witness:
 
 @dataclass
 class Panel:
-    """Opens pages as an operator's panel would: size, language, light or dark."""
-
     windows: Windows
     address: str
     service: ScriptedService
     witness: Witness
-    taken: list[tuple[str, Window]] = field(default_factory=list)
+    taken: list[tuple[str, Page, Any]] = field(default_factory=list)
 
     def open(
         self,
@@ -274,9 +248,7 @@ class Panel:
         Nothing moves on its own but where motion is wanted: that is drawn by the CPU.
         """
         self.service.is_heard.clear()
-        kind, window = self.windows.take(clock, locale=language, has_touch=touch)
-        self.taken.append((kind, window))
-        page = window.page
+        kind, page = self.windows.take(clock, locale=language, has_touch=touch)
         viewport: ViewportSize = {"width": size[0], "height": size[1]}
         if page.viewport_size != viewport:
             page.set_viewport_size(viewport)
@@ -285,7 +257,8 @@ class Panel:
             reduced_motion="no-preference" if motion else "reduce",
         )
         graphics = _GRAPHICS_CARD if card else _NO_GRAPHICS
-        window.undo.append(page.add_init_script(_ALL_FILES + graphics + before))
+        script = page.add_init_script(_ALL_FILES + graphics + before)
+        self.taken.append((kind, page, script))
         self.witness.watch(page)
         page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
         if hears:
@@ -293,9 +266,10 @@ class Panel:
         return page
 
     def close(self) -> None:
-        for kind, window in self.taken:
-            self.witness.leave(window.page)
-            self.windows.give_back(kind, window)
+        for kind, page, script in self.taken:
+            self.witness.leave(page)
+            script.close()
+            self.windows.give_back(kind, page)
 
 
 @pytest.fixture

@@ -1,13 +1,11 @@
 """ABORT: always there, one touch, whatever else of the page has failed."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from page_steps import NO_EVENTS, choose
+from page_steps import choose
 from scripted_service import ScriptedService
 
 SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
@@ -32,58 +30,41 @@ def test_abort_is_72_px_and_in_sight(panel):
             assert box["y"] <= 16
 
 
-def test_one_touch_stops_a_running_job(panel, service):
-    job = service.measuring()
-    page = panel.open()
-    expect(page.locator("#state")).to_have_text("Running")
+def touch(page: Page) -> None:
     page.locator("#abort").click()
-    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
-    assert service.jobs[job]["state"] == "aborted"
-    page.locator("#abort-close").click()
-    expect(page.locator("#abort-sheet")).to_be_hidden()
-    expect(page.locator("#state")).to_have_text("Aborted")
 
 
-@pytest.mark.fault_row(32)
-def test_abort_works_without_the_event_stream(panel, service, witness):
-    witness.expect(*NO_STREAM)
-    job = service.measuring()
-    page = panel.open("#/connect", before=NO_EVENTS, hears=False)
-    expect(page.locator("#stamp")).to_contain_text("Asked each second")
-    page.locator("#abort").click()
-    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
-    assert service.jobs[job]["state"] == "aborted"
-
-
-def test_abort_works_when_the_pages_modules_fail(panel, service, witness):
-    witness.expect(*NO_STREAM)
-    job = service.measuring()
-    page = panel.open("#/connect")
+def touch_without_modules(page: Page) -> None:
     page.route("**/js/main.js", lambda route: route.abort())
     page.reload()
-    page.locator("#abort").click()
-    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
-    assert service.jobs[job]["state"] == "aborted"
+    touch(page)
 
 
-def test_abort_works_over_an_open_sheet(panel, service):
-    job = service.measuring()
-    page = panel.open()
+def touch_over_a_sheet(page: Page) -> None:
     page.locator("#open-settings").click()
     expect(page.locator("#settings")).to_be_visible()
-    page.locator("#abort").click()
-    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
-    assert service.jobs[job]["state"] == "aborted"
+    touch(page)
 
 
-def test_abort_works_from_the_keyboard(panel, service):
+def press_a_key(page: Page) -> None:
+    page.locator("#abort").press("Enter")
+
+
+@pytest.mark.parametrize(
+    "order", [touch, touch_without_modules, touch_over_a_sheet, press_a_key]
+)
+def test_abort_stops_a_running_job(panel, service, witness, order):
+    witness.expect(*NO_STREAM)
     job = service.measuring()
     page = panel.open()
     expect(page.locator("#state")).to_have_text("Running")
-    page.locator("#abort").focus()
-    page.keyboard.press("Enter")
+    order(page)
     expect(page.locator("#abort-title")).to_have_text("Motion stopped")
     assert service.jobs[job]["state"] == "aborted"
+    if order is touch:
+        page.locator("#abort-close").click()
+        expect(page.locator("#abort-sheet")).to_be_hidden()
+        expect(page.locator("#state")).to_have_text("Aborted")
 
 
 def test_the_release_of_a_long_press_is_no_second_order(panel, service):
@@ -164,11 +145,15 @@ def test_a_service_that_ended_during_an_abort_has_confirmed_no_stop(panel, servi
     expect(page.locator("#abort-title")).to_have_text("Motion stopped")
 
 
-@pytest.mark.parametrize("kind", ["measure-otf", "verify"])
-def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service, kind):
+@pytest.mark.parametrize(("kind", "newer"), [("measure-otf", 0), ("verify", 55)])
+def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(
+    panel, service, kind, newer
+):
     service.deaf_to_stop = True
     service.measuring(kind=kind)
-    page = panel.open(clock=True)
+    for _ in range(newer):
+        service.finish(service.new_job("analyse")["id"])
+    page = panel.open("#/connect", clock=True)
     wait_unconfirmed(page, service)
     box = page.locator("#abort-sheet").bounding_box()
     assert box == {"x": 0, "y": 0, "width": 1280, "height": 800}
@@ -186,15 +171,6 @@ def test_an_answer_that_lists_no_jobs_does_not_look_like_a_stop(panel, service):
     wait_unconfirmed(page, service)
     page.unroute("**/api/v1/jobs?*state=*")
     expect(page.locator("#abort-title")).to_have_text("Motion stopped")
-
-
-def test_a_moving_job_is_not_lost_behind_newer_ones(panel, service):
-    service.deaf_to_stop = True
-    service.measuring()
-    for _ in range(55):
-        job = service.new_job("analyse")
-        service.finish(job["id"])
-    wait_unconfirmed(panel.open("#/connect", clock=True), service)
 
 
 def test_a_dead_service_does_not_look_like_a_stop(panel, service, witness):

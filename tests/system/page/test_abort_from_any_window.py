@@ -4,32 +4,26 @@ One browser opens six HTTP/1.1 connections to a host, for all its windows togeth
 devices run beside the service: the test looks what the control truly does.
 """
 
-from __future__ import annotations
-
-import datetime
 import re
 import shutil
 import socket
 import subprocess
 import time
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 from playwright.sync_api import Error, expect
 
 from service_process import create, wait_for
 from service_with_devices import (
     LONG_PATH,
     connect,
+    moves,
     running_devices,
     service_of,
     set_in_motion,
 )
+from truepath.users.certificates import create_certificate
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -45,7 +39,6 @@ def rig():
 
 @pytest.fixture(scope="module")
 def client(rig, tmp_path_factory):
-    """A client of the service that has these devices."""
     trusted = {"TRUEPATH_TRUSTED_HOSTS": f'["{NAME}"]'}
     with service_of(rig, tmp_path_factory.mktemp("service"), **trusted) as asking:
         connect(asking)
@@ -63,7 +56,6 @@ def one_browser(browser):
 
 @pytest.fixture
 def context(one_browser):
-    """This browser without a window."""
     yield one_browser
     for page in one_browser.pages:
         page.close()
@@ -71,7 +63,6 @@ def context(one_browser):
 
 @pytest.fixture
 def page(client, context):
-    """A window with live data."""
     return open_window(client, context)
 
 
@@ -95,6 +86,7 @@ def abort(page, rig):
     return took_s
 
 
+@pytest.mark.fault_row(32)
 @pytest.mark.fault_row(46)
 @pytest.mark.parametrize(
     "windows", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (6, 8, 12))]
@@ -103,10 +95,46 @@ def test_abort_holds_the_machine_with_many_windows(
     rig, client, context, windows, measured
 ):
     pages = [open_window(client, context) for _ in range(windows)]
-    set_in_motion(client, rig)
+    job = set_in_motion(client, rig)
     took_s = abort(pages[-1], rig)
     measured(f"{windows} windows: held {took_s:.2f} s after the click")
     assert took_s < WITHIN_S
+    assert not moves(rig)
+    assert client.get(f"/api/v1/jobs/{job}").json()["state"] == "aborted"
+
+
+NOTE_STAGES = """
+  const note = () => {
+    const sheet = document.getElementById("abort-sheet");
+    (window.stages ??= []).push(sheet.hidden ? "" : sheet.dataset.stage);
+  };
+  document.addEventListener("DOMContentLoaded", () =>
+    new MutationObserver(note).observe(document.getElementById("abort-sheet"),
+      { attributes: true }));
+"""
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(17)
+@pytest.mark.fault_row(32)
+def test_a_stop_that_the_controller_ignores_is_never_confirmed(context, tmp_path):
+    page = context.new_page()
+    page.add_init_script(NOTE_STAGES)
+    with running_devices() as rig, service_of(rig, tmp_path) as client:
+        connect(client)
+        page.goto(str(client.base_url))
+        set_in_motion(client, rig)
+        rig.inject("cnc:ignore-commands@0s+600s")
+        page.locator("#abort").click()
+        sheet = page.locator("#abort-sheet")
+        expect(sheet).to_have_attribute("data-stage", "unconfirmed", timeout=10_000)
+        assert "emergency stop" in page.locator("#abort-text").inner_text().lower()
+        wait_for(lambda: not moves(rig), "the machine's own watchdog", 9.0)
+        assert client.get("/api/v1/system").json()["current_job"] is None
+        for _ in range(3):
+            with page.expect_response(lambda answer: "/api/v1/jobs" in answer.url):
+                pass
+    assert not {"confirmed", "idle"} & set(page.evaluate("window.stages"))
 
 
 OCCUPY = {
@@ -165,31 +193,14 @@ def nginx() -> str:
     return found
 
 
-def make_certificate(folder: Path) -> str:
-    """Write a self-signed certificate; return the lines that name it."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, NAME)])
-    now = datetime.datetime.now(datetime.UTC)
-    made = (
-        x509.CertificateBuilder(name, name, key.public_key(), 1)
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .sign(key, hashes.SHA256())
-    )
-    pem = serialization.Encoding.PEM
-    (folder / "cert.pem").write_bytes(made.public_bytes(pem))
-    plain = serialization.NoEncryption()
-    form = serialization.PrivateFormat.PKCS8
-    (folder / "key.pem").write_bytes(key.private_bytes(pem, form, plain))
-    return f"ssl_certificate {folder}/cert.pem; ssl_certificate_key {folder}/key.pem;"
-
-
 @contextmanager
 def proxy(folder, locations, *, tls=False):
-    """Run nginx with these locations; all else is another application's."""
     with closing(socket.create_server(("127.0.0.1", 0))) as free:
         port = free.getsockname()[1]
-    certificate = make_certificate(folder) if tls else ""
+    certificate = ""
+    if tls:
+        made = create_certificate([NAME], folder, 2)
+        certificate = f"ssl_certificate {made.cert}; ssl_certificate_key {made.key};"
     kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
     paths = " ".join(f"{kind}_temp_path {folder}/{kind};" for kind in kinds)
     settings = folder / "nginx.conf"

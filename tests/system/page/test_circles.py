@@ -1,29 +1,16 @@
 """Circles that a verification drove on the fly, as a ballbar shows them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, expect
 
-from page_steps import DESK, PHONE, assert_fits, choose
+from page_steps import DESK, PHONE, assert_fits, choose, go
 from scripted_data import circles_in_motion, verification
-from scripted_service import ScriptedService
-
-
-def show(panel, service: ScriptedService, circles) -> tuple[Page, Locator]:
-    """Open the verification of a result that drove circles."""
-    proof = service.verified(verification(service.measured()) | circles)
-    page = panel.open(f"#/verify/{proof}")
-    card = page.locator("[data-card=circles]")
-    expect(card).to_be_visible()
-    return page, card
 
 
 def read_radii(path: Locator) -> np.ndarray:
-    """Return how far the points of a curve are from the middle of its chart."""
     points = re.findall(r"([\d.]+) ([\d.]+)", path.get_attribute("d") or "")
     return np.linalg.norm(np.array(points, float) - 210.0, axis=1)
 
@@ -31,7 +18,10 @@ def read_radii(path: Locator) -> np.ndarray:
 def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
     panel, service
 ):
-    page, card = show(panel, service, circles_in_motion())
+    content = verification(service.measured()) | circles_in_motion()
+    page = panel.open(f"#/verify/{service.verified(content)}")
+    card = page.locator("[data-card=circles]")
+    expect(card).to_be_visible()
     chart = card.get_by_role("img", name=re.compile("circle XY, diameter 307.2 mm"))
     expect(chart).to_have_accessible_name(re.compile(r"H 6\.1 ± 1\.8 µm; G 13\.6"))
     there = read_radii(chart.locator("path.is-counterclockwise"))
@@ -67,12 +57,12 @@ def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
         assert min(420, 0.75 * width) <= box["width"] + 1.0
         assert box["x"] + box["width"] <= width
         assert_fits(page)
-
-
-def test_a_circle_without_its_centre_is_stated_and_not_drawn(panel, service):
+    # One without its centre is stated and not drawn.
     circles = circles_in_motion() | {"circles_missing": []}
     circles["circles_in_motion"][0]["centre_um"] = None
-    _, card = show(panel, service, circles)
+    proof = service.verified(verification(service.measured()) | circles)
+    go(page, f"#/verify/{proof}")
+    choose(page, "English")
     expect(card).to_contain_text("An earlier version computed this circle")
     expect(card.locator("[data-figure=G] td").first).to_have_text("13.6 ± 1.8")
     expect(card.locator("svg.circle-plot, .notice")).to_have_count(0)

@@ -1,7 +1,5 @@
 """The step after the result: what the model lacks, and how far the gap has closed."""
 
-from __future__ import annotations
-
 import copy
 import re
 
@@ -57,7 +55,7 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
     expect(card).to_contain_text("Something switches with a steady period.")
 
 
-def test_the_gap_is_drawn_against_the_noise_floor_and_taken_away(panel, service):
+def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
     job = discovered(service)
     page = panel.open(f"#/discover/{job}")
     expect(page.locator(".gap dd").first).to_contain_text("2.41 µm")
@@ -77,10 +75,6 @@ def test_the_gap_is_drawn_against_the_noise_floor_and_taken_away(panel, service)
     ):
         link = page.get_by_role("link", name=name)
         expect(link).to_have_attribute("href", re.compile(address))
-
-
-def test_where_it_disagrees_is_drawn_with_its_numbers(panel, service):
-    job = discovered(service)
     page = panel.open(f"#/discover/{job}", language="de")
     strips = page.locator(".heat-strip")
     expect(strips.locator("b")).to_contain_text(
@@ -125,7 +119,6 @@ def test_where_it_disagrees_is_drawn_with_its_numbers(panel, service):
 
 
 def turn_to(page: Page, service, **change) -> str:
-    """Turn to another discovery; return its job."""
     service.discovery = copy.deepcopy(DISCOVERY) | change
     job = discovered(service)
     go(page, f"#/discover/{job}")

@@ -1,12 +1,11 @@
 """What the page shows and how: age of data, units, languages, light and dark, touch."""
 
-from __future__ import annotations
-
 import io
 import re
 import time
 from typing import Literal
 
+import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
@@ -42,7 +41,9 @@ LOOK = """() => {
 }"""
 
 
-def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
+def test_data_older_than_2_5_s_are_stamped_stale_until_some_come_again(
+    panel, service, witness
+):
     witness.expect("net::ERR_FAILED")
     service.measuring()
     page = panel.open()
@@ -61,13 +62,17 @@ def test_data_older_than_2_5_s_are_stamped_stale(panel, service, witness):
         assert look_in(page, theme) == fresh[theme]
         expect(stale).to_have_attribute("data-age", re.compile(r"^\d+ s old$"))
         assert "gradient" in stale.evaluate("e => getComputedStyle(e).backgroundImage")
+    page.evaluate("location.hash = '#/run/job-2'")
+    expect(page.locator("#problems")).to_contain_text("The service does not answer")
+    page.unroute(JOBS)
+    page.evaluate("location.hash = '#/run/job-1'")
     service.silent = False
     expect(page.locator("#stamp")).to_have_text("Live data")
     expect(page.locator(".is-stale-data")).to_have_count(0)
+    expect(page.locator("#problems")).to_be_empty()
 
 
 def look_in(page: Page, theme: Literal["dark", "light"]) -> list[str]:
-    """Turn to a theme; return the look of a number then."""
     page.emulate_media(color_scheme=theme)
     expect(page.locator("html")).to_have_attribute("data-theme", theme)
     return page.wait_for_function(LOOK).json_value()
@@ -130,6 +135,7 @@ def test_the_state_stays_clear_of_what_is_beside_it_on_a_german_phone(panel, ser
     assert min(widths) >= 48
 
 
+@pytest.mark.fault_row(32)
 def test_where_no_events_come_the_page_asks_and_follows(panel, service, witness):
     witness.expect("net::ERR_FAILED")
     job = service.measuring()

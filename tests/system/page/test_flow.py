@@ -1,20 +1,27 @@
 """The task from Connect to Result, as an operator does it."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from page_steps import DESK, NEXT, PHONE, choose, follow, go, held
 
+SHORT_PX = 420
 REFUSED = ("the server responded with a status of",)
 NO_ANSWER = ("net::ERR_FAILED",)
 JOBS = re.compile(r"/api/v1/jobs[/?]")
+DROP = """(where) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File(["PK"], "recorded.zip", { type: "application/zip" }));
+  for (const kind of ["dragover", "drop"])
+    if (document.querySelector(where).dispatchEvent(
+      new DragEvent(kind, { dataTransfer, bubbles: true, cancelable: true })))
+      throw new Error(`the browser opens the file at ${kind}`);
+}"""
 # As in a busy browser: states are drawn between a new address and its view.
 TURNS_SLOWLY = """
 window.visited = [];
@@ -37,7 +44,7 @@ def test_who_comes_soon_after_the_run_finds_its_result(panel, service):
     page.wait_for_url(f"**/#/result/{job}")
 
 
-def test_motion_starts_only_after_the_button_was_held(panel, service):
+def test_motion_starts_and_goes_on_only_after_a_button_was_held(panel, service):
     job = service.ready()
     page = panel.open()
     button = page.locator(NEXT, has_text="Hold to start motion")
@@ -47,33 +54,6 @@ def test_motion_starts_only_after_the_button_was_held(panel, service):
     with held(page, button):
         page.wait_for_url(f"**/#/run/{job}")
     assert ("POST", f"/jobs/{job}/arm", '"1"') in service.requests
-
-
-def test_the_hold_works_from_the_keyboard(panel, service):
-    job = service.ready()
-    page = panel.open()
-    button = page.locator(NEXT, has_text="Hold to start motion")
-    expect(button).to_be_enabled()
-    button.focus()
-    page.keyboard.down("Enter")
-    page.wait_for_url(f"**/#/run/{job}")
-    page.keyboard.up("Enter")
-
-
-def test_motion_does_not_start_on_stale_data(panel, service, witness):
-    witness.expect("net::ERR_FAILED")
-    service.ready()
-    page = panel.open()
-    expect(page.locator(NEXT)).to_be_enabled()
-    page.route(re.compile(r"/api/v1/jobs[/?]"), lambda route: route.abort())
-    service.silent = True
-    expect(page.locator(NEXT)).to_be_disabled()
-    expect(page.locator("#reason")).to_contain_text("No live data")
-
-
-def test_pause_is_a_touch_and_resume_is_held(panel, service):
-    job = service.measuring()
-    page = panel.open()
     expect(page.locator("#resume")).to_be_disabled()
     page.locator("#pause").click()
     expect(page.locator("#state")).to_have_text("Paused")
@@ -84,6 +64,17 @@ def test_pause_is_a_touch_and_resume_is_held(panel, service):
     with held(page, page.locator("#resume")):
         expect(page.locator("#state")).to_have_text("Running")
     assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
+
+
+def test_motion_does_not_start_on_stale_data(panel, service, witness):
+    witness.expect(*NO_ANSWER)
+    service.ready()
+    page = panel.open()
+    expect(page.locator(NEXT)).to_be_enabled()
+    page.route(JOBS, lambda route: route.abort())
+    service.silent = True
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text("No live data")
 
 
 def test_a_job_begun_elsewhere_comes_onto_the_page(panel, service):
@@ -149,22 +140,6 @@ def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
     expect(problem).to_contain_text("The service has not answered")
 
 
-def test_a_service_that_answers_again_is_not_said_to_be_silent(panel, service, witness):
-    witness.expect(*NO_ANSWER)
-    page = panel.open("#/records")
-    expect(page.locator("#stamp")).to_have_text("Live data")
-    service.silent = True
-    page.route(JOBS, lambda route: route.abort())
-    expect(page.locator("#stamp")).to_contain_text("STALE")
-    page.evaluate("location.hash = '#/run/job-1'")
-    problem = page.locator("#problems")
-    expect(problem).to_contain_text("The service does not answer")
-    page.unroute(JOBS)
-    service.silent = False
-    expect(page.locator("#stamp")).to_have_text("Live data")
-    expect(problem).to_be_empty()
-
-
 def test_a_fault_says_why_and_stays_until_it_is_taken_away(panel, service):
     job = service.measuring()
     page = panel.open()
@@ -194,16 +169,10 @@ def test_the_page_asks_for_the_tracker_and_motion_goes_on_once_armed(panel, serv
     station = {"number": 2, "total": 2, "position_mm": places[1], "checks": [check]}
     service.change(job, state="awaiting-move", stage="waiting", station=station)
     page.wait_for_url(f"**/#/check/{job}")
-    notices = page.locator(".notice")
-    for language, title, label in (
-        ("English", "Station 2 of 2: set up the tracker", "Hold to start motion"),
-        ("Deutsch", "Standort 2 von 2: Tracker aufstellen", "Zum Starten halten"),
-    ):
-        choose(page, language)
-        expect(notices.filter(has_text=title)).to_contain_text("X −650 mm, Y 200 mm")
-        expect(notices.filter(has_text=text)).to_be_visible()
-        expect(page.locator(NEXT)).to_contain_text(label)
-    with held(page, page.locator(NEXT)):
+    asked = page.locator(".notice", has_text="Station 2 of 2: set up the tracker")
+    expect(asked).to_contain_text("X −650 mm, Y 200 mm")
+    expect(page.locator(".notice", has_text=text)).to_be_visible()
+    with held(page, page.locator(NEXT, has_text="Hold to start motion")):
         page.wait_for_url(f"**/#/run/{job}")
 
 
@@ -218,33 +187,22 @@ def test_stations_that_are_left_can_still_be_measured(panel, service):
     assert service.orders() == [{"kind": "measure-otf", "continues": job["id"]}]
 
 
-def test_events_after_the_answer_do_not_lead_a_discarded_check_elsewhere(
-    panel, service
+@pytest.mark.parametrize("late", ["telling_late", "answering_late"])
+def test_events_round_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service, late
 ):
     job = service.ready()
     page = panel.open(before=TURNS_SLOWLY)
-    discard = page.locator("#back button", has_text="Discard")
-    with service.telling_late():
-        discard.click()
-        expect(page.locator("#state")).to_have_text("Aborting")
-        expect(page.locator("h1")).to_have_text("Plan")
+    shown = {"telling_late": "Aborting", "answering_late": "Aborted"}[late]
+    with getattr(service, late)():
+        page.locator("#back button", has_text="Discard").click()
+        expect(page.locator("#state")).to_have_text(shown)
+        if late == "telling_late":
+            expect(page.locator("h1")).to_have_text("Plan")
     expect(page.locator("#state")).to_have_text("Aborted")
     expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
     assert service.jobs[job]["state"] == "aborted"
-    assert visited(page) == [f"#/check/{job}", "#/plan"]
-
-
-def test_events_before_the_answer_do_not_lead_a_discarded_check_elsewhere(
-    panel, service
-):
-    job = service.ready()
-    page = panel.open(before=TURNS_SLOWLY)
-    discard = page.locator("#back button", has_text="Discard")
-    with service.answering_late():
-        discard.click()
-        expect(page.locator("#state")).to_have_text("Aborted")
-    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
-    assert visited(page) == [f"#/check/{job}", "#/plan"]
+    assert page.evaluate("window.visited") == [f"#/check/{job}", "#/plan"]
 
 
 def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Path):
@@ -267,25 +225,29 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     expect(moves).to_contain_text("2:05 min")
 
 
-def test_an_uploaded_bundle_is_analysed(panel, service, tmp_path: Path):
+def test_a_bundle_that_is_dropped_or_chosen_is_analysed(panel, service, tmp_path: Path):
     bundle = tmp_path / "recorded.zip"
     bundle.write_bytes(b"PK")
     page = panel.open()
-    for kind in ("dragover", "drop"):  # one that misses its zone changes nothing
-        opens = page.evaluate(
-            "kind => document.body.dispatchEvent("
-            "new DragEvent(kind, { bubbles: true, cancelable: true }))",
-            kind,
-        )
-        assert not opens, kind
-    page.locator("#bundle").set_input_files(bundle)
-    page.wait_for_url("**/#/run/*")
-    expect(page.locator("h1")).to_have_text("Analysis")
-    (job,) = service.jobs
-    assert ("POST", "/runs", "recorded.zip") in service.requests
-    assert service.jobs[job]["run_id"] == "run-uploaded"
-    service.finish(job)
-    expect(page.locator(".chart canvas")).to_have_count(17)
+    page.evaluate(DROP, "body")  # one that misses its zone changes nothing
+    zone = page.locator(".drop")
+    expect(zone).to_be_visible()
+    for number, send in enumerate(
+        (
+            lambda: page.evaluate(DROP, ".drop"),
+            lambda: page.locator("#bundle").set_input_files(bundle),
+        ),
+        start=1,
+    ):
+        send()
+        page.wait_for_url(f"**/#/run/job-{number}")
+        expect(page.locator("h1")).to_have_text("Analysis")
+        assert service.requests[-2] == ("POST", "/runs", "recorded.zip")
+        assert service.jobs[f"job-{number}"]["run_id"] == "run-uploaded"
+        service.finish(f"job-{number}")
+        expect(page.locator(".chart canvas")).to_have_count(17)
+        go(page, "#/connect")
+        expect(zone).to_be_visible()
 
 
 def test_records_lead_to_results_and_bundles(panel, service, tmp_path: Path):
@@ -364,31 +326,26 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     )
 
 
-def visited(page: Page) -> list[str]:
-    return page.evaluate("window.visited")
-
-
 def test_the_hold_waits_until_the_safety_text_was_in_sight(panel, service):
-    job = service.ready()
-    page = panel.open(f"#/check/{job}", size=(390, 420))
-    expect(page.locator("#reason")).to_contain_text("Before you start")
-    expect(page.locator(NEXT)).to_be_disabled()
-    for text in page.locator(".before li").all():
-        text.evaluate("item => item.scrollIntoView({ block: 'center' })")
-        page.wait_for_timeout(100)
-    expect(page.locator(NEXT)).to_be_enabled()
-
-
-def test_the_safety_text_is_in_sight_at_once_on_a_panel(panel, service):
     service.connected = True
     page = panel.open("#/plan")
-    for language, hold in (("English", "Hold to start"), ("Deutsch", "Zum Starten")):
+    for language, hold, first in (
+        ("English", "Hold to start", "Before you start"),
+        ("Deutsch", "Zum Starten", "Vor dem Start"),
+    ):
         choose(page, language)
-        for width, height in (DESK, PHONE):
+        for width, height in (DESK, PHONE, (390, SHORT_PX)):
             page.set_viewport_size({"width": width, "height": height})
             job = service.ready()
             go(page, f"#/check/{job}")
-            expect(page.locator(NEXT, has_text=hold)).to_be_enabled()
+            button = page.locator(NEXT, has_text=hold)
+            if height == SHORT_PX:
+                expect(button).to_be_disabled()
+                expect(page.locator("#reason")).to_contain_text(first)
+                for text in page.locator(".before li").all():
+                    text.evaluate("item => item.scrollIntoView({ block: 'center' })")
+                    page.wait_for_timeout(100)
+            expect(button).to_be_enabled()
             service.change(job, state="aborted")
             page.wait_for_url(f"**/#/run/{job}")
 
@@ -422,14 +379,11 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
     job = service.ready()
     page = panel.open(f"#/check/{job}")
     row = page.locator('[data-type="controller-able"]')
-    for language, words in (
-        ("English", "A door is open"),
-        ("Deutsch", "Eine Tür ist offen"),
-    ):
+    expect(row).to_have_attribute("data-level", "false")
+    expect(page.locator(NEXT)).to_be_disabled()
+    for language, words in (("English", "A door is"), ("Deutsch", "Eine Tür ist")):
         choose(page, language)
-        expect(row).to_have_attribute("data-level", "false")
         expect(row).to_contain_text(words)
-        expect(page.locator(NEXT)).to_be_disabled()
         expect(page.locator("#reason")).to_contain_text(words)
     service.conditions = [SHUT]
     expect(page.locator(NEXT)).to_be_enabled()
@@ -453,13 +407,9 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     service.connected = True
     page = panel.open("#/connect")
     card = page.locator("[data-card=sensors]")
-    for language, set_, likely in (
-        ("English", "0.06 · as set · unlikely", "20.53 · likely"),
-        ("Deutsch", "0,06 · wie eingestellt · unwahrscheinlich", "20,53 · wahrsch"),
-    ):
-        choose(page, language)
-        for words in (refused, 'word_order = "little"', set_, likely):
-            expect(card).to_contain_text(words)
+    told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
+    for words in (*told, "20.53 · likely"):
+        expect(card).to_contain_text(words)
 
 
 OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}

@@ -1,14 +1,12 @@
 """What is said of a machine over its calibrations, and of what is recorded of it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
 from playwright.sync_api import expect
 
 from page_steps import SLOW_MS, choose, go
-from scripted_data import machine_entry, machine_history
+from scripted_data import machine_entry, machine_history, temperature_dependence
 
 STANDING = {
     "machine": "default",
@@ -64,13 +62,9 @@ def test_a_machine_says_how_far_it_has_drifted(panel, service):
     }
     page = panel.open("#/machine")
     entry = page.locator("[data-machine=default]")
-    for language, said in (
-        ("English", ["Change since Mar 1, 2026", "4.2 µm", "by chance up to 0.9 µm"]),
-        ("Deutsch", ["Änderung seit 01.03.2026", "4,2 µm", "durch Zufall bis 0,9 µm"]),
-    ):
-        choose(page, language)
-        for text in said:
-            expect(entry).to_contain_text(text)
+    choose(page, "Deutsch")
+    for text in ("Änderung seit 01.03.2026", "4,2 µm", "durch Zufall bis 0,9 µm"):
+        expect(entry).to_contain_text(text)
     assert ("changes", "default job-1 job-2") in service.looks
 
 
@@ -128,3 +122,44 @@ def test_the_path_of_an_ended_measurement_is_drawn_as_driven(panel, service):
     rows = len(service.plan["position"])
     driven = "document.querySelector('[data-drawn]').data[2].x.length"
     page.wait_for_function(f"() => {driven} === {rows}")
+
+
+def test_what_depends_on_temperature_is_said_with_its_uncertainty(panel, service):
+    service.measured()
+    page = panel.open("#/records")
+    card = page.locator("[data-card=dependence]")
+    assert service.looks == []
+    ask = card.get_by_role("button", name="Work it out")
+    for view in ("records", "trend"):
+        service.temperature = temperature_dependence()
+        go(page, f"#/{view}")
+        ask.click()
+        expect(card).to_contain_text("depend on temperature: EXX")
+        expect(card.locator("[data-axis=X]")).to_contain_text("11.4 ± 0.6 µm/(m·K)")
+        first, last = (card.locator("[data-symbol]").nth(i) for i in range(2))
+        expect(first).to_contain_text("EXX")
+        expect(last).to_contain_text("not seen")
+        expect(card.locator(".notice")).to_have_count(0)
+        service.temperature["verdict"] = "doubtful"
+        ask.click()
+        expect(card.locator(".notice.is-held")).to_be_visible()
+    assert service.looks == [("temperature", "default")] * 4
+
+
+def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
+    witness.expect("422")
+    page = panel.open("#/records")
+    card = page.locator("[data-card=dependence]")
+    said = card.locator(".notice")
+    card.get_by_role("button", name="Work it out").click()
+    expect(said).to_contain_text("The calibrations do not tell")
+    expect(said).to_contain_text("2 of 3 temperatures")
+    service.temperature_refusal = (
+        "the results are at 2 different temperatures (20.1, 20.3, 24.0 °C; less than "
+        "0.5 K apart counts as one): measure at three or more"
+    )
+    choose(page, "Deutsch")
+    card.get_by_role("button", name="Berechnen").click()
+    expect(said).to_contain_text("bei 2 verschiedenen Temperaturen")
+    expect(said).to_contain_text("(20,1; 20,3; 24,0 °C; weniger als 0,5 K")
+    expect(said).not_to_contain_text("measure")

@@ -1,7 +1,5 @@
 """From the first look to the certificate, by the one button that leads on."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -13,6 +11,7 @@ import scripted_data
 from page_steps import (
     NEXT,
     PHONE,
+    Taps,
     assert_fits,
     choose,
     follow,
@@ -28,26 +27,7 @@ from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 
 
-class Taps:
-    """Counts what a first-time operator presses."""
-
-    def __init__(self, page: Page) -> None:
-        self.page, self.count = page, 0
-
-    def press(self, label: str, *, where: str = NEXT) -> None:
-        button = self.page.locator(where, has_text=label)
-        expect(button).to_be_enabled()
-        button.click()
-        self.count += 1
-
-    def hold_until(self, label: str, address: str) -> None:
-        with held(self.page, self.page.locator(NEXT, has_text=label)):
-            self.page.wait_for_url(address)
-        self.count += 1
-
-
 def measure(taps: Taps, service) -> str:
-    """Lead from Connect to the result of the first job."""
     page = taps.page
     taps.press("Connect devices")
     expect(page.locator("#answered")).to_contain_text("Simulated tracker T-0001")
@@ -91,28 +71,47 @@ def test_the_task_runs_from_connect_to_a_certificate_in_nine_taps(panel, service
     ]
 
 
-def test_nine_taps_at_most_lead_to_a_certificate_with_a_verification(panel, service):
+def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificate(
+    panel, service
+):
     taps = Taps(panel.open(size=PHONE, touch=True))
-    job = measure(taps, service)
-    service.finish(job)
+    result, page = measure(taps, service), taps.page
+    service.finish(result)
     taps.press("Correct the machine")
     taps.press("Verify the machine")
+    page.get_by_role("checkbox", name="Diagonals").click()
+    page.get_by_label("Largest error allowed").fill("5")
     taps.press("Prepare the points")
-    taps.page.wait_for_url("**/#/check/*")
-    proof = job_of(taps.page)
-    service.verifications[proof] = verification(job)
+    page.wait_for_url("**/#/check/*")
+    proof = job_of(page)
+    points = {"what": ["random-points"], "tolerance_um": 5}
+    assert service.orders()[-1] == {"kind": "verify", "result_id": result, **points}
+    service.verifications[proof] = verification(result)
     service.change(proof, state="ready")
     taps.hold_until("Hold to start motion", f"**/#/run/{proof}")
     service.finish(proof)
-    taps.page.wait_for_url(f"**/#/verify/{proof}")
+    page.wait_for_url(f"**/#/verify/{proof}")
     taps.press("To the certificate")
+    expect(page.get_by_role("checkbox", name="With the verification")).to_be_checked()
     taps.press("Issue the certificate")
-    expect(taps.page.locator("iframe.preview")).to_be_visible()
+    expect(page.locator("iframe.preview")).to_be_visible()
     assert taps.count <= CERTIFICATE_AT_MOST
     assert service.requests[-1][2]["verification_job"] == proof
     assert [kind for _, kind, _ in service.requests if kind.endswith("/arm")] == [
-        f"/jobs/{each}/arm" for each in (job, proof)
+        f"/jobs/{each}/arm" for each in (result, proof)
     ]
+    verdict = page.locator(".proof")
+    for conformity, word in (
+        ("within", "Pass"),
+        ("outside", "Fail"),
+        ("undecided", "Cannot be said"),
+    ):
+        if conformity != "within":
+            proof = service.verified(verification(result, conformity))
+        go(page, f"#/verify/{proof}")
+        expect(verdict.locator("h2")).to_have_text(word)
+        expect(verdict).to_contain_text("2.10 µm ± 0.40 µm against 5.00 µm")
+        expect(page.locator(".proof-table tbody tr")).to_have_count(3)
 
 
 def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
@@ -125,47 +124,6 @@ def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
     expect(page.locator("main")).to_contain_text("No watchdog: the machine moves on")
     expect(page.locator("[data-connected]")).to_have_count(2)
     expect(page.locator(".pairs > *", has_text="500 Hz")).to_be_visible()
-
-
-def test_a_verification_ends_with_a_verdict_and_goes_into_the_certificate(
-    panel, service
-):
-    result = service.measured()
-    page = panel.open(f"#/verify/{result}")
-    page.get_by_role("checkbox", name="Diagonals").click()
-    page.get_by_label("Largest error allowed").fill("5")
-    expect(page.locator(NEXT)).to_have_text("Prepare the points")
-    proof = prepare(page)
-    assert service.orders() == [
-        {
-            "kind": "verify",
-            "result_id": result,
-            "what": ["random-points"],
-            "tolerance_um": 5,
-        }
-    ]
-    service.verifications[proof] = verification(result)
-    service.change(proof, state="running", stage="measuring")
-    page.wait_for_url(f"**/#/run/{proof}")
-    service.finish(proof)
-    page.wait_for_url(f"**/#/verify/{proof}")
-    verdict = page.locator(".proof")
-    for conformity, word in (
-        ("within", "Pass"),
-        ("outside", "Fail"),
-        ("undecided", "Cannot be said"),
-    ):
-        if conformity != "within":
-            proof = service.verified(verification(result, conformity))
-            go(page, f"#/verify/{proof}")
-        expect(verdict.locator("h2")).to_have_text(word)
-        expect(verdict).to_contain_text("2.10 µm ± 0.40 µm against 5.00 µm")
-        expect(page.locator(".proof-table tbody tr")).to_have_count(3)
-    follow(page, "To the certificate")
-    expect(page.get_by_role("checkbox", name="With the verification")).to_be_checked()
-    follow(page, "Issue the certificate")
-    expect(page.locator("iframe.preview")).to_be_visible()
-    assert service.requests[-1][2]["verification_job"] == proof
 
 
 def test_another_certificate_waits_for_the_verification_that_came_since(panel, service):
@@ -241,7 +199,6 @@ def test_the_files_that_were_verified_go_into_the_certificate(panel, service):
 
 
 def show_proof(page: Page, service: ScriptedService, **content: Any) -> Locator:
-    """Turn to a verification that says this; return its verdict."""
     result = service.measured()
     go(page, f"#/verify/{service.verified(verification(result) | content)}")
     proof = page.locator(".proof")
@@ -249,61 +206,44 @@ def show_proof(page: Page, service: ScriptedService, **content: Any) -> Locator:
     return proof
 
 
-UNSEEN = {
-    "Deutsch": (
-        "quer zur Fahrt",
-        "Längs X und Y wurde nichts",
-        "Nicht verfahren: Z, C",
-    ),
-    "English": ("across the travel", "along X and Y", "Not driven: Z, C."),
-}
-
-
 def test_what_a_verification_has_not_seen_or_known_is_said(panel, service):
     page = panel.open("#/records")
+    english = ("across the travel", "along X and Y", "Not driven: Z, C.")
     show_proof(
         page,
         service,
-        statements=["; ".join(UNSEEN["English"])],
+        statements=["; ".join(english)],
         components="three at standstills, the two across the travel on lines",
         unseen_directions=["X", "Y"],
         axes_at_rest=["Z", "C"],
     )
     said = page.locator(".card", has=page.locator(".proof-table")).locator(".lines")
-    for language, texts in UNSEEN.items():
+    for language, texts in (
+        ("English", english),
+        ("Deutsch", ("quer zur Fahrt", "Längs X und Y", "Nicht verfahren: Z, C")),
+    ):
         choose(page, language)
         for words in texts:
             expect(said).to_contain_text(words)
     air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
     show_proof(page, service, run_verdict=verdict_json(Verdict((air,))))
-    for language, words in (
-        ("English", "not corrected for the air"),
-        ("Deutsch", "nicht um die Luft berichtigt"),
-    ):
-        choose(page, language)
-        expect(page.locator(".verdict-band")).to_contain_text(words)
+    band = page.locator(".verdict-band")
+    expect(band).to_contain_text("nicht um die Luft berichtigt")
 
 
 CAUSES = {
-    "wrong-sign": ("with the wrong sign", "mit dem falschen Vorzeichen ein"),
-    "not-active": ("not active", "Die Kompensation ist nicht aktiv"),
-    "active": ("a compensation is active", "ompens"),
+    "wrong-sign": "mit dem falschen Vorzeichen ein",
+    "not-active": "Die Kompensation ist nicht aktiv",
+    "active": "ompens",
 }
 
 
-def test_a_compensation_that_is_not_what_it_is_taken_for_is_said_in_both_languages(
-    panel, service
-):
-    page = panel.open("#/records")
-    for cause, (english, german) in CAUSES.items():
+def test_a_compensation_that_is_not_what_it_is_taken_for_is_said(panel, service):
+    page = panel.open("#/records", language="de")
+    for cause, words in CAUSES.items():
         scale = {"value": 1.98, "uncertainty": 0.02, "cause": cause}
-        proof = show_proof(page, service, map_scale=scale)
-        said = proof.locator(".scale-cause")
-        choose(page, "English")
-        expect(said).to_contain_text(english)
-        expect(said).to_contain_text("1.98")
-        choose(page, "Deutsch")
-        expect(said).to_contain_text(german)
+        said = show_proof(page, service, map_scale=scale).locator(".scale-cause")
+        expect(said).to_contain_text(words)
         expect(said).to_contain_text("1,98")
     # One that explains all sends nobody to the tracker.
     scale = {"value": 0.07, "uncertainty": 0.02, "cause": "active"}
@@ -311,10 +251,8 @@ def test_a_compensation_that_is_not_what_it_is_taken_for_is_said_in_both_languag
     agreement = verification("")["agreement"] | hopeless
     proof = show_proof(page, service, map_scale=scale, agreement=agreement)
     said = proof.locator("p", has_text="(k = 2)")
-    for language in ("Deutsch", "English"):
-        choose(page, language)
-        expect(said).to_contain_text("ompens")
-        expect(said).not_to_contain_text("racker")
+    expect(said).to_contain_text("ompens")
+    expect(said).not_to_contain_text("racker")
 
 
 def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(

@@ -1,7 +1,5 @@
 """What may be asked of a measurement under way, and what is said of it."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -139,7 +137,6 @@ def stream_until(
 
 
 def distance_um(points: np.ndarray) -> str:
-    """Return the distance of the last point from the line of least squares."""
     centred = points - points.mean(axis=0)
     direction = np.linalg.svd(centred)[2][0]
     across = centred[-1] - (centred[-1] @ direction) * direction
@@ -177,3 +174,40 @@ def test_an_old_result_is_looked_at_while_the_machine_moves(panel, service):
     expect(page.locator("#state")).to_have_text("Paused")
     expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible()
     assert page.url.endswith(f"#/result/{old}")
+
+
+def notice(**more) -> dict:
+    """What was noticed in a line, as a job tells it."""
+    usual = {"number": 1, "kind": "something-changed", "grade": "possible", "axis": ""}
+    usual |= {"since_row": 14, "noticed_row": 14, "noticed_s": 83.5, "size_um": 10.2}
+    usual |= {"uncertainty_um": 0.6, "is_over": False, "action": "note"}
+    return {**usual, **more}
+
+
+def test_a_notice_is_told_gets_its_name_and_stays_once_it_is_over(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    said = page.locator(".notice")
+    for more, words in (
+        ({}, ("Something changed", "14", "10.2")),
+        ({"kind": "set-up-moved", "grade": "certain"}, ("was knocked", "certain")),
+        ({"kind": "line-off", "is_over": True}, ("nothing of it any more",)),
+    ):
+        service.change(job, notices=[notice(**more)])
+        for text in words:
+            expect(said).to_contain_text(text)
+        expect(page.locator("#then-check")).to_have_count(0)
+
+
+def test_who_is_asked_holds_a_button_and_lines_are_measured_again(panel, service):
+    job = service.measuring()
+    page = panel.open()
+    asked = notice(kind="lost-motion-changed", axis="Y", grade="likely", action="pause")
+    service.change(job, state="paused", notices=[asked])
+    expect(page.locator(".notice")).to_contain_text("lost motion of Y has changed")
+    version = service.jobs[job]["version"]
+    with held(page, page.locator("#then-check")):
+        expect(page.locator("#state")).to_have_text("Running")
+    sent = ("POST", f"/jobs/{job}/resume?then=check", f'"{version}"')
+    assert sent in service.requests
+    expect(page.locator("#then-check")).to_have_count(0)

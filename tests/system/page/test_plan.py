@@ -1,7 +1,5 @@
 """What is chosen on Plan is what is ordered; what cannot be is not."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,10 +22,6 @@ WARM = {
         {"channel": "X_degC", "value_degC": 22.4, "change_degC": 1.4, "over_s": 600.0}
     ],
 }
-WISHES = {
-    "English": (None, "Off", "On", "No wish"),
-    "Deutsch": ("Ein",),
-}
 
 
 @contextmanager
@@ -44,7 +38,6 @@ def ordered(page: Page, service: ScriptedService) -> Iterator[tuple[str, Any]]:
 
 @pytest.fixture
 def page(panel, service) -> Page:
-    """Plan, with connected devices."""
     service.connected = True
     return panel.open("#/plan")
 
@@ -71,15 +64,13 @@ def test_the_order_carries_what_was_chosen(page, service):
 
 def test_the_order_says_what_is_wanted_and_nothing_without_a_wish(page, service):
     wanted = []
-    for language, names in WISHES.items():
-        choose(page, language)
-        for name in names:
-            if name:
-                field = page.locator("#control-compensation")
-                field.get_by_role("button", name=name, exact=True).click()
-            with ordered(page, service) as (_, order):
-                wanted.append(order.get("control_compensation"))
-    assert wanted == [None, "off", "on", None, "on"]
+    for name in (None, "Off", "On", "No wish"):
+        if name:
+            field = page.locator("#control-compensation")
+            field.get_by_role("button", name=name, exact=True).click()
+        with ordered(page, service) as (_, order):
+            wanted.append(order.get("control_compensation"))
+    assert wanted == [None, "off", "on", None]
 
 
 def test_the_feed_goes_up_and_down_in_steps_within_limits(page, service):
@@ -166,6 +157,94 @@ def test_temperatures_are_not_called_steady_before_they_are(page, service):
     service.conditions = [WARM | {"level": "unknown", "temperatures": []}]
     expect(title).to_be_hidden()
     service.conditions = [WARM]
-    choose(page, "Deutsch")
     go(page, "#/connect")
-    expect(row).to_contain_text("X 22,4 °C, geändert um 1,4 °C in 10 min")
+    expect(row).to_contain_text("X 22.4 °C, changed by 1.4 °C in 10 min")
+
+
+def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    page.locator("[data-place=chosen]").click()
+    expect(page.locator("#minutes")).to_have_value("3")
+    page.locator(".segments [data-value='2']").click()
+    expect(page.locator("#target")).to_be_hidden()
+    for side in ("left", "right", "front", "back"):
+        page.locator(f"[data-side={side}]").click()
+    expect(page.locator("#reason")).to_have_text("Choose at least one free side.")
+    page.locator("[data-side=front]").click()
+    page.locator("[data-side=right]").click()
+    page.locator("#feed").fill("4000")
+    page.locator("#height").fill("-100")
+    prepare(page)
+    right = {"min_mm": [1000, 0, -100], "max_mm": [3000, 400, -100]}
+    front = {"min_mm": [-2500, -2500, -100], "max_mm": [3000, -500, -100]}
+    areas = [{"name": "Right (+X)", **right}, {"name": "Front (−Y)", **front}]
+    wish = {"perpendicular_only": False}
+    assert service.orders("/plans") == [
+        {
+            "mode": "otf",
+            "minutes": 3,
+            **wish,
+            "max_feed_mm_min": 4000,
+            "workspace": {"tracker": {"areas": areas}},
+            "stations": 2,
+        }
+    ]
+    drive = {"kind": "measure-otf", "plan_id": "plan-1", **wish}
+    assert service.orders() == [drive]
+
+
+def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, service):
+    service.plan["place"] = PLACE
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    card = page.locator(".card", has=page.locator(".advised"))
+    for text in (
+        "Station 2",
+        "X −650 mm, Y 200 mm, Z 40 mm",
+        "1:30 min; U = 2.40 µm after it",
+        "2 stations are advised.",
+        "It pays: one place leaves EBZ (Tilt of Z about Y) weak.",
+    ):
+        expect(card).to_contain_text(text)
+    service.change(job, state="aborted")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    # One chosen place is said before motion.
+    service.plan["place"] = PLACE | {
+        "at_stations": None,
+        "stations": PLACE["stations"] | {"recommended": 1},
+    }
+    go(page, f"#/check/{service.ready()}")
+    card = page.locator(".card", has_text="Stand it at")
+    expect(card).to_contain_text("X 1,200 mm, Y 300 mm, Z −80 mm")
+    expect(card).to_contain_text("One station is enough.")
+
+
+def _option(count: int, um: float, pays: bool, because: str | None) -> dict:
+    return {
+        "count": count,
+        "minutes": 3.0,
+        "volumetric_uncertainty_um": um,
+        "one_place_as_long": {"volumetric_uncertainty_um": 2.0},
+        "pays": pays,
+        "because": because,
+    }
+
+
+PLACE = {
+    "tracker": {"position_mm": [1200.0, 300.0, -80.0], "chosen": True},
+    "at_stations": [
+        {
+            "position_mm": place,
+            "rows": 20,
+            "duration_s": 90.0,
+            "volumetric_uncertainty_um": um,
+        }
+        for place, um in (([1200.0, 300.0, -80.0], 1.8), ([-650.0, 200.0, 40.0], 1.2))
+    ],
+    "stations": {
+        "recommended": 2,
+        "move_minutes": 10.0,
+        "options": [_option(1, 2.1, False, None), _option(2, 1.3, True, "EBZ")],
+    },
+}

@@ -1,7 +1,5 @@
 """What the result says beside its tables."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import expect
@@ -9,6 +7,7 @@ from playwright.sync_api import expect
 from page_steps import choose
 from scripted_data import (
     GRADE,
+    comparison,
     half_differences,
     residuals,
     result,
@@ -132,3 +131,44 @@ def test_a_result_is_held_against_an_earlier_calibration(panel, service):
     card.get_by_label("Calibration", exact=True).select_option(index=0)
     card.get_by_label("Calibration", exact=True).select_option(index=1)
     expect(card.locator(".notice")).to_contain_text("different tool offsets")
+
+
+def take(card, content: bytes) -> None:
+    file = {"name": "laser.csv", "mimeType": "text/csv", "buffer": content}
+    card.locator("input[type=file]").set_input_files(file)
+
+
+def test_a_result_is_held_against_the_file_of_a_direct_measurement(
+    panel, service, witness
+):
+    witness.expect("422")
+    service.comparison = comparison()
+    result = service.measured()
+    page = panel.open(f"#/result/{result}")
+    card = page.locator("[data-card=reference]")
+    take(card, b"x,y\n")  # a file that cannot be read is named with its row
+    expect(card.locator(".notice")).to_contain_text("laser.csv, row 1")
+    service.requests.clear()
+    choose(page, "Deutsch")
+    expect(card.locator("h2")).to_contain_text("vergleichen")  # drawn anew
+    card.locator("#reference_um").fill("-1")
+    expect(card.get_by_role("button")).to_be_disabled()
+    card.locator("#reference_um").fill("0,4")
+    take(card, b"error,position_mm,direction,value,unit\nEXX,0,+,0.1,um\n")
+    expect(card).to_contain_text("1 von 2 Abweichungen")
+    sent = service.requests.pop()
+    assert sent == ("POST", f"/jobs/{result}/comparisons", ("laser.csv", 0.2, 0.0))
+    first = card.locator("tbody tr").first
+    expect(first).to_contain_text("C0Y")
+    expect(first).to_contain_text("weicht ab")
+    expect(card).to_contain_text("EYX")
+    expect(card.locator(".notice")).to_have_count(0)
+    address = re.compile(comparison()["links"]["report_html"] + "$")
+    expect(card.get_by_role("link")).to_have_attribute("href", address)
+
+
+def test_who_may_not_compare_is_not_asked_to(panel, service):
+    service.log_in_required, service.user = True, ("olga", "operator")
+    page = panel.open(f"#/result/{service.measured()}")
+    expect(page.locator("[data-card=map]")).to_be_visible()
+    expect(page.locator("[data-card=reference]")).to_be_hidden()

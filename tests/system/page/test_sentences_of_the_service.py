@@ -4,8 +4,6 @@ The sentences are collected where the service has them: one that is added there 
 in the scripts of the page is found here.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import math
@@ -35,8 +33,7 @@ from truepath_drivers.interfaces.thermometers import Channel, Reading
 
 
 def faults() -> Iterator[tuple[str, str]]:
-    """Yield code and text of whatever ends or holds a measurement."""
-    yield from ((f.code, f.text) for f in vars(fault_words).values() if _is_fault(f))
+    said = [one for one in vars(fault_words).values() if isinstance(one, Fault)]
     held = MotionStatus(MotionState.ALARM, (1.5, 20.0), 3, alarm="500 drive X")
     made = [
         make_ended_early_fault("XY", held, [5.0, 6.0]),
@@ -50,7 +47,7 @@ def faults() -> Iterator[tuple[str, str]]:
         ),
         *judged_faults(),
     ]
-    yield from ((fault.code, fault.text) for fault in made)
+    yield from ((fault.code, fault.text) for fault in (*said, *made))
     yield "hold-unconfirmed", "the machine moves 3 s after a hold"
     for text in ("while the job was paused", "while the job was awaiting-move"):
         yield "interrupted", f"the service ended {text}"
@@ -58,10 +55,6 @@ def faults() -> Iterator[tuple[str, str]]:
     with pytest.raises(IllegalTransition) as refused:
         apply_verb(Verb.ARM, State.RUNNING)
     yield "illegal-transition", str(refused.value)
-
-
-def _is_fault(value: object) -> bool:
-    return isinstance(value, Fault)
 
 
 def judged_faults() -> Iterator[Fault]:
@@ -91,7 +84,6 @@ def judged_faults() -> Iterator[Fault]:
 
 
 def temperature_refusals() -> Iterator[str]:
-    """Yield why the service says nothing of a machine's temperature."""
     tree = ast.parse(inspect.getsource(temperature_model))
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "BadInput":

@@ -1,78 +1,39 @@
 """A machine over time: which Runs, how far it is off, when to calibrate again."""
 
-from __future__ import annotations
-
+import copy
+import json
 import re
+from importlib import resources
 from typing import Any
 
 from playwright.sync_api import expect
 
 from page_steps import NEXT, choose, go, job_of
-from scripted_data import TRACKER_NOISE, result
 from truepath.service.api.models.results.trend import TrendOut
 
-HOURS = (0.0, 0.5, 2.0)
-NOISE = TRACKER_NOISE | {
-    "range_ppm": 0.0,
-    "transverse_sigma_um": 0.0,
-    "stands_on": "base",
-}
-
-
-def tables_at(hours: float) -> dict[str, Any]:
-    """Return the tables of the scripted result, its X scale grown a little."""
-    tables = result()["error_tables"]
-    known = {
-        s: t for s, t in tables.items() if t.get("value_um") or t.get("value_urad")
-    }
-    grown = {
-        symbol: {**table, "extrapolated": [False] * len(next(iter(table.values())))}
-        for symbol, table in known.items()
-    }
-    values = grown["EXX"]["value_um"]
-    grown["EXX"]["value_um"] = [v + 10.0 * hours * i for i, v in enumerate(values)]
-    off = 4.0 * (HOURS[-1] - hours)
-    return {
-        "time_h": hours,
-        "change_um": {"median": abs(off), "low": abs(off) * 0.8, "high": abs(off) + 1},
-        "error_tables": grown,
-        "squareness_urad": {"C0Y": {"value": 1.0 + hours, "uncertainty": 0.5}},
-    }
+EXAMPLES = json.loads(
+    resources.files("truepath.service.api").joinpath("examples.json").read_text()
+)
 
 
 def trend_of(state: str, **outlook: Any) -> dict[str, Any]:
-    """Return a `trend.json` with an answer."""
-    content = {
-        "schema": "trend/1",
-        "machine": result()["machine"] | {"tracker": NOISE},
-        "verdict": {"state": "usable", "reasons": [], "details": []},
-        "runs": [
-            {
-                "name": f"run {n}",
-                "sha256": "ab" * 32,
-                "temperature_degC": {},
-                **tables_at(hours),
-            }
-            for n, hours in enumerate(HOURS)
-        ],
-        "later": [tables_at(4.0)],
-        "states": {},
-        "sensors": [],
-        "outlook": {
-            "state": state,
-            "grade": None,
-            "sentence": "Said by the service.",
-            "limit_um": 5.0,
-            "chance": 0.05,
-            "exceeded": 0.3,
-            "due_h": 4.5,
-            "expected_h": None,
-            "time_h": [2.0, 8.0, 26.0],
-            "median_um": [0.4, 2.0, 3.0],
-            "high_um": [0.9, 6.0, 9.0],
-            **outlook,
-        },
-        "not_told": [],
+    """Return a `trend.json` with an answer: that of the example, of seven errors."""
+    content = copy.deepcopy(EXAMPLES["get_trend"])
+    for one in (*content["runs"], *content["later"]):
+        tables = one["error_tables"]
+        tables |= dict.fromkeys(("EZX", "EXY", "EYY", "EZY", "EXZ"), tables["EXX"])
+    content["outlook"] |= {
+        "state": state,
+        "grade": None,
+        "limit_um": 5.0,
+        "chance": 0.05,
+        "exceeded": 0.3,
+        "due_h": 4.5,
+        "expected_h": None,
+        "time_h": [2.0, 8.0, 26.0],
+        "median_um": [0.4, 2.0, 3.0],
+        "high_um": [0.9, 6.0, 9.0],
+        **outlook,
     }
     TrendOut.model_validate(content, extra="forbid")
     return content
@@ -126,12 +87,13 @@ def test_each_answer_is_said_in_the_language_of_the_page(panel, service):
     expect(page.locator(".trend .chart-plot.is-high canvas")).to_have_count(1)
     entries = page.locator(".charts .chart")
     expect(entries).to_have_count(6)
-    expect(entries.first.locator("h3")).to_contain_text("EXX")
+    expect(entries.first.locator("h3")).to_contain_text("EYX")
     expect(entries.first.locator(".chart-read")).to_contain_text("(k = 2)")
     page.get_by_role("button", name="All", exact=True).click()
-    every = len(service.trend["runs"][0]["error_tables"]) + 1
+    last = service.trend["runs"][-1]
+    every = len(last["error_tables"]) + len(last["squareness_urad"])
     expect(entries).to_have_count(every)
-    expect(page.locator("tbody tr")).to_have_count(4)
+    expect(page.locator("tbody tr")).to_have_count(3)
     report = page.get_by_role("link", name="Report")
     address = re.compile(f"/api/v1/jobs/{job_of(page)}/trend/report.html$")
     expect(report).to_have_attribute("href", address)

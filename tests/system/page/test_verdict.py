@@ -1,18 +1,12 @@
 """What a result says of itself is seen first, in words, in the operator's language."""
 
-from __future__ import annotations
-
 import re
 
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import choose, go, job_of
 from scripted_service import ScriptedService
-from truepath.files.earlier.verdict import (
-    Reason,
-    Verdict,
-    verdict_json,
-)
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.files.environment.refraction import CAUSES, Refraction
 from truepath.results.verdict import judge_air
 
@@ -30,7 +24,6 @@ BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 
 
 
 def turn_to(page: Page, service: ScriptedService, *reasons: Reason) -> Locator:
-    """Turn to a result with a verdict; return where that is said."""
     verdict = Verdict(reasons)
     service.result["verdict"] = verdict_json(verdict)
     job = service.measured(verdict=verdict.state)
@@ -77,7 +70,7 @@ def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
     expect(rows.nth(4)).to_contain_text("42 Messpunkte der Geraden 8, von 61,2 s bis")
 
 
-def test_a_usable_result_says_quietly_what_was_left_out_of_it(panel, service):
+def test_a_result_that_may_be_used_or_is_doubtful_says_so_quietly(panel, service):
     page = panel.open("#/records")
     band = turn_to(page, service, LEFT_OUT)
     expect(band).to_have_attribute("role", "note")
@@ -91,14 +84,11 @@ def test_a_usable_result_says_quietly_what_was_left_out_of_it(panel, service):
     expect(band).to_have_count(0)
     mark = page.locator(".view-head .verdict-mark")
     expect(mark).to_have_text("May be used")
-
-
-def test_a_doubtful_result_says_so_even_in_words_of_a_later_version(panel, service):
-    page = panel.open("#/records")
-    band = turn_to(page, service, OPEN)
+    turn_to(page, service, OPEN)
     expect(band.get_by_role("heading")).to_have_text("Doubtful")
     assert page.locator(".verdict-mark").count() == 0
     expect(band.locator("li")).to_have_count(1)
+    # Words of a later version stand as they are.
     moon = {"kind": "moon", "state": "doubtful", "run": "", "values": {}}
     service.result["verdict"] = {
         "state": "doubtful",

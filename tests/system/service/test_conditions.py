@@ -1,7 +1,5 @@
 """Conditions over REST: on the real service, with devices that a test works."""
 
-from __future__ import annotations
-
 import socket
 import time
 

@@ -1,7 +1,5 @@
 """The interactive documentation in a real browser, under the service's own policy."""
 
-from __future__ import annotations
-
 import os
 import shutil
 

@@ -1,39 +1,47 @@
-"""Every process of the service stands still or is killed, in every state of a job.
+"""Processes of the service stand still or are killed, in every state and at any moment.
 
-Whatever happens: the service answers, no job is active for ever, what failed says why,
-and after a stop nothing is left that moves.
+Whatever happens: the service answers, nothing that it has answered is lost or doubled,
+no job is active for ever, what failed says why, a machine whose service has died stands
+still, and nothing moves before it is armed anew.
 """
 
-from __future__ import annotations
-
 import itertools
-import os
-import signal
+import random
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import httpx2
+import psutil
 import pytest
 
-from real_services import find_child, process
-from service_process import ENDS, ROWS, arm, create, follow, moving, wait_for
+from arming import arm_over_http
+from processes import runs
+from real_services import environment_of, find_child, process
+from service_process import ENDS, ROWS, SPEED, arm, create, follow, moving, wait_for
+from truepath_simulators.bench.rig import Rig, running_rig
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 
 OURS = ("worker", "live", "cell")
 DEVICES = ("cnc", "tracker")
 FROZEN_S = 3.0
 BEGIN_S = 30.0  # for a process that has to come
+HARMS = 40
+STANDS_S = 5.0
+"""Watchdog of the simulated controller, its ramp, and a busy computer."""
 SETTLED = ENDS | {"paused", "ready"}  # nothing moves, or somebody has to say so
 
 
-def find_process(parent: int, role: str, patience_s: float = BEGIN_S) -> int | None:
-    """Return the process with this part in the service, if it runs or begins to."""
+def find_process(
+    parent: int, role: str, patience_s: float = BEGIN_S
+) -> psutil.Process | None:
     found, end_s = None, time.monotonic() + patience_s
     while found is None and time.monotonic() < end_s:
         found = find_child(parent, role)
         time.sleep(0.05)
-    return None if found is None else found.pid
+    return found
 
 
 def has_to_run(role: str, state: str) -> bool:
@@ -84,12 +92,14 @@ STATES: dict[str, Callable[[httpx2.Client], str]] = {
 }
 
 
-def harm(process_id: int, number: signal.Signals) -> None:
-    """Kill a process, or let it stand still for a while."""
-    os.kill(process_id, number)
-    if number is signal.SIGSTOP:
-        time.sleep(FROZEN_S)  # what is tested is that time passes
-        os.kill(process_id, signal.SIGCONT)
+def harm(found: psutil.Process, is_kill: bool, frozen_s: float = FROZEN_S) -> None:
+    with suppress(psutil.NoSuchProcess):  # it may have ended by itself
+        if is_kill:
+            found.kill()
+            return
+        found.suspend()
+        time.sleep(frozen_s)  # what is tested is that time passes
+        found.resume()
 
 
 def settle(client: httpx2.Client, job: str) -> str:
@@ -98,10 +108,19 @@ def settle(client: httpx2.Client, job: str) -> str:
     return state_of(client, job)["state"]
 
 
+def current_job(client: httpx2.Client) -> str | None:
+    return client.get("/api/v1/system").json()["current_job"]
+
+
+def stop(client: httpx2.Client) -> None:
+    assert client.post("/api/v1/stop").status_code == 202
+    wait_for(lambda: current_job(client) is None, "the end of the job")
+
+
 def require_in_order(client: httpx2.Client, job: str) -> None:
     """Nothing moves after a stop; what failed says why; the service is there."""
     settle(client, job)
-    assert client.post("/api/v1/stop").status_code == 202
+    stop(client)
     wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
     ended = state_of(client, job)
     if ended["state"] in ("failed", "faulted"):
@@ -109,15 +128,13 @@ def require_in_order(client: httpx2.Client, job: str) -> None:
         assert ended["error"]["action"]
     if ended["run_id"]:
         assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["samples"] >= 0
-    system = client.get("/api/v1/system").json()
-    assert system["current_job"] is None
 
 
 def require_anew(client: httpx2.Client, job: str) -> None:
     """The job of a service that died has ended, and another can be made."""
     wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
     assert state_of(client, job)["state"] in ("interrupted", "succeeded")
-    assert client.get("/api/v1/system").json()["current_job"] is None
+    assert current_job(client) is None
     connect(client)
     again = make_ready(client)
     client.post(f"/api/v1/jobs/{again}/abort")
@@ -144,18 +161,18 @@ def harm_each(running, client, state: str, roles: tuple[str, ...]) -> set[str]:
     A job that stands as before is harmed on, unless it has lost its cell.
     """
     job, harmed = None, set[str]()
-    harms = list(itertools.product(roles, (signal.SIGSTOP, signal.SIGKILL)))
-    for role, number in harms:
+    harms = list(itertools.product(roles, (False, True)))
+    for role, is_kill in harms:
         if job is None:
             connect(client)
             job = STATES[state](client)
         patience_s = BEGIN_S if has_to_run(role, state) else 0.3
         found = find_process(running.pid, role, patience_s)
         if found is not None:
-            harm(found, number)
+            harm(found, is_kill)
             harmed.add(role)
         stands = settle(client, job) == state and role != "cell"
-        if not stands or (role, number) == harms[-1]:
+        if not stands or (role, is_kill) == harms[-1]:
             require_in_order(client, job)
             job = None
     return harmed
@@ -189,3 +206,139 @@ def test_a_service_that_dies_in_any_state_is_interrupted_and_begins_anew(tmp_pat
                 job = state(client)
                 running.kill()
                 running.wait(10)
+
+
+@dataclass
+class Ledger:
+    """What the service has answered: version of each job, number of kept events."""
+
+    versions: dict[str, int] = field(default_factory=dict)
+    events: int = 0
+
+    def note(self, *jobs: dict) -> None:
+        self.versions |= {job["id"]: job["version"] for job in jobs}
+
+    def require_kept(self, client: httpx2.Client) -> None:
+        """Whatever was answered is there, as it was or later, once, and has ended.
+
+        Every Run can be read. Nothing is under way, no device was opened again.
+        """
+        jobs = {job["id"]: job for job in list_jobs(client)}
+        assert set(self.versions) <= set(jobs)
+        for job_id, version in self.versions.items():
+            assert jobs[job_id]["version"] >= version
+            assert jobs[job_id]["state"] in ENDS
+        for job in jobs.values():
+            if job["run_id"]:
+                run = client.get(f"/api/v1/runs/{job['run_id']}").json()
+                assert run["samples"] >= 0
+        system = client.get("/api/v1/system").json()
+        assert system["current_job"] is None
+        assert system["cell"]["connected"] is False
+        ids = list_event_ids(client)
+        assert ids == list(range(1, len(ids) + 1))
+        assert len(ids) >= self.events
+        self.events = len(ids)
+
+
+def list_event_ids(client: httpx2.Client) -> list[int]:
+    ids: list[int] = []
+    with client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "0"}) as got:
+        for line in got.iter_lines():
+            if line.startswith("id: "):
+                ids.append(int(line[4:]))
+            if line.startswith("event: tick"):
+                break
+    return ids
+
+
+def list_jobs(client: httpx2.Client) -> list[dict]:
+    jobs, after = [], ""
+    while after is not None:
+        page = client.get(f"/api/v1/jobs?limit=50{after and f'&after={after}'}").json()
+        jobs += page["items"]
+        after = page["next"]
+    return jobs
+
+
+@pytest.fixture
+def rig():
+    """Devices that are no children of the service: they go on when it dies."""
+    with running_rig({"speed": SPEED, "tracker": "tcp", "seed": 3}) as started:
+        yield started
+
+
+@pytest.mark.fault_row(25)
+@pytest.mark.fault_row(23)
+def test_nothing_answered_is_lost_and_nothing_moves_after_kills_and_freezes(
+    tmp_path, rig, measured
+):
+    rng, ledger = random.Random(1), Ledger()
+    file = tmp_path / "machine.json"
+    environment = environment_of(rig.motion_options, rig.tracker_options, file)
+    done, kills = 0, 0
+    while True:
+        with process(tmp_path, **environment) as (running, client):
+            require_standstill(rig)
+            ledger.require_kept(client)
+            if done == HARMS:  # the last service is only looked at
+                break
+            while done < HARMS and running.poll() is None:
+                done += 1
+                kills += harm_once(rng, running, client, ledger)
+    assert kills > 0.4 * HARMS
+    measured(f"{kills} kills and {done - kills} freezes, nothing lost, nothing moved")
+
+
+def harm_once(rng, running, client, ledger) -> bool:
+    """Work for a while, harm a process, bring all in order; say whether it was killed.
+
+    A service that was killed stays dead: the caller starts it anew.
+    """
+    end_s = time.monotonic() + rng.uniform(0.0, 1.5)
+    with suppress(httpx2.HTTPError):
+        work(client, ledger, end_s)
+    role = rng.choice(("service", "cell", "live", "worker"))
+    found = find_child(running.pid, role) or psutil.Process(running.pid)
+    is_kill = rng.random() < 0.7
+    if is_kill and found.pid == running.pid:
+        children = [child.pid for child in found.children(recursive=True)]
+        found.kill()
+        running.wait(10)
+        wait_for(lambda: not any(map(runs, children)), "the end of all of it", 20.0)
+        return True
+    harm(found, is_kill, rng.uniform(0.1, 1.5))
+    if rng.random() < 0.2:
+        for job in list_jobs(client):
+            settle(client, job["id"])
+    stop(client)
+    ledger.note(*list_jobs(client))
+    return is_kill
+
+
+def work(client, ledger, end_s) -> None:
+    client.post("/api/v1/machines/current:connect")
+    answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", "path": ROWS})
+    if answer.status_code != 202:  # a cell that begins anew
+        return
+    job, armed = answer.json(), False
+    ledger.note(job)
+    while time.monotonic() < end_s:
+        job = state_of(client, job["id"])
+        ledger.note(job)
+        if job["state"] == "ready" and not armed:
+            armed = arm_over_http(client, job).status_code == 202
+        time.sleep(0.01)
+
+
+def require_standstill(rig: Rig) -> None:
+    """The machine comes to rest by itself and stays there."""
+
+    def rests():
+        before = rig.read_position()["position"][0]
+        time.sleep(0.25)
+        after = rig.read_position()["position"][0]
+        return max(abs(a - b) for a, b in zip(after, before, strict=True)) < 1e-6
+
+    wait_for(rests, "a machine that stands still", STANDS_S)
+    assert rests()

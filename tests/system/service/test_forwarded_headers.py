@@ -1,7 +1,5 @@
 """Whom a request comes from: what a proxy says of it, and who is one."""
 
-from __future__ import annotations
-
 import time
 
 import httpx2

@@ -1,7 +1,5 @@
 """`truepath machines` and `truepath reanalyse` at a service over a real socket."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -24,7 +22,6 @@ def machines(live, capsys):
 
 @pytest.fixture
 def files(tmp_path):
-    """A machine file and the choice of its devices."""
     machine, devices = tmp_path / "mill.json", tmp_path / "devices.json"
     machine.write_text(json.dumps(load_machine("demo") | {"name": "mill 3"}))
     chosen = {

@@ -1,7 +1,5 @@
 """A measurement with the catalogue on PostgreSQL; --database runs all tests on it."""
 
-from __future__ import annotations
-
 import pytest
 
 from truepath.jobs.dispatch.catalogue_rebuild import (

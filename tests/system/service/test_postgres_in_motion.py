@@ -1,7 +1,5 @@
 """PostgreSQL restarts, crashes or freezes while the service moves a machine."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
@@ -25,7 +23,6 @@ def server():
 
 @pytest.fixture(scope="module")
 def service(server, tmp_path_factory):
-    """A client of a real service whose catalogue stands on the server."""
     folder = tmp_path_factory.mktemp("service")
     with process(folder, TRUEPATH_DATABASE_URL=server.url()) as (_, client):
         yield client
@@ -33,7 +30,6 @@ def service(server, tmp_path_factory):
 
 @pytest.fixture
 def job(service):
-    """The identifier of a job whose machine moves."""
     job = create(service, path=3 * ROWS)
     arm(service, job)
     moving(service, job["id"])

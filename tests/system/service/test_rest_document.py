@@ -1,7 +1,5 @@
 """docs/rest-api.md: every example is sent as it stands, and answered as it says."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy
@@ -21,7 +19,6 @@ BASE = "http://127.0.0.1:8411/api/v1"
 
 
 def section(heading):
-    """Return the curl commands of a section, as lists of words."""
     body = TEXT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     fences = "".join(re.findall(r"```sh\n(.*?)```", body, re.DOTALL))
     words = shlex.split(fences.replace("\\\n", " "), comments=True)
@@ -42,8 +39,8 @@ def test_the_tables_of_codes_are_those_of_the_service(monkeypatch):
 class Curl:
     """Sends what a curl command line says; the names stand for what was answered."""
 
-    def __init__(self, client, tmp_path):
-        self.client, self.folder = client, tmp_path
+    def __init__(self, client, cells, tmp_path):
+        self.client, self.cells, self.folder = client, cells, tmp_path
         self.names = {"$B": "/api/v1", "JOB": "", "RUN": "", "VERSION": ""}
 
     def __call__(self, words):
@@ -79,9 +76,39 @@ class Curl:
             output.write_bytes(answer.content)
         return answer
 
-    def take(self, job):
-        self.names |= {"JOB": job["id"], "VERSION": str(job["version"])}
+    def order(self, words, state="succeeded"):
+        """Send an order of a job, take the job that it makes, wait until it is so."""
+        answer = self(words)
+        assert answer.status_code == 202, answer.text
+        self.names["JOB"] = answer.json()["id"]
+        return self.follow(state)
+
+    def follow(self, state):
+        """Wait until the job is in a state; take its version and its Run."""
+
+        def reached():
+            job = self.client.get(f"/api/v1/jobs/{self.names['JOB']}").json()
+            return job if job["state"] == state else None
+
+        job = wait_until(reached, state)
+        self.names["VERSION"] = str(job["version"])
         self.names["RUN"] = job["run_id"] or self.names["RUN"]
+        return job
+
+    def arm(self, look, show, arm):
+        """Look at what will move, arm it; the machine moves."""
+        assert self(look).headers["etag"] == f'"{self.names["VERSION"]}"'
+        assert self(show).status_code == 200
+        assert self(arm).status_code == 202
+        assert self.cells.cell.begun.wait(5)
+
+    def each(self, commands, status=200):
+        for words in commands:
+            assert self(words).status_code == status, words
+
+    def stop(self):
+        self.client.post("/api/v1/stop")
+        self.follow("aborted")
 
     def _filled(self, word):
         for name, value in self.names.items():
@@ -95,25 +122,12 @@ class Curl:
 
 
 @pytest.fixture
-def curl(live, tmp_path):
-    return Curl(live, tmp_path)
-
-
-@pytest.fixture
-def order(curl):
-    """Send an order of a job, and take the job that it makes."""
-
-    def taken(words):
-        answer = curl(words)
-        assert answer.status_code == 202, answer.text
-        curl.take(answer.json())
-
-    return taken
+def curl(live, make_cell, tmp_path):
+    return Curl(live, make_cell, tmp_path)
 
 
 @pytest.fixture
 def sent_in(curl, bundle, tmp_path):
-    """Take in a Run from elsewhere; return its identifier."""
 
     def sent(**members):
         (tmp_path / "run.zip").write_bytes(bundle(**members))
@@ -124,56 +138,32 @@ def sent_in(curl, bundle, tmp_path):
     return sent
 
 
-@pytest.fixture
-def follow(curl):
-    """Wait until the job is in a state; take its version and its Run."""
-
-    def wait(state):
-        def reached():
-            job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
-            return job if job["state"] == state else None
-
-        curl.take(wait_until(reached, state))
-
-    return wait
-
-
 def test_the_address_of_the_examples_is_the_default():
     assert f"B={BASE}\n" in TEXT
 
 
-def test_a_machine_is_measured_and_its_result_taken_away(
-    curl, order, follow, make_cell, tmp_path
-):
+def test_a_machine_is_measured_and_its_result_taken_away(curl, tmp_path):
     connect, create, plan, look, show, arm, again, *own_rows = section(
         "Measure a machine"
     )
     assert curl(connect).json()["connected"]
-    order(create)
-    follow("ready")
+    curl.order(create, "ready")
     assert len(curl(plan).json()["position"]) > 2
     offered, download = section("Without a link to the CNC")
     assert len(curl(offered).json()["items"]) >= 4
     assert curl(download).status_code == 200
     assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM ")
-    assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
-    assert curl(show).status_code == 200
-    assert curl(arm).status_code == 202
+    curl.arm(look, show, arm)
     assert curl(again).json()["state"] == "running"
-    assert make_cell.cell.begun.wait(5)
-    make_cell.cell.end()
-    follow("succeeded")
-    for words in section("Take the result away"):
-        assert curl(words).status_code == 200, words
+    curl.cells.cell.end()
+    curl.follow("succeeded")
+    curl.each(section("Take the result away"))
     for name in ("error_tables.csv", "report.html", "run.zip"):
         assert (tmp_path / name).stat().st_size > 0
-    for words in section("Follow what happens"):
-        assert curl(words).status_code == 200, words
+    curl.each(section("Follow what happens"))
     for words in (*own_rows, *section("Plan while measuring")):
-        order(words)
-        follow("ready")
-        curl.client.post("/api/v1/stop")
-        follow("aborted")
+        curl.order(words, "ready")
+        curl.stop()
 
 
 @pytest.fixture
@@ -185,54 +175,45 @@ def planner(planner, request):
     return lambda machine, order, *, on_progress: made
 
 
-def test_a_plan_is_made_looked_at_and_driven(curl, order, follow, tmp_path, short_plan):
+def test_a_plan_is_made_looked_at_and_driven(curl, tmp_path, short_plan):
     create, look, curve, download, drive, validate = section("Plan lines or points")
     answer = curl(create)
     assert answer.status_code == 202
     curl.names |= {"JOB": answer.json()["id"], "PLAN": answer.json()["id"]}
-    follow("succeeded")
+    curl.follow("succeeded")
     assert curl(look).json()["document"]["predicted"]["errors"]
     assert curl(curve).json()["points"]
     assert curl(download).status_code == 200
     assert (tmp_path / "plan.h").read_text().startswith("0 BEGIN PGM ")
-    order(drive)
-    follow("ready")
+    curl.order(drive, "ready")
     checked = curl(validate).json()
     assert (checked["rows"], checked["stays_open"]) == (4, "")
-    curl.client.post("/api/v1/stop")
-    follow("aborted")
+    curl.stop()
 
 
-def test_motion_is_held_and_stopped(curl, order, follow, make_cell):
-    _, create, _, _, show, arm, *_ = section("Measure a machine")
+def test_motion_is_held_and_stopped(curl):
     stop, abort, pause, resume, cancel = section("Stop, hold, go on")
-    order(create)
-    follow("ready")
-    curl(show)
-    curl(arm)
-    assert make_cell.cell.begun.wait(5)
-    follow("running")
+    _, create, _, *arm = section("Measure a machine")[:6]
+    curl.order(create, "ready")
+    curl.arm(*arm)
+    curl.follow("running")
     assert curl(pause).status_code == 202
-    follow("paused")
+    curl.follow("paused")
     assert curl(resume).status_code == 202
-    follow("running")
+    curl.follow("running")
     assert curl(abort).status_code == 202
-    follow("aborted")
+    curl.follow("aborted")
     assert curl(stop).status_code == 202
     assert curl(cancel).json()["state"] == "aborted"  # it has ended
 
 
-def test_a_measurement_ends_at_its_target(curl, order, follow, make_cell, estimates):
+def test_a_measurement_ends_at_its_target(curl, estimates):
     create, estimate = section("End at a target")
-    order(create)
-    follow("ready")
-    for words in section("Measure a machine")[4:6]:
-        curl(words)
-    assert make_cell.cell.begun.wait(5)
+    curl.order(create, "ready")
+    curl.arm(*section("Measure a machine")[3:6])
     estimates[-1].publish(1.42, done=9, total=22)
-    follow("succeeded")
+    job = curl.follow("succeeded")
     assert "course" in curl(estimate).json()
-    job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
     assert f"`{json.dumps(job['early_end'])}`" in TEXT
 
 
@@ -242,29 +223,23 @@ _KNOWN_LENGTHS = (
 )
 
 
-def test_a_measurement_from_elsewhere_is_analysed(
-    curl, order, follow, sent_in, tmp_path
-):
+def test_a_measurement_from_elsewhere_is_analysed(curl, sent_in, tmp_path):
     _, alone, lengths, several = section("Analyse a measurement from elsewhere")
     for name in ("OTHER", "RUN"):
         curl.names[name] = sent_in()
-    order(alone)
-    follow("succeeded")
+    curl.order(alone)
     (tmp_path / "known_lengths.csv").write_text(_KNOWN_LENGTHS)
     assert curl(lengths).json() == {"count": 1}
-    order(several)
-    follow("succeeded")
-    job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
+    job = curl.order(several)
     assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 
 
 @pytest.mark.usefixtures("few_places")
 def test_a_result_is_taken_to_the_controller(
-    curl, order, follow, service, sent_in, analysed, tmp_path
+    curl, service, sent_in, analysed, tmp_path
 ):
     curl.names["RUN"] = sent_in()
-    order(section("Analyse a measurement from elsewhere")[1])
-    follow("succeeded")
+    curl.order(section("Analyse a measurement from elsewhere")[1])
     result = service.results / curl.names["JOB"] / "result.json"
     shutil.copyfile(analysed / "result.json", result)
     formats, make, look, *downloads = section("Correct the controller")
@@ -272,74 +247,48 @@ def test_a_result_is_taken_to_the_controller(
     made = curl(make)
     assert made.status_code == 201
     assert curl(look).json() == made.json()
-    for words in [*downloads, *section("See the volumetric error")]:
-        assert curl(words).status_code == 200, words
+    curl.each([*downloads, *section("See the volumetric error")])
     assert {"comp-x.tbl", "comp.zip"} <= {file.name for file in tmp_path.iterdir()}
 
 
-@pytest.fixture
-def discovered(curl, order, follow, sent_in):
-    """The identifiers of a Run and of its discovery."""
-    run = curl.names["RUN"] = curl.names["OTHER"] = sent_in()
-    order(section("Discover what the model lacks")[0])
-    follow("succeeded")
-    return run, curl.names["JOB"]
-
-
-def test_a_discovery_and_its_model_are_taken_away_and_used(curl, discovered, tmp_path):
-    for words in section("Discover what the model lacks")[1:]:
-        assert curl(words).status_code == 200, words
-    assert (tmp_path / "discovery.html").stat().st_size > 0
-    assert json.loads((tmp_path / "model.json").read_text())["version"] == 2
-    analyse, plan = section("Use a model")
-    for words in (analyse, plan):
-        assert curl(words).status_code == 202, words
-
-
-def test_a_machine_is_followed_over_time(curl, order, follow, sent_in):
+def test_a_machine_is_followed_over_time(curl, sent_in):
     for name, rows in (("RUN", 100), ("OTHER", 120)):
         stream = "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(rows))
         curl.names[name] = sent_in(tracker_csv="t_s,x_mm,y_mm,z_mm\n" + stream)
     create, found, report = section("Follow the machine over time")
-    order(create)
-    follow("succeeded")
+    curl.order(create)
     assert curl(found).json()["schema"] == "trend/1"
     assert curl(report).status_code == 200
 
 
-@pytest.fixture
-def explorer(explorer):
-    """Asks for a line."""
+def test_a_discovery_and_its_model_are_used_and_the_machine_is_asked(
+    curl, sent_in, explorer, tmp_path
+):
     explorer.rows = [
         {"x_mm": x, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35}
         for x in (10.0, 400.0)
     ]
-    return explorer
-
-
-def test_the_machine_is_asked_for_extra_lines(
-    curl, order, follow, discovered, make_cell
-):
-    run, discovery_id = discovered
+    run = curl.names["RUN"] = curl.names["OTHER"] = sent_in()
+    discover, *taken = section("Discover what the model lacks")
+    discovery_id = curl.order(discover)["id"]
+    curl.each(taken)
+    assert (tmp_path / "discovery.html").stat().st_size > 0
+    assert json.loads((tmp_path / "model.json").read_text())["version"] == 2
     create, plan, look, show, arm, found = section("Ask the machine")
-    order(create)
-    follow("ready")
+    curl.order(create, "ready")
     planned = curl(plan).json()
     assert planned["discovery_id"] == discovery_id
     assert planned["position"][1] == [400.0, 10.0, 10.0]
-    assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
-    assert curl(show).status_code == 200
-    assert curl(arm).status_code == 202
-    assert make_cell.cell.begun.wait(5)
-    make_cell.cell.end()
-    follow("succeeded")
+    curl.arm(look, show, arm)
+    curl.cells.cell.end()
+    job = curl.follow("succeeded")
     answer = curl(found).json()
     assert (answer["schema"], answer["effects"][0]["axis"]) == ("discovery/1", "X")
-    job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
     assert job["result"] is None
     assert job["run_ids"] == [run, job["run_id"]]
     listed = [m["id"] for m in curl.client.get("/api/v1/models").json()["items"]]
     assert listed == [job["id"], discovery_id]
+    curl.each(section("Use a model"), 202)
 
 
 def test_the_example_of_a_refusal_is_what_is_answered(curl):

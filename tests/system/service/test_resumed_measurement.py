@@ -1,10 +1,8 @@
-"""A service that is killed in motion, started again, and goes on where it stopped.
+"""A service that is killed or ended, started again, and goes on where it stopped.
 
 The devices are no children of the service: they go on when it dies, so that a reflector
-can be knocked while nobody looks.
+can be knocked, or the tracker carried to its next station, while nobody looks.
 """
-
-from __future__ import annotations
 
 import json
 import random
@@ -29,6 +27,8 @@ from truepath.measurement.run_file.run_reading import open_run
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
+
 SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
@@ -42,11 +42,6 @@ ROWS = [
     }
     for _ in range(24)
 ]
-MANY_ROWS = [
-    *ROWS,
-    *({**row, "x_mm": 500.0 - row["x_mm"], "z_mm": 300 - row["z_mm"]} for row in ROWS),
-]
-MINUTES = 4.0  # of an adaptive measurement, by the clock of the machine
 
 AREAS = {
     "tracker": {
@@ -72,7 +67,6 @@ TWO_TOOLS = [
 
 @pytest.fixture
 def machine(tmp_path, request):
-    """The file of the demo machine, or with other targets."""
     file = tmp_path / "machine.json"
     content, targets = load_machine("demo"), getattr(request, "param", None)
     if targets is not None:
@@ -111,15 +105,8 @@ def kill_in_motion(start, **order):
     return job["id"]
 
 
-def stands(rig):
-    before = rig.read_position()["position"]
-    return rig.read_position()["position"] == before
-
-
-@pytest.mark.long
 @pytest.mark.fault_row(25)
 @pytest.mark.fault_row(9)
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize("kind", ["measure-otf", "measure-standstill"])
 def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig, kind):
     rows = "path" if kind == "measure-otf" else "points"
@@ -127,17 +114,9 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
     with start() as (_, client):
         job = client.get(f"/api/v1/jobs/{job_id}").json()
         assert job["state"] == "interrupted"
-        before = rig.read_position()["position"]
-        again = acknowledge(client, job_id)
-        assert again["error"] is None
-        going_on = client.get(f"/api/v1/jobs/{job_id}/plan").json()["resumption"]
-        assert DONE - 1 <= going_on["first_row"] <= DONE + 4
-        assert rig.read_position()["position"] == before, "it moved unarmed"
-        arm(client, again)
-        ended = follow(client, job_id, "succeeded")
-        first, second = ended["run_ids"]
-        assert first == job_id
-        runs = [client.get(f"/api/v1/runs/{i}").json() for i in (first, second)]
+        ended, first_row = go_on(client, rig, job_id)
+        assert DONE - 1 <= first_row <= DONE + 4
+        runs = [client.get(f"/api/v1/runs/{i}").json() for i in ended["run_ids"]]
         assert [run["complete"] for run in runs] == [False, True]
         result = client.get(f"/api/v1/jobs/{job_id}/result").json()
         assert ended["verdict"] == "usable", result["verdict"]
@@ -146,10 +125,8 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
         assert "path-not-whole" not in kinds
 
 
-@pytest.mark.long
 @pytest.mark.fault_row(11)
 @pytest.mark.fault_row(25)
-@pytest.mark.timeout(240)
 def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size(
     start, rig
 ):
@@ -179,12 +156,13 @@ def go_on(client, rig, job_id):
     """
     before = rig.read_position()["position"]
     ready = acknowledge(client, job_id)
+    assert ready["error"] is None
     plan = client.get(f"/api/v1/jobs/{job_id}/plan").json()
     assert rig.read_position()["position"] == before, "it moved unarmed"
     arm(client, ready)
     ended = follow(client, job_id, "succeeded")
-    assert ended["run_ids"][0] == job_id
-    assert len(ended["run_ids"]) == 2
+    first, _ = ended["run_ids"]
+    assert first == job_id
     return ended, plan["resumption"]["first_row"]
 
 
@@ -192,58 +170,6 @@ def list_digests(folder, run_ids):
     """Return what results name Runs by: the digest of what was commanded and seen."""
     files = [folder / "data" / "runs" / f"{run_id}.sqlite" for run_id in run_ids]
     return [digest_run(open_run(file)) for file in files]
-
-
-@pytest.mark.long
-@pytest.mark.fault_row(25)
-@pytest.mark.timeout(400)
-def test_an_adaptive_measurement_whose_service_was_killed_plans_on_and_is_right(
-    start, rig, tmp_path
-):
-    planning = {"mode": "otf", "minutes": MINUTES}
-    with start() as (service, client):
-        job = create(client, kind="measure-adaptive", planning=planning)
-        arm(client, job)
-        first_part = len(read_rows(client, job["id"])) - 1
-        wait_until_done(client, job["id"], first_part + 1)  # of those chosen meanwhile
-        kill(service)
-    with start() as (_, client):
-        chosen = read_rows(client, job["id"])
-        ended, first_row = go_on(client, rig, job["id"])
-        assert 0 < first_row < len(chosen)
-        driven = read_rows(client, job["id"])
-        assert driven[: len(chosen)] == chosen
-        assert len(driven) > len(chosen), "nothing more was planned"
-        result = client.get(ended["result"]["result"]).json()
-        used = [run["input_sha256"] for run in result["provenance"]["runs"]]
-        assert used == list_digests(tmp_path, ended["run_ids"])
-        assert_agrees_with_truth(client, ended, rig)
-
-
-@pytest.mark.long
-@pytest.mark.fault_row(25)
-@pytest.mark.timeout(400)
-def test_what_acts_on_notices_goes_on_after_its_service_was_killed_and_is_right(
-    start, rig
-):
-    with start() as (service, client):
-        job = create(client, path=MANY_ROWS, on_notice="check")
-        arm(client, job)
-        wait_until_done(client, job["id"], 14)
-        rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
-        wait_for(
-            lambda: len(read_rows(client, job["id"])) > len(MANY_ROWS),
-            "lines that are driven again",
-        )
-        wait_until_done(client, job["id"], 22)  # the places that the check compares
-        kill(service)
-    with start() as (_, client):
-        kept = client.get(f"/api/v1/jobs/{job['id']}").json()["notices"]
-        assert kept
-        ended, first_row = go_on(client, rig, job["id"])
-        assert first_row > 14
-        assert ended["notices"][: len(kept)] == kept
-        assert_agrees_with_truth(client, ended, rig)
 
 
 def compare_with_places(found, rig):
@@ -260,9 +186,7 @@ def compare_with_places(found, rig):
     return off_um, 2.0 * np.array(places["measured_uncertainty_um"])
 
 
-@pytest.mark.long
 @pytest.mark.fault_row(25)
-@pytest.mark.timeout(400)
 def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_right(
     start, rig, tmp_path
 ):
@@ -316,16 +240,21 @@ def assert_agrees_with_truth(client, job, rig):
     assert found.covered > 0.7, found
 
 
-@pytest.mark.long
+def set_down(rig, job, number):
+    """Carry the tracker to where the job asks for it, as well as people can."""
+    place_mm = np.add(job["station"]["position_mm"], [20.0, -15.0, 5.0])
+    rig.move_tracker(place_mm.tolist(), number)
+
+
 @pytest.mark.fault_row(25)
-@pytest.mark.timeout(300)
 def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
     start, rig
 ):
     with start() as (service, client):
         order, places_mm = plan_stations(client)
         job = create(client, **order)
-        rig.move_tracker(places_mm[0], 1)
+        assert job["station"]["position_mm"] == pytest.approx(places_mm[0], abs=0.1)
+        set_down(rig, job, 1)
         arm(client, job)
         wait_until_done(client, job["id"], 4)
         kill(service)
@@ -336,17 +265,32 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
         assert plan["stations"][0]["resumption"]["first_row"] > 0
         arm(client, ready)
         asked = follow(client, job["id"], "awaiting-move")
-        assert [c["problem"] for c in asked["station"]["checks"]] == [""]
-        rig.move_tracker(places_mm[1], 2)
+        assert client.get(f"/api/v1/runs/{asked['run_id']}").json()["complete"]
+        station = asked["station"]
+        assert station["number"] == 2
+        assert station["position_mm"] == pytest.approx(places_mm[1], abs=0.1)
+        assert [c["problem"] for c in station["checks"]] == [""]
+        arm(client, asked)  # nobody has moved it
+        asked = follow(client, job["id"], "awaiting-move")
+        assert asked["station"]["checks"][-1]["problem"] == "not-moved"
+        set_down(rig, asked, 2)
         arm(client, asked)
         ended = follow(client, job["id"], "succeeded")
         assert len(ended["run_ids"]) == 3
+        check = ended["station"]["checks"][-1]
+        assert (check["station"], check["problem"]) == (2, "")
+        assert check["place_mm"] == pytest.approx(places_mm[1], abs=30.0)
+        assert check["residual_um"] < check["allowed_um"]
+        result = client.get(ended["result"]["result"]).json()
+        stood = [places_mm[0], *places_mm]
+        for run, place_mm in zip(result["runs"], stood, strict=True):
+            assert run["tracker_mm"] == pytest.approx(place_mm, abs=30.0)
+        left_um = result["volumetric_uncertainty_um"]
+        assert result["runs"][-1]["without_it_um"] > left_um
         assert_agrees_with_truth(client, ended, rig)
 
 
-@pytest.mark.long
 @pytest.mark.fault_row(25)
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("machine", [TOOLS], indirect=True)
 @pytest.mark.parametrize("done", [DONE, 15], ids=["first-tool", "second-tool"])
 def test_two_tools_whose_service_was_killed_go_on_and_agree_with_the_truth(

@@ -1,7 +1,5 @@
 """Where the service listens, and what systemd hears of it: ready, alive, ending."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -14,7 +12,6 @@ import pytest
 
 from real_services import process
 from service_process import wait_for
-from truepath.errors import BadInput
 from truepath.service.api.server import bind_socket, format_address
 from truepath.service.api.service_manager import ServiceManager
 
@@ -106,13 +103,3 @@ def test_the_address_is_one_that_this_computer_can_open():
             assert format_address(listener) == f"{shown}{port}"
             place = urlsplit(format_address(listener))
             socket.create_connection((place.hostname, place.port), timeout=5.0).close()
-
-
-def test_a_port_that_is_taken_is_bad_input_that_names_it():
-    with bind_socket("127.0.0.1", 0) as listener:
-        port = listener.getsockname()[1]
-        with (
-            pytest.raises(BadInput, match=f"port {port}: .*; stop what listens there"),
-            bind_socket("127.0.0.1", port),
-        ):
-            pass

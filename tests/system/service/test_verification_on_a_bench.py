@@ -1,7 +1,5 @@
 """A result proved by further motion of simulated devices over their real links."""
 
-from __future__ import annotations
-
 import pytest
 
 from real_services import drive, simulated_service
@@ -12,7 +10,6 @@ JOBS = "/api/v1/jobs"
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """A client of the real service over simulated devices."""
     folder = tmp_path_factory.mktemp("bench") / "data"
     with simulated_service(folder, simulated_speed=SPEED) as (_, client):
         yield client
@@ -20,7 +17,6 @@ def bench(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def job(bench):
-    """The identifier of a job that has calibrated the machine."""
     return drive(bench)["id"]
 
 
@@ -42,34 +38,3 @@ def test_circles_are_driven_on_the_fly_and_held_against_the_result(bench, job):
     ]
     assert sum(within) >= len(within) - 1
     assert found["agreement"]["consistent"]
-
-
-@pytest.mark.long
-@pytest.mark.timeout(400)
-def test_as_found_compensated_and_as_left_by_one_sequence_of_requests(bench, job):
-    tables = "/api/v1/machines/default/simulated-tables"
-
-    def proof(**order):
-        asked = {"kind": "verify", "what": ["random-points"], "tolerance_um": 6}
-        proved = drive(bench, **asked, **order)
-        return bench.get(proved["verification"]["verification"]).json()
-
-    made = bench.post(f"{JOBS}/{job}/compensations", json={"format": "isg-csv"})
-    assert made.status_code == 201, made.text
-    before = proof(result_id=job, seed=1)
-    kept = made.json()["id"]
-    loaded = bench.put(tables, json={"job_id": job, "compensation_id": kept})
-    assert loaded.status_code == 200, loaded.text
-    assert bench.get(tables).json() == loaded.json()
-    assert loaded.json()["files"] == made.json()["files"]
-    after = proof(result_id=job, compensation_id=kept, seed=2)
-    assert bench.delete(tables).status_code == 204
-    assert before["conformity"]["measured"]["conformity"] == "outside"
-    assert abs(before["map_scale"]["value"] - 1.0) < 0.05
-    assert after["compensated"]
-    assert abs(after["map_scale"]["value"]) < 0.05
-    left, found = (
-        one["volumetric_error_um"]["measured"]["mean"] for one in (after, before)
-    )
-    assert left < 0.15 * found
-    assert after["agreement"]["chance"] > 0.001
