@@ -1,5 +1,6 @@
 """Nobody takes the place of a stop by holding connections."""
 
+import resource
 import socket
 import ssl
 import time
@@ -8,6 +9,7 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from real_services import process
+from service_process import ROWS, arm, create, follow, moving, wait_for
 from serving import serving
 from truepath.users.certificates import create_certificate
 
@@ -51,6 +53,27 @@ def test_a_stop_succeeds_however_many_connections_are_unfinished(tmp_path):
                 for _ in range(180):
                     hold(stack, place, begun)
                 assert [stop(place) for _ in range(3)], kind
+
+
+@pytest.mark.long
+@pytest.mark.fault_row(45)
+@pytest.mark.timeout(300)
+def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descriptors(
+    tmp_path,
+):
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
+    with process(tmp_path, 1024) as (_, client), ExitStack() as stack:
+        place = client.base_url.host, client.base_url.port
+        connect = "/api/v1/machines/current:connect"
+        wait_for(lambda: client.post(connect).status_code == 200, "the devices")
+        job = create(client, path=ROWS)
+        arm(client, job)
+        moving(client, job["id"])
+        for _ in range(1400):
+            hold(stack, place, UNFINISHED["head"])
+        assert stop(place) < 2.0
+        follow(client, job["id"], "aborted")
 
 
 @pytest.fixture
