@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from truepath.kinematics.splines import CubicSpline, natural_spline
-from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 
 KNOTS = np.linspace(0.0, 6.0, 7)
 VARIANCE, CASES, PLACES = 1e-2, 10, 601
@@ -51,7 +51,7 @@ def case(spline: CubicSpline, seed: int, theirs) -> tuple[float, float, float, f
     for row in spline.basis(measured):
         known = known.update(row, VARIANCE)
     begin = time.perf_counter()
-    best = find_best_place(known, spline.basis, KNOTS, VARIANCE)
+    best = find_best_position(known, spline.basis, KNOTS, VARIANCE)
     ours_s = time.perf_counter() - begin
     places = np.linspace(KNOTS[0], KNOTS[-1], PLACES)
     begin = time.perf_counter()

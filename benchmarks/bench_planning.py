@@ -24,7 +24,7 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from truepath.estimation.problem.observability import usual_precision_matrix
+from truepath.estimation.problem.observability import typical_precision_matrix
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
@@ -36,12 +36,12 @@ from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import Drive, Stops, row_times_s
 from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.workspace.workspace import Workspace
-from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 from truepath.planning.design_state import DesignState, inverse
 from truepath.planning.initial_design import choose_station, start_design
 from truepath.planning.lines.leg_choice import LegChoice, SearchEffort, SearchRegion
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath.planning.points.next_configuration import (
     PointDesignState,
     next_configuration,
@@ -92,7 +92,7 @@ def lines(seed: int) -> dict[str, Measured]:
         ("same time", took_min, True),
         ("half the time", took_min / 2.0, False),
     ):
-        request = PlanOrder(
+        request = PlanRequirements(
             minutes=minutes, feeds_mm_min=(FEED,), perpendicular_only=across
         )
         plan = make_plan(machine, request).commanded
@@ -161,7 +161,7 @@ def one_axis(seed: int) -> tuple[float, float, float]:
     for row in spline.basis(rng.uniform(0.0, knots[-1], int(rng.integers(0, 8)))):
         known = known.update(row, 1e-2)
     exact_s, best = measure_time(
-        lambda: find_best_place(known, spline.basis, knots, 1e-2), 5
+        lambda: find_best_position(known, spline.basis, knots, 1e-2), 5
     )
     at = np.linspace(0.0, knots[-1], DENSE)
 
@@ -180,7 +180,7 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     offsets = np.array([target.offset_mm for target in machine.targets])
     model, _ = build_identifiable_model(machine, offsets, intervals=intervals)
     known = IntegratedVariance(
-        inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
+        inverse(typical_precision_matrix(model)), compute_volumetric_gram(model)
     )
     axes = search_space(model)
 
@@ -206,7 +206,9 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
 def ten_minutes(seed: int) -> float:
     """Return the seconds that a 10-minute path takes to plan."""
     machine = machine_of(seed)
-    seconds, _ = measure_time(lambda: make_plan(machine, PlanOrder(minutes=10.0)), 1)
+    seconds, _ = measure_time(
+        lambda: make_plan(machine, PlanRequirements(minutes=10.0)), 1
+    )
     return seconds
 
 

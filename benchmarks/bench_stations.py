@@ -67,7 +67,7 @@ def measure_worlds(
     return each
 
 
-def judge_places(site: Site, places: int, worlds: int) -> list[str]:
+def assess_stations(site: Site, places: int, worlds: int) -> list[str]:
     """Return the row of the chosen place against random ones, usual specification."""
     seconds = 60.0 * site.minutes
     plans = [plan_for(site, None, seconds, USUAL)]
@@ -182,7 +182,7 @@ def main() -> None:
     options = parser.parse_args()
     for name in [options.site] if options.site else sites:
         if options.only in (None, "places"):
-            row = judge_places(sites[name], options.places, options.worlds)
+            row = assess_stations(sites[name], options.places, options.worlds)
             _keep(options.keep, "places", row)
         if options.only in (None, "stations"):
             for said in [options.tracker] if options.tracker else TRACKERS:

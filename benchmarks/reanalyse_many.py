@@ -21,11 +21,11 @@ from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.jobs.dispatch.dispatcher import Dispatcher
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.event_bus import EventBus
+from truepath.jobs.workers.analysis_tasks import analyse_recorded, prepare
 from truepath.jobs.workers.executor import ProcessExecutor
-from truepath.jobs.workers.science import analyse_recorded, prepare
 
 
 def measure(bundle: Path, count: int, workers: int, folder: Path) -> None:

@@ -28,8 +28,8 @@ from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 from truepath.planning.plan import Plan
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path as MachinePath
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.hidden.tracker import TrackerEccentricity, TrackerRangeOffset
@@ -128,7 +128,7 @@ class Index(HiddenEffect):
         """Draw none: sizes come from the specification."""
         raise NotImplementedError
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """Return the error of the elevation."""
         error = np.zeros_like(polar)
         level_mm = polar[:, 0] * np.cos(polar[:, 2])
@@ -227,7 +227,7 @@ def plan_for(
     """Return the plan from a place, or from those that it chooses."""
     areas = StationAreas(site.areas, (), MOVE_S, specification)
     workspace = Workspace((), place, 200.0, stations=None if place else areas)
-    order = PlanOrder(
+    order = PlanRequirements(
         mode=site.mode,
         minutes=seconds / 60.0,
         feeds_mm_min=(site.feed_mm_min,) if site.mode == "otf" else (),

@@ -71,7 +71,7 @@ class Outcome:
         return self.gap_um[1] / self.gap_um[2]
 
 
-def judge_discovery(world: World) -> Outcome:
+def assess_discovery(world: World) -> Outcome:
     """Run discovery on the Run of a world and judge its answer.
 
     Every world can be fitted: where discovery says otherwise, that is a wrong answer.

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from discovery_score import Outcome, as_row, from_row, judge_discovery
+from discovery_score import Outcome, as_row, assess_discovery, from_row
 from discovery_summary import (
     confusion_table,
     hard_table,
@@ -59,7 +59,7 @@ def draw_tasks(counts: dict[str, int], first: int = 0) -> list[Task]:
 
 def judge_world(task: Task) -> Outcome:
     """Draw a world, run discovery on it, and judge the answer."""
-    return judge_discovery(draw_world(*task))
+    return assess_discovery(draw_world(*task))
 
 
 def judge_worlds(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:

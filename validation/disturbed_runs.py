@@ -44,7 +44,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.analysis import analyse
-from truepath.results.findings import Findings
+from truepath.results.result_summary import Findings
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths, turning_paths

@@ -21,8 +21,8 @@ from study import Study, study
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.workspace.workspace import Workspace
 from truepath.planning.plan import Plan
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
@@ -68,7 +68,7 @@ class Bench:
         x, y, z = pose.position_mm.tolist()
         workspace = Workspace(tracker_mm=(x, y, z))
         machine = machine_from_json(self.content)
-        return make_plan(machine, PlanOrder(workspace=workspace, **order))
+        return make_plan(machine, PlanRequirements(workspace=workspace, **order))
 
     def drive(self, program: Program) -> synthetic.Recording:
         """Record a program."""
@@ -118,7 +118,7 @@ def compare_ramps(seed: int) -> list[list[float]]:
     rows: list[list[float]] = []
     for bench in (sound, sound.bend(0.0), sound.bend(_SWING_HZ)):
         used = study(bench.drive(program))
-        without = study(used.recording, seen=used.seen.leave_out_ramps())
+        without = study(used.recording, seen=used.seen.exclude_ramps())
         row = [used.seen.count[used.seen.is_ramp].sum() / used.seen.used]
         for each in (used, without):
             inside = each.within.share(np.abs(each.left_mm) < 2.0 * each.sigma_mm)

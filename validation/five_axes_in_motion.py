@@ -36,8 +36,8 @@ from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.configurations import split_by_target
 from truepath.motion.motion_times import travel_time_s
 from truepath.planning.lines.default_path import default_path
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
@@ -139,7 +139,7 @@ def judge_plan(seed: int) -> list[str]:
     machine = machine_from_json(draw_machine(seed))
     usual = default_path(machine, FEED_MM_MIN, seed=seed)
     time_s = travel_time_s(usual, machine.motion)
-    planned = make_plan(machine, PlanOrder(minutes=time_s / 60.0, seed=seed))
+    planned = make_plan(machine, PlanRequirements(minutes=time_s / 60.0, seed=seed))
     one, other = (
         judge_measured(seed, [record_seated(seed, OFF_MM, follow(path))])[0]
         for path in (usual, planned.commanded)
@@ -157,7 +157,7 @@ def judge_plan(seed: int) -> list[str]:
     ]
 
 
-def judge_live(seed: int, off_mm: float) -> list[str]:
+def assess_live(seed: int, off_mm: float) -> list[str]:
     """Return a row on the last live estimate against that of the closed Run."""
     machine = machine_from_json(draw_machine(seed))
     path = default_path(machine, FEED_MM_MIN, lines=LINES, seed=seed)
@@ -165,7 +165,7 @@ def judge_live(seed: int, off_mm: float) -> list[str]:
     run = run_of(made)
     live = LiveEstimator(run.machine, run.commanded)
     for block in _cut(run.tracker):
-        live.take(block)
+        live.add_block(block)
     live.finish()
     last, batch = live.estimate(), analyse(run).estimate
     if last is None:
@@ -214,7 +214,7 @@ def hide(seed: int, kind: type[HiddenEffect] | None) -> Recording:
     return record_seated(seed, OFF_MM, drive_usually(seed, ON_THE_FLY), hidden=hidden)
 
 
-def judge_discovery(
+def assess_discovery(
     kind: type[HiddenEffect] | None, seeds: Sequence[int]
 ) -> list[str | int]:
     """Return a row on what discovery says of worlds of one kind."""
@@ -254,12 +254,12 @@ def main() -> None:
         head = ["machine, targets off by", "live left µm", "batch left µm"]
         head += ["largest difference / u", "rms", "u live / u batch"]
         off_mm = [(OFF_MM, FAR_MM)[seed % 2] for seed in seeds]
-        rows = [judge_live(*each) for each in zip(seeds, off_mm, strict=True)]
+        rows = [assess_live(*each) for each in zip(seeds, off_mm, strict=True)]
         write_section("five-axes-live", table(head, rows))
     if "discovery" in options.only:
         head = ["hidden", "worlds", "named alone", "something else said", "silent"]
         worlds = range(first, first + options.worlds)
-        found = [judge_discovery(kind, worlds) for kind in HIDDEN]
+        found = [assess_discovery(kind, worlds) for kind in HIDDEN]
         write_section("five-axes-discovery", table(head, found))
 
 

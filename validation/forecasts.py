@@ -18,8 +18,8 @@ from study import study
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.workspace.workspace import Workspace
 from truepath.planning.plan import Plan
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
@@ -57,7 +57,7 @@ def outcome(seed: int) -> Outcome:
     pose = random_pose(parse_machine(content), seed)
     x, y, z = pose.position_mm.tolist()
     workspace = Workspace(tracker_mm=(x, y, z))
-    order = PlanOrder(minutes=MINUTES, workspace=workspace)
+    order = PlanRequirements(minutes=MINUTES, workspace=workspace)
     plan = make_plan(machine_from_json(content), order)
     limits = Limits(motion["acceleration_mm_s2"], motion["jerk_mm_s3"])
     setting = synthetic.Setting(air=random_air(seed), limits=limits, pose=pose)

@@ -20,7 +20,7 @@ from truepath_simulators.hidden.effects_by_name import CATALOGUED, UNCATALOGUED,
 from truepath_simulators.hidden.warming import ThermalGrowth
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording
@@ -104,7 +104,7 @@ def _draw_once(
     rng = np.random.default_rng([seed, 11])
     content, air = random_content(seed), random_air(seed)
     program = (
-        _draw_points(content, seed, rng)
+        _sample_points(content, seed, rng)
         if kind == "standstill"
         else draw_program(content, rng, lines)
     )
@@ -158,7 +158,7 @@ def draw_program(
     return replace(program, feed_mm_s=np.round(60.0 * program.feed_mm_s * shares) / 60)
 
 
-def _draw_points(
+def _sample_points(
     content: dict[str, Any], seed: int, rng: np.random.Generator
 ) -> Program:
     """Draw where the machine is to stand."""
@@ -174,7 +174,7 @@ def _draw_effects(
     program: Program,
 ) -> tuple[HiddenEffect, ...]:
     machine = parse_machine(content)
-    motion = follow(program, program.position[0], 0.0, Setting().limits)
+    motion = make_program_timeline(program, program.position[0], 0.0, Setting().limits)
     usual = replace(
         Occasion.usual(machine, 1.0),
         duration_s=motion.end_s,

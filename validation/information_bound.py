@@ -30,7 +30,7 @@ from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.effects.inertial_bend import InertialBend
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.worlds.recording import Recording
@@ -88,7 +88,7 @@ def true_precision(model: MachineModel, truth: np.ndarray) -> np.ndarray:
     total = np.zeros((model.size, model.size))
     for effect in model.effects:
         part = model.slices[effect.name]
-        if is_of_instrument(effect):
+        if is_tracker_error(effect):
             total[part, part] = np.eye(part.stop - part.start)
         if isinstance(effect, ErrorMotion):
             bending = effect.gauge.T @ effect.spline.bending() @ effect.gauge

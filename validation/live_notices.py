@@ -31,7 +31,7 @@ from truepath_simulators.hidden.setup import SetupStep, TableDrift
 from truepath_simulators.hidden.warming import ThermalGrowth
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording
 from truepath_simulators.worlds.synthetic import Setting
@@ -71,9 +71,11 @@ class LaterPlay(Backlash):
 
     time_s: float = 0.0
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Return that of the play, after the moment."""
-        there = Backlash.carry(self, motion, time_s)
+        there = Backlash.added_error_motions(self, motion, time_s)
         later = (time_s >= self.time_s)[:, None]
         return {key: value * later for key, value in there.items()}
 
@@ -123,7 +125,9 @@ def draw_world(row: str, seed: int) -> tuple[Recording, float]:
         recording = synthetic.record(content, points, seed, "standstill", setting)
         return add_tails(recording, rng), np.inf
     program = draw_program(content, rng, LINES)
-    motion = follow(program, program.position[0], setting.lead_in_s, setting.limits)
+    motion = make_program_timeline(
+        program, program.position[0], setting.lead_in_s, setting.limits
+    )
     at_s = float(rng.uniform(low, high)) * motion.end_s
     x, y, z = draw_direction(rng) * size_um
     axis = parse_machine(content).linear_axes[int(rng.integers(3))]
@@ -211,7 +215,7 @@ def follow_live(run: Run) -> Iterator[tuple[float, tuple, float]]:
     for first in range(0, len(run.tracker), _BLOCK):
         block = run.tracker.select(slice(first, first + _BLOCK))
         begun = time.process_time()
-        if live.take(block) and live.estimate() is not None:
+        if live.add_block(block) and live.estimate() is not None:
             notices = live.list_notices()
             took_s = time.process_time() - begun
             yield float(block.device_time_s[-1]), notices, took_s

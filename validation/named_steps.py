@@ -24,7 +24,7 @@ from recordings import plan_program, random_air, random_content, run_of
 from stream_disturbances import Disturb, lock_again, shift, turn
 
 from truepath.alignment.align import align_all
-from truepath.estimation.checks.disturbances import CheckedEstimate, estimate_checked
+from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
 from truepath.files.bundle.run import Run
 from truepath.kinematics.coarse_model import build_run_models
 from truepath_simulators.machine_file import parse_machine

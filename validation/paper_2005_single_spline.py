@@ -15,7 +15,7 @@ from figures import plt
 from stochastic_splines import bending, draw, independent, learnt, sigma
 
 from truepath.kinematics.splines import natural_spline
-from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 
 KNOTS = np.linspace(0.0, 6.0, 7)
 VARIANCE = 0.01
@@ -57,7 +57,7 @@ def procedure(prior) -> Course:
     truth = draw(belief, rng, DRAWS)
     course = Course([belief], [], truth, [], [np.zeros_like(truth)], 0.0)
     for _ in range(MEASUREMENTS):
-        best = find_best_place(belief, spline.basis, KNOTS, VARIANCE)
+        best = find_best_position(belief, spline.basis, KNOTS, VARIANCE)
         dense = float(belief.compute_drops(spline.basis(DENSE), VARIANCE).max())
         row = spline.basis(np.array([best.at]))[0]
         noise = np.sqrt(VARIANCE) * rng.standard_normal(DRAWS)

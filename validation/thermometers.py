@@ -18,7 +18,7 @@ from document import table, write_section
 from recordings import plan_program, run_of
 
 from truepath.answers.discovery.discovery import discover_runs
-from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import result_from_json
 from truepath.results.prediction import predict
@@ -54,7 +54,7 @@ def judge_world(seed: int, *, cools: bool) -> dict[str, Judged]:
     bare = replace(run, temperature=None)
     cases = {"with thermometers": run, "without": bare}
     axis = warming[0].axis
-    return {name: _judge(one, points, truth_um, axis) for name, one in cases.items()}
+    return {name: _assess(one, points, truth_um, axis) for name, one in cases.items()}
 
 
 def draw_warming(rng: np.random.Generator, *, cools: bool) -> tuple[ThermalGrowth, ...]:
@@ -70,7 +70,7 @@ def draw_warming(rng: np.random.Generator, *, cools: bool) -> tuple[ThermalGrowt
     return warm, ThermalGrowth(axis, coefficient, -1.2 * rise_k, slow_s, lag_s)
 
 
-def _judge(run: Run, points: np.ndarray, truth_um: np.ndarray, axis: str) -> Judged:
+def _assess(run: Run, points: np.ndarray, truth_um: np.ndarray, axis: str) -> Judged:
     found = discover_runs([run])
     told = predict(result_from_json(found.model.content), points)
     before = remove_rigid_motion(points, truth_um)

@@ -19,10 +19,10 @@ from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
 from truepath.alignment.align import align
-from truepath.answers.trend.outlook import LookAhead
-from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.answers.trend.recalibration_forecast import ForecastModel
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.over_time.drift import estimate_drift
-from truepath.estimation.over_time.drift_course import Course
+from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.batch import Estimate
 from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.kinematics.coarse_model import build_run_models
@@ -122,21 +122,21 @@ def _judge_used(
     times = world.time_s[: len(alone)] - begin
     course = Course(times, np.zeros((len(times), 0)))
     drift = estimate_drift(basis, course)
-    ahead = LookAhead.of(drift, course)
+    ahead = ForecastModel.of(drift, course)
     for k in _choose_runs(len(alone)):
-        stated = drift.predict(ahead.at_run(k))
+        stated = drift.predict(ahead.course_of_run(k))
         judge.note(tally, (used, "runs"), begin + times[k], *stated)
     for hours in LATER_H:
         at_s = float(times[-1]) + HOUR_S * hours
         key = used, f"{hours:g} h"
-        stated = drift.predict(ahead.at(at_s))
+        stated = drift.predict(ahead.course_at(at_s))
         judge.note(tally, key, begin + at_s, *stated)
         stays = judge.measure_off_um(begin + at_s, ahead.last)
         tally.add(*key, "stays", value=stays)
     _judge_due(judge, ahead, used, tally)
 
 
-def _judge_due(judge: Judge, ahead: LookAhead, used: str, tally: Tally) -> None:
+def _judge_due(judge: Judge, ahead: ForecastModel, used: str, tally: Tally) -> None:
     """Note when the machine is due, in truth and as stated, in h after the last Run."""
     begin, last = judge.world.time_s[0], float(ahead.runs.time_s[-1])
     hours = np.linspace(0.0, HORIZON_H, _STEPS)
@@ -146,7 +146,7 @@ def _judge_due(judge: Judge, ahead: LookAhead, used: str, tally: Tally) -> None:
     for limit in LIMITS_UM:
         beyond = np.flatnonzero(off > limit)
         true = float(hours[beyond[0]]) if len(beyond) else np.inf
-        told = ahead.look(limit, HORIZON_H * HOUR_S)
+        told = ahead.predict_exceedance(limit, HORIZON_H * HOUR_S)
         key = used, f"{limit:g} µm"
         tally.add(*key, "true", value=true)
         for name, at_s in (("due", told.due_s), ("expected", told.expected_s)):

@@ -118,7 +118,9 @@ class Warming(HiddenEffect):
         now = self.begin_s + time_s
         return np.stack([np.interp(now, at, one) for one in rise.T], axis=1)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Return growth of the scales, bend and twist of the column."""
         position = motion.timeline.positions(time_s)
         return self.bend(motion.machine, position, time_s)
@@ -147,7 +149,7 @@ class Warming(HiddenEffect):
             total[axis.name] = added
         return total
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the growth of the spindle."""
         del motion
         shift = np.zeros((len(time_s), 3))

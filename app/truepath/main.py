@@ -23,7 +23,7 @@ from sqlalchemy import Connection
 
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.catalogue_lock import hold_catalogue
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.run_reader import ReadingLimits, RunReader
 from truepath.catalogue.runs import RunCatalogue
@@ -44,15 +44,15 @@ from truepath.jobs.dispatch.retention import Retention, RetentionRules
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.running.live_estimation import LiveEstimation
+from truepath.jobs.workers.analysis_tasks import analyse_recorded, prepare
 from truepath.jobs.workers.executor import ProcessExecutor
-from truepath.jobs.workers.science import analyse_recorded, prepare
 from truepath.jobs.workers.workers import choose_workers
 from truepath.machine_settings import ONLY_MACHINE
 from truepath.machines.setup.cell_setup import (
     CellSetup,
     configure_cell,
-    refuse_same_names,
-    refuse_shared_links,
+    reject_same_names,
+    reject_shared_links,
 )
 from truepath.machines.setup.machine_setup import ConfiguredMachine, MachineSetup
 from truepath.measurement.messages import CellConfig
@@ -151,7 +151,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         _begin_to_reconcile(context, dispatcher, stack)
         for one in context.machines.list_all():
             one.start()
-        _begin_to_judge(setup.calibrations, stack)
+        _start_assessment(setup.calibrations, stack)
         access = Access(database, _make_rules(settings))
         stack.callback(access.close)
         deletion = Deletion(database, context.runs, context.results)
@@ -195,9 +195,9 @@ def _begin_to_reconcile(
     reconciliation.start()
 
 
-def _begin_to_judge(calibrations: Calibrations, stack: ExitStack) -> None:
+def _start_assessment(calibrations: Calibrations, stack: ExitStack) -> None:
     """In a thread, so that the service answers meanwhile."""
-    look = threading.Thread(target=calibrations.judge_all, name="standing")
+    look = threading.Thread(target=calibrations.assess_all, name="standing")
     look.start()
     stack.callback(look.join)
 
@@ -294,8 +294,8 @@ def _load_machines(settings: Settings, stack: ExitStack) -> list[ConfiguredMachi
     ]
     if not found:
         log.warning("no machine_file: analyses only")
-    refuse_same_names((one.id, one.machine.name) for one in found)
-    refuse_shared_links((one.id, one.config) for one in found)
+    reject_same_names((one.id, one.machine.name) for one in found)
+    reject_shared_links((one.id, one.config) for one in found)
     return found
 
 

@@ -161,7 +161,7 @@ class Schedule:
             if armed.reference_s is None:
                 armed.reference_s = now_s
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Start again at the next `begin`, for faults that have not struck yet."""
         for armed in self._armed:
             if not (armed.is_injected or armed.spent or armed.began_s is not None):

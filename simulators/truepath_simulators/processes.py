@@ -72,7 +72,7 @@ class DeviceProcess:
             raise SimulatorError(f"the simulated {self._name}: {report['error']}")
         return report
 
-    def ask_state(self) -> dict[str, Any]:
+    def query_state(self) -> dict[str, Any]:
         """State that the device reports."""
         self.tell(json.dumps({"ask": "state"}))
         return self._read_report(_ANSWER_TIMEOUT_S)
@@ -171,7 +171,9 @@ class DeviceProcesses:
 
     def read_state(self) -> dict[str, Any]:
         """State of every device by name."""
-        return {name: process.ask_state() for name, process in self._processes.items()}
+        return {
+            name: process.query_state() for name, process in self._processes.items()
+        }
 
     def describe(self) -> dict[str, Any]:
         """Addresses of the devices, name of the machine, process identifiers."""

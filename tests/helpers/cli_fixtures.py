@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from truepath.cli.command import run
-from truepath.compensation.account import remaining_error
+from truepath.compensation.account import residual_error
 from truepath.files.bundle.bundle import write_bundle
 from truepath.kinematics import volumetric_map
 from truepath.planning import forecast, plan
@@ -146,7 +146,7 @@ def machine_file(tmp_path_factory):
 def few_places():
     """State what files leave from few places, where no test asks for its digits."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(remaining_error, "CLOSE", 128)
+        patch.setattr(residual_error, "CLOSE", 128)
         patch.setattr(volumetric_error, "_DRAWS", 8)
         yield
 

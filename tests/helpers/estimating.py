@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from tests.conftest import without_rigid_motion
 
-from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.solve import batch
 from truepath.files.bundle.one_machine import one_machine
 from truepath.kinematics.coarse_model import build_run_models
@@ -18,7 +18,7 @@ MARGIN_MM = 15.0  # of the travel of linear axes that is not judged at either en
 def estimate(*observed, names=(), known=None, **options):
     names = names or [f"Run {number}" for number in range(1, len(observed) + 1)]
     machine = one_machine([each.at.machine for each in observed], names)
-    known = known or KnownEffects()
+    known = known or PriorEffects()
     models = build_run_models(machine, [each.at for each in observed], known.effects)
     return batch.estimate(models, observed, known=known, **options)
 

@@ -23,7 +23,7 @@ def follow(run, *, blocks=None, with_notices=False, **options):
     """Give a Run to the live estimate in blocks, of 20 samples if none are given."""
     followed = Followed(LiveEstimator(run.machine, run.commanded, **options))
     for block in blocks or list_blocks(run):
-        if not followed.live.take(block):
+        if not followed.live.add_block(block):
             continue
         now = followed.live.estimate()
         if now is not None:

@@ -20,7 +20,7 @@ from truepath.jobs.dispatch.dispatcher import Dispatcher
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.event_bus import EventBus
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.condition_log import ConditionLog
 from truepath.machines.machine_cells import MachineCell, Machines
 from truepath_simulators.scenario import load_machine
 
@@ -137,7 +137,7 @@ def open_watched(context, open_dispatcher):
     """Opens the service with a machine whose conditions are what the test says."""
 
     def make(observe, **parts):
-        board = ConditionBoard(observe)
+        board = ConditionLog(observe)
         watched = replace(context.machines.get("default"), conditions=board)
         return open_dispatcher(machines=Machines([watched]), **parts)
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from truepath.compensation.account.rotary_left import (
+from truepath.compensation.account.rotary_residual import (
     describe_rotary,
     measure_over_axes,
     read_rotary_files,
 )
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation
-from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.compensation.tables.unmeasured_range import find_measured_ranges
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.identifiable import build_identifiable_model

@@ -14,7 +14,7 @@ from simulated_clock import simulated_clock
 from truepath.measurement import messages
 from truepath.measurement.engine.measurement import Measurement
 from truepath.measurement.run_file.run_file import LINK_STREAM
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock

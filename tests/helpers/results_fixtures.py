@@ -18,8 +18,8 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.numerics.rigid import RigidTransform
 from truepath.results.analysis import analyse
-from truepath.results.findings import Provenance, state_findings
 from truepath.results.result_json import result_json
+from truepath.results.result_summary import Provenance, state_findings
 from truepath_simulators.scenario import load_machine
 
 AXES = (

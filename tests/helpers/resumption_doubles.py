@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from truepath.files.bundle.commanded_file import encode_commanded_json
-from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.measurement.run_file.run_loader import open_recorded
 
 PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
 

@@ -227,7 +227,7 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         return data.volumetric_map(state, compensation)
 
     @app.put(f"{API}/runs/{{run_id}}/known-lengths")
-    def keep_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
+    def store_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
         sent = known_lengths.file.read()
         path = f"/runs/{run_id}/known-lengths"
         service.requests.append(("PUT", path, known_lengths.filename))

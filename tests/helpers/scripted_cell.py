@@ -224,7 +224,7 @@ class ScriptedLive:
     finish = partialmethod(_hear, "finish")
     close = partialmethod(_hear, "close")
 
-    def take_part(self):
+    def pop_part(self):
         return self.parts.pop(0) if self.parts else None
 
     def publish(self, volumetric_uncertainty_um, done, total=10, verdict=None):

@@ -6,7 +6,7 @@ import re
 from textwrap import dedent
 
 from truepath.answers.plan import plan_document
-from truepath.estimation.problem import observability, separation
+from truepath.estimation.problem import confounding_advice, observability
 from truepath.kinematics import identifiable
 
 _NAMES = "EXZ, EYZ"
@@ -24,10 +24,12 @@ def list_unobservable():
     head = "ECZ (roll of Z)"
     merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
     for said in (merged, f"{head} does not move the target"):
-        for cure in separation._TRIALS:
+        for cure in confounding_advice._TRIALS:
             for length in ("", " at least 140 mm"):
                 yield from _fill(
-                    separation._statement, said, f"a second {cure.format(length)}"
+                    confounding_advice._statement,
+                    said,
+                    f"a second {cure.format(length)}",
                 )
     yield from _fill(identifiable.Confounded.__str__, head, "")
     yield from _fill(plan_document._list_unobservable, "B, C", "")

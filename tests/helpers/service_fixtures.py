@@ -23,15 +23,15 @@ from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
-from truepath.compensation.account import remaining_error
+from truepath.compensation.account import residual_error
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.event_bus import EventBus
-from truepath.jobs.running.plan_orders import plan_measurement
-from truepath.jobs.workers.reanalysis import keep_outcome
+from truepath.jobs.running.plan_requests import plan_measurement
+from truepath.jobs.workers.reanalysis import store_outcome
 from truepath.kinematics import volumetric_map
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import MachineCell, Machines
@@ -199,7 +199,9 @@ def service(
     setup.machines = machines
     for one in machines.list_all():
         content = machine_to_json(one.machine)
-        setup.registry.note(one.id, "settings", content, {"simulated": True})
+        setup.registry.record_configuration(
+            one.id, "settings", content, {"simulated": True}
+        )
     access = Access(database, AccessRules())
     yield Service(
         version="1.2.3",
@@ -400,14 +402,14 @@ def short_plan(make_once):
 @pytest.fixture(autouse=True)
 def small_errors_add_up(monkeypatch):
     """Errors as small as here do; to see that takes longer than all the rest."""
-    monkeypatch.setattr(volumetric_map, "adds_up", lambda *_: True)
+    monkeypatch.setattr(volumetric_map, "is_nearly_linear", lambda *_: True)
 
 
 @pytest.fixture
 def few_places(monkeypatch):
     """Look in few places at what compensation files leave."""
-    monkeypatch.setattr(remaining_error, "CLOSE", 64)
-    monkeypatch.setattr(remaining_error.sample_travel, "__defaults__", (64,))
+    monkeypatch.setattr(residual_error, "CLOSE", 64)
+    monkeypatch.setattr(residual_error.sample_travel, "__defaults__", (64,))
 
 
 @pytest.fixture
@@ -431,7 +433,7 @@ def reanalysed(service, upload):
 
     def analyse(order, perpendicular_only, *, on_progress):
         after = {"verdict": "usable", "volumetric_error_um": 5, "uncertainty_um": 1}
-        keep_outcome(order, after=after)
+        store_outcome(order, after=after)
         folder = service.results / order.folder
         (folder / "result.json").write_text('{"schema": "result/1"}')
 

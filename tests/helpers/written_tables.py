@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from truepath.compensation.format import AxisTable, CompensationTables
-from truepath.compensation.installed import load_format
-from truepath.compensation.rotary_tables import AxisPlace, RotaryTable
+from truepath.compensation.format_registry import load_format
+from truepath.compensation.rotary_tables import RotaryAxisLocation, RotaryTable
 from truepath.files.bundle.machine_file import machine_from_json
 
 GOLDEN = Path(__file__).resolve().parent / "golden"
@@ -106,7 +106,9 @@ def make_rotary_content(*turns):
     tables = tuple(
         AxisTable(axis, at, 0, none, none, none, none) for axis in TRUNNION.linear_axes
     )
-    places = tuple(AxisPlace(axis, PLACES[axis.name]) for axis in TRUNNION.rotary_axes)
+    places = tuple(
+        RotaryAxisLocation(axis, PLACES[axis.name]) for axis in TRUNNION.rotary_axes
+    )
     return CompensationTables(
         "round", TRUNNION, tables, ("by hand",), rotary=turns, places=places
     )

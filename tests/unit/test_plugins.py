@@ -3,7 +3,7 @@
 import pytest
 
 from truepath import plugins
-from truepath.compensation.installed import list_formats
+from truepath.compensation.format_registry import list_formats
 from truepath.kinematics.effects.family import list_families
 from truepath.service.page.pages import LANGUAGES, catalogue
 

@@ -50,7 +50,7 @@ from truepath.alignment.stream.nominal_path import (
 )
 from truepath.alignment.stream.seating import find_seating, seat_targets
 from truepath.alignment.stream.sequence import Matching, match_stops, require_targets
-from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, match_places
+from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, match_points
 from truepath.alignment.stream.stops import StopSequence, find_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows, Run, list_locks_s
@@ -115,14 +115,14 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     nominal, stops, matching = _match_or_explain(run, time_s, tracker_mm)
     stream = Stream(time_s, tracker_mm, matching.pose, matching.reach_mm)
     left_out = describe_unusable(run.tracker, usable)
-    left_out += _list_astray(stream, stops, matching, nominal)
+    left_out += _list_unmatched(stream, stops, matching, nominal)
     left_out += _list_beyond(time_s, stops, matching, nominal)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
         left_out += _list_points_without_stop(run, parts)
         return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
-    nominal = nominal.lead_through(
+    nominal = nominal.shift_through(
         matching.waypoint,
         matching.pose.invert().apply(stops.position_mm[matching.stop]),
     )
@@ -233,7 +233,7 @@ def _list_beyond(
             begin, last = int(stops.first[first]), int(stops.last[end - 1]) - 1
             span_s = float(time_s[begin]), float(time_s[last])
             beside = stops.position_mm[first:end]
-            same, _ = match_places(beside, expected, matching.reach_mm)
+            same, _ = match_points(beside, expected, matching.reach_mm)
             if 2 * len(same) > len(expected):
                 found.append(LeftOut("again", -1, *span_s, last - begin, 0.0))
             else:
@@ -241,7 +241,7 @@ def _list_beyond(
     return found
 
 
-def _list_astray(
+def _list_unmatched(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> list[LeftOut]:
     """Parts of the stream with several standstills in a row that match no point, where
@@ -342,7 +342,7 @@ def _add_driven_elsewhere(
     number: int, runs: Sequence[Run], observed: Sequence[Observations]
 ) -> Driving | None:
     driving = observed[number].driving
-    if driving is None or driving.is_whole:
+    if driving is None or driving.is_complete:
         return driving
     others = {
         _describe_row(run, row)

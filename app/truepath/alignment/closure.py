@@ -90,7 +90,7 @@ def find_committed(run: Run) -> Committed:
     return Committed(next_row, tuple(rows), place_mm)
 
 
-def find_again(
+def locate_after_return(
     run: Run, place_mm: Float64[np.ndarray, "k 3"]
 ) -> Float64[np.ndarray, "k 3"]:
     """Present position of the target at each earlier point, in the same order.
@@ -123,7 +123,7 @@ def find_again(
     return now_mm
 
 
-def compare_places(
+def compare_points(
     before_mm: Float64[np.ndarray, "k 3"],
     now_mm: Float64[np.ndarray, "k 3"],
     noise: TrackerNoise,

@@ -64,7 +64,7 @@ class PointAlignment:
         """Targets far off their stated positions, and their shifts, as known so far."""
         return self._known.seats
 
-    def list_astray(self) -> tuple[LeftOut, ...]:
+    def list_unmatched(self) -> tuple[LeftOut, ...]:
         """Points off their rows since the last good one, as one; none below three.
 
         Those before it are reported with the observations.
@@ -94,7 +94,7 @@ class PointAlignment:
         self._first = nominal.first
         self._place_mm = nominal.place_mm
         seating = find_seating(machine, commanded, nominal.first)
-        self._known.expect(nominal.place_mm, seating)
+        self._known.set_waypoints(nominal.place_mm, seating)
         if self._near:
             self._refine_pose()
 
@@ -129,7 +129,7 @@ class PointAlignment:
         measured = find_measured(self._run.tracker)
         if not _FEWEST <= len(measured) <= _TRIES:
             return
-        places, waypoints = self._places_of(measured), self._waypoints_of(measured)
+        places, waypoints = self._points_of(measured), self._waypoints_of(measured)
         seating = self._known.seating
         seating = seating.select(waypoints) if seating else None
         try:
@@ -155,7 +155,7 @@ class PointAlignment:
             expected_mm = self.pose.apply(self._known.seated_mm[[waypoint]])[0]
             place_mm = self._run.tracker.position_mm[sample]
             off_mm = float(np.linalg.norm(place_mm - expected_mm))
-            if off_mm > self._find_reach_mm(int(waypoint)):
+            if off_mm > self._compute_reach_mm(int(waypoint)):
                 row, count = self._points.row[sample], self._points.count[sample]
                 time_s = float(self._run.tracker.device_time_s[sample])
                 self._astray.append(
@@ -168,7 +168,7 @@ class PointAlignment:
 
     def _refine_pose(self) -> None:
         near = np.array(self._near)
-        places, waypoints = self._places_of(near), self._waypoints_of(near)
+        places, waypoints = self._points_of(near), self._waypoints_of(near)
         self._known.refine(places, waypoints)
         if len(near) >= _FEWEST:
             self.pose = fit_rigid(self._known.seated_mm[waypoints], places)
@@ -182,10 +182,10 @@ class PointAlignment:
         (waypoint,) = self._waypoints_of(np.array([sample]))
         return self._is_over or self._known.is_known(int(waypoint))
 
-    def _find_reach_mm(self, waypoint: int) -> float:
-        return self._reach_mm + self._known.find_reach_mm(waypoint)
+    def _compute_reach_mm(self, waypoint: int) -> float:
+        return self._reach_mm + self._known.compute_reach_mm(waypoint)
 
-    def _places_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
+    def _points_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
         return self._run.tracker.position_mm[samples]
 
     def _waypoints_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:

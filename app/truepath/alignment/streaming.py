@@ -76,7 +76,9 @@ class StreamingAlignment:
         """Targets far off their stated positions, and their shifts, as known so far."""
         return self._known.seats
 
-    def place_rows(self, since_s: float = -np.inf) -> Float64[np.ndarray, "w 3"] | None:
+    def locate_rows(
+        self, since_s: float = -np.inf
+    ) -> Float64[np.ndarray, "w 3"] | None:
         """Expected position of each row in the tracker's frame, for straight lines.
 
         From the standstills that have begun since `since_s`. None where they do not
@@ -92,12 +94,12 @@ class StreamingAlignment:
         places = np.array([self._stream.stops[k].position_mm for k, _ in since])
         return fit_rigid(nominal, places).apply(self._nominal.end_mm)
 
-    def list_astray(self) -> tuple[LeftOut, ...]:
+    def list_unmatched(self) -> tuple[LeftOut, ...]:
         """Periods in which no standstill was at a point of the path."""
-        now = self._describe_astray()
+        now = self._describe_unmatched()
         return (*self._was_astray, *((now,) if now else ()))
 
-    def _describe_astray(self) -> LeftOut | None:
+    def _describe_unmatched(self) -> LeftOut | None:
         if len(self._astray) < FEWEST_ASTRAY:
             return None
         first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
@@ -125,7 +127,7 @@ class StreamingAlignment:
         self._nominal = compute_nominal_path(machine, commanded)
         self._place_mm = self._nominal.place_mm
         seating = find_seating(machine, commanded, self._nominal.first)
-        self._known.expect(self._place_mm, seating)
+        self._known.set_waypoints(self._place_mm, seating)
         if self._matched and seating:
             self._refine_pose()
         self._seat_path()
@@ -167,7 +169,7 @@ class StreamingAlignment:
     def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
         found = self._recognise()
-        self._forget()
+        self._discard_old()
         return found
 
     def _recognise(self) -> list[CellBlock]:
@@ -220,17 +222,17 @@ class StreamingAlignment:
         off = np.linalg.norm(
             self.pose.apply(self._known.seated_mm[ahead]) - place, axis=1
         )
-        near = np.flatnonzero(off < TOLERANCE_MM + self._find_reach_mm(ahead))
+        near = np.flatnonzero(off < TOLERANCE_MM + self._compute_reach_mm(ahead))
         if len(near):
-            if (was := self._describe_astray()) is not None:
+            if (was := self._describe_unmatched()) is not None:
                 self._was_astray.append(was)
             self._astray.clear()
             self._matched.append((index, begin + int(near[0])))
             self._refine_pose()
         elif begin < len(self._place_mm):
-            self._note_astray(index, begin)
+            self._note_unmatched(index, begin)
 
-    def _note_astray(self, index: int, begin: int) -> None:
+    def _note_unmatched(self, index: int, begin: int) -> None:
         """Records a standstill off all points ahead and the way to them."""
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         place = self.pose.invert().apply(self._stream.stops[index].position_mm)
@@ -239,15 +241,15 @@ class StreamingAlignment:
         rows = slice(self._nominal.first[begin], self._nominal.first[last] + 1)
         lines = self._nominal.begin_mm[rows], self._nominal.end_mm[rows]
         beside_mm, _ = measure_distances(place, *lines)
-        reach_mm = self._find_reach_mm(slice(begin, last + 1)).max()
+        reach_mm = self._compute_reach_mm(slice(begin, last + 1)).max()
         if min(away_mm.min(), beside_mm.min()) > TOLERANCE_MM + reach_mm:
             self._astray.append((index, float(away_mm.min())))
 
-    def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
+    def _compute_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
         ahead = range(*places.indices(len(self._place_mm)))
         if self._is_over or self._known.seating is None:
             return np.zeros(len(ahead))
-        return np.array([self._known.find_reach_mm(waypoint) for waypoint in ahead])
+        return np.array([self._known.compute_reach_mm(waypoint) for waypoint in ahead])
 
     def _is_settled(self, waypoint: int) -> bool:
         return self._is_over or self._known.is_known(waypoint)
@@ -286,7 +288,7 @@ class StreamingAlignment:
         if self._run.mode == "standstill":
             return found
         seen_mm = self.pose.invert().apply(block.position_mm[ends[0]])
-        nominal = self._nominal.lead_through(ends[1], seen_mm)
+        nominal = self._nominal.shift_through(ends[1], seen_mm)
         for each in cut_into_passes(stream, block, matching, nominal):
             line, curve = len(self._passes), nominal.curve(each.row)
             found += reduce_pass(self._run, line, each, stream, curve)
@@ -299,10 +301,10 @@ class StreamingAlignment:
         last = self._matched[-1]
         return self._between(last, last)
 
-    def _forget(self) -> None:
+    def _discard_old(self) -> None:
         stops = self._stream.stops
         if self.pose is not None:
-            self._stream.forget_before(stops[self._matched[self._delivered][0]].first)
+            self._stream.discard_before(stops[self._matched[self._delivered][0]].first)
         most = int(_MOST_KEPT_S * self._run.machine.tracker.rate_hz)
         if self._stream.kept > most:
-            self._stream.forget_before(len(self._stream) - most // 2)
+            self._stream.discard_before(len(self._stream) - most // 2)

@@ -19,8 +19,8 @@ import structlog
 from truepath.answers.history.machine_documents import (
     Calibration,
     ToleranceJudgement,
+    assess_tolerance,
     changes_json,
-    judge_tolerance,
     read_stated,
 )
 from truepath.answers.history.model_history import RESULT
@@ -36,7 +36,7 @@ NOT_USABLE = "not-usable"
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class CalibrationStatus:
     """Status of a machine by its newest usable calibration.
 
     job_id : of that calibration; None where there is none
@@ -92,7 +92,7 @@ class Calibrations:
         self._registry, self._store, self._runs = registry, store, runs
         self._results, self._publish = results, publish
         self._lock = threading.Lock()
-        self._standing: dict[str, Standing] = {}
+        self._standing: dict[str, CalibrationStatus] = {}
 
     def list_of(self, machine_id: str) -> list[Calibration]:
         """The oldest measured first; one per set of Runs."""
@@ -129,11 +129,11 @@ class Calibrations:
             raise BadInput(f"the result of job {job_id} is not to be used; {remedy}")
         return found
 
-    def find_standing(self, machine_id: str) -> Standing | None:
-        """Status as found by the last `judge`; None before it."""
+    def find_calibration_status(self, machine_id: str) -> CalibrationStatus | None:
+        """Status as found by the last `update_status`; None before it."""
         return self._standing.get(machine_id)
 
-    def judge(self, machine_id: str) -> None:
+    def update_status(self, machine_id: str) -> None:
         """Update the status of a machine, and publish it if it has changed.
 
         Raises nothing: a measurement has ended well whatever its history says.
@@ -151,10 +151,10 @@ class Calibrations:
             level("machine stands", **now.describe())
             self._publish(JobEvent("machine", None, now.describe()))
 
-    def judge_all(self) -> None:
+    def assess_all(self) -> None:
         """Update the status of every machine."""
         for record in self._registry.list_all():
-            self.judge(record.id)
+            self.update_status(record.id)
 
     def _describe(self, job: Job, file: Path) -> Calibration:
         created = [self._runs.get(run_id).created for run_id in job.run_ids]
@@ -178,19 +178,19 @@ class Calibrations:
         recorded = [run.seq for run in runs if run.origin == "measured"]
         return min(recorded) if recorded and len(recorded) == len(runs) else None
 
-    def _find_standing(self, record: MachineRecord) -> Standing:
+    def _find_standing(self, record: MachineRecord) -> CalibrationStatus:
         usable = self.list_usable(record.id)
         if not usable:
-            return Standing(record.id)
+            return CalibrationStatus(record.id)
         *earlier, newest = usable
         tolerance = None
         if record.tolerance_um is not None:
-            tolerance = judge_tolerance(newest, record.tolerance_um)
+            tolerance = assess_tolerance(newest, record.tolerance_um)
         if record.reference_job is not None:
             try:
                 reference = self.find_usable(record.id, record.reference_job)
             except BadInput as error:
-                return Standing(
+                return CalibrationStatus(
                     record.id,
                     newest.job_id,
                     tolerance,
@@ -201,9 +201,9 @@ class Calibrations:
             earlier = [reference] if reference.job_id != newest.job_id else []
         if not earlier:
             text = "there is no earlier usable calibration to compare with"
-            return Standing(record.id, newest.job_id, tolerance, text=text)
+            return CalibrationStatus(record.id, newest.job_id, tolerance, text=text)
         found = _compare(earlier[-1], newest)
-        return Standing(
+        return CalibrationStatus(
             record.id,
             newest.job_id,
             tolerance,

@@ -16,7 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from truepath.catalogue.errors import InUse, StorageUnavailable
 from truepath.catalogue.store.database import Database
-from truepath.seldom import Seldom
+from truepath.log_throttle import LogThrottle
 from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
@@ -50,7 +50,7 @@ def hold_catalogue(
         yield
         return
     lock, closing = _Lock(database.engine), threading.Event()
-    lock.take_within(patience_s)
+    lock.acquire_within(patience_s)
     keeper = threading.Thread(
         target=lock.keep,
         args=(closing, look_every_s),
@@ -67,10 +67,10 @@ def hold_catalogue(
 
 class _Lock:
     def __init__(self, engine: Engine) -> None:
-        self._engine, self._seldom = engine, Seldom(600.0)
+        self._engine, self._throttle = engine, LogThrottle(600.0)
         self._connection: Connection | None = None
 
-    def take_within(self, patience_s: float) -> None:
+    def acquire_within(self, patience_s: float) -> None:
         deadline = host_clock.now_s() + patience_s
         while not (is_held := self._take()):
             if host_clock.now_s() < deadline:
@@ -87,7 +87,7 @@ class _Lock:
     def keep(self, closing: threading.Event, every_s: float) -> None:
         """Take the lock again where a restart of the server has released it."""
         while not host_clock.wait(closing, every_s):
-            if self._take() is False and self._seldom.is_due():
+            if self._take() is False and self._throttle.is_due():
                 log.error("another instance works on the same catalogue; stop one")
         self._release()
 

@@ -117,7 +117,7 @@ class MachineRegistry:
 
         self._database.write(change)
 
-    def note(
+    def record_configuration(
         self, machine_id: str, origin: str, machine_file: Json, devices: Json
     ) -> int:
         """Version of a configuration; a changed one is a new version.

@@ -26,7 +26,7 @@ from truepath.files.bundle.bundle import MAX_BYTES, check_archive, read_bundle
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.run import Run
 from truepath.files.bundle.runs_in_time import TimedRun
-from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.progress import Progress
 
 T = TypeVar("T", covariant=True)
@@ -114,7 +114,7 @@ class RunReader:
                     return process.call(task, lambda _, name: reached.append(name))
             except (WorkerDied, MemoryError) as error:
                 self._end()
-                raise self._refuse(reached[-1], is_late=is_late.is_set()) from error
+                raise self._reject(reached[-1], is_late=is_late.is_set()) from error
 
     def _start(self) -> WorkerProcess:
         prepare = partial(_limit_memory, self._limits.memory_mb << 20)
@@ -144,7 +144,7 @@ class RunReader:
             timer.cancel()
             timer.join()
 
-    def _refuse(self, file: str, *, is_late: bool) -> BundleError:
+    def _reject(self, file: str, *, is_late: bool) -> BundleError:
         limits = self._limits
         if is_late:
             problem = f"cannot be read within {limits.patience_s:g} s"

@@ -35,7 +35,7 @@ from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
 from truepath.files.bundle.runs_in_time import TimedRun
 from truepath.measurement.run_file.run_file import hash_file
-from truepath.measurement.run_file.run_reading import (
+from truepath.measurement.run_file.run_loader import (
     name_known_lengths,
     open_recorded,
     open_run,
@@ -91,7 +91,7 @@ class RunCatalogue:
         """Of known lengths that were sent after the Run."""
         return name_known_lengths(self.name_run_file(run_id))
 
-    def keep_known_lengths(self, run_id: str, data: bytes | None) -> None:
+    def store_known_lengths(self, run_id: str, data: bytes | None) -> None:
         """Store known lengths with a Run, None to remove them. Raises NotFound."""
         self.get(run_id)
         kept = self.name_known_lengths(run_id)
@@ -146,13 +146,13 @@ class RunCatalogue:
         own = {"id": run_id, "origin": "uploaded", "complete": True}
         return self._insert(facts, file, facts.name, created=created, **own)
 
-    def list_uploads_left(self) -> list[str]:
+    def list_remaining_uploads(self) -> list[str]:
         """Runs of uploaded bundles without a row, the oldest first."""
         found = sorted(file.stem for file in self._folder.glob("*.zip"))
         deleted = self._list_deleted()
         return [i for i in found if i not in deleted and not self.find([i])]
 
-    def list_left_behind(self) -> list[str]:
+    def list_uncatalogued(self) -> list[str]:
         """Runs of recorded files without a row, the oldest first."""
         query = select(runs.c.id).where(runs.c.origin == "measured")
         with self._database.read() as connection:

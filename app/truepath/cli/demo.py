@@ -20,7 +20,7 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.cli.summary import print_result, summarise_result, warn_of_verdict
 from truepath.cli.terminal import NotedProgress, print_json, say, show_progress
-from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.compensation.active_files import read_active_files
 from truepath.compensation.export import export_files
 from truepath.errors import BadInput, MeasurementFailed, PlanningError
@@ -31,7 +31,7 @@ from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import read_result, result_from_json
 from truepath.jobs.running.live_estimation import LiveEstimation, LiveSteering
 from truepath.jobs.running.live_process import LiveEstimateOrder
-from truepath.jobs.running.plan_orders import order_first_part, plan_measurement
+from truepath.jobs.running.plan_requests import plan_measurement, request_first_part
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.messages import (
     CellConfig,
@@ -42,7 +42,7 @@ from truepath.measurement.messages import (
     RunClosed,
 )
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import travel_time_s
 from truepath.motion.paths.verification_kinds import VerificationKind
@@ -152,7 +152,7 @@ class Demo:
             found = verify(
                 read_result(result),
                 open_run(run_file),
-                correction=active.added,
+                correction=active.additional_correction_at,
                 on_progress=on_progress,
             )
         left = self.output / "as-left"
@@ -236,7 +236,7 @@ def compare_with_truth(
 
 def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
     with show_progress("plan") as on_progress:
-        order = order_first_part(machine, request)
+        order = request_first_part(machine, request)
         return decode_commanded_json(
             plan_measurement(machine, order, on_progress=on_progress)
         )
@@ -248,7 +248,7 @@ def _run_measurement(
     target_um: float | None,
     request: Mapping[str, Any] | None,
 ) -> RunClosed:
-    """Limits of further parts are in `request`, as in `plan_orders`.
+    """Limits of further parts are in `request`, as in `plan_requests`.
 
     Raises DeviceError, MeasurementFailed. Stops the machine in any case.
     """
@@ -264,7 +264,7 @@ def _run_measurement(
             stack.callback(live.close)
             live.start()
             first = order.commanded if order.grows else None
-            steering = LiveSteering(live, cell, first, target_um, _say_part)
+            steering = LiveSteering(live, cell, first, target_um, _describe_part)
         cell.begin(replace(order, live=steering is not None))
         return _follow_events(cell, on_progress, steering)
 
@@ -297,7 +297,7 @@ def _follow_events(
     raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
 
 
-def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
+def _describe_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
     lines = f"part {part['part']}: {part['rows']} lines, {part['duration_s']:.0f} s"
     say(f"{lines}; predicted to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
 

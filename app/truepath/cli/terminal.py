@@ -128,7 +128,7 @@ def require_folder(output: Path, content: str) -> None:
         raise BadInput(f"{output}: is a file; name a folder for {content}")
 
 
-def collect_seldom() -> None:
+def collect_garbage_rarely() -> None:
     """Raise the thresholds of garbage collection, for a command that soon ends.
 
     Imports make many objects that stay; scanning them repeatedly costs a twentieth of

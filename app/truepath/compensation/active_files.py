@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.compensation.format import CompensationFormat, Correction
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import read_whole
 from truepath.errors import ActiveTablesUnknown, BadInput, BundleError
@@ -61,24 +61,26 @@ class ActiveFiles:
         """Format and digests, as in a verification."""
         return {"format": self.format, "files_sha256": dict(self.files_sha256)}
 
-    def change(
+    def additional_correction(
         self, place: Float64[np.ndarray, "n a"], direction: float
     ) -> Float64[np.ndarray, "n 3"]:
         """Correction beyond that of the files active during the measurement, mm."""
         before = self.before.correction(place, direction) if self.before else 0.0
         return self.correction(place, direction) - before
 
-    def added(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    def additional_correction_at(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """The same for conditions that give the direction of approach of each axis.
 
         A format corrects lost motion along the axis that it belongs to: half the
         difference of both directions counts by the last motion of that axis.
         """
         columns = [self.machine.axis_names.index(name) for name in "XYZ"]
-        forward, back = (self.change(at.position_mm, side) for side in (1.0, -1.0))
+        forward, back = (
+            self.additional_correction(at.position_mm, side) for side in (1.0, -1.0)
+        )
         return 0.5 * (forward + back + (forward - back) * at.approach[:, columns])
 
-    def relate(self, provenance: Mapping[str, Any]) -> ActiveFiles:
+    def relate_to_result(self, provenance: Mapping[str, Any]) -> ActiveFiles:
         """The files as a change to the errors of a result. Raises BadInput."""
         if self.made_of == provenance.get("input_sha256"):
             return self

@@ -13,25 +13,25 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.account.remaining_error import (
+from truepath.compensation.account.residual_error import (
     CLOSE,
     GRID,
     SIDES,
-    RemainingError,
-    find_remaining,
-    remove_from_both,
+    ResidualError,
+    compute_residual_error,
+    remove_common_rigid_motion,
     sample_travel,
 )
-from truepath.compensation.account.rotary_left import (
+from truepath.compensation.account.rotary_residual import (
     describe_rotary,
     measure_over_axes,
     read_rotary_files,
 )
 from truepath.compensation.active_files import GivenTables, find_basis
 from truepath.compensation.format import AxisTable, CompensationFormat, Correction
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
-from truepath.compensation.tables.length_reference import (
+from truepath.compensation.tables.reference_temperature import (
     describe_lengths,
     find_measured_degc,
     state_lengths,
@@ -39,9 +39,9 @@ from truepath.compensation.tables.length_reference import (
 from truepath.compensation.tables.tabulation import (
     StatedTemperature,
     Tabulation,
-    find_interpolation_losses_mm,
+    compute_interpolation_losses_mm,
 )
-from truepath.compensation.tables.unmeasured import (
+from truepath.compensation.tables.unmeasured_range import (
     MeasuredRange,
     Unmeasured,
     find_measured_ranges,
@@ -54,7 +54,7 @@ from truepath.files.earlier.verdict import verdict_json
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import CatalogueEffect
-from truepath.results.lost_motion_across import remove_across
+from truepath.results.lateral_lost_motion import remove_across
 
 SPACING_MM = 10.0
 _UNDIRECTED = (
@@ -164,14 +164,14 @@ def export_result(
     if over is not None:
         stamp = (*stamp, _describe_over_axes(over))
         files = kind.write(replace(content, stamp=stamp))
-    tabulated = made.leave_out_places(errors)
+    tabulated = made.exclude_locations(errors)
     # Locations are in the correction only where it composes rotary and linear axes.
     corrected = errors if kind.composes_rotary else tabulated
-    before = find_remaining(errors, measured)
-    after = find_remaining(corrected, measured, correction)
+    before = compute_residual_error(errors, measured)
+    after = compute_residual_error(corrected, measured, correction)
     _require_gain(kind, before, after, over)
     gaps = any(one.missing for one in measured.values())
-    beyond_um = _find_beyond_um(corrected, made, after) if gaps else 0.0
+    beyond_um = _compute_unmeasured_residual_um(corrected, made, after) if gaps else 0.0
     account = {
         "schema": SCHEMA,
         "format": name,
@@ -183,7 +183,7 @@ def export_result(
         "over_all_axes_um": over,
         "rotary": describe_rotary(errors, rotary),
         "volumetric_error_um": _state_error(before, after),
-        "left_um": _split_left(tabulated, kind, found.tables, after, beyond_um),
+        "left_um": _split_residual(tabulated, kind, found.tables, after, beyond_um),
         "note": kind.note,
         "stamp": list(stamp),
         "temperature": temperature and _state_temperature(temperature, kind),
@@ -193,11 +193,11 @@ def export_result(
     return Export(files, account)
 
 
-def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any]:
+def _state_error(before: ResidualError, after: ResidualError) -> dict[str, Any]:
     return {
-        "before": before.state_map(),
-        "after": after.state(),
-        "after_where_measured": after.state(measured=True),
+        "before": before.summarise_map(),
+        "after": after.summarise(),
+        "after_where_measured": after.summarise(measured=True),
         "on": f"mean over {CLOSE} positions that fill the travel evenly, largest "
         f"on a grid of {GRID} an axis too, coming up and coming down, without rigid "
         "motion of the whole; "
@@ -206,24 +206,26 @@ def _state_error(before: RemainingError, after: RemainingError) -> dict[str, Any
     }
 
 
-def _find_beyond_um(errors: ErrorMap, made: Tabulation, after: RemainingError) -> float:
+def _compute_unmeasured_residual_um(
+    errors: ErrorMap, made: Tabulation, after: ResidualError
+) -> float:
     every = made.extrapolate(errors)
-    whole = find_remaining(errors, every.measured, every.read_back(errors))
-    return after.find_difference_um(whole)
+    whole = compute_residual_error(errors, every.measured, every.read_back(errors))
+    return after.compute_difference_um(whole)
 
 
-def _split_left(
+def _split_residual(
     errors: ErrorMap,
     kind: CompensationFormat,
     tables: tuple[AxisTable, ...],
-    after: RemainingError,
+    after: ResidualError,
     beyond_um: float,
 ) -> dict[str, float]:
     """Remaining error by its reasons, each as the root mean square of its length, µm.
 
     Squares of the parts that remain of the map add up to the square of `map`.
     """
-    losses = find_interpolation_losses_mm(errors, tables)
+    losses = compute_interpolation_losses_mm(errors, tables)
     squares = sum(3.0 * float(np.mean(np.square(lost))) for lost in losses)
     between_um = UM_PER_MM * math.sqrt(squares)
     rounding_um = kind.resolution_um * float(np.sqrt(len(tables) / 12.0))
@@ -240,8 +242,8 @@ def _split_left(
 
 def _require_gain(
     kind: CompensationFormat,
-    before: RemainingError,
-    after: RemainingError,
+    before: ResidualError,
+    after: ResidualError,
     over: Mapping[str, Any] | None,
 ) -> None:
     """Raises BadInput if the files do not reduce the error where it was measured.
@@ -249,8 +251,8 @@ def _require_gain(
     over : the error over the travel of all axes, where some are rotary ones; it may
         improve alone, where linear axes do not get worse
     """
-    before_um = before.state_map(measured=True)["mean"]
-    after_um = after.state_map(measured=True)["mean"]
+    before_um = before.summarise_map(measured=True)["mean"]
+    after_um = after.summarise_map(measured=True)["mean"]
     gains = after_um <= _BETTER * before_um
     if over is not None and after_um <= before_um + _NOTHING_UM:
         gains |= over["after"] <= _BETTER * over["before"]
@@ -289,7 +291,7 @@ def _describe_content(
     measured: Mapping[str, MeasuredRange],
 ) -> dict[str, Any]:
     machine = errors.machine
-    losses = find_interpolation_losses_mm(errors, tables)
+    losses = compute_interpolation_losses_mm(errors, tables)
     rotary = ", ".join(axis.name for axis in machine.rotary_axes)
     beyond = "rotary axes"
     if kind.carries_rotary:
@@ -329,7 +331,7 @@ def _describe_content(
             for t in tables
         },
         "unmeasured": [
-            one.describe() for one in measured.values() if not one.is_known_whole
+            one.describe() for one in measured.values() if not one.is_fully_measured
         ],
         "beyond_the_travel": "the controller holds the end values",
         "interpolation_loss_um": max(
@@ -378,7 +380,7 @@ def _compute_rms(
     error_mm: Sequence[Float64[np.ndarray, "n 3"]],
     weight: Float64[np.ndarray, " n"],
 ) -> float:
-    every = remove_from_both(position, error_mm, weight)
+    every = remove_common_rigid_motion(position, error_mm, weight)
     return float(np.sqrt(weight @ (every**2).sum(axis=2).mean(axis=0)))
 
 
@@ -422,7 +424,7 @@ def _write_stamp(
         f"units {kind.units}; directions of travel: {kind.directions}",
         f"carries {kind.carries}",
         f"sign ({'verified' if kind.sign_is_verified else 'to be tried'}): {kind.sign}",
-        *(one.describe() for one in measured.values() if not one.is_known_whole),
+        *(one.describe() for one in measured.values() if not one.is_fully_measured),
         *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
@@ -503,7 +505,7 @@ def write_output(
         place if alone else place.parent / file: text.encode("ascii")
         for file, text in files.items()
     }
-    _keep_source(source, (*targets, beside))
+    _store_source(source, (*targets, beside))
     _require_account(beside)
     account = {
         **account,
@@ -521,7 +523,7 @@ def write_output(
     return account
 
 
-def _keep_source(source: str | Path, targets: tuple[Path, ...]) -> None:
+def _store_source(source: str | Path, targets: tuple[Path, ...]) -> None:
     for target in targets:
         if target.exists() and target.samefile(source):
             raise BadInput(

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.compensation.rotary_tables import (
-    AxisPlace,
     RotaryAddition,
+    RotaryAxisLocation,
     RotaryTable,
 )
 from truepath.kinematics.machine.machine import LinearAxis, Machine
@@ -105,7 +105,7 @@ class CompensationTables:
     stamp: tuple[str, ...]
     temperature: TemperatureTables | None = None
     rotary: tuple[RotaryTable, ...] = ()
-    places: tuple[AxisPlace, ...] = ()
+    places: tuple[RotaryAxisLocation, ...] = ()
 
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
@@ -173,8 +173,8 @@ class CompensationFormat(ABC):
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """The controller's correction from the files. Raises BadInput."""
 
-    def list_places(
-        self, machine: Machine, places: Sequence[AxisPlace]
+    def list_written_locations(
+        self, machine: Machine, places: Sequence[RotaryAxisLocation]
     ) -> frozenset[str]:
         """Symbols of rotary axis locations that the files contain.
 

@@ -15,8 +15,8 @@ from truepath.compensation.active_files import (
     make_active_files,
 )
 from truepath.compensation.export import SPACING_MM, export_files
-from truepath.compensation.kept_files import ACCOUNT, STEM, read_account
-from truepath.compensation.tables.unmeasured import Unmeasured
+from truepath.compensation.stored_files import ACCOUNT, STEM, read_account
+from truepath.compensation.tables.unmeasured_range import Unmeasured
 from truepath.documents.whole_files import read_whole
 from truepath.files.earlier.result_file import read_result
 from truepath.kinematics.machine.machine import Machine
@@ -50,7 +50,7 @@ class CompensationOrder:
         return f"{self.format}-{spacing}-{self.unmeasured.value}{chosen}{given}"
 
 
-def keep_files(
+def store_files(
     source: Path, folder: Path, order: CompensationOrder, *, accept_verdict: bool
 ) -> tuple[str, dict[str, Any]]:
     """Name of the files, written below `folder`, and their account.
@@ -87,7 +87,7 @@ def _find_given(
     return order
 
 
-def read_kept_files(folder: Path, machine: Machine) -> ActiveFiles:
+def read_stored_files(folder: Path, machine: Machine) -> ActiveFiles:
     """Files that are stored with a result. Raises NotFound."""
     account = read_account(folder.parent, folder.name)
     data = {name: read_whole(folder / name) for name in account["files"]}

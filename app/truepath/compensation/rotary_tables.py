@@ -67,7 +67,7 @@ class RotaryAddition:
 
 
 @dataclass(frozen=True, slots=True)
-class AxisPlace:
+class RotaryAxisLocation:
     """Location of the axis of a rotary axis.
 
     location : its location errors by symbol, mm and rad, as far as the result has them
@@ -100,6 +100,6 @@ class AxisPlace:
         return find_local_directions(self.axis) @ np.array(own)
 
 
-def list_stated_locations(places: Iterable[AxisPlace]) -> frozenset[str]:
+def list_stated_locations(places: Iterable[RotaryAxisLocation]) -> frozenset[str]:
     """Symbols of all locations that a result has."""
     return frozenset(symbol for place in places for symbol in place.location)

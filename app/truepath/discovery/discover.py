@@ -22,7 +22,7 @@ from truepath.discovery.name_trial import NameTrial, TriedNames, is_open
 from truepath.discovery.residual_location import RunResidual, locate_residual
 from truepath.discovery.term_fitter import TermFit, TermFitter
 from truepath.discovery.term_search import TermSearch
-from truepath.discovery.terms.folded_lines import build_lines
+from truepath.discovery.terms.cross_validation import build_lines
 from truepath.estimation.noise.baseline import (
     Baseline,
     fit_baseline,
@@ -78,7 +78,7 @@ def _measure_way(run: Run) -> float:
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
+def _exclude_unlike(run: Run, observations: Observations) -> Observations:
     """Ramps are excluded, unless the Run has nothing else: effects of acceleration
     would pass for effects of position and speed. So is the first point of a standstill
     Run, and the standstill before a path: its direction of approach is unknown, and an
@@ -87,7 +87,7 @@ def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
     if run.mode == "standstill":
         return observations.select(np.flatnonzero(observations.row > 0))
     if any(each.is_steady for each in observations.passes):
-        observations = observations.leave_out_ramps()
+        observations = observations.exclude_ramps()
     has_moved = (observations.at.approach != 0.0).any(axis=1)
     return observations.select(np.flatnonzero(has_moved))
 
@@ -95,7 +95,7 @@ def _leave_out_unlike(run: Run, observations: Observations) -> Observations:
 def _add_surroundings(
     run: Run, observations: Observations, number: int
 ) -> Observations:
-    observations = _leave_out_unlike(run, observations)
+    observations = _exclude_unlike(run, observations)
     return add_surroundings(
         observations,
         run.commanded,
@@ -186,7 +186,7 @@ def discover(
         search = TermSearch(fitter)
         best = search.select_terms(best.terms)
     on_progress(0.8)
-    return _state(aligned, baseline, fitter, NameTrial(fitter, search).judge(best))
+    return _state(aligned, baseline, fitter, NameTrial(fitter, search).assess(best))
 
 
 def _state(

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from truepath.discovery.discover import Discovery, Finding
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel, restore_effect
 
@@ -71,7 +71,7 @@ def baseline_model(found: Discovery) -> ExtendedModel:
 
 
 def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
-    of_machine = [e for e in base.effects if not is_of_instrument(e)]
+    of_machine = [e for e in base.effects if not is_tracker_error(e)]
     return [(effect, base.slices[effect.name]) for effect in of_machine]
 
 

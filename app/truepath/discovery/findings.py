@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from truepath.discovery.name_trial import TriedNames
 from truepath.discovery.term_fitter import TermFit, TermFitter
 from truepath.discovery.terms.line_blocks import RunData
-from truepath.estimation.problem.noise import floor_mm
+from truepath.estimation.problem.noise import expected_rms_mm
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 from truepath.kinematics.effects.family import (
     Candidate,
@@ -181,7 +181,7 @@ class Gap:
 
 def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
     """With a fast effect, the samples within cells are included."""
-    floor_um, usual_um = _find_noise_floors_um(run_data)
+    floor_um, usual_um = _compute_noise_floors_um(run_data)
     fast = any(term.is_fast for term in best.terms)
     return Gap(
         floor_um * baseline.held_out.measure_ratio(fast=fast),
@@ -192,13 +192,13 @@ def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -
     )
 
 
-def _find_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
+def _compute_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
     """Root mean square of noise alone in a cell: as found, as specified."""
     square, usual, cells = 0.0, 0.0, 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
-        square += len(seen) * floor_mm(seen, base.noise, along) ** 2
-        usual += len(seen) * floor_mm(seen, base.noise.usual, along) ** 2
+        square += len(seen) * expected_rms_mm(seen, base.noise, along) ** 2
+        usual += len(seen) * expected_rms_mm(seen, base.noise.usual, along) ** 2
         cells += len(seen)
     return 1e3 * float(np.sqrt(square / cells)), 1e3 * float(np.sqrt(usual / cells))

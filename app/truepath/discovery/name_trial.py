@@ -112,13 +112,13 @@ class NameTrial:
         self._free = fitter.choose_promising(free)
         self._flexible = [term for term in self._free if term.family.varies_with]
 
-    def judge(self, best: TermFit) -> TriedNames:
+    def assess(self, best: TermFit) -> TriedNames:
         """The accepted names, and those that are not."""
         names = [term for term in best.terms if term.has_cause]
         if not names or self._need_more(best, names):
-            return self._doubt(best, names)
+            return self._replace_doubtful(best, names)
         lead = {n.label: self._measure_lead(best, [n]) for n in names}
-        doubted = self._doubt_tracker(best, names)
+        doubted = self._widen_tracker_errors(best, names)
         weighed = TriedNames(best, best, (), lead, doubted)
         doubtful = [
             n
@@ -131,19 +131,21 @@ class NameTrial:
         tried = replace(weighed, fit=fit, doubtful=tuple(doubtful))
         kept = [term for term in names if term not in doubtful]
         if doubtful and kept and self._need_more(fit, kept):
-            return replace(self._doubt(best, names), doubted=doubted)
+            return replace(self._replace_doubtful(best, names), doubted=doubted)
         return tried
 
-    def _doubt(self, best: TermFit, names: Sequence[CandidateTerm]) -> TriedNames:
+    def _replace_doubtful(
+        self, best: TermFit, names: Sequence[CandidateTerm]
+    ) -> TriedNames:
         fit = self._replace(best, names, self._free) if names else best
         return TriedNames(fit, best, tuple(names), {}, {})
 
-    def _doubt_tracker(
+    def _widen_tracker_errors(
         self, best: TermFit, names: Sequence[CandidateTerm]
     ) -> dict[str, Support]:
         if not self._fitter.has_tracker_errors:
             return {}
-        fitter = self._fitter.doubt_tracker()
+        fitter = self._fitter.widen_tracker_errors()
         trial = NameTrial(fitter, TermSearch(fitter))
         whole = fitter.fit(best.terms, refine=False)
         return {name.label: trial._support(whole, name) for name in names}

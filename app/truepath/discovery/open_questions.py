@@ -30,7 +30,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.candidate_term import CandidateTerm
 from truepath.kinematics.effects.family import USUAL_MM
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN
@@ -124,7 +124,7 @@ def _weigh_displacements(model: MachineModel) -> Float64[np.ndarray, "m m"]:
     typical effects.
     """
     gram = compute_volumetric_gram(model)
-    for effect in filter(is_of_instrument, model.effects):
+    for effect in filter(is_tracker_error, model.effects):
         part = model.slices[effect.name]
         gram[part, part] += USUAL_MM**2 * np.eye(part.stop - part.start)
     return gram
@@ -137,7 +137,7 @@ def _list_questions(
     named = found.tried.named
     for finding in found.possible:
         if finding.is_imitated:
-            doubting = fitter.doubt_tracker()
+            doubting = fitter.widen_tracker_errors()
             fits = (
                 doubting.fit(terms, refine=False)
                 for terms in (named.terms, named.other_terms(finding.term))

@@ -16,14 +16,14 @@ from truepath.discovery.evidence import (
     prior_precision,
 )
 from truepath.discovery.scan import scan_term
-from truepath.discovery.terms.folded_lines import FoldedLines
+from truepath.discovery.terms.cross_validation import FoldedLines
 from truepath.discovery.terms.line_blocks import Residual, weight_residual
 from truepath.discovery.terms.term_equations import TermEquations
 from truepath.discovery.value_refinement import refine_values
 from truepath.estimation.noise.baseline import MachinePrior
 from truepath.estimation.problem.information import Posterior, compute_posterior
 from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 
 EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
@@ -120,9 +120,9 @@ class TermFitter:
     def has_tracker_errors(self) -> bool:
         """True if the model includes systematic errors of the tracker."""
         model = self.run_data[0].base.machine_model
-        return any(map(is_of_instrument, model.effects))
+        return any(map(is_tracker_error, model.effects))
 
-    def doubt_tracker(self) -> TermFitter:
+    def widen_tracker_errors(self) -> TermFitter:
         """A fitter whose tracker may exceed its specification threefold."""
         return self.use_lines(self._lines, self._prior.widen_tracker(_DOUBT))
 

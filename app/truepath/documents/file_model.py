@@ -43,16 +43,16 @@ class FileModel(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_null(cls, content: object) -> object:
+    def _reject_null(cls, content: object) -> object:
         if isinstance(content, Mapping):
             for name, field in cls.model_fields.items():
                 key = field.alias or name
                 if key in content and content[key] is None:
-                    raise refuse("is missing", "add it", key)
+                    raise reject("is missing", "add it", key)
         return content
 
 
-def refuse(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomError:
+def reject(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomError:
     """The error that a validator raises.
 
     place : keys below the value that is being validated
@@ -64,7 +64,7 @@ def refuse(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomE
 def require_finite(value: object, *place: str | int) -> object:
     """The value itself. Raises a refusal for a number in it that is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
-        raise refuse("is not finite", "write a finite number", *place)
+        raise reject("is not finite", "write a finite number", *place)
     if isinstance(value, Mapping):
         for key, inner in cast("Mapping[str, object]", value).items():
             require_finite(inner, *place, key)
@@ -76,7 +76,7 @@ def require_finite(value: object, *place: str | int) -> object:
 
 def _require_three(value: object) -> object:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise refuse(f"is {quote(value)}", "write three numbers, [x, y, z]")
+        raise reject(f"is {quote(value)}", "write three numbers, [x, y, z]")
     return value
 
 
@@ -89,10 +89,10 @@ def check_line(text: str) -> str:
     """The same text. Raises a refusal unless `is_line`."""
     if len(text) > LONGEST_LINE:
         problem = f"is {quote(text)}, of {len(text)} characters"
-        raise refuse(problem, f"write {LONGEST_LINE} at most")
+        raise reject(problem, f"write {LONGEST_LINE} at most")
     if bad := _UNPRINTED.search(text):
         problem = f"holds \\u{ord(bad.group()):04x} at character {bad.start() + 1}"
-        raise refuse(problem, "write one line of characters that are printed")
+        raise reject(problem, "write one line of characters that are printed")
     return text
 
 

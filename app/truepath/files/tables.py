@@ -68,7 +68,7 @@ class Table:
             problem, file=self.file, row=row, column=column, remedy=remedy
         )
 
-    def refuse(
+    def reject(
         self,
         bad: NDArray[np.bool_],
         column: str,
@@ -92,10 +92,10 @@ class Table:
         self.require(name)
         value = _convert_column(self, name)
         if not infinite:
-            self.refuse(np.isinf(value), name, lambda _: "is infinite")
+            self.reject(np.isinf(value), name, lambda _: "is infinite")
         if not nan:
             empty, remedy = np.isnan(value), "every row needs a number"
-            self.refuse(empty, name, lambda _: "is empty or NaN", remedy)
+            self.reject(empty, name, lambda _: "is empty or NaN", remedy)
         return value
 
     def find_empty(self, name: str) -> NDArray[np.bool_]:
@@ -141,7 +141,7 @@ def read_csv(data: bytes, file: str) -> Table:
 
     Raises BundleError, also if lines, columns or rows are beyond the limits above.
     """
-    _refuse_odd_lines(data, file)
+    _reject_odd_lines(data, file)
     names = _read_header(data, file)
     if (rows := data.count(b"\n")) > MAX_ROWS:
         raise BundleError(f"has {rows} rows, more than {MAX_ROWS}", file=file)
@@ -192,8 +192,8 @@ def read_parquet(data: bytes, file: str, known: Collection[str]) -> Table:
         source = _open_parquet(data)
         fields = [field for field in source.schema_arrow if field.name in known]
         names = [field.name for field in fields]
-        _refuse_repeated(names, file)
-        _refuse_large(source.metadata.num_rows, len(names), len(data), file)
+        _reject_repeated(names, file)
+        _reject_large(source.metadata.num_rows, len(names), len(data), file)
         texts = [field.name for field in fields if _holds_texts(field, file)]
         table = _open_parquet(data, texts).read(names, use_threads=False)
     except MemoryError:  # one of Arrow's own exceptions as well
@@ -239,7 +239,7 @@ def _unpack_texts(column: pa.ChunkedArray, file: str, name: str) -> pa.ChunkedAr
     return column.cast(pa.string())
 
 
-def _refuse_large(rows: int, columns: int, packed_bytes: int, file: str) -> None:
+def _reject_large(rows: int, columns: int, packed_bytes: int, file: str) -> None:
     if rows > MAX_ROWS:
         raise BundleError(f"has {rows} rows, more than {MAX_ROWS}", file=file)
     if 8 * rows * columns > max(SMALL_BYTES, UNPACKED_SHARE * packed_bytes):
@@ -250,7 +250,7 @@ def _refuse_large(rows: int, columns: int, packed_bytes: int, file: str) -> None
         )
 
 
-def _refuse_odd_lines(data: bytes, file: str) -> None:
+def _reject_odd_lines(data: bytes, file: str) -> None:
     row = 1
     for begin, end in _split_at_lines(data, MAX_LINE_BYTES):
         if end - begin > MAX_LINE_BYTES:
@@ -292,11 +292,11 @@ def _read_header(data: bytes, file: str) -> list[str]:
         raise BundleError(problem, file=file, row=1, remedy="leave out the others")
     if not any(names):
         raise BundleError("has no header", file=file, row=1, remedy="name the columns")
-    _refuse_repeated(names, file)
+    _reject_repeated(names, file)
     return names
 
 
-def _refuse_repeated(names: list[str], file: str) -> None:
+def _reject_repeated(names: list[str], file: str) -> None:
     for name in names:
         if names.count(name) > 1:
             raise BundleError("appears more than once", file=file, column=name)

@@ -10,7 +10,7 @@ reporting) is progress, not a second state. A change of state, its event and its
 idempotency key are one transaction, checked against the version (compare and set). So
 two operators, a repeated request and a late worker cannot both succeed.
 
-A request becomes a job in `kinds.requested_job`, `dispatch.dispatcher` starts it,
+A request becomes a job in `kinds.job_creation`, `dispatch.dispatcher` starts it,
 `kinds.workflow` holds its steps from top to bottom; between stations of the tracker
 (`kinds.station_steps`) it waits for an operator.
 

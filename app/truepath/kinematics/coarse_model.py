@@ -30,8 +30,8 @@ from truepath.kinematics.effects.inertial_bend import InertialBend
 from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
-    list_partly_told_effects,
-    list_untold_effects,
+    list_absorbed_effects,
+    list_partly_determined_effects,
 )
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import LINEAR
@@ -61,7 +61,7 @@ class TimeSpline(SplineEffect):
 
     def prior(self) -> QuadraticPrior:
         """Mean square over the Run, of typical size 5 µm."""
-        return self.charge_square(_USUAL_MM, "time")
+        return self.mean_square_prior(_USUAL_MM, "time")
 
 
 @dataclass(frozen=True)
@@ -104,21 +104,21 @@ class NestedModels:
     confounded: tuple[Effect, ...] = ()
 
     @cached_property
-    def whole(self) -> MachineModel:
+    def with_confounded(self) -> MachineModel:
         """With the confounded effects."""
         return self.alone.with_confounded(self.confounded)
 
     @cached_property
-    def constant(self) -> MachineModel:
+    def with_half_widths(self) -> MachineModel:
         """With a constant half width for each error motion."""
         return add_half_widths(self.alone)
 
     @cached_property
-    def tables(self) -> MachineModel:
+    def with_half_tables(self) -> MachineModel:
         """With a table of half differences for each error motion as well."""
         motions = self.alone.identifiable_motions
         shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
-        return self.constant.with_effects(*shapes)
+        return self.with_half_widths.with_effects(*shapes)
 
 
 def build_baseline_models(
@@ -151,8 +151,8 @@ def _nest(
     known: Sequence[Effect] = (),
 ) -> NestedModels:
     model, _ = build_identifiable_model(machine, *offsets_mm)
-    partly = list_partly_told_effects(machine, *offsets_mm)
-    untold = list_untold_effects(machine, *offsets_mm)
+    partly = list_partly_determined_effects(machine, *offsets_mm)
+    untold = list_absorbed_effects(machine, *offsets_mm)
     return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
 
 
@@ -230,7 +230,7 @@ def build_coarse_model(
     model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
     )
-    partly = list_partly_told_effects(machine, *offsets_mm)
+    partly = list_partly_determined_effects(machine, *offsets_mm)
     model = model.with_effects(*known).with_confounded(partly)
     return add_effects(add_half_widths(model), beside)
 

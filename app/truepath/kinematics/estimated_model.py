@@ -36,7 +36,7 @@ class EstimatedModel:
         return self.theta[part], self.covariance[part, part]
 
     @cached_property
-    def at_targets(self) -> EstimatedModel:
+    def reduce_to_targets(self) -> EstimatedModel:
         """The model at the measured targets, for tables that hold for these.
 
         Confounded turns that a displacement makes up for are set to 0, and all other
@@ -44,7 +44,7 @@ class EstimatedModel:
         """
         rows = self.target_rows
         kept = tuple(
-            e for e in self.model.effects if e.name not in self.model.made_up_for
+            e for e in self.model.effects if e.name not in self.model.compensated_turns
         )
         covariance = rows @ self.covariance @ rows.T
         model = replace(self.model, effects=kept)
@@ -55,14 +55,14 @@ class EstimatedModel:
 
         scale : its standard uncertainty, relative
         """
-        stretch = scale * find_stretch(self.model)
+        stretch = scale * compute_scale_parameters(self.model)
         return replace(self, covariance=self.covariance + np.outer(stretch, stretch))
 
     @cached_property
     def target_rows(self) -> Float64[np.ndarray, "k p"]:
-        """Map to the parameters of `at_targets` from these: a regression."""
+        """Map to the parameters of `reduce_to_targets` from these: a regression."""
         own = np.zeros(self.model.size, bool)
-        for name in self.model.made_up_for:
+        for name in self.model.compensated_turns:
             own[self.model.slices[name]] = True
         rows = np.eye(self.model.size)[~own]
         if own.any():
@@ -90,7 +90,7 @@ def list_lengths(model: MachineModel) -> list[ErrorMotion]:
     ]
 
 
-def find_stretch(model: MachineModel) -> Float64[np.ndarray, " p"]:
+def compute_scale_parameters(model: MachineModel) -> Float64[np.ndarray, " p"]:
     """Parameters of a machine on which every length is too long by the same factor.
 
     An error of the tracker's scale looks the same: no residual shows it.

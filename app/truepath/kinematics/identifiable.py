@@ -115,12 +115,12 @@ def list_confounded_effects(
     They move another target, or another tool, in ways that the data do not determine.
     """
     return (
-        *list_partly_told_effects(machine, *offsets_mm),
-        *list_untold_effects(machine, *offsets_mm),
+        *list_partly_determined_effects(machine, *offsets_mm),
+        *list_absorbed_effects(machine, *offsets_mm),
     )
 
 
-def list_partly_told_effects(
+def list_partly_determined_effects(
     machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Effect, ...]:
     """Confounded effects that an estimate of the others cannot leave out.
@@ -131,7 +131,7 @@ def list_partly_told_effects(
     return _list_confounded(machine, offsets_mm, varies=True)
 
 
-def list_untold_effects(
+def list_absorbed_effects(
     machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
 ) -> tuple[Effect, ...]:
     """All other confounded effects: without them the model fits equally well."""
@@ -144,7 +144,7 @@ def _list_confounded(
     runs = tuple(_targets_at(machine, offsets) for offsets in offsets_mm)
     _, _, confounded = _find_identifiable(machine, runs)
     axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
-    known = {effect.name: effect for effect in list_numbers(machine)}
+    known = {effect.name: effect for effect in list_location_errors(machine)}
     return tuple(
         known.get(one.symbol) or _make_confounded(one.symbol, axes[one.symbol])
         for one in confounded
@@ -196,7 +196,7 @@ def _find_identifiable(
             kept.append(symbol)
         else:
             confounded.append(found)
-    others, untold = select_numbers(runs, *_probe_volume(machine, runs, kept))
+    others, untold = select_location_errors(runs, *_probe_volume(machine, runs, kept))
     partly = {one.symbol[2] for one in confounded if one.varies}
     left_out = [Confounded(s, mates, s[2] in partly) for s, mates in untold.items()]
     motions = tuple(s for s in symbols if s in kept)
@@ -265,7 +265,7 @@ def _probe(
 _NEW_SHAPE = 0.02  # splines make a sine to a hundredth
 
 
-def select_numbers(
+def select_location_errors(
     runs: Sequence[Sequence[Target]],
     each_run: Sequence[Conditions],
     motions: Sequence[Effect],
@@ -280,7 +280,7 @@ def select_numbers(
     basis, _ = np.linalg.qr(np.hstack(blocks))
     added: list[Effect] = []
     untold: dict[str, tuple[str, ...]] = {}
-    for effect in list_numbers(each_run[0].machine):
+    for effect in list_location_errors(each_run[0].machine):
         own = _columns(effect, each_run)
         size = float(np.linalg.norm(own))
         new = _remove(basis, own)
@@ -294,7 +294,7 @@ def select_numbers(
     return [*added, *seats], untold
 
 
-def list_numbers(machine: Machine) -> list[Effect]:
+def list_location_errors(machine: Machine) -> list[Effect]:
     """Squarenesses, then the locations of the rotary axes."""
     found: list[Effect] = [*list_squarenesses(machine.axis_names)]
     for axis in machine.rotary_axes:

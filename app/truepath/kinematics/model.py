@@ -133,7 +133,7 @@ class MachineModel:
         return tuple(m for m in self.error_motions if m.name not in self.confounded)
 
     @cached_property
-    def made_up_for(self) -> frozenset[str]:
+    def compensated_turns(self) -> frozenset[str]:
         """Names of the confounded motions that others make up for at the targets.
 
         A turn of a linear axis that is confounded has a constant arm at the measured

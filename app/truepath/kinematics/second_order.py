@@ -38,7 +38,7 @@ def compute_second_order_mm(
     return added
 
 
-def adds_up(
+def is_nearly_linear(
     model: MachineModel, at: Conditions, theta: Float64[np.ndarray, " p"]
 ) -> bool:
     """Whether displacements add to 0.1 µm, checked at a few moments."""

@@ -16,7 +16,7 @@ from truepath.kinematics.effects.base import Role
 from truepath.kinematics.identifiable import Confounded, build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 from truepath.numerics.rigid import cross_matrix
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
@@ -81,7 +81,7 @@ class VolumetricMap:
         key = theta.tobytes()
         if key not in self._composed:
             rigid = None
-            if not adds_up(self.model, self.volume, theta):
+            if not is_nearly_linear(self.model, self.volume, theta):
                 added = compute_second_order_mm(self.model, self.volume, theta)
                 rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, added)
             self._composed.clear()

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from truepath.measurement.durations import Durations
+from truepath.measurement.duration_histogram import DurationHistogram
 from truepath.measurement.measurement_state import ENDS
 from truepath.measurement.messages import (
     CellEvent,
@@ -44,8 +44,8 @@ class CellCounts:
     gaps: int = 0
     crc_errors: int = 0
     queue_depth: int = 0
-    commits: Durations = field(default_factory=Durations)
-    commands: dict[str, Durations] = field(default_factory=dict)
+    commits: DurationHistogram = field(default_factory=DurationHistogram)
+    commands: dict[str, DurationHistogram] = field(default_factory=dict)
 
 
 class CellCounters:
@@ -54,7 +54,7 @@ class CellCounters:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._before, self._now = CellCounts(), CellCounts()
-        self._commands: dict[str, Durations] = {}
+        self._commands: dict[str, DurationHistogram] = {}
         self._expected: dict[CellVerb, float] = {}
 
     def read(self) -> CellCounts:
@@ -123,7 +123,7 @@ class CellCounters:
                 self._add_command(str(verb), host_clock.now_s() - begun_s)
 
     def _add_command(self, name: str, duration_s: float) -> None:
-        before = self._commands.get(name, Durations())
+        before = self._commands.get(name, DurationHistogram())
         self._commands[name] = before.add(duration_s)
 
 

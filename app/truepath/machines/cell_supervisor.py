@@ -28,7 +28,7 @@ from truepath.machines.cell_status import (
     ControllerLevels,
     Devices,
 )
-from truepath.machines.conditions.stream_watch import StreamWatch
+from truepath.machines.conditions.stream_status import StreamStatus
 from truepath.machines.sample_feed import SampleFeed
 from truepath.measurement.messages import (
     BlockRecorded,
@@ -87,7 +87,7 @@ class CellSupervisor:
         self.status = CellStatus()
         self.controller: ControllerLevels | None = None
         self.sensors = SensorsTried()
-        self.counters, self.stream = CellCounters(), StreamWatch()
+        self.counters, self.stream = CellCounters(), StreamStatus()
         self.samples = SampleFeed()
         self._closing, self._must_kill = threading.Event(), threading.Event()
         self._thread = threading.Thread(
@@ -100,9 +100,9 @@ class CellSupervisor:
         One that only holds has not: its program continues on release. None if unknown:
         during a measurement only its end reports it. Reads no device.
         """
-        return self.tell_standstill()[0]
+        return self.describe_standstill()[0]
 
-    def tell_standstill(self) -> tuple[bool | None, str]:
+    def describe_standstill(self) -> tuple[bool | None, str]:
         """`read_standstill`, and what it means in a sentence."""
         read = self.controller
         if self.status.state in MOVING or read is None:
@@ -135,7 +135,7 @@ class CellSupervisor:
 
         return self._ask(listen)
 
-    def hear_tracker(self, rate_hz: float, *, aims: bool) -> None:
+    def monitor_tracker_at_rest(self, rate_hz: float, *, aims: bool) -> None:
         """Update `stream` with beam and samples while nothing is measured.
 
         aims : the measurement points the beam itself. Raises CellDown.
@@ -143,7 +143,7 @@ class CellSupervisor:
 
         def hear(cell: Cell) -> None:
             if self._on_event is None and self.status.connected:
-                self._hear_at_rest(cell, rate_hz, aims=aims)
+                self._monitor_at_rest(cell, rate_hz, aims=aims)
 
         self._ask(hear)
 
@@ -211,7 +211,7 @@ class CellSupervisor:
             while True:
                 yield self._commands.get_nowait()
 
-    def _refuse_commands(self, text: str) -> None:
+    def _reject_commands(self, text: str) -> None:
         for _, future in self._take_commands():
             future.set_exception(CellDown(text))
 
@@ -226,7 +226,7 @@ class CellSupervisor:
             pause_s = self._first_pause_s if has_lived_long else pause_s
             self._wait(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
-        self._refuse_commands("the service is ending")
+        self._reject_commands("the service is ending")
 
     def _run_one_cell(self) -> None:
         try:
@@ -322,15 +322,15 @@ class CellSupervisor:
         self._set_status("ready", devices=devices)
         return devices
 
-    def _hear_at_rest(self, cell: Cell, rate_hz: float, *, aims: bool) -> None:
+    def _monitor_at_rest(self, cell: Cell, rate_hz: float, *, aims: bool) -> None:
         try:
             duration_s = max(HEAR_S, HEAR_SAMPLES / rate_hz)
             trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
-            self.stream.hear(cell.try_tracker(trial), rate_hz, aims=aims)
+            self.stream.record_trial(cell.try_tracker(trial), rate_hz, aims=aims)
         except NotHomed:
             log.debug("the tracker is heard once the measurement has homed it")
         except DeviceError as error:
-            self.stream.hear_failure(str(error))
+            self.stream.record_failure(str(error))
         except MeasurementFailed as error:
             raise CellDown(str(error)) from error
 
@@ -340,11 +340,11 @@ class CellSupervisor:
         on_event, self._on_event = self._on_event, None
         if on_event is not None:
             on_event(None)
-        self._refuse_commands(text)
+        self._reject_commands(text)
 
     def _wait(self, pause_s: float) -> None:
         deadline = host_clock.now_s() + pause_s
         while (left_s := deadline - host_clock.now_s()) > 0:
             if host_clock.wait(self._closing, min(left_s, POLL_S)):
                 return
-            self._refuse_commands(self.status.text)
+            self._reject_commands(self.status.text)

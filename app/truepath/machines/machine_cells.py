@@ -10,7 +10,7 @@ from truepath.catalogue.errors import NoMachine, UnnamedMachine
 from truepath.errors import NotFound
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.condition_log import ConditionLog
 from truepath_drivers import host_clock
 
 
@@ -26,7 +26,7 @@ class MachineCell:
     id: str
     machine: Machine
     cell: CellSupervisor
-    conditions: ConditionBoard | None = None
+    conditions: ConditionLog | None = None
     version: int = 1
 
     def start(self) -> None:
@@ -61,7 +61,7 @@ class Machines:
             self._cells[cell.id] = cell
             return before
 
-    def take_out(self, machine_id: str) -> MachineCell | None:
+    def pop_machine(self, machine_id: str) -> MachineCell | None:
         """Remove a machine; the result is to be closed, None if it was unknown."""
         with self._lock:
             return self._cells.pop(machine_id, None)

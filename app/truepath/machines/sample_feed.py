@@ -37,7 +37,7 @@ class SampleQueue:
             self._waiting.append(chunk)
         self._on_put()
 
-    def take(self) -> tuple[TrackerSamples | None, int]:
+    def pop_oldest(self) -> tuple[TrackerSamples | None, int]:
         """The oldest chunk, None if there is none, and `dropped` before it."""
         with self._lock:
             chunk = self._waiting.popleft() if self._waiting else None

@@ -12,7 +12,7 @@ machine holds. Requests to the tracker are in `tracker_control`.
 Path of a sample: the driver decodes it; `stream_reader` collects blocks of 20 ms into
 batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file`)
 before anything else sees it; then it goes to the display and to the live estimate. A
-Run therefore survives the death of its process: `run_reading` opens what was committed.
+Run therefore survives the death of its process: `run_loader` opens what was committed.
 
 Time is the tracker's counter. Tracker and controller share no clock and none is assumed
 (sanders-2023): a Run begins and ends with the stream at a standstill, and the sequence

@@ -61,7 +61,7 @@ class MeasurementState:
         self.aborted = threading.Event()
 
     @property
-    def must_stand(self) -> bool:
+    def requires_standstill(self) -> bool:
         """Whether the machine must not be moved now."""
         return self.state is not CellState.RUNNING
 

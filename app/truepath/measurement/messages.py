@@ -13,7 +13,7 @@ from typing import Any
 
 from truepath.files.bundle.run import PointBlock
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.durations import Durations
+from truepath.measurement.duration_histogram import DurationHistogram
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import (
@@ -194,7 +194,7 @@ class MeasurementProgress:
     crc_errors: int = 0
     gaps: int = 0
     queue_depth: int = 0
-    commits: Durations = field(default_factory=Durations)
+    commits: DurationHistogram = field(default_factory=DurationHistogram)
 
 
 @dataclass(frozen=True, slots=True)

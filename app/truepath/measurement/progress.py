@@ -133,7 +133,7 @@ class ProgressEstimator:
             row = line + self.first_row
             self.row = min(max(self.row, row), self._schedule.total)
 
-    def leave_out_rest(self, *, is_row_done: bool) -> None:
+    def exclude_rest(self, *, is_row_done: bool) -> None:
         """Omit all rows after the current one."""
         self.is_cut_short, self.is_row_done = True, is_row_done
 

@@ -114,7 +114,7 @@ class Drive:
         turn = np.asarray(np.linalg.norm(legs.step[:, ~straight], axis=1), np.float64)
         return np.where(linear > 0.0, linear, turn)
 
-    def driven_feed(self, legs: Legs) -> Float64[np.ndarray, " n"]:
+    def limited_feed(self, legs: Legs) -> Float64[np.ndarray, " n"]:
         """Feeds, lowered where a rotary axis would turn too fast."""
         turn = np.abs(legs.step)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
         least_min = np.maximum(turn / self.fastest_deg_min, 1e-12)
@@ -139,7 +139,7 @@ class Drive:
             highest = np.where(
                 highest < limits.acceleration_mm_s2 * rise_s, short, highest
             )
-        return np.minimum(np.maximum(self.driven_feed(legs) / 60.0, 1e-9), highest)
+        return np.minimum(np.maximum(self.limited_feed(legs) / 60.0, 1e-9), highest)
 
     def ramp_s(
         self, speed_mm_s: Float64[np.ndarray, " n"]

@@ -55,7 +55,7 @@ class Whitener:
             return new
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         pulled = (precision @ rows).reshape(new.shape)
-        self._foresight.write_new(rows, self._solver.solve_half(pulled), new)
+        self._innovations.write_innovations(rows, self._solver.solve_half(pulled), new)
         return new
 
     @cached_property
@@ -63,8 +63,8 @@ class Whitener:
         return BandedFactor.of(self.factor)
 
     @cached_property
-    def _foresight(self) -> _Foresight:
-        return _Foresight.of(self.root, self.alone, self.factor)
+    def _innovations(self) -> _Innovations:
+        return _Innovations.of(self.root, self.alone, self.factor)
 
     def apply(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "n 3 p"]:
         """V⁻¹ rows."""
@@ -106,7 +106,7 @@ def factorise(
 
 
 @dataclass(frozen=True, slots=True)
-class _Foresight:
+class _Innovations:
     """Innovation of a point from its rows and the solution before it.
 
     own : (n, 3, 3) R; before : (k, 3, 3) N, of the last k points, which have one before
@@ -120,7 +120,7 @@ class _Foresight:
         root: Float64[np.ndarray, "n 3 3"],
         alone: Float64[np.ndarray, "m 3"],
         factor: Float64[np.ndarray, "4 b"],
-    ) -> _Foresight:
+    ) -> _Innovations:
         """For the last n of m points with a factor.
 
         With the factor's blocks B below its diagonal and the solution z, the process is
@@ -137,9 +137,9 @@ class _Foresight:
         total = np.eye(3) + root @ spread @ np.swapaxes(root, 1, 2)
         own = np.linalg.solve(np.linalg.cholesky(total), root)
         last = slice(max(len(root) - len(block), 0), None)
-        return _Foresight(own, own[last] @ spread[last] @ block)
+        return _Innovations(own, own[last] @ spread[last] @ block)
 
-    def write_new(
+    def write_innovations(
         self,
         rows: Float64[np.ndarray, "n 3 p"],
         solved: Float64[np.ndarray, "m p"],
@@ -242,7 +242,7 @@ def extend(
         float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:]
     )
     new = np.empty((3 * len(rows) + 3, columns))
-    _Foresight.of(root, ou.alone, factor).write_new(rows, solved, new[:-3])
+    _Innovations.of(root, ou.alone, factor).write_innovations(rows, solved, new[:-3])
     new[-3:] = solved[-3:]  # the newest state is not marginalised
     gain = new.T @ new
     if state is not None:

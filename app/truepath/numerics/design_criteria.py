@@ -85,21 +85,21 @@ class IntegratedVariance:
 
 
 @dataclass(frozen=True, slots=True)
-class BestPlace:
+class BestPosition:
     """Position on an axis where one measurement reduces J most, and by how much."""
 
     at: float
     drop: float
 
 
-def find_best_place(
+def find_best_position(
     known: IntegratedVariance,
     rows: Rows,
     borders: Float64[np.ndarray, " b"],
     noise_variance: float,
     *,
     degree: int = 3,
-) -> BestPlace:
+) -> BestPosition:
     """Exact optimum over an axis (eq. 27).
 
     rows : at positions of the axis, (n, p) or (n, r, p), polynomials of the given
@@ -121,7 +121,7 @@ def find_best_place(
         found += zip(risen.tolist(), [int(index)] * len(roots), roots, strict=True)
     drop, piece, unit = max(found)
     at = pieces.low[piece] + 0.5 * (unit + 1.0) * pieces.length[piece]
-    return BestPlace(float(at), drop)
+    return BestPosition(float(at), drop)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.table_transfer import import_tables, open_export

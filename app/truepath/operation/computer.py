@@ -20,15 +20,15 @@ _MADE = datetime(2026, 1, 1, tzinfo=UTC)  # a clock before that was never set
 _ASK_S = 5.0
 
 
-def look_at_computer() -> Iterator[Finding]:
+def check_computer() -> Iterator[Finding]:
     """Versions, clock, memory and threads."""
-    yield look_at_versions()
-    yield look_at_clock()
-    yield look_at_memory(Path("/proc/meminfo"))
-    yield look_at_threads()
+    yield check_versions()
+    yield check_clock()
+    yield check_memory(Path("/proc/meminfo"))
+    yield check_threads()
 
 
-def look_at_versions() -> Finding:
+def check_versions() -> Finding:
     """Whether the libraries have the versions that this package requires."""
     python = ".".join(map(str, sys.version_info[:3]))
     ours = f"Truepath {version('truepath')}, Python {python}"
@@ -54,7 +54,7 @@ def _list_wrong_versions() -> Iterator[str]:
             yield f"{need.name} is {found}, not {need.specifier}"
 
 
-def look_at_clock(now: datetime | None = None) -> Finding:
+def check_clock(now: datetime | None = None) -> Finding:
     """Whether the clock is set and synchronised, as far as the system reports it."""
     now = now or datetime.now(UTC)
     shown = f"{now:%Y-%m-%d %H:%M:%S} UTC"
@@ -87,7 +87,7 @@ def _is_clock_kept() -> bool | None:
     return {"yes": True, "no": False}.get(told.stdout.strip())
 
 
-def look_at_memory(meminfo: Path) -> Finding:
+def check_memory(meminfo: Path) -> Finding:
     """Whether there is memory for an analysis; `meminfo` as Linux writes it."""
     try:
         lines = meminfo.read_text(encoding="ascii").splitlines()
@@ -102,7 +102,7 @@ def look_at_memory(meminfo: Path) -> Finding:
     return Finding("memory", Grade.WARNING, text, remedy)
 
 
-def look_at_threads() -> Finding:
+def check_threads() -> Finding:
     """Whether linear algebra is limited to one thread per process."""
     several = {
         name: value

@@ -29,31 +29,29 @@ from truepath_drivers.interfaces.thermometers import ReadingTry
 _PORT_OPTIONS = ("port", "serial_port")
 
 
-def look_at_devices(settings: Settings, running: RunningService) -> Iterator[Finding]:
+def check_devices(settings: Settings, running: RunningService) -> Iterator[Finding]:
     """Each machine of the settings, its ports and devices."""
     if settings.simulated:
         yield Finding("devices", Grade.OK, "simulated")
         return
     machines = settings.list_machines()
     if not machines:
-        yield look_at_machine(None)
+        yield check_machine(None)
         return
     for machine_id, one in machines.items():
-        for found in _look_at_one(one, running):
+        for found in _check_one(one, running):
             named = f"{machine_id} {found.subject}"
             yield found if len(machines) == 1 else replace(found, subject=named)
     if running.is_there:
         yield read_cell(running)
 
 
-def _look_at_one(
-    settings: MachineSettings, running: RunningService
-) -> Iterator[Finding]:
-    yield look_at_machine(settings.machine_file)
+def _check_one(settings: MachineSettings, running: RunningService) -> Iterator[Finding]:
+    yield check_machine(settings.machine_file)
     for word, name, options in _list_devices(settings):
-        yield from look_at_port(word, options)
+        yield from check_port(word, options)
         if not running.is_there:
-            yield from ask_device(word, name, options)
+            yield from query_device(word, name, options)
 
 
 def _list_devices(
@@ -65,7 +63,7 @@ def _list_devices(
         yield "thermometer", settings.thermometer_driver, settings.thermometer_options
 
 
-def look_at_machine(file: Path | None) -> Finding:
+def check_machine(file: Path | None) -> Finding:
     """Whether the machine file can be read."""
     if file is None:
         remedy = "set machine_file to drive a machine"
@@ -80,7 +78,7 @@ def look_at_machine(file: Path | None) -> Finding:
     return Finding("machine", Grade.OK, f"{machine.name}, {machine.chain}")
 
 
-def look_at_port(word: str, options: Mapping[str, Any]) -> Iterator[Finding]:
+def check_port(word: str, options: Mapping[str, Any]) -> Iterator[Finding]:
     """Whether a serial port of a device exists and may be opened."""
     named = [options[name] for name in _PORT_OPTIONS if name in options]
     for port in (Path(p) for p in named if isinstance(p, str) and p.startswith("/")):
@@ -109,7 +107,7 @@ def _find_group(port: Path) -> str:
         return str(number)
 
 
-def ask_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Finding]:
+def query_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Finding]:
     """Identity of a device, and its sensors by each way to read them."""
     try:
         device = make_device(word, name, options)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from truepath.compensation import installed
+from truepath.compensation import format_registry
 from truepath.compensation.format import CompensationFormat
 from truepath.device_options import DEVICES, make_device, read_options
 from truepath.errors import BadInput, TruepathError
@@ -43,7 +43,7 @@ INTERFACE_VERSIONS: Mapping[str, int] = {
     DEVICES["thermometer"]: Thermometers.interface_version,
     family.GROUP: Family.interface_version,
     programs.GROUP: Dialect.interface_version,
-    installed.GROUP: CompensationFormat.interface_version,
+    format_registry.GROUP: CompensationFormat.interface_version,
 }
 """By entry-point group, the version that its plug-ins must conform to."""
 
@@ -81,7 +81,7 @@ def list_plugins(*, checks: bool = False) -> Iterator[PluginEntry]:
             yield _examine(point, checks=checks)
 
 
-def list_left_out() -> tuple[str, ...]:
+def list_excluded() -> tuple[str, ...]:
     """Plug-ins without a valid name, and broken lists."""
     return tuple(sorted(left_out))
 
@@ -135,11 +135,11 @@ def check_device(word: str, settings: MachineSettings) -> PluginEntry:
         (Thermometers, THERMOMETER_CHECKS),
     )
     checks = next(checks for kind, checks in kinds if isinstance(made, kind))
-    failures = _hold_against(checks, lambda: make_device(word, name, options))
+    failures = _run_checks(checks, lambda: make_device(word, name, options))
     return replace(_examine(point, checks=False), failures=failures, was_checked=True)
 
 
-def _hold_against(
+def _run_checks(
     checks: tuple[Callable[..., None], ...], *given: object
 ) -> tuple[str, ...]:
     failures: list[str] = []
@@ -153,7 +153,7 @@ def _hold_against(
 
 def _check_effect(name: str) -> tuple[str, ...]:
     at = conformance.example_conditions()
-    return _hold_against(conformance.CHECKS, family.find_family(name), at)
+    return _run_checks(conformance.CHECKS, family.find_family(name), at)
 
 
 def _check_dialect(name: str) -> tuple[str, ...]:
@@ -164,12 +164,12 @@ def _check_dialect(name: str) -> tuple[str, ...]:
 
 
 def _check_format(name: str) -> tuple[str, ...]:
-    installed.describe_format(name, installed.load_format(name))
+    format_registry.describe_format(name, format_registry.load_format(name))
     return ()
 
 
 _CHECKS: Mapping[str, Callable[[str], tuple[str, ...]]] = {
     family.GROUP: _check_effect,
     programs.GROUP: _check_dialect,
-    installed.GROUP: _check_format,
+    format_registry.GROUP: _check_format,
 }

@@ -10,7 +10,7 @@ from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from typing import Any
 
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
 from truepath.operation.finding import Finding, Grade
@@ -85,7 +85,7 @@ def _connect(settings: Settings) -> HTTPConnection:
     return HTTPSConnection(host, settings.port, timeout=_ANSWER_S, context=context)
 
 
-def look_at_service(settings: Settings, running: RunningService) -> Finding:
+def check_service(settings: Settings, running: RunningService) -> Finding:
     """Whether the service runs, or could listen at its address."""
     place = f"{settings.host} port {settings.port}"
     if running.system is not None:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from truepath.catalogue.data_folder import MOUNTS, find_file_system, is_network_share
+from truepath.catalogue.data_dir_lock import MOUNTS, find_file_system, is_network_share
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.store.database import Database
 from truepath.errors import TruepathError
@@ -20,14 +20,14 @@ LEAST_FREE_BYTES = 500 << 20
 AMPLE_BYTES = 5 << 30
 
 
-def look_at_storage(settings: Settings) -> Iterator[Finding]:
+def check_storage(settings: Settings) -> Iterator[Finding]:
     """Rights, file system, room and catalogue of the data folder."""
     folder = settings.data_dir
     place = find_existing(folder)
-    yield look_at_rights(folder, place)
-    yield look_at_file_system(place)
-    yield look_at_room(place)
-    yield look_at_catalogue(settings)
+    yield check_rights(folder, place)
+    yield check_file_system(place)
+    yield check_room(place)
+    yield check_catalogue_file(settings)
 
 
 def find_existing(folder: Path) -> Path:
@@ -36,7 +36,7 @@ def find_existing(folder: Path) -> Path:
     return next(p for p in (place, *place.parents) if p.exists())
 
 
-def look_at_rights(folder: Path, place: Path) -> Finding:
+def check_rights(folder: Path, place: Path) -> Finding:
     """Whether this account may write; `place` as `find_existing` has it."""
     if not place.is_dir():
         remedy = "give another data_dir"
@@ -50,7 +50,7 @@ def look_at_rights(folder: Path, place: Path) -> Finding:
     return Finding("data folder", Grade.OK, text)
 
 
-def look_at_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
+def check_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
     """Whether the folder is on a disk of this computer."""
     kind = find_file_system(place.resolve(), mounts)
     if kind is None:
@@ -62,7 +62,7 @@ def look_at_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
     return Finding("file system", Grade.OK, kind)
 
 
-def look_at_room(place: Path) -> Finding:
+def check_room(place: Path) -> Finding:
     """Whether the disk has room for Runs."""
     free = shutil.disk_usage(place).free
     text = f"{free / 1e9:.1f} GB are free"
@@ -75,7 +75,7 @@ def look_at_room(place: Path) -> Finding:
     return Finding("disk", Grade.OK, text)
 
 
-def look_at_catalogue(settings: Settings) -> Finding:
+def check_catalogue_file(settings: Settings) -> Finding:
     """Whether the catalogue can be used and agrees with the Runs on disk."""
     if not settings.database_url and not settings.data_dir.exists():
         return Finding("catalogue", Grade.OK, "there is none yet")

@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.errors import PlanningError
-from truepath.estimation.live.earlier_runs import EarlierRun
 from truepath.estimation.live.live_estimate import LiveFindings
+from truepath.estimation.live.previous_runs import PreviousRun
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s
 from truepath.planning.design_state import DesignState
 from truepath.planning.initial_design import start_design
 from truepath.planning.lines.planner import Planner
-from truepath.planning.plan_order import PlanOrder
-from truepath.planning.predicted_cells import EXPECTED_NOISE
+from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.simulated_cells import EXPECTED_NOISE
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many
 _LEAST_JITTER = 0.1
@@ -57,8 +57,8 @@ class AdaptivePlanner:
         self,
         machine: Machine,
         commanded: Commanded,
-        order: PlanOrder,
-        earlier: Sequence[EarlierRun] = (),
+        order: PlanRequirements,
+        earlier: Sequence[PreviousRun] = (),
     ) -> None:
         self.commanded = commanded
         # On the fly only the first target is measured, while the rotary axes stand.

@@ -69,13 +69,13 @@ class DesignState(ABC):
     def command(self, machine: Machine, stops: Stops) -> Commanded:
         """The stops as a path or as points for all axes of the machine."""
 
-    def hold(
+    def restrict_axes(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
     ) -> Float64[np.ndarray, "n a"]:
         """Ends of legs from `here`; a design may keep some axes of some at rest."""
         return ends
 
-    def better_places(
+    def find_better_positions(
         self,
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],

@@ -25,24 +25,24 @@ from truepath.estimation.problem.information import (
     OwnParameters,
     compute_posterior,
 )
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import RecursiveEstimator
 from truepath.estimation.problem.observability import (
     assess_observability,
     name_undetermined,
-    usual_precision_matrix,
+    typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.files.environment.refraction import Refraction, state_length_ppm
 from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends
 from truepath.kinematics.effects.instrument import (
-    is_of_instrument,
+    is_tracker_error,
     list_instrument_errors,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, find_stretch
+from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -56,7 +56,7 @@ from truepath.kinematics.volumetric_map import (
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import row_times_s
 from truepath.numerics.scaled_cholesky import ScaledCholesky
-from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.planning.simulated_cells import EXPECTED_NOISE, predict_cells
 from truepath_drivers.interfaces.records import Path
 
 _NAMED = 3  # of the weakest error motions
@@ -79,7 +79,7 @@ class Assumptions:
     prior_precision : by the effect's name; None for that of typical machines
     """
 
-    known: KnownEffects = field(default_factory=KnownEffects)
+    known: PriorEffects = field(default_factory=PriorEffects)
     perpendicular_only: bool = False
     noise: NoiseModel = EXPECTED_NOISE
     prior_precision: Mapping[str, float] | None = None
@@ -102,7 +102,7 @@ class Assumptions:
                 for name, value in usual.precision.items()
                 if not usual.charges[name].is_known
             }
-        prior = usual_precision_matrix(model, precision)
+        prior = typical_precision_matrix(model, precision)
         part = self.known.locate(model)
         prior[part, part] += self.known.precision_matrix()
         return prior
@@ -139,7 +139,7 @@ class Forecast:
     """
 
     model: MachineModel
-    known: KnownEffects
+    known: PriorEffects
     covariance: Float64[np.ndarray, "p p"]
     volumetric_sigma_mm: float
     random_mm: float
@@ -154,7 +154,7 @@ class Forecast:
         """
         found: dict[str, float] = {}
         nothing = np.zeros(self.model.size)
-        told = EstimatedModel(self.model, nothing, self.covariance).at_targets
+        told = EstimatedModel(self.model, nothing, self.covariance).reduce_to_targets
         for effect in told.model.effects:
             if not effect.iso_symbol or effect.name in told.model.confounded:
                 continue
@@ -218,7 +218,7 @@ def predict_with_each(
     stations = (*found.stations, *runs)
     model = _build_model(machine, found.known, stations)
     gram, size = compute_volumetric_gram(model), model.size
-    stretch = _state_length_scale(machine) * find_stretch(model)
+    stretch = _state_length_scale(machine) * compute_scale_parameters(model)
     by_air_mm2 = float(stretch @ gram @ stretch)
     information: list[Float64[np.ndarray, "p p"]] = []
     for run in collect_information(stations, model):
@@ -242,7 +242,7 @@ def _state_length_scale(machine: Machine) -> float:
 
 
 def _build_model(
-    machine: Machine, known: KnownEffects, stations: Sequence[RunInput]
+    machine: Machine, known: PriorEffects, stations: Sequence[RunInput]
 ) -> MachineModel:
     seen = [run.observations for run in stations]
     offset_mm = np.vstack([each.at.offset_mm for each in seen])
@@ -293,7 +293,7 @@ def _trace_curve(
 ) -> tuple[Float64[np.ndarray, "p p"], tuple[Step, ...]]:
     gram = compute_volumetric_gram(model)
     of_tracker = np.zeros(model.size, bool)
-    for effect in filter(is_of_instrument, model.effects):
+    for effect in filter(is_tracker_error, model.effects):
         of_tracker[model.slices[effect.name]] = True
     length_scale = _state_length_scale(model.machine)
     sums = RecursiveEstimator.start(linearise(cells, model, cells.pose, noise))
@@ -309,7 +309,7 @@ def _trace_curve(
             max(float(np.sum(gram * each)), 0.0) ** 0.5
             for each in (left.covariance, _hold(covariance, of_tracker))
         )
-        weakest_mm = _find_weakest_mm(left)
+        weakest_mm = _compute_weakest_mm(left)
         row = int(cells.row[last - 1])
         steps.append(Step(row, sigma_mm, random_mm, weakest_mm))
     return left.covariance, tuple(steps)
@@ -325,12 +325,12 @@ def _hold(
     return covariance - half.T @ half
 
 
-def _find_weakest_mm(found: EstimatedModel) -> dict[str, float]:
+def _compute_weakest_mm(found: EstimatedModel) -> dict[str, float]:
     """Volumetric part of the least determined error motions, the largest first.
 
     Only motions that the targets show: the others are reported separately.
     """
-    told = found.at_targets
+    told = found.reduce_to_targets
     gram = compute_volumetric_gram(told.model)
     square: dict[str, float] = {}
     for motion in told.model.error_motions:

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
+from truepath.estimation.problem.confounding_advice import describe_confounded
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
@@ -32,10 +33,9 @@ from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     PoorlyObservableShape,
     find_poorly_observable,
-    usual_precision_matrix,
+    typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision
-from truepath.estimation.problem.separation import describe_confounded
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.identifiable import list_confounded_effects
 from truepath.kinematics.machine.machine import Machine
@@ -47,11 +47,11 @@ from truepath.kinematics.volumetric_map import (
 )
 from truepath.motion.configurations import Commanded
 from truepath.planning.forecast import Assumptions
-from truepath.planning.predicted_cells import (
+from truepath.planning.line_suggestions import Remedy, append_line, find_best_line
+from truepath.planning.simulated_cells import (
     assume_stations_mm,
     predict_cells,
 )
-from truepath.planning.remedies import Remedy, append_line, find_best_line
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
@@ -153,7 +153,7 @@ class _Criterion:
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
         cells = [one.predict() for one in set_ups]
         information = np.sum([self._marginalise_pose(one) for one in cells], axis=0)
-        prior = usual_precision_matrix(self.model)
+        prior = typical_precision_matrix(self.model)
         every = _compute_covariance(information, prior)
         sigma = float(np.sqrt(max(np.sum(self.gram * every), 0.0)))
         information, prior = (m[: self.told, : self.told] for m in (information, prior))

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from truepath.estimation.problem.information import Information, OwnParameters
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
@@ -34,7 +34,7 @@ from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.workspace.workspace import Workspace
 from truepath.planning.design_state import DesignState, ExpectedNoise, inverse
 from truepath.planning.forecast import Assumptions
-from truepath.planning.predicted_cells import (
+from truepath.planning.simulated_cells import (
     assume_stations_mm,
     predict_cells,
 )
@@ -99,9 +99,9 @@ def start_design(
     motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(motions.with_effects(*known.effects))
     confounded = list_confounded_effects(machine, offsets_mm)
-    made_up_for = motions.with_confounded(confounded).made_up_for
+    compensated_turns = motions.with_confounded(confounded).compensated_turns
     motions = motions.with_confounded(
-        [e.coarsen(INTERVALS) for e in confounded if e.name not in made_up_for]
+        [e.coarsen(INTERVALS) for e in confounded if e.name not in compensated_turns]
     )
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
@@ -133,7 +133,7 @@ def add_station(design: DesignState, before: DesignState) -> DesignState:
     return replace(design, precision=precision)
 
 
-def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
+def _motion_gram(model: MachineModel, known: PriorEffects) -> NDArray[np.float64]:
     """Gram matrix of known effects that vanish at a standstill.
 
     The effect of lost motion, a lag or a spike on lines between the corners counts as

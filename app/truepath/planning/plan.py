@@ -16,7 +16,7 @@ from truepath.motion.motion_times import row_times_s
 from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.workspace.workspace import (
     StationAreas,
-    moves_where_seen,
+    moves_relative_to_tracker,
     moving_targets,
 )
 from truepath.planning.design_state import DesignState
@@ -26,23 +26,23 @@ from truepath.planning.initial_design import (
     predict_lag_sigmas_s,
     start_design,
 )
+from truepath.planning.line_suggestions import SetUpRemedy
 from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.planner import Planner, inform, judge_feeds
+from truepath.planning.lines.planner import Planner, assess_feeds, inform
 from truepath.planning.lines.target_blocks import (
     CHANGE_S,
     PlanShare,
     plan_in_turn,
     wait_for_tracker,
 )
-from truepath.planning.lines.target_shares import share_among_targets
-from truepath.planning.plan_order import PlanOrder
-from truepath.planning.remedies import SetUpRemedy
-from truepath.planning.stations.station_choice import (
+from truepath.planning.lines.target_time_split import share_among_targets
+from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.stations.station_information import StationEvaluator, Survey
+from truepath.planning.stations.station_selection import (
     StationAdvice,
     StationChoice,
-    choose_place,
+    choose_best_station,
 )
-from truepath.planning.stations.station_information import StationJudge, Survey
 from truepath_drivers.interfaces.records import Path
 
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # for the evaluation of stations
@@ -65,7 +65,7 @@ class Plan:
     """
 
     machine: Machine
-    order: PlanOrder
+    order: PlanRequirements
     commanded: Commanded
     station_mm: NDArray[np.float64]
     time_s: NDArray[np.float64]
@@ -111,7 +111,7 @@ class PlanAttempt:
     """
 
     machine: Machine
-    order: PlanOrder
+    order: PlanRequirements
     assumed: Assumptions
     station_mm: NDArray[np.float64]
     told: Forecast | None = None
@@ -127,7 +127,7 @@ class PlanAttempt:
         Raises PlanningError outside the workspace.
         """
         path = self._corners()
-        self.order.workspace.refuse(self.machine, path)
+        self.order.workspace.require_allowed(self.machine, path)
         return self._evaluate(path)
 
     def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
@@ -136,12 +136,12 @@ class PlanAttempt:
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)
 
-    def tell(self, plan: Plan) -> PlanAttempt:
+    def add_plan_information(self, plan: Plan) -> PlanAttempt:
         """Includes the information of a plan from here, for the next station."""
         known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
         return replace(self, told=plan.forecast, design=known)
 
-    def choose_place(self, areas: StationAreas) -> StationChoice:
+    def choose_best_station(self, areas: StationAreas) -> StationChoice:
         """Evaluate stations by a survey that ignores what each of them sees."""
         order, workspace = self.order, self.order.workspace
         free = replace(order, workspace=replace(workspace, tracker_mm=None))
@@ -152,11 +152,11 @@ class PlanAttempt:
             workspace,
             order.feeds(self.machine)[0],
         )
-        judge = StationJudge.of(
+        judge = StationEvaluator.of(
             survey, self.assumed, areas.find_specification(self.machine)
         )
         stated_mm = None if workspace.tracker_mm is None else self.station_mm
-        return choose_place(judge, areas, order.budget_s, stated_mm)
+        return choose_best_station(judge, areas, order.budget_s, stated_mm)
 
     def survey(self) -> Commanded:
         """A few lines or points of the whole travel, chosen without a search."""
@@ -193,7 +193,7 @@ class PlanAttempt:
         return join_rows(blocks)
 
     @property
-    def _tells_lags(self) -> bool:
+    def _determines_lags(self) -> bool:
         known = self.assumed.known.effects
         return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
 
@@ -215,7 +215,7 @@ class PlanAttempt:
     def _make_planner(self, target: str | None) -> Planner:
         """Target None: the first, with the rotary axes at rest."""
         order, machine = self.order, self.machine
-        if target is None and not moves_where_seen(
+        if target is None and not moves_relative_to_tracker(
             remove_rotary_axes(machine), machine.target()
         ):
             raise PlanningError(
@@ -230,7 +230,7 @@ class PlanAttempt:
             order.drive(machine),
             self.assumed,
             target=target,
-            dynamic=order.is_on_the_fly and self._tells_lags,
+            dynamic=order.is_on_the_fly and self._determines_lags,
         )
         if self.design is not None:
             design = add_station(design, self.design)
@@ -260,10 +260,10 @@ class PlanAttempt:
         if isinstance(commanded, Path):
             each, blocks = self._share(commanded)
             parts = [block for block in blocks if isinstance(block, Path)]
-            if self._tells_lags:
+            if self._determines_lags:
                 lags = predict_lag_sigmas_s(each[0].design.add(inform(each, parts)))
             if not (order.feeds_mm_min or order.corner_path):
-                worth = judge_feeds(each, parts)
+                worth = assess_feeds(each, parts)
         return Plan(
             self.machine,
             order,

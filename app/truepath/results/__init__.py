@@ -16,7 +16,7 @@ motion is a matter of convention and has no uncertainty. Tables hold for the mea
 target offsets, and for any tool if all six motions of every axis are known.
 
 Linear propagation C_y = J C Jᵀ is checked by adaptive Monte Carlo trials on request
-(`trial_results`).
+(`monte_carlo_results`).
 
 References: ISO 230-1:2012; JCGM 101:2008 (trials, clauses 7.9.4 and 8).
 """

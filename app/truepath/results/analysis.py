@@ -14,9 +14,9 @@ from itertools import combinations
 
 from truepath.alignment.align import align_all
 from truepath.errors import BundleError
-from truepath.estimation.checks.disturbances import CheckedEstimate, estimate_checked
-from truepath.estimation.checks.ripple import add_ripple
-from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
+from truepath.estimation.checks.short_wave_variance import add_ripple
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.budget import split_uncertainty
 from truepath.estimation.solve.contributions import find_contributions
@@ -29,19 +29,19 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
 from truepath.planning.grade import Grade, SetUp, grade_together
 from truepath.progress import Progress, ignore_progress, scale_progress
-from truepath.results.findings import (
+from truepath.results.monte_carlo_results import run_trials
+from truepath.results.result_assessment import (
+    assess_air,
+    assess_chain,
+    assess_driving,
+    assess_range,
+    assess_sensors,
+)
+from truepath.results.result_summary import (
     Findings,
     Provenance,
-    settle_lengths,
+    apply_length_scale,
     state_checked_findings,
-)
-from truepath.results.trial_results import run_trials
-from truepath.results.verdict import (
-    judge_air,
-    judge_chain,
-    judge_driving,
-    judge_range,
-    judge_sensors,
 )
 
 # Share of the work that is done after alignment, estimation and trials.
@@ -74,8 +74,8 @@ def analyse(
     summaries = _summarize(runs)
     names = [summary.name for summary in summaries]
     machine = one_machine([run.machine for run in runs], names)
-    _refuse_twice(summaries)
-    known = model.select_effects(machine, summaries) if model else KnownEffects()
+    _reject_twice(summaries)
+    known = model.select_effects(machine, summaries) if model else PriorEffects()
     observed = align_all(runs, names)
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
@@ -95,22 +95,22 @@ def analyse(
         trials = run_trials(estimated, monte_carlo, mapper, validating)
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
-    settled, _, _ = settle_lengths(estimated, provenance, checked.given)
+    settled, _, _ = apply_length_scale(estimated, provenance, checked.given)
     brought = find_contributions(estimated, checked.given, settled)
     budget = split_uncertainty(estimated, settled)
     scores = [misfit.range_offset for misfit in checked.misfits]
-    ranges = judge_range(scores, checked.given, names)
+    ranges = assess_range(scores, checked.given, names)
     fit = checked.estimate.fit
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
-    driven = judge_driving([each.driving for each in observed], names)
-    air = judge_air([run.refraction for run in runs], names)
+    driven = assess_driving([each.driving for each in observed], names)
+    air = assess_air([run.refraction for run in runs], names)
     verdict = Verdict.merge([found.verdict, ranges])
     if verdict.state != "usable" and fit is not None:
         # Another order bends the volume as a wrong home distance does.
-        chain = judge_chain(fit, scores)
+        chain = assess_chain(fit, scores)
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
-    verdict = Verdict.merge([verdict, driven, air, judge_sensors(summaries)])
+    verdict = Verdict.merge([verdict, driven, air, assess_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
 
 
@@ -135,7 +135,7 @@ def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
     )
 
 
-def _refuse_twice(summaries: Sequence[RunSummary]) -> None:
+def _reject_twice(summaries: Sequence[RunSummary]) -> None:
     """Raise BundleError for a measurement given twice: its noise would count as two."""
     for known, given in combinations(summaries, 2):
         if known.digest == given.digest:

@@ -14,8 +14,8 @@ from truepath.files.environment.refraction import (
     SERVICE,
     Refraction,
     find_cause,
+    range_scale_uncertainty_ppm,
     refraction_to_json,
-    state_scale_ppm,
 )
 
 _CORRECTED = (INSTRUMENT, SERVICE)
@@ -24,7 +24,7 @@ _CORRECTED = (INSTRUMENT, SERVICE)
 def environment_json(summary: RunSummary) -> dict[str, Any]:
     """Sensors and their faults, refraction and the scale that it leaves uncertain."""
     refraction = summary.refraction
-    ppm, per_k, per_hpa = state_scale_ppm(refraction)
+    ppm, per_k, per_hpa = range_scale_uncertainty_ppm(refraction)
     is_corrected = refraction.by in _CORRECTED
     return {
         "sensors": [_sensor_json(one) for one in summary.sensors],
@@ -57,7 +57,7 @@ def describe_refraction(refraction: Refraction) -> str:
 
 def describe_scale(refraction: Refraction) -> str:
     """Uncertainty by the air of the scale of all ranges; completes a sentence."""
-    ppm, per_k, per_hpa = state_scale_ppm(refraction)
+    ppm, per_k, per_hpa = range_scale_uncertainty_ppm(refraction)
     what = f"{per_k:.2f} ppm a K and {per_hpa:.2f} ppm a hPa that the air is mistaken"
     common = (
         "common to all ranges, and to the positioning errors of all axes alike; the "

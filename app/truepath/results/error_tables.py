@@ -85,7 +85,7 @@ def build_error_tables(
 
     measured : by axis, the range that was measured, if it is known
     """
-    ranges, estimated = measured or {}, estimated.at_targets
+    ranges, estimated = measured or {}, estimated.reduce_to_targets
     model = estimated.model
     tables: list[ErrorTable] = []
     squareness: list[SingleError] = []
@@ -125,7 +125,7 @@ def build_error_table(
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
     """One error motion at given positions, in the unit of its axis."""
-    part = estimated.at_targets.part(motion.symbol)
+    part = estimated.reduce_to_targets.part(motion.symbol)
     stated = evaluate(motion.symbol, motion.rows(position_mm), *part)
     return ErrorTable(
         motion.symbol,
@@ -142,7 +142,7 @@ def compute_half_differences(estimated: EstimatedModel) -> tuple[ErrorTable, ...
     The error in + direction is the table plus the half difference, in − direction the
     table less it.
     """
-    estimated = estimated.at_targets
+    estimated = estimated.reduce_to_targets
     model = estimated.model
     parts = [
         (effect.name, half)

@@ -47,7 +47,7 @@ def grade_json(found: Grade) -> dict[str, Any]:
         "number": found.number,
         "verdict": found.verdict,
         "thresholds": {"good": GOOD, "usable": USABLE},
-        "text": in_words(found),
+        "text": format_text(found),
         "expected_uncertainty_um": UM_PER_MM * found.sigma_mm,
         "sample_sigma_um": UM_PER_MM * found.sample_sigma_mm,
         "tracker": {
@@ -62,7 +62,7 @@ def grade_json(found: Grade) -> dict[str, Any]:
     }
 
 
-def in_words(found: Grade) -> str:
+def format_text(found: Grade) -> str:
     """Sentences for the operator before the machine moves."""
     said = (
         f"{found.number:.2f}, {found.verdict}: {_MEANS[found.verdict]}; expected are "

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 TWICE: tuple[float, float] = (-2.0, 2.0)
 
 
-def state_scale_share(
+def compute_scale_uncertainty(
     value: Float64[np.ndarray, " m"], at_twice: Float64[np.ndarray, "m 2"]
 ) -> Float64[np.ndarray, " m"]:
     """Standard uncertainty of statistics by the scale of their lengths.

@@ -21,7 +21,7 @@ from truepath.kinematics.machine.symbols import find_unit
 Sigma = Float64[np.ndarray, " m"]
 
 
-def find_lost_motion_mm(
+def compute_lost_motion_mm(
     result: CalibrationResult, at: Conditions
 ) -> Float64[np.ndarray, "n 3"]:
     """Displacement of the target by the tables of half differences.

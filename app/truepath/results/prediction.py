@@ -51,7 +51,7 @@ def predict(
     targets : the target at each point; the first of the machine where left out
     """
     error, uncertainty = np.empty((len(position), 3)), np.empty((len(position), 3))
-    told = result.at_targets
+    told = result.reduce_to_targets
     known = estimate_variations(
         told.model,
         told.theta,
@@ -110,7 +110,7 @@ def _predict_block(
     at = make_standstill(result.machine, position, np.tile(offset, (len(position), 1)))
     error = found.error_mm(at, result.theta)
     variance = found.sigma_mm(at, result.covariance) ** 2
-    variance += beyond_travel_variance_mm2(at, result.at_targets.model, known)
+    variance += beyond_travel_variance_mm2(at, result.reduce_to_targets.model, known)
     return UM_PER_MM * error, UM_PER_MM * np.sqrt(variance)
 
 

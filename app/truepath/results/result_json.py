@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.run_parts import Knock
+from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.solve.budget import SOURCES, UncertaintyBudget
 from truepath.estimation.solve.known_scale import KnownScale
 from truepath.files.bundle.machine_file import machine_to_json
@@ -27,9 +27,9 @@ from truepath.files.units import PER_PPM, UM_PER_MM, URAD_PER_RAD
 from truepath.results.environment_json import environment_json
 from truepath.results.error_table_files import observability_json, tables_json
 from truepath.results.error_tables import ErrorTables, compute_half_differences
-from truepath.results.findings import Findings, Provenance, RunFindings
 from truepath.results.grade_json import grade_json
-from truepath.results.trial_results import trials_json
+from truepath.results.monte_carlo_results import trials_json
+from truepath.results.result_summary import Findings, Provenance, RunFindings
 from truepath.results.updated_effects import (
     describe_use,
     list_updated_effects,
@@ -54,11 +54,11 @@ def result_json(found: Findings) -> dict[str, Any]:
         "mode": found.main.summary.mode,
         "verdict": verdict_json(found.verdict),
         "left_out": [
-            _encode_left_out(number, each)
+            _encode_excluded(number, each)
             for number, own in enumerate(found.left_out)
             for each in own
         ],
-        "setup_steps": [_knock_json(knock) for knock in found.knocks],
+        "setup_steps": [_setup_shift_json(knock) for knock in found.knocks],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
@@ -186,7 +186,7 @@ def _control_json(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _encode_left_out(run: int, each: LeftOut) -> dict[str, Any]:
+def _encode_excluded(run: int, each: LeftOut) -> dict[str, Any]:
     measured = each.samples > 0
     return {
         "run": run,
@@ -199,7 +199,7 @@ def _encode_left_out(run: int, each: LeftOut) -> dict[str, Any]:
     }
 
 
-def _knock_json(knock: Knock) -> dict[str, Any]:
+def _setup_shift_json(knock: SetupShift) -> dict[str, Any]:
     return {
         "run": knock.run,
         "row": knock.row,
@@ -235,7 +235,7 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         },
         "sample_quality": asdict(summary.quality) if summary.quality else None,
         "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
-        "without_it_um": found.find_without_um(run),
+        "without_it_um": found.get_uncertainty_without_run_um(run),
         "alignment": _alignment_json(found, run),
         "residuals": {
             **_residuals_json(

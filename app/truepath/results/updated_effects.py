@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.estimation.problem.known_effects import KnownEffects
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.estimated_model import EstimatedModel
@@ -48,7 +48,7 @@ class UpdatedEffect:
 
 
 def list_updated_effects(
-    known: KnownEffects, estimated: EstimatedModel, chances: Sequence[float | None]
+    known: PriorEffects, estimated: EstimatedModel, chances: Sequence[float | None]
 ) -> tuple[UpdatedEffect, ...]:
     """Prior effects, with the parameters of the present model.
 

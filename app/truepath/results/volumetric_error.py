@@ -24,7 +24,7 @@ from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
-from truepath.results.length_scale import TWICE, state_scale_share
+from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -89,8 +89,8 @@ def compute_volumetric_error(
     )
     J = UM_PER_MM * volumetric_map.jacobian(at)
     error = J @ estimated.theta
-    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)[:, :, None]
-    drawn = J.reshape(-1, model.size) @ draw_parameters(covariance)
+    by_scale = compute_scale_um(volumetric_map, at, length_scale_ppm)[:, :, None]
+    drawn = J.reshape(-1, model.size) @ sample_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
     after = _measure_lengths(left)
     return VolumetricError(
@@ -114,7 +114,7 @@ def compute_volumetric_error(
     )
 
 
-def find_scale_um(
+def compute_scale_um(
     volumetric_map: VolumetricMap, at: Conditions, length_scale_ppm: float
 ) -> Float64[np.ndarray, "n 3"]:
     """Change of the map by one standard uncertainty of the scale.
@@ -139,14 +139,16 @@ def make_grid(
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
 
 
-def fill_travel(axes: Sequence[Axis], count: int) -> Float64[np.ndarray, "n a"]:
+def sample_travel_evenly(
+    axes: Sequence[Axis], count: int
+) -> Float64[np.ndarray, "n a"]:
     """Quasi-random positions (Sobol), evenly distributed; the same in every call."""
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
     unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(count)
     return low + unit * (high - low)
 
 
-def draw_parameters(
+def sample_parameters(
     covariance: Float64[np.ndarray, "p p"],
 ) -> Float64[np.ndarray, "p d"]:
     """Samples of the parameters' errors by their covariance, the same in every call."""
@@ -172,7 +174,7 @@ def make_spread(
 
     at_twice : the same with all lengths off by `TWICE` the uncertainty of their scale
     """
-    by_scale = state_scale_share(value, at_twice)
+    by_scale = compute_scale_uncertainty(value, at_twice)
     # A mean length grows with the square of the scale: twice its spread is too little.
     total = np.maximum(drawn.std(axis=1), by_scale)
     return Spread(*map(Figure, value.tolist(), total.tolist(), by_scale.tolist()))
@@ -193,14 +195,14 @@ def compute_both_directions(
     if not any(effect.half_difference for effect in model.effects):
         return None
     even, grid = (
-        fill_travel(model.machine.axes, _EVEN),
+        sample_travel_evenly(model.machine.axes, _EVEN),
         make_grid(model.machine.axes, _FEW, _FEWEST),
     )
     at = make_standstill(model.machine, np.vstack([even, grid]))
     volumetric_map = build_volumetric_map(model)
-    theta = estimated.theta[:, None] + draw_parameters(estimated.covariance)
+    theta = estimated.theta[:, None] + sample_parameters(estimated.covariance)
     theta = np.column_stack([estimated.theta, theta])
-    by_scale = find_scale_um(volumetric_map, at, length_scale_ppm)
+    by_scale = compute_scale_um(volumetric_map, at, length_scale_ppm)
     lengths: list[Float64[np.ndarray, "n d"]] = []
     for side in _SIDES:
         coming = replace(at, approach=np.full_like(at.approach, side))

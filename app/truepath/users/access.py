@@ -90,7 +90,7 @@ class Access:
             self._failed_of_source.fail(source)
             self._failed_of_name.fail(name)
             raise WrongPassword("name and password do not belong together")
-        self._failed.forget(own)
+        self._failed.clear(own)
         user = found[0]
         return self.tokens.open_session(user.name), Actor(user.name, user.role)
 
@@ -104,7 +104,7 @@ class Access:
     def limit_changes(self, actor: Actor) -> None:
         """Raise TooManyRequests if an actor changes too much in a short time."""
         if self.rules.log_in_required:
-            self._changes.take(actor.name)
+            self._changes.count_request(actor.name)
 
     def close(self) -> None:
         """Write the waiting entries of the audit log."""

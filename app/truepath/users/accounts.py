@@ -76,7 +76,7 @@ class Accounts:
         def change(connection: Connection) -> Role:
             before = _read_role(connection, name)
             if role is not Role.ADMINISTRATOR:
-                _keep_an_administrator(connection, name)
+                _require_an_administrator(connection, name)
             query = update(users).where(users.c.name == name).values(role=role)
             connection.execute(query)
             return before
@@ -103,7 +103,7 @@ class Accounts:
 
         def change(connection: Connection) -> Role:
             role = _read_role(connection, name)
-            _keep_an_administrator(connection, name)
+            _require_an_administrator(connection, name)
             connection.execute(delete(users).where(users.c.name == name))
             _end_sessions(connection, name)
             return role
@@ -141,7 +141,7 @@ def _read_role(connection: Connection, name: str) -> Role:
     return Role(role)
 
 
-def _keep_an_administrator(connection: Connection, name: str) -> None:
+def _require_an_administrator(connection: Connection, name: str) -> None:
     if _read_role(connection, name) is not Role.ADMINISTRATOR:
         return
     others = (users.c.role == Role.ADMINISTRATOR) & (users.c.name != name)

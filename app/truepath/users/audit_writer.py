@@ -15,7 +15,7 @@ import structlog
 
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import format_utc_now
-from truepath.seldom import Seldom
+from truepath.log_throttle import LogThrottle
 from truepath.users.audit import AuditLog, Entry
 from truepath_drivers import host_clock
 
@@ -41,7 +41,7 @@ class AuditWriter:
     """Adds entries in the order in which they come."""
 
     def __init__(self, audit_log: AuditLog) -> None:
-        self._audit_log, self._seldom = audit_log, Seldom()
+        self._audit_log, self._throttle = audit_log, LogThrottle()
         self._changed = threading.Condition()
         self._waiting: deque[tuple[Entry, Future[None]]] = deque()
         self._repeats: dict[tuple[str, ...], _Repeats] = {}
@@ -99,7 +99,7 @@ class AuditWriter:
             return
         self._lost += 1
         done.set_result(None)
-        if self._seldom.is_due():
+        if self._throttle.is_due():
             log.error("too much waits for the audit log", not_written=self._lost)
 
     def _add_repeats(self, now_s: float) -> None:
@@ -142,7 +142,7 @@ class AuditWriter:
             try:
                 self._audit_log.append(entry)
             except StorageUnavailable as error:
-                if self._seldom.is_due():
+                if self._throttle.is_due():
                     reason = str(error)
                     log.warning("the audit log waits", reason=reason, what=entry.what)
                 if host_clock.wait(self._closing, _PAUSE_S):

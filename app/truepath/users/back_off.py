@@ -65,7 +65,7 @@ class BackOff:
             if len(self._failed) > _REMEMBERED:
                 self._failed.popitem(last=False)
 
-    def forget(self, key: str) -> None:
+    def clear(self, key: str) -> None:
         """Reset a key after a success."""
         with self._lock:
             self._failed.pop(key, None)
@@ -83,7 +83,7 @@ class RateLimit:
         self._lock = threading.Lock()
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
-    def take(self, key: str) -> None:
+    def count_request(self, key: str) -> None:
         """Count one request. Raises TooManyRequests beyond the limit."""
         now = host_clock.now_s()
         with self._lock:

@@ -54,7 +54,7 @@ class Tokens:
         token, row = self._make(kind="session", name=name, lifetime_s=self.session_s)
 
         def change(connection: Connection) -> None:
-            self._forget_ended(connection)
+            self._delete_ended(connection)
             connection.execute(insert(tokens).values(**row))
 
         self._database.write(change)
@@ -89,7 +89,7 @@ class Tokens:
         with self._database.read() as connection:
             rows = connection.execute(query).all()
         return [
-            Key(row.name, Role(row.role), row.created, self._find_left_s(row))
+            Key(row.name, Role(row.role), row.created, self._compute_remaining_s(row))
             for row in rows
         ]
 
@@ -120,7 +120,7 @@ class Tokens:
             row = connection.execute(query).first()
         if row is None:
             return None
-        left_s = self._find_left_s(row)
+        left_s = self._compute_remaining_s(row)
         role = row.role or row.user_role
         if role is None or (left_s is not None and left_s <= 0):
             return None
@@ -138,16 +138,16 @@ class Tokens:
         }
         return token, row
 
-    def _find_left_s(self, row: Row[Any]) -> float | None:
+    def _compute_remaining_s(self, row: Row[Any]) -> float | None:
         if row.lifetime_s is None:
             return None
         made = Moment(row.created_s, row.boot_s, row.boot_id)
         return row.lifetime_s - made.age_s(self._read_moment())
 
-    def _forget_ended(self, connection: Connection) -> None:
+    def _delete_ended(self, connection: Connection) -> None:
         query = select(tokens).where(tokens.c.kind == "session")
         for row in connection.execute(query).all():
-            left_s = self._find_left_s(row)
+            left_s = self._compute_remaining_s(row)
             if left_s is not None and left_s <= 0:
                 own = tokens.c.sha256 == row.sha256
                 connection.execute(delete(tokens).where(own))

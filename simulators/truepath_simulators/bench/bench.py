@@ -28,9 +28,9 @@ from truepath_simulators.links.links import require_free
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import (
     TrackerPose,
-    place_anew,
     random_clock,
     random_pose,
+    reposition,
 )
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_clock import MachineClock
@@ -189,7 +189,7 @@ class Bench(DeviceProcesses):
         """Move the tracker to a position, with a new orientation by the number."""
         place = [float(v) for v in place_mm]
         self._processes["tracker"].tell(json.dumps({"place": place, "number": number}))
-        self._pose = place_anew(place, self._common["seed"] + 1000 * number)
+        self._pose = reposition(place, self._common["seed"] + 1000 * number)
 
     def load_compensation(
         self,

@@ -25,7 +25,7 @@ from truepath_drivers.cnc.modbus.registers import (
 from truepath_drivers.interfaces.records import UNABLE, MotionState
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.motion import interruption
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.timeline import Timeline, standing
@@ -107,7 +107,7 @@ class Controller:
             self._line = int(self._timeline.rows(np.array([at_s]))[0])
         return self._line
 
-    def refusal(self, command: Command) -> Result | None:
+    def find_state_conflict(self, command: Command) -> Result | None:
         """Reason why a command is not possible in this state; None if it is."""
         if self.state in ALLOWED[command]:
             return None
@@ -115,7 +115,7 @@ class Controller:
             return Result.IN_ALARM
         return Result.NOT_READY if self.state in UNABLE else Result.WRONG_STATE
 
-    def fault_of(self, program: Program) -> Result | None:
+    def check_program(self, program: Program) -> Result | None:
         """Fault of the rows of a path; None if there is none."""
         feed_mm_min = 60.0 * program.feed_mm_s
         if np.any(feed_mm_min <= 0.0) or np.any(feed_mm_min > MAX_FEED_MM_MIN):
@@ -137,19 +137,19 @@ class Controller:
         return None if all(inside) else Result.OUT_OF_TRAVEL
 
     def commit(self, program: Program) -> None:
-        """Store a path that `fault_of` has passed."""
+        """Store a path that `check_program` has passed."""
         self.path = program
         self.state = MotionState.READY
         self._runs_path, self._line = False, 0
 
-    def forget_path(self) -> None:
+    def discard_path(self) -> None:
         """Remove the committed path."""
         self.path = None
         if self.state is MotionState.READY:
             self.state = MotionState.IDLE
 
     def move_to(self, row: Program, now_s: float) -> None:
-        """Move on a straight line to a position that `fault_of` has passed."""
+        """Move on a straight line to a position that `check_program` has passed."""
         self._runs_path, self._line = False, 0
         self._run(row, now_s)
 
@@ -248,7 +248,9 @@ class Controller:
         if self._is_stalled:
             self._change(past.then(standing(origin, begin_s, 0)))
             return
-        self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
+        self._change(
+            past.then(make_program_timeline(self._fed(), origin, begin_s, self._limits))
+        )
 
     def _go_on(self, begin_s: float) -> None:
         self._begin_s = begin_s

@@ -184,7 +184,7 @@ class CncRegisters(Registers):
             return Result.UNKNOWN_COMMAND
         now_s = self._clocks.machine_s()
         self._controller.update(now_s)
-        refusal = self._controller.refusal(command)
+        refusal = self._controller.find_state_conflict(command)
         if refusal is not None:
             return refusal
         if command in _BEATING:
@@ -193,7 +193,7 @@ class CncRegisters(Registers):
 
     def _move_to(self, now_s: float) -> Result:
         row = self._program(self._rows_sent(1))
-        fault = self._controller.fault_of(row)
+        fault = self._controller.check_program(row)
         if fault is None:
             self._controller.move_to(row, now_s)
         return fault or Result.DONE
@@ -204,11 +204,11 @@ class CncRegisters(Registers):
         if not (1 <= count <= regmap.ROWS_A_BLOCK and fits):
             return Result.BAD_ARGUMENT
         rows = self._rows_sent(count)
-        fault = self._controller.fault_of(self._program(rows))
+        fault = self._controller.check_program(self._program(rows))
         if fault is not None:
             return fault
         if first == 0:
-            self._controller.forget_path()
+            self._controller.discard_path()
             self._arcs = {}
         for row in range(first, first + count):
             self._arcs.pop(row, None)  # it is a straight line now
@@ -240,7 +240,7 @@ class CncRegisters(Registers):
         if arcs:
             turns = [self._arc(arcs[k]) if k in arcs else None for k in range(count)]
             program = replace(program, arc=tuple(turns))
-        fault = self._controller.fault_of(program)
+        fault = self._controller.check_program(program)
         if fault is not None:
             return fault
         self._path_crc = crc

@@ -126,14 +126,14 @@ def _read_tables(
 
 
 def _find_form(files: Mapping[str, str]) -> str:
-    forms = {name: _tell_form(name, text) for name, text in files.items()}
+    forms = {name: _detect_form(name, text) for name, text in files.items()}
     if len(set(forms.values())) > 1:
         said = ", ".join(f"{name} is of {form}" for name, form in forms.items())
         raise SimulatorError(f"one controller takes one form: {said}")
     return next(iter(forms.values()))
 
 
-def _tell_form(name: str, text: str) -> str:
+def _detect_form(name: str, text: str) -> str:
     for form, sign in _SIGNS.items():
         if sign.search(text):
             return form

@@ -1,12 +1,12 @@
 """Effects outside of a rigid-body model: one physical cause per class.
 
 An effect moves the target in one of four places: it adds to the error motions of a
-joint (`carry`), shifts the target of the tracker (`shift_mm`), falsifies a reading of
-the tracker (`misread`), or warms a sensor (`warming_degc`). Each is written from its
-physics: lost motion is a play operator with its own memory, a servo is a first-order
-lag of the motion that the controller really commands, a screw turns, a circle is off
-its axis. Its `truth` has the form of `discovery.json`, so that a service's findings can
-be compared with it.
+joint (`added_error_motions`), shifts the target of the tracker (`common_shift_mm`),
+falsifies a reading of the tracker (`reading_error`), or warms a sensor
+(`warming_degc`). Each is written from its physics: lost motion is a play operator with
+its own memory, a servo is a first-order lag of the motion that the controller really
+commands, a screw turns, a circle is off its axis. Its `truth` has the form of
+`discovery.json`, so that a service's findings can be compared with it.
 
     motion          past motion of the axes, exactly, at any time
     effect          what an effect answers

@@ -32,7 +32,9 @@ class ServoMismatch(HiddenEffect):
         lag_ms = occasion.size_um / occasion.feed_mm_s * float(rng.choice([-1.0, 1.0]))
         return cls(occasion.axis(rng), lag_ms)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Following error, r − c of lag r' = c − r.
 
         For a command c of cubic pieces r − c = −lag c' + lag² c'' − lag³ c'''; the
@@ -68,7 +70,9 @@ class ReversalSpike(HiddenEffect):
             float(rng.uniform(5.0, 30.0)),
         )
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Remaining part of the excursion."""
         travel, sign = motion.since_reversal_mm(self.axis, time_s)
         left = 1e-3 * self.amplitude_um * sign * np.exp(-travel / self.decay_mm)
@@ -112,7 +116,9 @@ class InertialBend(HiddenEffect):
         """Its axis and motion."""
         return {"axis": self.motion[2], "motion": self.motion}
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """The motion: a mass on a spring under the acceleration."""
         _, acceleration, jerk = motion.derivatives(self.motion[2], time_s)
         if self.frequency_hz:
@@ -177,7 +183,7 @@ class Vibration(HiddenEffect):
             "amplitude_um": self.amplitude_um,
         }
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """The wave, mm."""
         del motion
         angle = 2.0 * np.pi * self.frequency_hz * time_s + self.phase_rad

@@ -95,7 +95,9 @@ class HiddenEffect(ABC):
         }
         return {"name": self.name, **self.keys, "parameters": values}
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Additions to the error motions of joints, by axis.
 
         (n, 6) each: along X, Y, Z in mm, about X, Y, Z in rad.
@@ -103,12 +105,12 @@ class HiddenEffect(ABC):
         del motion, time_s
         return {}
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Common shift of all points, in the tracker's base frame, (n, 3)."""
         del motion
         return np.zeros((len(time_s), 3))
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """Error of range (mm), azimuth and elevation (rad), (n, 3)."""
         return np.zeros_like(polar)
 
@@ -122,7 +124,7 @@ _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
 def error_motion(symbol: str, value: np.ndarray) -> dict[str, np.ndarray]:
-    """Values (n,) of one error motion, `EXX` … `ECZ`, in the form of `carry`."""
+    """Values (n,) of one error motion, as `added_error_motions` has them."""
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
     return {symbol[2]: motions}

@@ -147,8 +147,11 @@ def _try_effect(text: str, machine: MachineFile) -> HiddenEffect:
     effect = from_json(content)
     motion = Motion(machine, standing(machine.low, 0.0, 0))
     try:
-        moved = effect.carry(motion, _AT_REST)
-        _ = effect.shift_mm(motion, _AT_REST), effect.misread(np.ones((1, 3)))
+        moved = effect.added_error_motions(motion, _AT_REST)
+        _ = (
+            effect.common_shift_mm(motion, _AT_REST),
+            effect.reading_error(np.ones((1, 3))),
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise SimulatorError(
             f"hidden: {text}: machine {machine.name} cannot have it: {error}"

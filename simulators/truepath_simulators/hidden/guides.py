@@ -42,7 +42,9 @@ class ElasticSag(HiddenEffect):
         amplitude = 4.0 * occasion.size_um * float(rng.choice([-1.0, 1.0]))
         return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Deflection of the guide under the carriage."""
         u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
@@ -69,7 +71,9 @@ class FloatingSlide(HiddenEffect):
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Lift by the oil film."""
         square = motion.derivatives(self.axis, time_s)[0] ** 2
         lift = square / (square + self.usual_mm_s**2)
@@ -100,7 +104,9 @@ class LeaningColumn(HiddenEffect):
         amplitude = 2.0 * occasion.size_um / _ARM_M
         return cls(f"E{rng.choice(list('ABC'))}{first}", str(second), amplitude)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Lean at the positions of both axes."""
         u, v = (motion.share(name, time_s) for name in (self.motion[2], self.by))
         lean = np.sin(np.pi * u) * np.cos(np.pi * v)
@@ -137,7 +143,9 @@ class WavyGuide(HiddenEffect):
         del clock
         return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Height of the rail under the carriage."""
         run = motion.position_mm(self.axis, time_s) / self.pitch_mm
         wave = np.sin(2.0 * np.pi * run + self.phase_rad)
@@ -172,7 +180,9 @@ class Twist(HiddenEffect):
         """Both axes and the direction."""
         return {"plane": self.first + self.second, "direction": self.direction}
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Bulge at the positions of both axes."""
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):
@@ -203,7 +213,9 @@ class Squareness(HiddenEffect):
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(symbol, sign * 2.0 * occasion.size_um / travel_m)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Shift s (R d − d) for the position s on the direction d of travel."""
         axis, around = SQUARENESS[self.symbol]
         angle = 1e-6 * self.value_urad

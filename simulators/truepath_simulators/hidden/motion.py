@@ -32,7 +32,7 @@ class Motion:
     correction: Correction | None = None
     _remembered: dict[object, np.ndarray] = field(default_factory=dict)
 
-    def driven(self, time_s: np.ndarray) -> np.ndarray:
+    def corrected_positions(self, time_s: np.ndarray) -> np.ndarray:
         """Positions of the axes with the controller's tables, (n, axes)."""
         position = self.timeline.positions(time_s)
         if self.correction is None:

@@ -25,7 +25,9 @@ class Backlash(HiddenEffect):
         """Random axis; half of the width to either side."""
         return cls(occasion.axis(rng), 2.0 * occasion.size_um)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Distance of the table from the screw's position."""
         table = motion.play_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)
@@ -64,7 +66,9 @@ class LateralBacklash(HiddenEffect):
     def _turns(self) -> bool:
         return self.motion[1] in "ABC"
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Lean, by the part of the play that friction has crossed."""
         half_mm = 0.5 * self.turnover_mm
         follows = motion.play_mm(self.axis, half_mm, time_s)
@@ -96,7 +100,9 @@ class WornScrew(HiddenEffect):
         width_um = 6.0 * occasion.size_um
         return cls(occasion.axis(rng), width_um, float(middle), float(spread))
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Lag of the nut: half the local width, by the side it is on."""
         half_mm = 0.5 * _TURNOVER_MM
         follows = motion.play_mm(self.axis, half_mm, time_s)
@@ -132,7 +138,9 @@ class ScrewCyclic(HiddenEffect):
             float(rng.uniform(0.0, 0.1)),
         )
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Error of the nut by the angle of the screw."""
         turned = motion.position_mm(self.axis, time_s) / self.lead_mm
         angle = 2.0 * np.pi * turned + self.phase_rad

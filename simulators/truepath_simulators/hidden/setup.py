@@ -37,7 +37,7 @@ class SetupStep(HiddenEffect):
         """The moment on the tracker's clock, and the step."""
         return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """The step after the moment."""
         del motion
         return 1e-3 * np.outer(time_s >= self.time_s, self.step_um)
@@ -64,7 +64,7 @@ class SettlingStand(HiddenEffect):
         tau_s = float(rng.uniform(0.15, 0.4) * occasion.duration_s)
         return cls((tilt * float(np.cos(angle)), tilt * float(np.sin(angle))), tau_s)
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Turn of the points about a foot below the travel's low corner."""
         place = [motion.position_mm(name, time_s) for name in "XYZ"]
         arm = np.stack(place, axis=1) - motion.machine.low_mm
@@ -90,7 +90,7 @@ class TableDrift(HiddenEffect):
         x, y, z = 2.0 * occasion.size_um / occasion.duration_s * direction
         return cls((float(x), float(y), float(z)))
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Rate times time."""
         del motion
         return 1e-3 * np.outer(time_s, self.rate_um_per_s)
@@ -115,7 +115,7 @@ class LooseNest(HiddenEffect):
         """Random seed of its positions."""
         return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Shift on each line."""
         seats = np.random.default_rng(self.chance).normal(size=(_SEATS, 3))
         row = motion.timeline.rows(time_s) % _SEATS

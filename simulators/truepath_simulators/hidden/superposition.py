@@ -22,7 +22,7 @@ def locate_target_mm(
 
     target : (n,) its name at each time
     """
-    position = motion.driven(time_s)
+    position = motion.corrected_positions(time_s)
     carry = carry_all(motion, time_s, hidden)
     names = np.array(target)
     point = np.empty((len(time_s), 3))
@@ -31,7 +31,7 @@ def locate_target_mm(
         part = {axis: value[mine] for axis, value in carry.items()}
         point[mine] = truth.locate_target_mm(position[mine], name, part)
     for effect in hidden:
-        point += effect.shift_mm(motion, time_s)
+        point += effect.common_shift_mm(motion, time_s)
     return point
 
 
@@ -41,11 +41,11 @@ def carry_all(
     """Sum of all additions to the error motions of joints, (n, 6) by axis."""
     total: dict[str, np.ndarray] = {}
     for effect in hidden:
-        for axis, value in effect.carry(motion, time_s).items():
+        for axis, value in effect.added_error_motions(motion, time_s).items():
             total[axis] = total[axis] + value if axis in total else value
     return total
 
 
 def misread(polar: np.ndarray, hidden: Sequence[HiddenEffect]) -> np.ndarray:
     """Readings (n, 3) with all effects."""
-    return polar + sum((e.misread(polar) for e in hidden), np.zeros_like(polar))
+    return polar + sum((e.reading_error(polar) for e in hidden), np.zeros_like(polar))

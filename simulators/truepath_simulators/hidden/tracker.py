@@ -33,7 +33,7 @@ class TrackerEccentricity(HiddenEffect):
         circle = str(rng.choice(list(_CIRCLES)))
         return cls(circle, amplitude, float(rng.uniform(0.0, 2.0 * np.pi)))
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """Error of the reading head."""
         column = _CIRCLES[self.circle]
         error = np.zeros_like(polar)
@@ -60,7 +60,7 @@ class TrackerRangeOffset(HiddenEffect):
         """
         return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """The offset in every range."""
         error = np.zeros_like(polar)
         error[:, 0] = 1e-3 * self.offset_um
@@ -87,7 +87,7 @@ class RangeCycle(HiddenEffect):
         period_mm = float(np.exp(rng.uniform(*np.log([5.0, 300.0]))))
         return cls(period_mm, occasion.size_um, float(rng.uniform(0.0, 2.0 * np.pi)))
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """Phase of the sum less that of the signal alone, as a range."""
         mm_per_rad = self.period_mm / (2.0 * np.pi)
         stray = 1e-3 * self.amplitude_um / mm_per_rad
@@ -118,7 +118,7 @@ class WarmPlume(HiddenEffect):
             float(rng.uniform(0.08, 0.2)),
         )
 
-    def misread(self, polar: np.ndarray) -> np.ndarray:
+    def reading_error(self, polar: np.ndarray) -> np.ndarray:
         """Error of the range of beams through it."""
         off = np.angle(np.exp(1j * (polar[:, 1] - self.middle_rad))) / self.width_rad
         error = np.zeros_like(polar)

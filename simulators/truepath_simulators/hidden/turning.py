@@ -42,7 +42,9 @@ class TurningBacklash(HiddenEffect):
         width = 2e3 * occasion.size_um / _REACH_MM
         return cls(_choose_rotary(rng, occasion), width)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Angle of the table or head relative to its drive."""
         half_deg = float(np.degrees(0.5e-6 * self.width_urad))
         follows = motion.play_mm(self.axis, half_deg, time_s)
@@ -70,7 +72,9 @@ class GearCyclic(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Error of the angle."""
         turned = motion.position_mm(self.axis, time_s) / self.period_deg
         wave = np.sin(2.0 * np.pi * turned + self.phase_rad)
@@ -99,7 +103,9 @@ class SwivelSag(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Deflection of the guide."""
         u = motion.share(self.axis, time_s)
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
@@ -124,7 +130,9 @@ class RotaryEccentricity(HiddenEffect):
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         return cls(_choose_rotary(rng, occasion), amplitude, phase)
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Error of the angle."""
         angle = np.radians(motion.position_mm(self.axis, time_s)) + self.phase_rad
         wave = np.sin(angle) - np.sin(self.phase_rad)

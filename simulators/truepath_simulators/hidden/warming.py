@@ -56,7 +56,9 @@ class ThermalGrowth(HiddenEffect):
             "tau_s": self.tau_s,
         }
 
-    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def added_error_motions(
+        self, motion: Motion, time_s: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Strain times the distance from the axis zero."""
         rise_k = -self.rise_k * np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         axis = motion.machine.linear_axes[motion.column(self.axis)]
@@ -93,7 +95,7 @@ class SpindleGrowth(HiddenEffect):
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(float(2.0 * sign * occasion.size_um / reached), tau_s)
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Motion of the tool along Z; a swivelling head is not considered."""
         del motion
         rise = -np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
@@ -133,7 +135,7 @@ class CoolantCycle(HiddenEffect):
         period_s = self.period_s * (1.0 + clock.drift)
         return {"period_s": period_s, "amplitude_um": self.amplitude_um}
 
-    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """The cycle, mm."""
         del motion
         angle = 2.0 * np.pi / self.period_s * time_s + self.phase_rad

@@ -77,7 +77,7 @@ class LinuxCncController(Controller):
         elif self.state in UNABLE:
             self.state = MotionState.IDLE
         elif self.state is MotionState.RUNNING and now_s > self._begun_s + _BEGIN_S:
-            self._look_for_end()
+            self._detect_end()
         if self.state is MotionState.RUNNING:
             self._watchdog.tell("beat")
 
@@ -183,7 +183,7 @@ class LinuxCncController(Controller):
     def _is_busy(self) -> bool:
         return self._stat.interp_state != self._cnc.INTERP_IDLE or not self._stat.inpos
 
-    def _look_for_end(self) -> None:
+    def _detect_end(self) -> None:
         if self._stat.current_vel > 0.0:
             return
         if self._stat.paused:
@@ -192,7 +192,7 @@ class LinuxCncController(Controller):
         elif not self._is_busy():
             arrived = self._wanted is not MotionState.ABORTED and self._is_at_goal()
             self.state = MotionState.FINISHED if arrived else MotionState.ABORTED
-            self._say_errors()
+            self._describe_errors()
         if self.state is not MotionState.RUNNING:
             self._watchdog.tell("disarm")
 
@@ -201,7 +201,7 @@ class LinuxCncController(Controller):
         here = self.position(0.0)
         return len(goal) > 0 and np.allclose(here, goal, rtol=0, atol=_ARRIVED)
 
-    def _say_errors(self) -> None:
+    def _describe_errors(self) -> None:
         while (error := self._errors.poll()) is not None:
             print(error, file=sys.stderr, flush=True)
 

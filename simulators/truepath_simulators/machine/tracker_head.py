@@ -102,16 +102,16 @@ def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
     bearing = rng.uniform(0.0, 2.0 * np.pi)
     beside = away * np.array([np.cos(bearing), np.sin(bearing), 0.0])
     beside[2] = rng.uniform(-200.0, 200.0)
-    return TrackerPose(middle + beside, _draw_rotation(rng))
+    return TrackerPose(middle + beside, _sample_rotation(rng))
 
 
-def place_anew(place_mm: Sequence[float], seed: int) -> TrackerPose:
+def reposition(place_mm: Sequence[float], seed: int) -> TrackerPose:
     """Pose at a position, turned and slightly tilted by a seed."""
-    rotation = _draw_rotation(generator(seed, "tracker: pose"))
+    rotation = _sample_rotation(generator(seed, "tracker: pose"))
     return TrackerPose(np.array(place_mm, float), rotation)
 
 
-def _draw_rotation(rng: np.random.Generator) -> np.ndarray:
+def _sample_rotation(rng: np.random.Generator) -> np.ndarray:
     tilt = rng.normal(0.0, 0.05, 2)
     turn = rng.uniform(-np.pi, np.pi)
     return rotation_matrices(

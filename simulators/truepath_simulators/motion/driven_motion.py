@@ -17,7 +17,7 @@ from truepath_simulators.timeline import State, Timeline, bend, join, standing, 
 _ROUNDED_MM = 0.01  # of an arc: its ends are rounded, so that it never quite ends
 
 
-def along(
+def make_line_timeline(
     stretches: Sequence[Stretch], state: State, begin_s: float, end: np.ndarray | None
 ) -> Timeline:
     """Stretches on the line of a state, then standstill (at `end` if given)."""
@@ -48,7 +48,7 @@ def along(
     return split_at_reversals(motion)
 
 
-def follow(
+def make_program_timeline(
     program: Program,
     origin: np.ndarray,
     begin_s: float,

@@ -119,7 +119,7 @@ def _read_tables(
         if "closed" not in rows:
             raise SimulatorError(f"{file} is not closed; open it with truepath first")
         manifest = {key: json.loads(rows[key]) for key in rows}
-        batches = [row[:4] for row in batches if _is_whole(row)]
+        batches = [row[:4] for row in batches if _is_complete(row)]
         return manifest, batches, events
     except (sqlite3.Error, KeyError, ValueError) as error:
         if isinstance(error, SimulatorError):
@@ -127,7 +127,7 @@ def _read_tables(
         raise SimulatorError(f"{file} is not a Run ({error}); use a copy") from error
 
 
-def _is_whole(row: tuple[Any, ...]) -> bool:
+def _is_complete(row: tuple[Any, ...]) -> bool:
     stream, n, mono_ns, payload, seq0, wall_ns, crc = row
     head = stream.encode() + np.array([seq0, n, mono_ns, wall_ns], "<i8").tobytes()
     return zlib.crc32(payload, zlib.crc32(head)) == crc

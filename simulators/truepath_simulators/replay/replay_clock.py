@@ -77,18 +77,18 @@ class ReplayClock:
         """Whether a motion is over."""
         return self.now_s >= self._told[move].time_s
 
-    def order(self, move: int) -> None:
+    def mark_ordered(self, move: int) -> None:
         """Open all gates up to this motion, which the host has ordered."""
         for number in range(move + 1):
             self._ordered[number].is_open = True
             self._told[number].is_open |= number < move
 
-    def pass_through(self, first: int, last: int) -> None:
+    def join_moves(self, first: int, last: int) -> None:
         """Open the gates between motions that the host orders as one."""
         for number in range(first, last):
             self._ordered[number + 1].is_open = self._told[number].is_open = True
 
-    def tell(self, move: int) -> None:
+    def mark_read(self, move: int) -> None:
         """Open the gate after this motion, whose end the host has read."""
         self._told[move].is_open = True
 

@@ -42,7 +42,7 @@ class ReplayController(Controller):
     def note_look(self) -> None:
         """Record that the host has read the status."""
         if self.state is self._end and self._driven >= 0:
-            self._clock.tell(self._driven)
+            self._clock.mark_read(self._driven)
 
     @property
     def has_moved(self) -> bool:
@@ -122,8 +122,8 @@ class ReplayController(Controller):
         ]
         self._driven = (ends or [len(moves) - 1])[0]
         self._end = MotionState.FINISHED if ends else MotionState.ABORTED
-        self._clock.order(first)
-        self._clock.pass_through(first, self._driven)
+        self._clock.mark_ordered(first)
+        self._clock.join_moves(first, self._driven)
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
         return Result.DONE
 

@@ -30,7 +30,7 @@ class T2saApplication(LineInstrument):
             self._busy_until_s = 0.0
             self._acknowledge("READY")
         elif true_s < self._busy_until_s:
-            self._refuse(ErrorCode.BUSY, "Command rejected. SA is busy.")
+            self._reject(ErrorCode.BUSY, "Command rejected. SA is busy.")
         elif text == "?STAT":
             self._acknowledge("Instrument is connected")
         elif text == "?LSTA":
@@ -45,11 +45,11 @@ class T2saApplication(LineInstrument):
         elif text.startswith("?POS "):
             self._tell_frame(text.removeprefix("?POS "))
         else:
-            self._refuse(ErrorCode.REJECTED, f"Command rejected: {text}")
+            self._reject(ErrorCode.REJECTED, f"Command rejected: {text}")
 
     def _begin(self, true_s: float, name: str, *, is_plan: bool) -> None:
         if not self._is_laser_on:
-            self._refuse(ErrorCode.NOT_READY, "Laser status LOFF. Should be 'LON'.")
+            self._reject(ErrorCode.NOT_READY, "Laser status LOFF. Should be 'LON'.")
             return
         self._busy_until_s = true_s + SHOT_S
 
@@ -71,7 +71,7 @@ class T2saApplication(LineInstrument):
 
     def _tell_frame(self, name: str) -> None:
         if name not in self._places:
-            self._refuse(ErrorCode.GROUP_FAILED, f"No point group {name}.")
+            self._reject(ErrorCode.GROUP_FAILED, f"No point group {name}.")
         else:
             report = f"Object Offset Report Frame{name}_1;{self._places[name]};{_TIME}"
             self._acknowledge(report)
@@ -79,5 +79,5 @@ class T2saApplication(LineInstrument):
     def _acknowledge(self, text: str) -> None:
         self.say(f"ACK-300 {text}".encode())
 
-    def _refuse(self, code: ErrorCode, text: str) -> None:
+    def _reject(self, code: ErrorCode, text: str) -> None:
         self.say(f"ERR-{int(code)} {text}".encode())

@@ -191,7 +191,7 @@ class TrackerDevice:
             case Stop(transaction):
                 self._stream = None
                 if not self._sight.has_moved:
-                    self._faults.begin_anew()  # a host has only listened
+                    self._faults.start_over()  # a host has only listened
                 return Ack(transaction, Type.STOP)
             case Ping(transaction):
                 return Ack(transaction, Type.PING)

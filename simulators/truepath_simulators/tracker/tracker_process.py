@@ -94,7 +94,7 @@ def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None
         device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
         return
     seed = orders["seed"] + 1000 * order["number"]
-    device.set_down(tracker_head.place_anew(order["place"], seed))
+    device.set_down(tracker_head.reposition(order["place"], seed))
 
 
 def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:

@@ -30,7 +30,7 @@ from truepath_simulators.machine.tracker_head import Air, TrackerClock, TrackerP
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile, parse_machine
 from truepath_simulators.motion import interruption, paths, turning_paths
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.randomness import generator
@@ -141,7 +141,7 @@ def record(
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
         status[_within(true_s, begin, duration)] = BEAM_BROKEN
-    keep = _draw_arrivals(true_s, seed, setting.defects)
+    keep = _sample_arrivals(true_s, seed, setting.defects)
     return Recording(
         content,
         mode,
@@ -168,7 +168,9 @@ def _clock(seed: int, setting: Setting) -> TrackerClock:
 
 def _motion(program: Program, setting: Setting) -> Timeline:
     begin = setting.lead_in_s
-    timeline = follow(program, program.position[0], begin, setting.limits)
+    timeline = make_program_timeline(
+        program, program.position[0], begin, setting.limits
+    )
     for time_s, duration_s in setting.defects.holds:
         left = interruption.find_rest(timeline, program, time_s)
         timeline = interruption.hold_motion(timeline, time_s, setting.limits)
@@ -218,7 +220,7 @@ def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
     return stream
 
 
-def _draw_arrivals(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
+def _sample_arrivals(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
     rng = generator(seed, "defects: frames")
     arrives = rng.uniform(size=len(true_s)) >= defects.dropped_share
     for begin, duration in defects.gaps:

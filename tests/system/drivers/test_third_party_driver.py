@@ -16,7 +16,7 @@ from paths_by_hand import path_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import CellConfig, MeasurementOrder
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.plugins import load
 from truepath.settings import load_settings

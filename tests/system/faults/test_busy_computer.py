@@ -11,7 +11,7 @@ import pytest
 
 from driven_cell import config_of
 from measuring import Measuring, measuring_on, order_of
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy

@@ -7,7 +7,7 @@ import pytest
 
 from measuring import measuring_on
 from truepath.measurement.messages import StateChanged
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy

@@ -12,7 +12,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.monitors.stream_reader import StreamState, record_stream
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench

@@ -18,7 +18,7 @@ from truepath.measurement.messages import (
     RunClosed,
 )
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.planning.lines.default_path import default_path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import LinkProxy

@@ -14,15 +14,15 @@ from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.cli.demo import compare_with_truth
 from truepath.jobs.dispatch.dispatcher import Dispatcher
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.live_estimation import LiveEstimation
-from truepath.jobs.workers.science import analyse_recorded
+from truepath.jobs.workers.analysis_tasks import analyse_recorded
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import MachineCell, Machines
 from truepath.measurement.messages import CellConfig
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.workspace.travel import check_travel
 from truepath_simulators.bench.bench import Bench
 

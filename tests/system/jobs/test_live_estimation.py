@@ -12,7 +12,7 @@ import pytest
 from arming import arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.job import JobKind
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.live_estimation import (
     PERIOD_S,
     WAITING_BLOCKS,

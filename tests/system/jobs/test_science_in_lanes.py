@@ -12,10 +12,10 @@ from scripted_cell import wait_until
 from truepath.catalogue.errors import Aborted
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.workers.analysis_tasks import analyse_recorded
 from truepath.jobs.workers.executor import ProcessExecutor
 from truepath.jobs.workers.reanalysis import SUMMARY, figures_of
-from truepath.jobs.workers.science import analyse_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.machines.machine_cells import Machines
 from truepath.numerics.adaptive_trials import TrialPlan

@@ -8,7 +8,7 @@ from arming import arm_at_once
 from job_builders import OTF
 from scripted_cell import wait_until
 from truepath.main import open_service
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.settings import load_settings
 
 CORNERS = ((10, 10, 10), (400, 10, 10), (400, 300, 10), (10, 300, 200), (10, 10, 10))

@@ -11,7 +11,7 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.measurement.engine.measurement import Measurement
 from truepath.measurement.messages import MeasurementOrder
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.paths.default_points import default_points
 from truepath.planning.lines.default_path import default_path

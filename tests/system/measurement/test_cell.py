@@ -33,7 +33,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process import cell as cell_module
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.run_file.run_repair import repair_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path

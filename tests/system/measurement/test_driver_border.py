@@ -21,7 +21,7 @@ from truepath.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath_drivers.interfaces.errors import DeviceError
 
 pytestmark = pytest.mark.fault_row(49)

@@ -14,7 +14,7 @@ import pytest
 
 from paths_by_hand import path_of
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.run_file.run_repair import repair_run
 
 WRITER = """

@@ -14,7 +14,7 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
 from truepath.measurement.messages import LinesDamaged, MeasurementOrder
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.machine_file import parse_machine

@@ -11,7 +11,7 @@ from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import MeasurementOrder
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.run_file.run_repair import repair_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store

@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 from tests.system.operation.conftest import ANALYSED
 
 from service_process import ROWS, arm, create, follow, moving
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.errors import InUse
 from truepath.catalogue.store.database import Database
 from truepath.cli.command import run

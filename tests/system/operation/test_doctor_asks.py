@@ -5,14 +5,14 @@ import socket
 
 import pytest
 
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.cli.command import run
 from truepath.operation import devices
 from truepath.operation.finding import Grade
 from truepath.operation.running_service import (
     RunningService,
+    check_service,
     find_service,
-    look_at_service,
 )
 from truepath.settings import load_settings
 from truepath_simulators.bench.rig import running_rig
@@ -49,16 +49,16 @@ def test_an_installation_in_order_is_found_in_order(settings, capsys, tmp_path):
 def test_a_port_that_somebody_has_taken_is_wrong_unless_a_service_answers(settings):
     given = settings()
     with socket.create_server(("127.0.0.1", given.port)):
-        found = look_at_service(given, find_service(given))
+        found = check_service(given, find_service(given))
     assert found.grade is Grade.WRONG
     assert str(given.port) in found.text
-    assert look_at_service(given, find_service(given)).grade is Grade.OK
+    assert check_service(given, find_service(given)).grade is Grade.OK
     named = RunningService(True, True, {"version": "7.1"})
     for running, words in (
         (named, "version 7.1"),
         (RunningService(True, True), "log-in"),
     ):
-        found = look_at_service(given, running)
+        found = check_service(given, running)
         assert found.grade is Grade.OK
         assert words in found.text
 
@@ -68,10 +68,10 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
     with hold_folder(given.data_dir):
         running = find_service(given)
         assert running == RunningService(is_there=True)
-        assert look_at_service(given, running).grade is Grade.WARNING
+        assert check_service(given, running).grade is Grade.WARNING
         asked = []
-        monkeypatch.setattr(devices, "ask_device", lambda *a: [asked.append(a)])
-        list(devices.look_at_devices(given, running))
+        monkeypatch.setattr(devices, "query_device", lambda *a: [asked.append(a)])
+        list(devices.check_devices(given, running))
         assert asked == []
 
 
@@ -87,7 +87,7 @@ def test_devices_that_answer_are_named_and_those_that_do_not_say_what_to_do(
             motion_options=rig.motion_options,
         )
         before = rig.read_position()["position"]
-        found = {f.subject: f for f in devices.look_at_devices(given, NONE)}
+        found = {f.subject: f for f in devices.check_devices(given, NONE)}
         assert rig.read_position()["position"] == before
     assert found["machine"].grade is Grade.OK
     assert found["motion"].grade is Grade.OK

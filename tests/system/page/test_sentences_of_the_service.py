@@ -27,7 +27,7 @@ from truepath.measurement.faults import (
     make_target_fault,
     make_unable_fault,
 )
-from truepath.measurement.monitors.channel_judge import ChannelJudge
+from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 from truepath_drivers.interfaces.thermometers import Channel, Reading
 
@@ -59,10 +59,10 @@ def faults() -> Iterator[tuple[str, str]]:
 
 def judged_faults() -> Iterator[Fault]:
     """Yield what is said of a sensor with no number, too much, the same, and again."""
-    judge = ChannelJudge(Channel("air_degC", -10.0, 60.0, stuck_s=100.0))
+    judge = SensorPlausibility(Channel("air_degC", -10.0, 60.0, stuck_s=100.0))
     shown = [(0.0, math.nan), (1.0, 99.0), (2.0, 20.0), (3.0, 20.5), (200.0, 20.5)]
     for host_time_s, value in shown:
-        _, fault = judge.judge(Reading("air_degC", host_time_s, value))
+        _, fault = judge.assess(Reading("air_degC", host_time_s, value))
         if fault:
             yield fault
     for name, altitude_m, shown in (
@@ -72,14 +72,14 @@ def judged_faults() -> Iterator[Fault]:
         ("X_degC", None, (0.0,)),
         ("X_degC", None, (20.0, 45.5)),
     ):
-        judge = ChannelJudge(Channel(name), altitude_m)
+        judge = SensorPlausibility(Channel(name), altitude_m)
         for second, value in enumerate(shown):
-            _, fault = judge.judge(Reading(name, 10.0 + second, value))
+            _, fault = judge.assess(Reading(name, 10.0 + second, value))
         yield fault
     group = {}
-    judges = [ChannelJudge(Channel(f"{n}_degC"), None, group) for n in "YZX"]
+    judges = [SensorPlausibility(Channel(f"{n}_degC"), None, group) for n in "YZX"]
     for judge, value in zip(judges, (20.0, 20.5, 45.0), strict=True):
-        _, fault = judge.judge(Reading(judge.channel.name, 10.0, value))
+        _, fault = judge.assess(Reading(judge.channel.name, 10.0, value))
     yield fault
 
 

@@ -8,7 +8,7 @@ from page_steps import choose, go, job_of
 from scripted_service import ScriptedService
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.files.environment.refraction import CAUSES, Refraction
-from truepath.results.verdict import judge_air
+from truepath.results.result_assessment import assess_air
 
 LEFT_OUT = Reason(
     "samples-left-out",
@@ -17,7 +17,7 @@ LEFT_OUT = Reason(
 )
 OPEN = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
 SHIFTED = Reason("axis-shifted", "doubtful", {"axes": "X", "by": "+0.42 mm"})
-(AIR,) = judge_air(
+(AIR,) = assess_air(
     [Refraction("nobody", why=CAUSES["no-temperature"])], ["run"]
 ).reasons
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})

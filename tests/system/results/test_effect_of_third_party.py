@@ -18,8 +18,8 @@ from truepath.answers.plan.plan_report import render_plan_report
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.effects.conformance import CHECKS, example_conditions
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath.service.page.pages import catalogue
 from truepath_simulators.hidden.guides import ElasticSag
@@ -102,7 +102,7 @@ def test_analysis_and_plan_by_the_model_file_tell_it_apart_and_name_it(run, mode
     (effect,) = found.result["effects"]
     assert {key: effect[key] for key in KEYS} == KEYS
     assert TITLE in found.report_html
-    plan = make_plan(run.machine, PlanOrder(minutes=1.0, model=model))
+    plan = make_plan(run.machine, PlanRequirements(minutes=1.0, model=model))
     document = plan_document(plan)
     (effect,) = document["predicted"]["effects"]
     assert {key: effect[key] for key in KEYS} == KEYS

@@ -20,7 +20,7 @@ from service_process import ROWS, SPEED, arm, create, follow, moving
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
 from truepath.main import open_service
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.settings import load_settings
 
 LONG = 3 * ROWS  # ten seconds

@@ -21,9 +21,9 @@ from service_process import (
     wait_until_done,
 )
 from truepath.cli.demo import compare_with_truth
-from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import digest_run
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 

@@ -13,7 +13,7 @@ from truepath.alignment.known_points import (
 )
 from truepath.errors import AlignmentError
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath_simulators.machine.tracker_head import TrackerPose, place_anew
+from truepath_simulators.machine.tracker_head import TrackerPose, reposition
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
@@ -29,7 +29,7 @@ FINE = TrackerSpecification(
 FIRST, SECOND = (1300.0, 100.0, 50.0), (200.0, -900.0, 0.0)
 
 
-def measured(place_mm, seed, *, nudge_mm=0.0, poses=place_anew, **defects):
+def measured(place_mm, seed, *, nudge_mm=0.0, poses=reposition, **defects):
     """Return the known points of the demonstration machine from a place."""
     content = load_machine("demo")
     n = len(POINTS)
@@ -69,7 +69,7 @@ def test_a_tracker_that_was_moved_agrees_with_its_last_station(before, seed):
 
 def test_a_tracker_that_was_not_moved_is_told(before):
     there = lambda place, _: TrackerPose(  # noqa: E731
-        np.array(place), place_anew(FIRST, 1).rotation
+        np.array(place), reposition(FIRST, 1).rotation
     )
     check = compare_stations(before, measured(FIRST, 9, poses=there), ASKED_MM)
     assert check.problem == "not-moved"

@@ -75,7 +75,7 @@ def test_a_large_shift_is_known_before_levers_are_taken(run):
 def test_rows_of_several_targets_are_placed_nowhere_before_their_seats_are_known(run):
     live, _ = stream(run, [40])
     assert live.pose is not None
-    assert live.place_rows() is None
+    assert live.locate_rows() is None
 
 
 def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run):

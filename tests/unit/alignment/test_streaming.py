@@ -93,7 +93,7 @@ def test_what_lies_beside_a_commanded_line_is_the_error_of_the_machine(record):
     run, truth = record(3, setting=Setting(noise_scale=0.0))
     live, parts = stream(run)
     seen = live.observations(parts)
-    places, rows = live.place_rows(), run.commanded.position
+    places, rows = live.locate_rows(), run.commanded.position
     error = less_rigid(truth.deviation_mm(rows), rows)
     assert np.abs(error).max() > 0.005
     frame = truth.recording.pose.rotation
@@ -141,7 +141,7 @@ def test_holds_on_the_way_are_not_astray(record):
     for live, _, _ in feed(record(8, rows=14, feed=2500.0, setting=paused)[0]):
         if live.pose is not None:
             most = max(most, len(live._stream.stops) - 1 - live._matched[-1][0])
-        assert live.list_astray() == ()
+        assert live.list_unmatched() == ()
     assert most >= 3  # they have been seen
 
 
@@ -152,7 +152,7 @@ def test_places_that_are_too_far_ahead_to_be_known_are_not_astray(record):
     time_s = run.tracker.device_time_s
     kept = (time_s < first.min() - 1.0) | (time_s > last.max())
     for live, _, _ in feed(run, run.tracker.select(np.flatnonzero(kept))):
-        assert live.list_astray() == ()
+        assert live.list_unmatched() == ()
     assert len(live._stream.stops) - live._matched[-1][0] > 5
 
 
@@ -164,7 +164,7 @@ def test_what_was_astray_stays_said_where_places_are_known_again(record):
     away = (time_s > first.min()) & (time_s < last.max())
     place_mm[away] += [3.0, -2.0, 4.0]
     *_, (live, _, _) = feed(run, replace(run.tracker, position_mm=place_mm))
-    (one,) = live.list_astray()
+    (one,) = live.list_unmatched()
     assert one.row in (12, 13)
     assert first.min() - 1.0 < one.begin_s < one.end_s < last.max() + 1.0
     assert one.off_mm > 2.0

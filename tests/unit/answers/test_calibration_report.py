@@ -21,10 +21,10 @@ from truepath.planning.grade import grade
 from truepath.planning.lines.default_path import default_path
 from truepath.results.error_table_files import error_tables_csv
 from truepath.results.error_tables import build_error_tables
-from truepath.results.findings import group_residuals, state_findings, state_noise
-from truepath.results.grade_json import grade_json, in_words
+from truepath.results.grade_json import format_text, grade_json
 from truepath.results.prediction import predict
 from truepath.results.result_json import result_json
+from truepath.results.result_summary import group_residuals, state_findings, state_noise
 
 VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
 
@@ -295,7 +295,7 @@ def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
         assert words in page.replace("−", "-")
     assert result_json(found)["grade"] is None
     assert "Grade of the set-up" not in render_calibration_report(found)
-    said = in_words(graded.grade)
+    said = format_text(graded.grade)
     assert said.startswith(f"{graded.grade.number:.2f}, {graded.grade.verdict}: ")
     assert f"which makes it {graded.grade.improved:.2f}." in said
     content = grade_json(graded.grade)

@@ -12,14 +12,17 @@ import pytest
 
 from sentences_of_the_service import ENGLISH, list_unobservable
 from truepath.answers.certificate.closing_sections import (
-    describe_driven,
+    describe_decision,
+    describe_iso_figures,
     describe_verification,
-    say_decision,
     word_findings,
 )
 from truepath.answers.certificate.issue import Certificate, Source
 from truepath.answers.certificate.language import load_language
-from truepath.answers.certificate.limits import say_poorly_observable, say_unobservable
+from truepath.answers.certificate.limits import (
+    describe_poorly_observable,
+    describe_unobservable,
+)
 from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification.circles import polar_figure
 from truepath.answers.verification.circles.circle_figures import (
@@ -121,7 +124,10 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
     assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
     texts = {**GERMAN.own, **GERMAN.shared}
     assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
-    assert GERMAN.mark("um -493.4 µm, am 2026-11-25") == "um −493,4 µm, am 2026-11-25"
+    assert (
+        GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
+        == "um −493,4 µm, am 2026-11-25"
+    )
     quoted = ["The machine fails."]
     assert word_findings(VERIFICATION, BRITISH) == quoted
     assert german(conformity={"measured": {"k": 2}}) == quoted
@@ -133,7 +139,7 @@ def test_a_decision_says_whether_the_compensation_was_active(decision):
     for language, words in ((BRITISH, "compensation active"), (GERMAN, "aktiver Komp")):
         for active in (True, False):
             more = {"conformity": measured, "compensated": active}
-            assert (words in say_decision(VERIFICATION | more, language)) == active
+            assert (words in describe_decision(VERIFICATION | more, language)) == active
 
 
 FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
@@ -201,14 +207,14 @@ STANDING = {
 
 
 def test_a_certificate_states_the_figures_that_a_verification_ran_for():
-    driven = describe_driven({"lines": [LINE], "circles": [STANDING]}, GERMAN)
+    driven = describe_iso_figures({"lines": [LINE], "circles": [STANDING]}, GERMAN)
     measured, predicted = driven["lines"]
     assert measured[0] == "X (ISO 230-2), 5 Läufe"
     figures = ("13,4 ± 6,8", "12,9 ± 1,4", "6,8 ± 6,6", "4,2 ± 1,2", "9,0 ± 1,0")
     assert measured[1:] == figures
     assert predicted == ("vorhergesagt", "—", "11,9", "—", "2,7", "9,1")
     assert driven["circles"][0][:2] == ("YZ, Radius 154 mm", "12,5 ± 8,0")
-    scattered = describe_driven({}, BRITISH)  # points of no standard
+    scattered = describe_iso_figures({}, BRITISH)  # points of no standard
     assert scattered["lines"] == scattered["circles"] == []
 
 
@@ -239,8 +245,8 @@ def list_poor():
 @pytest.mark.parametrize(
     ("say", "texts"),
     [
-        (say_unobservable, sorted(set(list_unobservable()))),
-        (say_poorly_observable, sorted(set(list_poor()))),
+        (describe_unobservable, sorted(set(list_unobservable()))),
+        (describe_poorly_observable, sorted(set(list_poor()))),
     ],
 )
 def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, texts):
@@ -253,7 +259,7 @@ def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, text
 
 
 def test_numbers_of_a_statement_stand_in_its_german_words():
-    said = say_unobservable(MERGED, GERMAN)
+    said = describe_unobservable(MERGED, GERMAN)
     form = "an S of the error along X"
     poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
     for words in (
@@ -265,9 +271,9 @@ def test_numbers_of_a_statement_stand_in_its_german_words():
         "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung",
         *("73 % dessen", "2,4 µm (k = 1)"),
     ):
-        assert words in say_poorly_observable(poor, GERMAN)
+        assert words in describe_poorly_observable(poor, GERMAN)
 
 
-@pytest.mark.parametrize("say", [say_unobservable, say_poorly_observable])
+@pytest.mark.parametrize("say", [describe_unobservable, describe_poorly_observable])
 def test_a_statement_of_another_version_stands_as_it_is(say):
     assert say("EXX is unsure", GERMAN) == "EXX is unsure"

@@ -18,7 +18,7 @@ from truepath.answers.calibration.analysis_files import render_analysis
 from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import discover
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.monte_carlo import draw_outputs, prepare_trials
+from truepath.estimation.solve.monte_carlo import prepare_trials, sample_outputs
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
 from truepath.kinematics.effects.backlash import BacklashFamily
 from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
@@ -199,7 +199,9 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     found = estimate(seen, known=known, keep_fit=True)
     last = found.model.slices[found.model.catalogue_effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
-    drawn = draw_outputs(prepare_trials(found.fit, outputs, TrialPlan(seed=1)), 0, 1500)
+    drawn = sample_outputs(
+        prepare_trials(found.fit, outputs, TrialPlan(seed=1)), 0, 1500
+    )
     linear = np.sqrt(np.diag(outputs @ found.covariance @ outputs.T))
     assert drawn.std(axis=1) == pytest.approx(linear, rel=0.1)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from truepath.catalogue.data_folder import hold_folder
+from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.cli.command import run
 
 

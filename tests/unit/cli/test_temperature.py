@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from truepath.cli.command import run
-from truepath.compensation.account.remaining_error import remove_rigid_motion
+from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import read_result
 from truepath.files.earlier.temperature_file import read_result_at

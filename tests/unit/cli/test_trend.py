@@ -8,7 +8,7 @@ import pytest
 
 from truepath.files.bundle.bundle import read_bundle, zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.jobs.workers.science import follow_recorded
+from truepath.jobs.workers.analysis_tasks import follow_recorded
 from truepath.planning.lines.default_path import default_path
 from truepath.service.api.models.results.trend import TrendOut
 from truepath_simulators.machine.random_machine import random_machine

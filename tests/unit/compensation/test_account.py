@@ -10,21 +10,24 @@ import pytest
 from scipy.stats import qmc
 
 from known_machines import tabulate
-from truepath.compensation.account.remaining_error import (
-    find_remaining,
+from truepath.compensation.account.residual_error import (
+    compute_residual_error,
     remove_rigid_motion,
 )
 from truepath.compensation.export import export_result, write_output
+from truepath.compensation.format_registry import list_formats
 from truepath.compensation.formats.isg_csv import IsgCsv
 from truepath.compensation.formats.linuxcnc import LinuxCnc
-from truepath.compensation.installed import list_formats
 from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.length_reference import (
+from truepath.compensation.tables.reference_temperature import (
     find_measured_degc,
     warn_of_lengths,
 )
 from truepath.compensation.tables.tabulation import Tabulation
-from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.compensation.tables.unmeasured_range import (
+    Unmeasured,
+    find_measured_ranges,
+)
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.files.earlier.model_file import model_to_json
@@ -103,11 +106,11 @@ def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(
     error = source.error_mm(place, 1.0)
     measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
-        stated = find_remaining(source, measured, done)
+        stated = compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
         of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
-        after = stated.state()
-        off_um = stated.state_map()["mean"] - 1e3 * of_travel
+        after = stated.summarise()
+        off_um = stated.summarise_map()["mean"] - 1e3 * of_travel
         assert abs(off_um) < 0.2 * after["mean_uncertainty"]
 
 

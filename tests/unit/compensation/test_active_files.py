@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.compensation.account.remaining_error import sample_travel
+from truepath.compensation.account.residual_error import sample_travel
 from truepath.compensation.active_files import make_active_files, read_active_files
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation
-from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.compensation.tables.unmeasured_range import (
+    Unmeasured,
+    find_measured_ranges,
+)
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import Conditions
@@ -48,7 +51,7 @@ def test_the_choices_of_the_account_beside_the_files_are_those_they_are_read_by(
     (written[0].parent / "other.json").write_text("{")
     position_mm = np.array([[100.0, 30.0, 40.0], [300.0, 60.0, 90.0]])
     active = read_active_files(written, "heidenhain", MACHINE)
-    added = active.added(moments(position_mm, direction))
+    added = active.additional_correction_at(moments(position_mm, direction))
     texts = {file.name: file.read_text() for file in written}
     read = load_format("heidenhain", DIFFERENCE).read(texts, MACHINE)
     usual = load_format("heidenhain").read(texts, MACHINE)
@@ -71,10 +74,12 @@ def read(folder, order, files, names=None):
 def test_siemens_files_under_the_names_of_the_control_are_the_same(tmp_path, direction):
     files = write_files("siemens")
     at = moments(np.array([[90.0, 30.0, 40.0]]), direction)
-    usual = read(tmp_path, "siemens", files).added(at)
+    usual = read(tmp_path, "siemens", files).additional_correction_at(at)
     names = {"round-lec.ini": "AX_EEC.INI", "round-cec.ini": "NC_CEC.INI"}
     assert np.abs(usual).max() > 1e-3
-    assert read(tmp_path, "siemens", files, names).added(at) == pytest.approx(usual)
+    assert read(tmp_path, "siemens", files, names).additional_correction_at(
+        at
+    ) == pytest.approx(usual)
 
 
 @pytest.mark.parametrize(

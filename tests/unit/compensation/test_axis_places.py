@@ -13,9 +13,9 @@ from known_machines import (
     tabulate,
     write,
 )
-from truepath.compensation.account.rotary_left import RotaryFiles, describe_rotary
-from truepath.compensation.installed import load_format
-from truepath.compensation.tables.axis_places import find_places
+from truepath.compensation.account.rotary_residual import RotaryFiles, describe_rotary
+from truepath.compensation.format_registry import load_format
+from truepath.compensation.tables.rotary_axis_locations import find_locations
 from truepath.errors import BadInput
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.errors import SimulatorError
@@ -40,7 +40,7 @@ def test_pins_of_the_kinematics_bring_the_tool_where_it_should_be(shifted):
     content, errors = shifted
     files = tabulate(errors, "linuxcnc").write(errors)
     pins = {name: text for name, text in files.items() if name.endswith(".hal")}
-    truth = displace(content, find_places(errors))
+    truth = displace(content, find_locations(errors))
     before, after = measure_left(truth, pins, spread(errors.machine.axes, 300))
     assert before.max() > 0.02
     assert after.max() < 2e-5
@@ -56,7 +56,7 @@ def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
     files, kind = tabulate(errors, name).write(errors), load_format(name)
     located = kind.read_locations(files, errors.machine)
     account = describe_rotary(errors, RotaryFiles(located=located))
-    for place in find_places(errors):
+    for place in find_locations(errors):
         one = account[place.axis.name]
         assert one["location_at_tool_um"]["before"] > 5.0
         assert one["location_at_tool_um"]["after"] < 1e-3
@@ -107,7 +107,7 @@ def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(machine
     assert written.over["after"] < 0.02 * written.over["before"]
     if name == "json":  # which no control reads: software places the axes by it
         return
-    truth = displace(content, find_places(errors))
+    truth = displace(content, find_locations(errors))
     position = spread(errors.machine.axes, 200)
     before, after = measure_left(truth, written.files, position)
     assert before.max() > 0.04

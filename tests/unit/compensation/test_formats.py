@@ -11,10 +11,10 @@ from pyLSV2 import NCTable
 from known_machines import tabulate
 from plugin_site import NAME, install
 from truepath.compensation.export import export_result, write_output
+from truepath.compensation.format_registry import load_format
 from truepath.compensation.formats.etalon_exchange import EtalonExchange
 from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
-from truepath.compensation.installed import load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json

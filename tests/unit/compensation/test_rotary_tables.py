@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from known_machines import build_model, map_known, measure_left, spread, tabulate
-from truepath.compensation.account.rotary_left import RotaryFiles, describe_rotary
-from truepath.compensation.installed import load_format
+from truepath.compensation.account.rotary_residual import RotaryFiles, describe_rotary
+from truepath.compensation.format_registry import load_format
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine

@@ -7,9 +7,9 @@ import pytest
 
 from known_machines import displace, measure_left, spread
 from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.format_registry import load_format
 from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
-from truepath.compensation.installed import load_format
-from truepath.compensation.rotary_tables import AxisPlace
+from truepath.compensation.rotary_tables import RotaryAxisLocation
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.machine.symbols import list_locations
@@ -47,7 +47,7 @@ def draw_place(axis, rng):
         one: (0.02 if one[0] in "XYZ" else 6e-5) * rng.choice([-1.0, 0.7, 1.2])
         for one in list_locations(axis.name)
     }
-    return AxisPlace(axis, off)
+    return RotaryAxisLocation(axis, off)
 
 
 def draw_machine(chain):
@@ -153,7 +153,7 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
 def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
     machine = machine_from_json(describe("w-Y-b-X-Z-B-t"), file="machine.json")
     (axis,) = machine.rotary_axes
-    place = AxisPlace(axis, {"XOB": 0.01, "ZOB": 0.02})
+    place = RotaryAxisLocation(axis, {"XOB": 0.01, "ZOB": 0.02})
     lines = list(write_swivel(machine, (place,)))
     assert "; not told by the measurement: AOB, COB" in lines
     assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
@@ -161,12 +161,12 @@ def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
     ]
     machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
     a, c = machine.rotary_axes
-    told = AxisPlace(a, {"YOA": 0.01})
-    untold = AxisPlace(c, {"XOC": 0.01}, frozenset({"XOC"}))
-    for places in ((told, AxisPlace(c, {})), (told, untold)):
+    told = RotaryAxisLocation(a, {"YOA": 0.01})
+    untold = RotaryAxisLocation(c, {"XOC": 0.01}, frozenset({"XOC"}))
+    for places in ((told, RotaryAxisLocation(c, {})), (told, untold)):
         assert list(write_swivel(machine, places)) == []
-        assert not FORMAT.list_places(machine, places)
-        assert not load_format("linuxcnc").list_places(machine, places)
+        assert not FORMAT.list_written_locations(machine, places)
+        assert not load_format("linuxcnc").list_written_locations(machine, places)
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json", "fanuc"])
@@ -174,7 +174,10 @@ def test_a_format_states_the_places_that_its_files_have(displaced, name):
     """What the files lack is in the tables: else it is corrected twice or never."""
     _, _, tables = displaced
     kind = load_format(name)
-    stated, files = kind.list_places(tables.machine, tables.places), kind.write(tables)
+    stated, files = (
+        kind.list_written_locations(tables.machine, tables.places),
+        kind.write(tables),
+    )
     read = kind.read_locations(files, tables.machine)
     assert {symbol for symbol, value in read.items() if value} == set(stated)
     if name == "siemens":  # beside both files of tables

@@ -13,10 +13,13 @@ from truepath.answers.temperature.temperature_model import (
     ResultAtTemperature,
     study_temperature,
 )
-from truepath.compensation.account.remaining_error import find_remaining
+from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
 from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.unmeasured import Unmeasured, find_measured_ranges
+from truepath.compensation.tables.unmeasured_range import (
+    Unmeasured,
+    find_measured_ranges,
+)
 from truepath.errors import BadInput
 from truepath.results.error_tables import choose_table_positions
 
@@ -82,7 +85,9 @@ def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
         return lambda at, side: -errors.error_mm(at, side)
 
     usual, own = (
-        find_remaining(truth, ranges, correct(map_errors(study.model.at(celsius))))
+        compute_residual_error(
+            truth, ranges, correct(map_errors(study.model.at(celsius)))
+        )
         for celsius in (20.0, 23.5)
     )
     assert own.rms_um < 0.1 * usual.rms_um

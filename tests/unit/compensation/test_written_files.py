@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import written_tables as tables
 from known_machines import spread
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine_file import parse_machine

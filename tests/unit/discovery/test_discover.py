@@ -13,7 +13,7 @@ from truepath.discovery.findings import find_share
 from truepath.discovery.name_trial import CERTAIN
 from truepath.discovery.open_questions import design_discrimination
 from truepath.discovery.scan import scan_term
-from truepath.discovery.terms.folded_lines import build_lines
+from truepath.discovery.terms.cross_validation import build_lines
 from truepath.discovery.terms.term_equations import TermEquations
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
 from truepath_simulators.hidden.warming import ThermalGrowth

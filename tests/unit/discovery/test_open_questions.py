@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from truepath.answers.discovery.discovery_json import ask_json, discovery_json
+from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
 from truepath.answers.discovery.discovery_report import (
-    describe_ask,
+    describe_proposal,
     render_discovery_report,
 )
 from truepath.answers.discovery.model_file import build_next_model
@@ -180,13 +180,13 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
 
 def test_the_lines_and_the_reason_are_said_in_file_report_and_order(leaning):
     _, done = leaning
-    said = ask_json(done.asked, "ask/path.csv")
+    said = proposal_json(done.asked, "ask/path.csv")
     assert "lateral-backlash Y EXY" in said["reason"]
     assert "squareness C0Y" in said["reason"]
     assert f"{said['lines']} lines" in said["reason"]
     assert said["path"] == "ask/path.csv"
     assert said["decides"]
-    asked = describe_ask(done.asked, "ask/path.csv")
+    asked = describe_proposal(done.asked, "ask/path.csv")
     page = render_part("discovery/ask.html", {"ask": asked})
     question = done.asked.questions[0]
     assert f"{question.left}, or {question.right}?" in page

@@ -53,7 +53,7 @@ def test_twice_the_noise_is_twice_the_uncertainty(record):
         judge(*record(24, rows=30, setting=Setting(noise_scale=scale)))[1]
         for scale in (1.0, 2.0)
     )
-    (_, first), (_, second) = (e.at_targets.part("C0Y") for e in (once, twice))
+    (_, first), (_, second) = (e.reduce_to_targets.part("C0Y") for e in (once, twice))
     assert np.sqrt(second / first).item() == pytest.approx(2.0, rel=0.3)
 
 

@@ -12,9 +12,9 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks import ripple
-from truepath.estimation.checks.disturbances import estimate_checked
-from truepath.estimation.checks.misfit import assess_misfit
+from truepath.estimation.checks import short_wave_variance
+from truepath.estimation.checks.lack_of_fit import assess_misfit
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
@@ -176,7 +176,7 @@ def analyse_with(record, monkeypatch, *hidden):
 
     def spy(found, runs):
         before.append(found)
-        return ripple.add_ripple(found, runs)
+        return short_wave_variance.add_ripple(found, runs)
 
     monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
     found = analyse(run)

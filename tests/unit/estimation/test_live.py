@@ -8,12 +8,12 @@ import pytest
 from estimating import estimate
 from following import compare_tables, follow, shift
 from truepath.alignment.align import align
-from truepath.estimation.live.earlier_runs import align_earlier
 from truepath.estimation.live.live import LiveEstimator
+from truepath.estimation.live.previous_runs import align_earlier
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.adaptive_plan import AdaptivePlanner
-from truepath.planning.plan_order import PlanOrder
-from truepath.results.verdict import judge_live
+from truepath.planning.plan_request import PlanRequirements
+from truepath.results.result_assessment import assess_live
 from truepath_simulators.worlds.synthetic import Setting
 
 
@@ -43,7 +43,7 @@ def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
     assert done == sorted(done)
     assert last.done == len(run.commanded) - 1
     for now in [*clean.on_the_way, clean.last]:
-        assert judge_live(now.check, now.done).state == "usable"
+        assert assess_live(now.check, now.done).state == "usable"
         assert now.check.knocks == ()
         assert now.check.held == ()
     assert len(clean.noticed) > 15
@@ -63,7 +63,7 @@ def assert_one_knock_is_solved(followed, clean, knocked_s, moved_mm, within_mm):
     (knock,) = last.check.knocks
     assert abs(knock.time_s - knocked_s) < 3.0
     assert knock.moved_mm == pytest.approx(np.linalg.norm(moved_mm), abs=within_mm)
-    assert judge_live(last.check, last.done).state == "usable"
+    assert assess_live(last.check, last.done).state == "usable"
     assert np.sqrt(np.mean(compare_tables(last, clean.last) ** 2)) < 0.7
 
 
@@ -71,7 +71,7 @@ def test_a_knock_is_held_back_until_both_places_are_solved(run, clean):
     moved_mm = np.array([0.03, -0.03, 0.02])
     spoilt, knocked_s = spoil(run, 0.6, moved_mm)
     found = follow(spoilt)
-    states = [judge_live(now.check, now.done).state for now in found.on_the_way]
+    states = [assess_live(now.check, now.done).state for now in found.on_the_way]
     assert "not-usable" in states
     for now, state in zip(found.on_the_way, states, strict=True):
         after = now.time_s > knocked_s + 3.0
@@ -102,10 +102,10 @@ def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(run):
     told = [
         (now, reason)
         for now in follow(spoilt).on_the_way
-        for reason in judge_live(now.check, now.done).reasons
+        for reason in assess_live(now.check, now.done).reasons
         if reason.kind == "stream-astray"
     ]
-    assert judge_live(told[0][0].check, 1).state == "doubtful"
+    assert assess_live(told[0][0].check, 1).state == "doubtful"
     values = [reason.values for _, reason in told]
     assert [v["to_s"] for v in values] == sorted({v["to_s"] for v in values})
     assert len(values) > 0.5 * 0.65 * (len(run.commanded) - 1)
@@ -120,7 +120,7 @@ def test_samples_in_the_wrong_place_are_left_out_at_once(run, clean):
     found = follow(spoilt)
     told = [now for now in found.on_the_way if now.time_s > disturbed_s + 3.0]
     for now in [*told, found.last]:
-        said = judge_live(now.check, now.done).reasons
+        said = assess_live(now.check, now.done).reasons
         assert "are left out" in " ".join(map(str, said))
         assert np.sqrt(np.mean(compare_tables(now, clean.last) ** 2)) < 1.5
 
@@ -136,7 +136,7 @@ def test_nothing_is_said_before_the_pose_is_known_and_it_goes_on_where_nothing_f
     astray = shift(run, np.repeat(places, 80, axis=0)[:count])
     half = replace(astray, tracker=astray.tracker.select(slice(0, count // 3)))
     last = follow(half).last
-    assert judge_live(last.check, last.done).state != "usable"
+    assert assess_live(last.check, last.done).state != "usable"
 
 
 @pytest.fixture(scope="module")
@@ -153,8 +153,8 @@ def test_earlier_runs_add_what_they_tell_and_their_minutes_are_off(measured):
     alone, both = (follow(run, blocks=blocks, earlier=x) for x in ((), earlier))
     sigma_mm = both.last.volumetric_sigma_mm
     assert sigma_mm < 0.75 * alone.last.volumetric_sigma_mm
-    whole = AdaptivePlanner(run.machine, run.commanded, PlanOrder(minutes=60.0))
-    order = PlanOrder(minutes=whole._used_s / 60.0 + 0.5)
+    whole = AdaptivePlanner(run.machine, run.commanded, PlanRequirements(minutes=60.0))
+    order = PlanRequirements(minutes=whole._used_s / 60.0 + 0.5)
 
     def choose(earlier):
         planner = AdaptivePlanner(run.machine, run.commanded, order, earlier)

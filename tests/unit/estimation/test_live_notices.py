@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from following import follow, list_blocks, shift
-from truepath.estimation.checks.change_search import KNOCK, LINE, LOST_MOTION, Change
+from truepath.estimation.checks.change_detection import KNOCK, LINE, LOST_MOTION, Change
 from truepath.estimation.checks.notices import UNNAMED, revise
 
 ROWS = tuple(range(1, 21))

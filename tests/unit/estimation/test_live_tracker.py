@@ -7,13 +7,13 @@ from estimating import judge_map
 from following import follow, list_blocks
 from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.alignment.align import align_all
-from truepath.estimation.checks.change_search import KNOCK, RANGE
-from truepath.estimation.checks.disturbances import estimate_checked
+from truepath.estimation.checks.change_detection import KNOCK, RANGE
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
-from truepath.results.verdict import judge
+from truepath.results.result_assessment import judge
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
@@ -72,7 +72,7 @@ def test_a_perfect_tracker_has_no_errors_in_the_live_estimate():
     run, _ = measure(11, specification={})
     typical, _ = measure(11)
     one, other = (follow(each).last for each in (run, typical))
-    assert not any(is_of_instrument(effect) for effect in one.model.effects)
+    assert not any(is_tracker_error(effect) for effect in one.model.effects)
     assert one.volumetric_sigma_mm < 0.8 * other.volumetric_sigma_mm
 
 

@@ -13,9 +13,9 @@ from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import widen_by_unknown_precision
 from truepath.estimation.problem.runs import RunInput
 from truepath.estimation.solve.monte_carlo import (
-    draw_outputs,
     prepare_trials,
     run_block,
+    sample_outputs,
 )
 from truepath.kinematics.coarse_model import NestedModels
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -77,7 +77,7 @@ def test_more_noise_than_was_weighed_shows_in_the_trials(fit, trials):
     _, linear = squareness(fit)
     loud = NoiseModel((2.0, 2.0), (0.5, 0.5, 0.5), 0.8, 2e-4)
     quiet, louder = (
-        draw_outputs(of_noise_alone(trials, noise), 0, 500).std(axis=1)
+        sample_outputs(of_noise_alone(trials, noise), 0, 500).std(axis=1)
         for noise in (NOISE, loud)
     )
     assert louder / quiet == pytest.approx(2.0, rel=1e-3)
@@ -89,7 +89,7 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
     ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25, 0.25), 0.8, 1e-9)
     forgetful = replace(ou, ou_time_s=1e-3)
     remembered, quick = (
-        draw_outputs(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
+        sample_outputs(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
         for noise in (ou, forgetful)
     )
     assert (quick < 0.96 * remembered).all()
@@ -97,13 +97,13 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
 
 def test_each_block_is_a_draw_of_its_own_whoever_computes_it(trials, fit):
     def draw(number):
-        return draw_outputs(trials, number, 500)
+        return sample_outputs(trials, number, 500)
 
     with ThreadPoolExecutor(3) as pool:
         shared = list(pool.map(draw, range(3)))
     np.testing.assert_array_equal([draw(number) for number in range(3)], shared)
     other = prepare_trials(fit, squareness(fit)[0], TrialPlan(seed=2))
-    drawn = draw_outputs(trials, 0, 10)
-    assert not np.allclose(drawn, draw_outputs(other, 0, 10))
-    assert not np.allclose(drawn, draw_outputs(trials, 1, 10))
-    np.testing.assert_array_equal(drawn, draw_outputs(trials, 0, 600)[:, :10])
+    drawn = sample_outputs(trials, 0, 10)
+    assert not np.allclose(drawn, sample_outputs(other, 0, 10))
+    assert not np.allclose(drawn, sample_outputs(trials, 1, 10))
+    np.testing.assert_array_equal(drawn, sample_outputs(trials, 0, 600)[:, :10])

@@ -7,8 +7,8 @@ import pytest
 
 from estimating import judge_map
 from truepath.alignment.align import align
-from truepath.estimation.checks.disturbances import estimate_checked
-from truepath.estimation.checks.misfit import assess_misfit
+from truepath.estimation.checks.lack_of_fit import assess_misfit
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.kinematics.coarse_model import build_run_models
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.motion.profile import Limits
@@ -37,7 +37,7 @@ def judge(record):
         run, truth = record(seed, **FAST, setting=Setting(limits=LIMITS, hidden=hidden))
         seen = align(run)
         if not ramps:
-            seen = seen.leave_out_ramps()
+            seen = seen.exclude_ramps()
         models = build_run_models(run.machine, [seen.at])
         checked = estimate_checked(models, [seen])
         left = judge_map(checked.estimate, truth.deviation_mm)

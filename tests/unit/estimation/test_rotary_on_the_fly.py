@@ -97,7 +97,7 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     live, early = LiveEstimator(run.machine, run.commanded), None
     blocks = list_blocks(run, 500)
     for number, block in enumerate(blocks):
-        if live.take(block) and early is None and number > len(blocks) // 3:
+        if live.add_block(block) and early is None and number > len(blocks) // 3:
             early = live.estimate()  # no target on the table has been seen yet
     live.finish()
     last = live.estimate()

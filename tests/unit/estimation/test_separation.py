@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.estimation.problem import separation
+from truepath.estimation.problem import confounding_advice
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     describe_form,
     find_poorly_observable,
-    usual_precision_matrix,
+    typical_precision_matrix,
 )
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -24,7 +24,7 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.grade import grade
 from truepath.planning.lines.default_path import default_path
-from truepath.planning.predicted_cells import EXPECTED_NOISE, predict_cells
+from truepath.planning.simulated_cells import EXPECTED_NOISE, predict_cells
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
@@ -53,7 +53,7 @@ def table_sigma(machine, path, symbol):
     base = linearise(seen, model, seen.pose, EXPECTED_NOISE)
     data = compute_information(seen, base)
     prior = np.diag(np.full(model.size + 6, 1e-2))
-    prior[: model.size, : model.size] = usual_precision_matrix(model)
+    prior[: model.size, : model.size] = typical_precision_matrix(model)
     part = model.slices[symbol]
     covariance = compute_posterior(data, prior).covariance[part, part]
     motion = next(e for e in model.effects if e.name == symbol)
@@ -120,7 +120,7 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     offsets = np.array([[0.0, 0.0, -150.0]])
     model, merged = build_identifiable_model(machine, offsets, intervals=5)
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
-    for said in separation.describe_confounded(offsets, merged, model, poor):
+    for said in confounding_advice.describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
         assert "tell too little for any tool" in said
 
@@ -147,7 +147,7 @@ def known():
 
 def told_but(model, shape, left):
     """Return information that leaves a share of the usual deviation of one shape."""
-    root = np.linalg.cholesky(usual_precision_matrix(model))
+    root = np.linalg.cholesky(typical_precision_matrix(model))
     direction = root.T @ shape
     direction /= np.linalg.norm(direction)
     size = model.size

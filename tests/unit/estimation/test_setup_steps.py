@@ -8,9 +8,9 @@ import pytest
 from estimating import judge_map
 from following import shift
 from truepath.alignment.align import align, align_all
-from truepath.estimation.checks.disturbances import estimate_checked
-from truepath.estimation.checks.run_parts import RunPart, join_empty, split_at_all
-from truepath.estimation.checks.setup_steps import Step
+from truepath.estimation.checks.robust_estimate import estimate_checked
+from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
+from truepath.estimation.checks.setup_shifts import Step
 from truepath.kinematics.coarse_model import build_run_models
 
 
@@ -65,7 +65,7 @@ def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
     steps = [Step(cell, 1e4, 1e4, 0.1) for cell in (first + 6, last - 6)]
     edges = np.arange(len(seen) + 1)
     off_mm = np.full(len(seen), 0.1)
-    parts = split_at_all(RunPart(0, seen), steps, edges, off_mm)
+    parts = split_at_all(RunSegment(0, seen), steps, edges, off_mm)
     before, after = join_empty(parts)
     time_s = seen.at.time_s
     assert before.seen.at.time_s[-1] < time_s[first + 6]

@@ -14,7 +14,7 @@ from truepath.alignment.point_alignment import PointAlignment
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointBlock, PointRows, Run
 from truepath.results.analysis import analyse
-from truepath.results.verdict import judge_live
+from truepath.results.result_assessment import assess_live
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -153,7 +153,7 @@ def test_tables_tighten_point_by_point_and_end_where_the_batch_does(shots):
     assert len(sigma) > 0.8 * ROWS
     assert sigma[0] > 3 * sigma[-1]
     assert last.done == len(shots.tracker)
-    assert judge_live(last.check, last.done).state == "usable"
+    assert assess_live(last.check, last.done).state == "usable"
     off = compare_tables(last, estimate(align(shots)))
     assert np.abs(off).max() < 1.0
 
@@ -164,13 +164,13 @@ def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(shots):
     told = [
         reason
         for now in [*on_the_way, last]
-        for reason in judge_live(now.check, now.done).reasons
+        for reason in assess_live(now.check, now.done).reasons
         if reason.kind == "stream-astray"
     ]
     assert len(told) > 0.5 * (len(shots.tracker) - 25)
     assert {reason.values["line"] for reason in told} == {int(run.points.row[25])}
     assert told[-1].values["distance_um"] == pytest.approx(3000.0, abs=100.0)
-    assert judge_live(last.check, last.done).state == "doubtful"
+    assert assess_live(last.check, last.done).state == "doubtful"
 
 
 def test_points_astray_are_left_out_and_said_the_first_as_well(shots):

@@ -8,7 +8,7 @@ from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.identity_file import (
     read_assignments,
     read_identity,
-    read_kept_identities,
+    read_stored_identities,
 )
 
 
@@ -37,5 +37,5 @@ def test_a_word_that_states_nothing_is_refused():
 def test_a_damaged_file_of_earlier_versions_is_named(tmp_path):
     (tmp_path / "identities.json").write_text("{}")
     with pytest.raises(BundleError, match="holds no machines"):
-        read_kept_identities(tmp_path / "identities.json")
-    assert read_kept_identities(tmp_path / "none.json") == {}
+        read_stored_identities(tmp_path / "identities.json")
+    assert read_stored_identities(tmp_path / "none.json") == {}

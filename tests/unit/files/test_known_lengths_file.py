@@ -14,7 +14,7 @@ from truepath.files.bundle.known_lengths_file import (
     encode_known_lengths,
 )
 from truepath.files.environment.refraction import Refraction
-from truepath.measurement.run_file.run_reading import name_known_lengths
+from truepath.measurement.run_file.run_loader import name_known_lengths
 from truepath_drivers.interfaces.tracker_records import Light
 
 HEADER = "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm"

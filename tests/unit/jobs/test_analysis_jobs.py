@@ -15,11 +15,11 @@ from truepath.catalogue.transitions import State, Verb
 from truepath.errors import BundleError
 from truepath.jobs.dispatch import dispatcher as dispatching
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.requested_job import RequestedJob
-from truepath.jobs.workers.science import discover_recorded
+from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.workers.analysis_tasks import discover_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.machines.machine_cells import Machines
-from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.numerics.adaptive_trials import TrialPlan
 
 

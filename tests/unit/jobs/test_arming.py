@@ -39,7 +39,7 @@ def changed(ready, context):
     def change():
         plan = dict(context.store.read_plan(ready.id))
         plan["position"][1][0] += 0.001
-        context.store.keep_plan(ready.id, plan)
+        context.store.store_plan(ready.id, plan)
 
     return change
 

@@ -8,14 +8,14 @@ import pytest
 from job_builders import CONNECTED
 from scripted_cell import wait_until
 from truepath.answers.history.machine_documents import ToleranceJudgement
-from truepath.catalogue.calibrations import Standing
+from truepath.catalogue.calibrations import CalibrationStatus
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json
-from truepath.jobs.running.arming import judge_approach, judge_path, list_commanded
+from truepath.jobs.running.arming import assess_approach, assess_path, list_commanded
 from truepath.machines.cell_status import CellStatus, ControllerLevels
-from truepath.machines.conditions.condition_board import (
+from truepath.machines.conditions.condition_log import (
     LATE_S,
-    ConditionBoard,
+    ConditionLog,
     find_conditions,
 )
 from truepath.machines.conditions.conditions import (
@@ -24,7 +24,7 @@ from truepath.machines.conditions.conditions import (
     Level,
     Observed,
 )
-from truepath.machines.conditions.stream_watch import StreamLevels, Temperature
+from truepath.machines.conditions.stream_status import StreamLevels, Temperature
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
@@ -126,7 +126,7 @@ def test_what_is_not_in_order_stands_in_the_way_and_is_said(change, condition, s
 @pytest.mark.parametrize("hold_reason", ["", "command", "watchdog"])
 def test_what_an_earlier_measurement_has_left_held_stands_in_no_way(hold_reason):
     held = shown(MotionState.HELD, hold_reason=hold_reason)
-    assert not ConditionBoard(lambda: replace(GOOD, controller=held)).list_obstacles()
+    assert not ConditionLog(lambda: replace(GOOD, controller=held)).list_obstacles()
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_what_an_earlier_measurement_has_left_held_stands_in_no_way(hold_reason)
 def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
     seen = replace(GOOD, controller=shown(**{told: None}))
     assert levels(seen)[kind] is Level.UNKNOWN
-    assert not ConditionBoard(lambda: seen).list_obstacles()
+    assert not ConditionLog(lambda: seen).list_obstacles()
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
     told, wants, level, reason
 ):
     seen = replace(GOOD, controller=shown(compensation=told))
-    board = ConditionBoard(lambda: seen, wants_compensation=wants)
+    board = ConditionLog(lambda: seen, wants_compensation=wants)
     asked = ConditionType.COMPENSATION_AS_ASKED
     found = find(board, asked)
     assert (found.level, found.reason) == (level, reason)
@@ -167,7 +167,7 @@ def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
 
 def test_a_level_has_its_time_although_nobody_asks():
     seen = [GOOD]
-    board = ConditionBoard(lambda: seen[0], look_s=0.01)
+    board = ConditionLog(lambda: seen[0], look_s=0.01)
     looks = board._since
     board.start()
     try:
@@ -235,7 +235,7 @@ def test_a_drift_is_shown_and_stands_in_the_way_only_beyond_a_stated_limit():
     assert "X has changed by 1.4 °C in 10 min" in found.message
     for limit_degc, obstacles in ((None, []), (1.2, [kind]), (1.5, [])):
         seen = replace(drifts, drift_limit_degC=limit_degc)
-        read = ConditionBoard(lambda seen=seen: seen).read()
+        read = ConditionLog(lambda seen=seen: seen).read()
         assert [one.type for one in read if one.is_obstacle] == obstacles
     assert {one.temperatures for one in read if one.type is kind} == {shown_now}
     assert {one.temperatures for one in read if one.type is not kind} == {()}
@@ -251,7 +251,7 @@ def points_at(machine, *places):
 
 
 def test_a_path_out_of_travel_or_through_a_box_even_between_parts_is_told(machine):
-    board = ConditionBoard(lambda: GOOD)
+    board = ConditionLog(lambda: GOOD)
     assert not board.list_obstacles()
     places = [{"x_mm": x, "y_mm": 10, "z_mm": 10} for x in (10, 400)]
     rows = command_rows(machine, places, is_path=True)
@@ -260,18 +260,18 @@ def test_a_path_out_of_travel_or_through_a_box_even_between_parts_is_told(machin
         ([rows, wrong], workspace_from_json({}), "out-of-travel"),
         ([rows], AVOIDS_VICE, "keep-out"),
     ):
-        board.path = judge_path(machine, parts, workspace)
+        board.path = assess_path(machine, parts, workspace)
         (obstacle,) = board.list_obstacles()
         assert obstacle.type is ConditionType.PATH_WITHIN_TRAVEL
         assert obstacle.reason == reason
-    board.path = judge_path(machine, [rows], workspace_from_json({}))
+    board.path = assess_path(machine, [rows], workspace_from_json({}))
     assert not board.list_obstacles()
     left = points_at(machine, (10, 10), (50, 10))
     right = points_at(machine, (300, 10), (400, 10))
     behind = points_at(machine, (50, 300), (300, 300))
     for parts in ([left], [right], [behind], [left, behind, right]):
-        assert judge_path(machine, parts, AVOIDS_VICE).level is Level.TRUE
-    found = judge_path(machine, [left, right], AVOIDS_VICE)
+        assert assess_path(machine, parts, AVOIDS_VICE).level is Level.TRUE
+    found = assess_path(machine, [left, right], AVOIDS_VICE)
     assert (found.level, found.reason) == (Level.FALSE, "keep-out")
     assert "the way on to part 2 enters the keep-out box vice" in found.message
 
@@ -284,7 +284,7 @@ def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):
     for first_row, level in ((0, Level.TRUE), (2, Level.FALSE)):
         left = {**station, "resumption": {"first_row": first_row}}
         parts = list_commanded({"known_points": points, "stations": [left]})
-        assert judge_path(machine, parts, AVOIDS_VICE).level is level
+        assert assess_path(machine, parts, AVOIDS_VICE).level is level
 
 
 @pytest.mark.parametrize(
@@ -306,23 +306,23 @@ def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
     read = ControllerLevels(place, "", NOW_S, axes[::-1])
     seen = replace(GOOD, controller=read)
     parts = [points_at(machine, (10, 10), (50, 10))]
-    board = ConditionBoard(lambda: seen)
-    board.path = judge_path(machine, parts, AVOIDS_VICE)
-    board.judge_approach = partial(judge_approach, machine, parts, AVOIDS_VICE)
+    board = ConditionLog(lambda: seen)
+    board.path = assess_path(machine, parts, AVOIDS_VICE)
+    board.assess_approach = partial(assess_approach, machine, parts, AVOIDS_VICE)
     found = find(board, ConditionType.PATH_WITHIN_TRAVEL)
     assert (found.reason, found.is_obstacle) == (reason, bool(reason))
-    without = judge_approach(machine, parts, workspace_from_json({}), {})
+    without = assess_approach(machine, parts, workspace_from_json({}), {})
     assert without.level is Level.TRUE
 
 
 def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
-    clock = "truepath.machines.conditions.condition_board.format_utc_now"
+    clock = "truepath.machines.conditions.condition_log.format_utc_now"
     monkeypatch.setattr(clock, lambda: next(times))
     changes = []
     door = replace(GOOD, controller=shown(MotionState.DOOR))
     seen = iter([GOOD, GOOD, door, door])
-    board = ConditionBoard(lambda: next(seen), on_change=changes.append)
+    board = ConditionLog(lambda: next(seen), on_change=changes.append)
     able = [find(board, ConditionType.CONTROLLER_ABLE) for _ in range(4)]
     assert able[0].since == able[1].since
     assert able[2].since == able[3].since > able[1].since
@@ -333,7 +333,9 @@ def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeyp
 
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
-    standing = Standing("mill", "job-2", tolerance, "job-1", True, "EXX has changed.")
+    standing = CalibrationStatus(
+        "mill", "job-2", tolerance, "job-1", True, "EXX has changed."
+    )
     found = find_conditions(replace(GOOD, standing=standing), NOW_S)
     over = found[ConditionType.WITHIN_TOLERANCE]
     changed = found[ConditionType.UNCHANGED]
@@ -342,7 +344,7 @@ def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     assert (changed.level, changed.message) == (Level.FALSE, "EXX has changed.")
     assert not REQUIRED & {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
     text = "changes are not watched: job job-1 is no calibration"
-    standing = Standing("mill", "job-2", None, "job-1", None, text, True)
+    standing = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
     found = find_conditions(replace(GOOD, standing=standing), NOW_S)
     unusable = found[ConditionType.UNCHANGED]
     assert (unusable.level, unusable.message) == (Level.UNKNOWN, text)

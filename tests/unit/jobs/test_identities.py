@@ -12,7 +12,7 @@ from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry
 from truepath.jobs.dispatch.identities import (
     describe_identity,
     find_machine,
-    keep_identity,
+    store_identity,
     take_over_identities,
 )
 
@@ -20,7 +20,7 @@ from truepath.jobs.dispatch.identities import (
 @pytest.fixture
 def registry(database):
     found = MachineRegistry(database)
-    found.note("mill-3", CATALOGUE, {"name": "mill"}, {})
+    found.record_configuration("mill-3", CATALOGUE, {"name": "mill"}, {})
     return found
 
 
@@ -36,7 +36,7 @@ def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
     assert describe_identity(registry.get("mill-3")) == {**mill, "place": "Hall 4"}
     assert json.loads(file.read_text())["machines"] == {"lathe": lathe}
     registry.change("mill-3", serial_number="4712")
-    registry.note("lathe", CATALOGUE, {"name": "lathe"}, {})
+    registry.record_configuration("lathe", CATALOGUE, {"name": "lathe"}, {})
     take_over_identities(tmp_path, registry)
     assert registry.get("mill-3").serial_number == "4712"
     assert registry.get("lathe").stated == lathe
@@ -55,10 +55,10 @@ def test_a_result_is_of_its_jobs_machine_or_of_the_one_of_its_name(registry):
 
 @pytest.mark.database
 def test_what_is_stated_of_an_unknown_machine_or_one_measurement_is_not_kept(registry):
-    assert keep_identity(None, {"operator": "A"}, registry) == {"operator": "A"}
+    assert store_identity(None, {"operator": "A"}, registry) == {"operator": "A"}
     record = registry.get("mill-3")
     now = {"operator": "A", "measured_on": "2026-11-24"}
-    assert keep_identity(record, now, registry) == now
+    assert store_identity(record, now, registry) == now
     assert describe_identity(registry.get("mill-3")) == {"operator": "A"}
 
 

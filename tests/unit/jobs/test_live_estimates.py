@@ -13,6 +13,7 @@ from truepath.estimation.live.live_estimate import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.event_bus import JOBS, EventBus
+from truepath.jobs.running.live_alerts import LiveAlerts
 from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
 from truepath.jobs.running.live_process import (
     LiveCommand,
@@ -20,11 +21,10 @@ from truepath.jobs.running.live_process import (
     estimate_json,
     estimate_live,
 )
-from truepath.jobs.running.notices import NoticeBoard
 from truepath.kinematics.effects.location_error import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
-from truepath.motion.paths.planned_rows import PlannedRows
+from truepath.motion.paths.plan_segments import PlannedRows
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 from truepath_simulators.scenario import load_machine
 
@@ -124,7 +124,7 @@ class Followed:
     def send(self, verb):
         self.asked.append(f"cell {verb}")
 
-    def take_wish(self):
+    def pop_notice_action(self):
         wish, self.wish = self.wish, None
         return wish
 
@@ -163,7 +163,7 @@ def board(followed):
         planned = PlannedRows(path(12))
         planned.next()
         planned.next()
-        return NoticeBoard(followed, followed, policy, planned), planned
+        return LiveAlerts(followed, followed, policy, planned), planned
 
     return make
 

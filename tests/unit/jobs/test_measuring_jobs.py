@@ -29,7 +29,7 @@ from truepath.files.bundle.commanded_file import (
 )
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.kinematics.machine.machine import Target
 from truepath.machines.conditions.conditions import NotInOrder

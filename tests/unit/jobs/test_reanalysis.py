@@ -12,9 +12,9 @@ from truepath.catalogue.errors import TaskFailed
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import AlignmentError, NotFound
-from truepath.jobs.kinds.requested_job import RequestedJob
-from truepath.jobs.workers.reanalysis import SUMMARY, RunOrder, keep_outcome
-from truepath.jobs.workers.science import reanalyse_run
+from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.workers.analysis_tasks import reanalyse_run
+from truepath.jobs.workers.reanalysis import SUMMARY, RunOrder, store_outcome
 from truepath.machines.machine_cells import Machines
 
 COUNT = 9
@@ -39,9 +39,9 @@ class Analyst:
         if order.run_id in self.defects:
             raise TaskFailed("ZeroDivisionError", "a defect", "trace")
         if order.run_id in self.failing:
-            keep_outcome(order, failure=("AlignmentError", "no line is found"))
+            store_outcome(order, failure=("AlignmentError", "no line is found"))
         else:
-            keep_outcome(order, after=figures(5.0), took_s=0.1)
+            store_outcome(order, after=figures(5.0), took_s=0.1)
 
 
 @pytest.fixture
@@ -144,7 +144,9 @@ def test_a_run_that_cannot_be_aligned_is_an_outcome_and_no_error(tmp_path, monke
         raise AlignmentError("no line is found")
 
     monkeypatch.setattr("truepath.results.analysis.analyse", refuse)
-    monkeypatch.setattr("truepath.jobs.workers.science.open_recorded", lambda _: None)
+    monkeypatch.setattr(
+        "truepath.jobs.workers.analysis_tasks.open_recorded", lambda _: None
+    )
     order = RunOrder("a", "run a", "a.zip", None, "", str(tmp_path / "a"), "")
     reanalyse_run(order, False, on_progress=lambda *_: None)
     outcome = json.loads((Path(order.folder) / "outcome.json").read_text())

@@ -12,12 +12,12 @@ from job_builders import OTF
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.store.job_changes import put_back
+from truepath.catalogue.store.job_changes import requeue
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch import reconciliation as reconciling
 from truepath.jobs.dispatch.reconciliation import Reconciliation
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.machines.machine_cells import Machines
 from truepath.measurement.run_file import run_file
 
@@ -120,7 +120,7 @@ def test_a_catalogue_that_does_not_answer_ends_nothing_and_a_foreign_run_stands_
     begin_run("foreign").close("finished")
     with monkeypatch.context() as locked:
         refuse = Mock(side_effect=StorageUnavailable("locked"))
-        locked.setattr(type(context.runs), "list_left_behind", refuse)
+        locked.setattr(type(context.runs), "list_uncatalogued", refuse)
         reconciliation.look()
     reconciliation.look()
     assert context.store.get(ended.id).run_id == ended.id
@@ -233,7 +233,7 @@ def test_a_job_that_takes_the_service_with_it_is_given_up_after_two_attempts(
 def test_a_plan_that_stood_already_is_not_planned_again(context, restart, until):
     """Killed between the plan and its end."""
     job, _ = context.store.create(Job(JobKind.PLAN))
-    context.store.keep_plan(job.id, {"kind": "path", "rows": []})
+    context.store.store_plan(job.id, {"kind": "path", "rows": []})
     begun = {"state": State.RUNNING, "attempts": 1}
     context.store.change(job.id, lambda job: replace(job, **begun))
     restart()
@@ -244,5 +244,5 @@ def test_a_measurement_is_never_queued_again(context):
     job, _ = context.store.create(Job(JobKind.MEASURE_OTF))
     context.store.change(job.id, lambda job: replace(job, state=State.RUNNING))
     with pytest.raises(IllegalTransition, match="measures; it is not begun again"):
-        context.store.change(job.id, put_back)
+        context.store.change(job.id, requeue)
     assert context.store.get(job.id).state is State.RUNNING

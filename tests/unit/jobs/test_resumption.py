@@ -25,7 +25,7 @@ from truepath.jobs.dispatch.resumability import (
     require_resumable,
     require_targets_apart,
 )
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.resumption import choose_first_row
 from truepath.measurement.messages import PartRequested
 from truepath.motion.configurations import Configurations
@@ -92,7 +92,7 @@ def replan(context):
 
     def replan(job, **changes):
         plan = dict(context.store.read_plan(job.id))
-        context.store.keep_plan(job.id, plan | changes)
+        context.store.store_plan(job.id, plan | changes)
 
     return replan
 
@@ -195,7 +195,9 @@ def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
 ):
     def describe(machine):
         content = machine_to_json(machine)
-        version = context.registry.note("default", "catalogue", content, {})
+        version = context.registry.record_configuration(
+            "default", "catalogue", content, {}
+        )
         one = context.machines.get("default")
         context.machines.put(replace(one, machine=machine, version=version))
 

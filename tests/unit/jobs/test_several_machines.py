@@ -11,10 +11,10 @@ from truepath.catalogue.errors import CellBusy, UnnamedMachine
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, NotFound
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.cell_setup import refuse_same_names, refuse_shared_links
+from truepath.machines.setup.cell_setup import reject_same_names, reject_shared_links
 from truepath.measurement.messages import CellConfig
 
 TCP = {"host": "192.0.2.7", "port": 502}
@@ -104,12 +104,12 @@ def cell_config(tracker, motion):
 def test_two_machines_may_not_name_one_port_or_address_or_state_one_name():
     mill = cell_config({"port": "/dev/tracker-1"}, TCP)
     apart = cell_config({"port": "/dev/tracker-2"}, {"host": "192.0.2.8"})
-    refuse_shared_links([("mill", mill), ("lathe", apart)])
+    reject_shared_links([("mill", mill), ("lathe", apart)])
     for other, link in (
         (cell_config({"port": "/dev/tracker-1"}, {"host": "192.0.2.8"}), "tracker-1"),
         (cell_config({"port": "/dev/tracker-2"}, {"host": "192.0.2.7"}), "2.7:502"),
     ):
         with pytest.raises(BadInput, match=f"mill and lathe both name .*{link}"):
-            refuse_shared_links([("mill", mill), ("lathe", other)])
+            reject_shared_links([("mill", mill), ("lathe", other)])
     with pytest.raises(BadInput, match="mill and lathe are both named 'VMC'"):
-        refuse_same_names([("mill", "VMC"), ("lathe", "VMC")])
+        reject_same_names([("mill", "VMC"), ("lathe", "VMC")])

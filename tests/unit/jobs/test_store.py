@@ -192,7 +192,7 @@ def test_old_keys_and_events_are_forgotten(store, database):
 def test_progress_is_kept_without_a_new_version(store, told):
     job, _ = store.create(MEASURE)
     progress = Progress(3, 10, "lines", 12.5, 4.0, (1.0, 2.0, 3.0))
-    store.keep_progress(job.id, Stage.MEASURING, progress, Health(1000, 2, 1))
+    store.store_progress(job.id, Stage.MEASURING, progress, Health(1000, 2, 1))
     kept = store.get(job.id)
     assert (kept.version, kept.stage) == (1, "measuring")
     assert kept.progress == progress

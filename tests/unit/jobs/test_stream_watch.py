@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from truepath.machines.conditions.stream_watch import (
+from truepath.machines.conditions.stream_status import (
     COURSE_S,
     HEARD_S,
     StreamLevels,
-    StreamWatch,
+    StreamStatus,
 )
 from truepath.measurement.messages import (
     CellState,
@@ -22,7 +22,7 @@ from truepath.measurement.messages import (
 
 @pytest.fixture
 def watch(hand_clock):
-    watch = StreamWatch()
+    watch = StreamStatus()
     watch.follow(StateChanged(CellState.RUNNING))
     return watch
 
@@ -102,27 +102,27 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
 def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(
     hand_clock, tried, aims, level
 ):
-    watch = StreamWatch()
-    watch.hear(tried, 500.0, aims=aims)
+    watch = StreamStatus()
+    watch.record_trial(tried, 500.0, aims=aims)
     read = watch.read()
     assert {name: getattr(read, name) for name in level} == level
 
 
 def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
-    watch = StreamWatch()
+    watch = StreamStatus()
     assert watch.read() == StreamLevels()
-    watch.hear_failure("it is mute")
+    watch.record_failure("it is mute")
     assert watch.read().failure == "it is mute"
     hand_clock.time_s += HEARD_S + 1.0
     assert watch.read() == StreamLevels()
-    watch.hear(heard(), 500.0, aims=False)
+    watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
     watch.follow(StateChanged(CellState.RUNNING))
     assert watch.read() == StreamLevels()
 
 
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
-    watch = StreamWatch()
+    watch = StreamStatus()
     for n in range(10):
         watch.follow(TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}))
         hand_clock.time_s += 10.0

@@ -12,7 +12,7 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis,
 from truepath.kinematics.machine.symbols import is_turn, list_error_motions
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 
 AXES = {
     "X": LinearAxis("X", 0.0, 700.0),
@@ -85,9 +85,9 @@ def test_motions_of_twenty_micrometres_add(rng):
     position = rng.uniform([0.0, 0.0, -400.0], [700.0, 500.0, 0.0], (50, 3))
     at = make_standstill(model.machine, position)
     small = draw(model, rng, 0.01, 1e-5)
-    assert adds_up(model, at, small)
+    assert is_nearly_linear(model, at, small)
     assert np.abs(compute_second_order_mm(model, at, small)).max() < 2e-5
-    assert not adds_up(model, at, 100.0 * small)
+    assert not is_nearly_linear(model, at, 100.0 * small)
 
 
 def test_from_the_base_a_table_turns_the_other_way(rng):

@@ -13,18 +13,18 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 from truepath.files.environment.refraction import choose_refraction
 from truepath.measurement.messages import BlockRecorded, FaultReported
-from truepath.measurement.monitors.channel_judge import (
+from truepath.measurement.monitors.sensor_plausibility import (
     BACK,
     IMPLAUSIBLE,
     NO_NUMBER,
     SILENT,
     STUCK,
-    ChannelJudge,
+    SensorPlausibility,
 )
 from truepath.measurement.progress import LiveView
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.measurement.run_file.run_reading import open_run
+from truepath.measurement.run_file.run_loader import open_run
 from truepath.numerics.air_index import find_air_index
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
@@ -75,13 +75,13 @@ class FakeThermometers(Thermometers):
 
 def judged(values, *, step_s=1.0, channel=None):
     """Return values and kinds of what is told, of readings a step apart."""
-    judge = ChannelJudge(channel or Channel("X_degC"))
+    judge = SensorPlausibility(channel or Channel("X_degC"))
     found, told = [], []
     for number, value in enumerate(values):
         fault = value if isinstance(value, str) else ""
         shown = math.nan if fault else value
         reading = Reading("X_degC", 100.0 + step_s * number, shown, fault)
-        value, notice = judge.judge(reading)
+        value, notice = judge.assess(reading)
         found.append(value)
         told.append("" if notice is None else notice.code)
     return found, told

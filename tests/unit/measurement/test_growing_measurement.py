@@ -142,6 +142,6 @@ def test_a_line_that_was_driven_to_its_end_counts_when_the_rest_is_left_out(
     progress.begin()
     progress.follow(1)
     assert progress.next_report().done == 0
-    progress.leave_out_rest(is_row_done=is_row_done)
+    progress.exclude_rest(is_row_done=is_row_done)
     progress.end()
     assert progress.next_report().done == is_row_done

@@ -19,7 +19,7 @@ from measurement_fixtures import (
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import CellVerb, LinesDamaged, MeasurementOrder
 from truepath.measurement.target import target_search
-from truepath.measurement.target.target_search import SeenPlaces
+from truepath.measurement.target.target_search import ObservedPoints
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers import host_clock
@@ -314,12 +314,12 @@ def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
 
 
 def test_of_one_line_is_known_where_it_was_seen_last_and_how_far_it_may_be(mill):
-    places, there = SeenPlaces(mill), {"X": 160.0, "Y": 160.0, "Z": 70.0}
-    assert places.foretell(there, "") is None
+    places, there = ObservedPoints(mill), {"X": 160.0, "Y": 160.0, "Z": 70.0}
+    assert places.predict_point(there, "") is None
     for x in (0.0, 40.0, 80.0, 120.0, 160.0):
         seen = TO_TRACKER.apply(np.array([[x, x, 0.0]]))[0]
         places.remember({"X": x, "Y": x, "Z": 0.0}, "", seen, stands=True)
-    expected = places.foretell(there, "")
+    expected = places.predict_point(there, "")
     assert expected.basis == "where it was seen last"
     np.testing.assert_allclose(expected.place_mm, seen)
     assert expected.reach_mm > 70.0

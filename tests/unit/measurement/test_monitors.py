@@ -14,7 +14,7 @@ from truepath.measurement.messages import TrackerTrial
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
 from truepath.measurement.monitors.feed_hold import FeedHold
 from truepath.measurement.monitors.stream_reader import StreamDamage
-from truepath.measurement.monitors.tracker_trial import try_tracker
+from truepath.measurement.monitors.tracker_self_test import try_tracker
 from truepath.measurement.run_file.event_log import EventLog
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers.interfaces.records import LinkHealth, MotionState, TrackerSamples

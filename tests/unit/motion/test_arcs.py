@@ -56,7 +56,7 @@ def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill, half
     check_travel(mill, turned)
     box = Box((195.0, -60.0, -60.0), (205.0, -40.0, -40.0))
     with pytest.raises(PlanningError, match="the way to row 2 enters the keep-out box"):
-        Workspace(keep_out=(box,)).refuse(mill, half_turn)
+        Workspace(keep_out=(box,)).require_allowed(mill, half_turn)
     places, row = trace(half_turn)
     assert np.array_equal(places[-1], half_turn.position[-1])
     assert set(row.tolist()) == {0, 1}

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truepath.kinematics.splines import cyclic_spline, natural_spline
-from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 
 KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
 SPLINE = natural_spline(KNOTS)
@@ -73,7 +73,7 @@ def search_densely(known, rows, borders, variance, points=10_000):
 
 
 def assert_exact(known, rows, knots, variance):
-    best = find_best_place(known, rows, knots, variance)
+    best = find_best_position(known, rows, knots, variance)
     searched = search_densely(known, rows, knots, variance)
     assert abs(best.drop - searched) <= 1e-9 * known.integrated_variance
     there = known.compute_drops(rows(np.array([best.at])), variance)[0]
@@ -128,6 +128,6 @@ def test_a_cyclic_axis_and_one_beside_others_have_an_exact_optimum_too(rng):
 
 def test_where_nothing_is_left_to_learn_any_place_will_do():
     known = IntegratedVariance(np.zeros((SPLINE.size, SPLINE.size)), SPLINE.gram())
-    best = find_best_place(known, SPLINE.basis, KNOTS, 0.01)
+    best = find_best_position(known, SPLINE.basis, KNOTS, 0.01)
     assert best.drop == 0.0
     assert KNOTS[0] <= best.at <= KNOTS[-1]

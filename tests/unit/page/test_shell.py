@@ -8,7 +8,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from truepath.compensation.installed import list_formats
+from truepath.compensation.format_registry import list_formats
 from truepath.kinematics.effects.family import list_families
 from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
 from truepath.service.api.security.security import Guard

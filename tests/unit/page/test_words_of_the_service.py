@@ -15,17 +15,17 @@ import pytest
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.transitions import State
-from truepath.compensation.installed import list_formats
-from truepath.estimation.checks import change_search, notices
+from truepath.compensation.format_registry import list_formats
+from truepath.estimation.checks import change_detection, notices
 from truepath.estimation.solve.budget import SOURCES
 from truepath.files.earlier.verdict import SENTENCES, TITLES, Verdict
 from truepath.files.environment.refraction import CAUSES, Refraction
 from truepath.kinematics import effects
 from truepath.machines.cell_supervisor import MOVING
-from truepath.machines.conditions import condition_board
+from truepath.machines.conditions import condition_log
 from truepath.machines.conditions.conditions import ConditionType
 from truepath.measurement.messages import CellState
-from truepath.results.verdict import judge_air
+from truepath.results.result_assessment import assess_air
 from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES
 from truepath.service.page.pages import LANGUAGES, catalogue
 from truepath_drivers.interfaces.records import UNABLE
@@ -44,13 +44,13 @@ def keys_of_words():
     yield from (f"verdict.why.{kind}" for kind in CAUSES)
     yield from (f"notice.done_{action}" for action in OnNotice)
     yield from (f"condition.{kind}" for kind in ConditionType)
-    source = inspect.getsource(condition_board)
+    source = inspect.getsource(condition_log)
     stated = re.findall(r'Finding\(\s*Level\.FALSE, "([a-z-]+)"', source)
     assert len(stated) > 10
     stems = product(("compensation", "compensation-not", "not-told"), ("on", "off"))
     stated += ["-".join(words) for words in stems]
     yield from (f"condition.reason.{reason}" for reason in (*stated, *UNABLE))
-    changes = inspect.getsource(change_search), inspect.getsource(notices)
+    changes = inspect.getsource(change_detection), inspect.getsource(notices)
     named = re.findall(r'"((?:set-up|axes|line|lost|something)-[a-z-]+)"', str(changes))
     yield from (f"notice.{kind}" for kind in named)
     unable = {*CellState, "starting", "disconnected"} - {*MOVING, CellState.READY}
@@ -76,13 +76,13 @@ def test_every_word_of_the_service_has_one_in_every_language():
 @pytest.mark.parametrize("kind", CAUSES)
 def test_why_the_air_is_not_corrected_comes_with_its_kind(kind):
     why = "" if kind == "nothing-known" else CAUSES[kind]
-    (reason,) = judge_air([Refraction("nobody", why=why)], ["run"]).reasons
+    (reason,) = assess_air([Refraction("nobody", why=why)], ["run"]).reasons
     assert reason.values == {"why": CAUSES[kind], "why_kind": kind}
     assert CAUSES[kind] in str(Verdict((reason,)).reasons[0])
 
 
 def test_words_of_another_version_stand_as_they_are():
-    (reason,) = judge_air([Refraction("nobody", why="fog")], ["run"]).reasons
+    (reason,) = assess_air([Refraction("nobody", why="fog")], ["run"]).reasons
     assert reason.values == {"why": "fog", "why_kind": ""}
 
 

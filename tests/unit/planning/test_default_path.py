@@ -19,7 +19,7 @@ from truepath.planning.initial_design import choose_station, start_design
 from truepath.planning.lines.default_path import default_path
 from truepath.planning.lines.line_design import LineDesignState
 from truepath.planning.lines.planner import Planner
-from truepath.planning.lines.target_shares import share_among_targets
+from truepath.planning.lines.target_time_split import share_among_targets
 from truepath_drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])

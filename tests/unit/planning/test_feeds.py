@@ -10,8 +10,8 @@ from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.kinematics.machine.machine import MotionLimits
 from truepath.motion.motion_times import Drive, Legs
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.motion.profile import Limits, rest_to_rest
 
 
@@ -28,7 +28,7 @@ def test_a_machine_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_f
     assert machine.motion.assumed == ("acceleration_mm_s2",)
     assert "motion" not in machine_to_json(mill)
     sluggish = moving_at(mill, max_feed_mm_min=40_000, acceleration_mm_s2=200)
-    feeds = PlanOrder().feeds(sluggish)
+    feeds = PlanRequirements().feeds(sluggish)
     assert max(feeds) < 15_000.0
     longest_mm = np.linalg.norm([500.0, 400.0, 300.0])
     assert Drive.of_machine(sluggish, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
@@ -48,7 +48,7 @@ def test_a_line_takes_as_long_as_a_jerk_limited_machine_does(length_mm, jerk_mm_
 @pytest.fixture(scope="module")
 def planned(small_mill):
     machine = moving_at(small_mill, max_feed_mm_min=16_000, acceleration_mm_s2=3000)
-    return make_plan(machine, PlanOrder(minutes=1.0))
+    return make_plan(machine, PlanRequirements(minutes=1.0))
 
 
 def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned):
@@ -67,11 +67,11 @@ def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
     small_mill, mill
 ):
     slow = replace(small_mill, motion=MotionLimits(2400.0, assumed=()))
-    plan = make_plan(slow, PlanOrder(minutes=0.6))
+    plan = make_plan(slow, PlanRequirements(minutes=0.6))
     assert plan.commanded.feed_mm_min.max() <= 2400.0
     with pytest.raises(PlanningError, match="give 1 to 2400 mm"):
-        make_plan(slow, PlanOrder(minutes=1.0, feeds_mm_min=(6000.0,)))
-    document = plan_document(make_plan(small_mill, PlanOrder(minutes=0.4)))
+        make_plan(slow, PlanRequirements(minutes=1.0, feeds_mm_min=(6000.0,)))
+    document = plan_document(make_plan(small_mill, PlanRequirements(minutes=0.4)))
     assert document["motion"]["max_feed_mm_min"] == 10_000.0
     assert any("10000" in text for text in document["motion"]["assumed"])
 
@@ -90,8 +90,10 @@ def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
 
 
 def test_no_feed_is_chosen_above_the_one_asked_for_or_that_controls_do_not_read(mill):
-    assert max(PlanOrder(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
+    assert max(PlanRequirements(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
     with pytest.raises(PlanningError, match="leave it out where feeds are given"):
-        PlanOrder(feeds_mm_min=(900.0,), max_feed_mm_min=3e3).refuse_nonsense(mill)
+        PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3).reject_nonsense(
+            mill
+        )
     machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
-    assert max(PlanOrder().feeds(machine)) <= 99_999.0
+    assert max(PlanRequirements().feeds(machine)) <= 99_999.0

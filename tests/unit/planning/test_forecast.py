@@ -10,7 +10,7 @@ from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import Unidentifiable
 from truepath.files.environment.refraction import Refraction, state_length_ppm
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.forecast import Assumptions, forecast, predict_undetermined
@@ -79,7 +79,7 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
 def test_the_scale_of_the_air_is_foretold_as_it_is_stated(outcomes):
     _, foretold, _ = outcomes[0]
     mill = foretold.model.machine
-    stretch = find_stretch(foretold.model)
+    stretch = compute_scale_parameters(foretold.model)
     ppm = state_length_ppm(Refraction(), mill.tracker.range_ppm)
     less = foretold.covariance - 1e-12 * ppm**2 * np.outer(stretch, stretch)
     known = replace(foretold, covariance=less).motion_sigmas()
@@ -117,7 +117,7 @@ def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
     assert all(sigma > 0.0 for sigma in motions.values())
 
 
-def join_places(*places):
+def merge_points(*places):
     """A program that goes from place to place in the travel, each at a share of it."""
     n = len(places)
     position_mm = np.array([500.0, 400.0, 300.0]) * places
@@ -136,7 +136,7 @@ IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9)
 def test_what_the_estimate_refuses_is_foretold_in_its_words(
     record, places, is_determined
 ):
-    run, truth = record(2, program=join_places(*places))
+    run, truth = record(2, program=merge_points(*places))
     stand_mm = truth.recording.pose.position_mm
     foretold = predict_undetermined(run.machine, run.commanded, stand_mm)
     refused = ""

@@ -18,8 +18,8 @@ from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.planning.forecast import Assumptions, forecast
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.guides import ElasticSag
 from truepath_simulators.hidden.screws import Backlash
@@ -49,7 +49,7 @@ def model() -> PriorModel:
 
 
 def plan_it(model, seed=0):
-    order = PlanOrder(minutes=0.8, feeds_mm_min=FEEDS, model=model, seed=seed)
+    order = PlanRequirements(minutes=0.8, feeds_mm_min=FEEDS, model=model, seed=seed)
     return make_plan(MACHINE, order)
 
 
@@ -106,7 +106,9 @@ def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
     assert after["uncertainty"] < 0.5 * before["uncertainty"]
     assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
     assert plan_document(planned[False])["model"] is None
-    points = make_plan(MACHINE, PlanOrder("standstill", minutes=0.4, model=model))
+    points = make_plan(
+        MACHINE, PlanRequirements("standstill", minutes=0.4, model=model)
+    )
     (of_points, *_) = plan_document(points)["predicted"]["effects"]
     for one in (lost, of_points):
         width_um = (one[key]["width_um"] for key in ("parameters", "known_before"))
@@ -116,4 +118,4 @@ def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
 def test_a_model_of_another_machine_is_refused(model):
     other = machine_from_json(load_machine("demo"), file="machine.json")
     with pytest.raises(BundleError, match=r"model.json: machine.axes: X 0 to 220"):
-        make_plan(other, PlanOrder(minutes=0.5, model=model))
+        make_plan(other, PlanRequirements(minutes=0.5, model=model))

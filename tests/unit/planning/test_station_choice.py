@@ -13,10 +13,10 @@ from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 from truepath.planning.forecast import Assumptions, forecast
 from truepath.planning.known_points import choose_known_points
-from truepath.planning.plan_making import make_plan
-from truepath.planning.plan_order import PlanOrder
-from truepath.planning.predicted_cells import predict_cells
-from truepath.planning.remedies import find_set_up_remedies
+from truepath.planning.line_suggestions import find_set_up_remedies
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.simulated_cells import predict_cells
 from truepath_drivers.interfaces.records import Path
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
@@ -41,7 +41,9 @@ def plan_of(small_mill):
         stations = StationAreas(areas, (), move_s, specification)
         workspace = Workspace(nearest_mm=200.0, stations=stations, **workspace)
         feeds = (6000.0,) if mode == "otf" else ()
-        order = PlanOrder(mode, minutes=0.4, feeds_mm_min=feeds, workspace=workspace)
+        order = PlanRequirements(
+            mode, minutes=0.4, feeds_mm_min=feeds, workspace=workspace
+        )
         return make_plan(small_mill, order)
 
     return make
@@ -83,7 +85,9 @@ def test_a_travel_that_no_place_sees_whole_demands_a_second_station(mill):
     wall = Box((240.0, -2600.0, -700.0), (260.0, 2000.0, 700.0), "wall")
     areas = StationAreas((FLOOR,), (), 60.0, PERFECT)
     workspace = Workspace(nearest_mm=200.0, stations=areas, blocks_sight=(wall,))
-    advice = make_plan(mill, PlanOrder(minutes=1.0, workspace=workspace)).stations
+    advice = make_plan(
+        mill, PlanRequirements(minutes=1.0, workspace=workspace)
+    ).stations
     assert advice.options[0].left.seen < 0.9
     assert advice.recommended.reason == "sight"
     assert advice.recommended.left.seen > advice.options[0].left.seen
@@ -201,7 +205,7 @@ def test_another_face_is_named_only_where_the_tracker_has_two(judge):
 def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_mill):
     wall = Box((-400.0, -2000.0, -2000.0), (-300.0, 2000.0, 2000.0), "wall")
     workspace = Workspace((), tuple(HERE_MM.tolist()), 200.0, blocks_sight=(wall,))
-    order = PlanOrder(minutes=0.2, feeds_mm_min=(6000.0,), workspace=workspace)
+    order = PlanRequirements(minutes=0.2, feeds_mm_min=(6000.0,), workspace=workspace)
     document = plan_document(make_plan(small_mill, order))
     errors = document["predicted"]["tracker_errors"]
     parts = errors["random_um"] ** 2 + errors["systematic_um"] ** 2
@@ -218,7 +222,9 @@ def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_m
 
 @pytest.mark.long
 def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
-    plan = make_plan(small_mill, PlanOrder(target_um=0.2, feeds_mm_min=(6000.0,)))
+    plan = make_plan(
+        small_mill, PlanRequirements(target_um=0.2, feeds_mm_min=(6000.0,))
+    )
     assert plan.reached is False
     assert plan.outcome.random_mm < 0.4 * plan.outcome.volumetric_sigma_mm
     assert plan.duration_s < 1000.0
@@ -232,7 +238,9 @@ FEEDS = (6000.0,)
 
 @pytest.fixture(scope="module")
 def planned(small_mill):
-    order = PlanOrder(minutes=0.6, feeds_mm_min=FEEDS, workspace=WORKSPACE, stations=2)
+    order = PlanRequirements(
+        minutes=0.6, feeds_mm_min=FEEDS, workspace=WORKSPACE, stations=2
+    )
     return make_plan(small_mill, order)
 
 
@@ -262,7 +270,7 @@ def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mil
     """Lines chosen without that knowledge tell less beside those of the first."""
     first, second = planned.at_stations
     here = Workspace((), tuple(second.station_mm.tolist()), 200.0)
-    order = PlanOrder(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)
+    order = PlanRequirements(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)
     alone = make_plan(small_mill, order)
     lines = alone.commanded, alone.station_mm
     beside = forecast(small_mill, *lines, before=first.forecast)
@@ -310,7 +318,7 @@ SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 def test_what_stations_cannot_be_planned_for_is_refused(small_mill, more, said):
     order = {"minutes": 0.5, "workspace": WORKSPACE, "stations": 2, **more}
     with pytest.raises(PlanningError, match=said):
-        make_plan(small_mill, PlanOrder(feeds_mm_min=FEEDS, **order))
+        make_plan(small_mill, PlanRequirements(feeds_mm_min=FEEDS, **order))
 
 
 def test_ramps_count_as_ramps(mill, square):

@@ -16,12 +16,12 @@ from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
 from truepath.files.environment.refraction import (
     Refraction,
     correct_refraction,
+    range_scale_uncertainty_ppm,
     refraction_from_json,
     refraction_to_json,
     state_length_ppm,
-    state_scale_ppm,
 )
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.analysis import analyse
 from truepath.results.environment_json import (
@@ -30,9 +30,9 @@ from truepath.results.environment_json import (
     environment_json,
 )
 from truepath.results.error_tables import build_error_tables
-from truepath.results.findings import state_findings
+from truepath.results.result_assessment import assess_air, assess_scale
 from truepath.results.result_json import result_json
-from truepath.results.verdict import judge_air, judge_scale
+from truepath.results.result_summary import state_findings
 from truepath_drivers.interfaces.records import (
     AirSamples,
     TemperatureSamples,
@@ -109,9 +109,11 @@ def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtf
     assert "271.37" in describe_refraction(done)
     assert "NOT" in describe_refraction(Refraction("nobody", LIGHT, why="no pressure"))
     assert "not known" in describe_refraction(Refraction())
-    assert state_scale_ppm(Refraction())[0] > 0.4
-    assert judge_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
-    (reason,) = judge_air([BY_NOBODY], ["a"]).reasons
+    assert range_scale_uncertainty_ppm(Refraction())[0] > 0.4
+    assert (
+        assess_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
+    )
+    (reason,) = assess_air([BY_NOBODY], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
     assert "no pressure" in str(reason)
 
@@ -131,7 +133,7 @@ def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_ar
 ):
     air = (20.0, 954.6, 50.0)
     usual = Refraction("truepath", LIGHT, 1.00027, air, "no sensor", assumed)
-    assert state_scale_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
+    assert range_scale_uncertainty_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
     assert refraction_from_json(refraction_to_json(usual)) == usual
 
 
@@ -149,16 +151,16 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_meas
         nobody = Refraction("nobody", LIGHT)
         told, samples = correct_refraction(nobody, shown, None, None)
         off_ppm.append(1e6 * (samples.position_mm[0, 0] - 1.0))
-    stated_ppm = state_scale_ppm(told)[0]
+    stated_ppm = range_scale_uncertainty_ppm(told)[0]
     assert np.mean(np.abs(off_ppm) < 2.0 * stated_ppm) > 0.93
     assert np.std(off_ppm) == pytest.approx(stated_ppm, rel=0.15)
-    (reason,) = judge_air([told], ["run"]).reasons
+    (reason,) = assess_air([told], ["run"]).reasons
     assert (reason.kind, reason.state) == ("air-assumed", "usable")
     assert reason.values["within_um"] == pytest.approx(2.0 * stated_ppm)
 
 
 def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
-    air_ppm = state_scale_ppm(Refraction())[0]
+    air_ppm = range_scale_uncertainty_ppm(Refraction())[0]
     assert state_length_ppm(Refraction(), 0.0) == pytest.approx(air_ppm)
     both = state_length_ppm(Refraction("instrument"), 0.5)
     assert both == pytest.approx(np.hypot(air_ppm, 0.5))
@@ -195,14 +197,14 @@ def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(told):
 
 
 def test_axes_that_are_all_long_by_the_same_ask_for_air_and_temperature(estimate):
-    stretch = find_stretch(estimate.model)
-    (reason,) = judge_scale(replace(estimate, theta=68e-6 * stretch)).reasons
+    stretch = compute_scale_parameters(estimate.model)
+    (reason,) = assess_scale(replace(estimate, theta=68e-6 * stretch)).reasons
     assert (reason.kind, reason.state) == ("all-axes-scaled", "doubtful")
     assert reason.values["distance_um"] == pytest.approx(68.0)
     # What air and a machine at 22 °C explain, and axes that are each for themselves.
-    assert not judge_scale(replace(estimate, theta=40e-6 * stretch)).reasons
+    assert not assess_scale(replace(estimate, theta=40e-6 * stretch)).reasons
     stretch[estimate.model.slices["EXX"]] *= 0.5
-    assert not judge_scale(replace(estimate, theta=68e-6 * stretch)).reasons
+    assert not assess_scale(replace(estimate, theta=68e-6 * stretch)).reasons
 
 
 LONG_MM = 2300.0
@@ -272,11 +274,11 @@ def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_t
 def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
     estimate, provenance, off, kinds
 ):
-    long = replace(estimate, theta=68e-6 * find_stretch(estimate.model))
+    long = replace(estimate, theta=68e-6 * compute_scale_parameters(estimate.model))
     lengths = () if off is None else (bar(off),)
     runs = tuple(replace(one, known_lengths=lengths) for one in provenance.runs)
     found = state_findings(long, replace(provenance, runs=runs))
-    said = judge_scale(found.estimate, found.known_scale).reasons
+    said = assess_scale(found.estimate, found.known_scale).reasons
     assert {one.kind: one.state for one in said} == kinds
 
 
@@ -285,7 +287,7 @@ def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
     construct, sigma_mm
 ):
     estimate = construct()
-    stretch, scale = find_stretch(estimate.model), 10e-6
+    stretch, scale = compute_scale_parameters(estimate.model), 10e-6
     rng = np.random.default_rng(3)
     root = np.linalg.cholesky(estimate.covariance)
     off, wrong = [], []

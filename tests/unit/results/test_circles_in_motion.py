@@ -10,8 +10,8 @@ from results_fixtures import load_small
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import ArcDrive
 from truepath.answers.verification.circles import circle_figures as figures
-from truepath.answers.verification.circles.circles_in_motion import read_commanded
-from truepath.answers.verification.places.measured_places import correlate_means
+from truepath.answers.verification.circles.circular_test import read_commanded
+from truepath.answers.verification.places.reduced_points import correlate_means
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
@@ -273,4 +273,4 @@ def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
     centre = figures.fit_centre(np.mean(both, axis=0)[:, None])
     assert centre[:, 0] == pytest.approx(at, abs=1e-4)
     for one in both:
-        assert np.abs(figures.take_centre_off(one[:, None], centre)).max() < 2e-4
+        assert np.abs(figures.subtract_centre(one[:, None], centre)).max() < 2e-4

@@ -5,12 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.answers.shown.drawn_vectors import DrawnVectors
-from truepath.answers.verification.driven_figures import evaluate_driven
-from truepath.answers.verification.places.length_statistics import NAMES, state_measured
-from truepath.answers.verification.places.place_conformity import (
+from truepath.answers.shown.sampled_vectors import SampledVectors
+from truepath.answers.verification.places.length_statistics import (
+    NAMES,
+    compute_measured_statistics,
+)
+from truepath.answers.verification.places.multipoint_conformity import (
     compute_joint_factor,
-    decide_places,
+    decide_points,
+)
+from truepath.answers.verification.static_test_figures import (
+    evaluate_static_lines_and_circles,
 )
 from truepath.kinematics.conditions import make_standstill
 
@@ -34,8 +39,10 @@ def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9, scale_mm=None)
     nothing = np.zeros_like(deviation_mm)
     noise = noise_mm * rng.standard_normal((*deviation_mm.shape, 50))
     scale = nothing if scale_mm is None else scale_mm
-    measured = DrawnVectors(deviation_mm, noise, scale[:, :, None])
-    return evaluate_driven(places_at(machine, position), measured, nothing)
+    measured = SampledVectors(deviation_mm, noise, scale[:, :, None])
+    return evaluate_static_lines_and_circles(
+        places_at(machine, position), measured, nothing
+    )
 
 
 def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
@@ -103,8 +110,10 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
     for _ in range(trials):
         scatter_mm = 1e-3 * noise_um * rng.standard_normal(exact_mm.shape)
         seen_mm = exact_mm + scatter_mm
-        measured = DrawnVectors(seen_mm, noise_mm, nothing[:, :, None])
-        (found,) = getattr(evaluate_driven(places, measured, nothing), of)
+        measured = SampledVectors(seen_mm, noise_mm, nothing[:, :, None])
+        (found,) = getattr(
+            evaluate_static_lines_and_circles(places, measured, nothing), of
+        )
         for name, value in found.figures_um.items():
             off_um = abs(value - true.figures_um[name])
             held[name] += off_um <= 2.0 * found.uncertainty_um[name]
@@ -227,7 +236,7 @@ def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
     length_um, decision
 ):
     sigma_um = np.full(2, 0.9)  # expanded for two places: 2.0 µm
-    found = decide_places(np.array(length_um), sigma_um, MANY, 10.0)
+    found = decide_points(np.array(length_um), sigma_um, MANY, 10.0)
     assert found.conformity == decision
     assert found.worst == 1
     assert found.expanded_um == pytest.approx(2.01, abs=0.02)
@@ -235,11 +244,11 @@ def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
 
 def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
     length, sigma = np.array([1.0, 9.9, 20.0]), np.array([0.1, 5.0, 0.1])
-    found = decide_places(length, sigma, MANY, 10.0)
+    found = decide_points(length, sigma, MANY, 10.0)
     assert (found.conformity, found.worst) == ("outside", 2)
     for length_um, decision in ((3.0, "undecided"), (20.0, "outside")):
         length, sigma = np.array([length_um]), np.array([0.1])
-        found = decide_places(length, sigma, MANY, 10.0, sees_all=False)
+        found = decide_points(length, sigma, MANY, 10.0, sees_all=False)
         assert found.conformity == decision
 
 
@@ -280,7 +289,9 @@ def test_what_noise_hides_of_lengths_is_within_their_uncertainty(times_the_noise
         length_um = 1e3 * np.linalg.norm(true, axis=1)
         known = (length_um.mean(), np.quantile(length_um, 0.95), length_um.max())
         seen = true + draw_noise(rng, 1)[:, :, 0]
-        stated = state_measured(seen, draw_noise(rng, DRAWS), 60.0, np.zeros_like(seen))
+        stated = compute_measured_statistics(
+            seen, draw_noise(rng, DRAWS), 60.0, np.zeros_like(seen)
+        )
         for name, value in zip(NAMES, known, strict=True):
             off = abs(stated[name].value_um - value)
             inside[name] += off <= 2.0 * stated[name].uncertainty_um

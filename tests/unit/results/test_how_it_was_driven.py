@@ -14,15 +14,15 @@ from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
 from truepath.results.analysis import analyse
-from truepath.results.as_if_driven import judge_program
-from truepath.results.verdict import judge_driving
+from truepath.results.program_mismatch import assess_program
+from truepath.results.result_assessment import assess_driving
 from truepath.results.volumetric_error import VolumetricError, make_grid
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
 
 def said_of(run) -> Verdict:
-    return judge_driving([align(run).driving], ["run"])
+    return assess_driving([align(run).driving], ["run"])
 
 
 def at_feed(run, share):
@@ -113,7 +113,7 @@ def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
     driving = Driving(0, driven, 7, {}, ())
     further = replace(seen, row=seen.row.clip(max=driven), driving=driving)
     found = drop_measured_elsewhere([first, rest], [seen, further])
-    said = judge_driving([found[0].driving, None], ["first", "rest"]).reasons
+    said = assess_driving([found[0].driving, None], ["first", "rest"]).reasons
     assert [reason.values for reason in said] == (
         [{"first": 1, "last": 23 + driven, "lines": 29}] if missing else []
     )
@@ -166,7 +166,7 @@ def judge(machine, change):
     driven = make_standstill(machine, change(q)).point_mm
     error_um = 1e3 * (driven - place)
     none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
-    reasons = judge_program(machine, none).reasons
+    reasons = assess_program(machine, none).reasons
     return {(one.kind, one.values["axes"]): one.values["by"] for one in reasons}
 
 

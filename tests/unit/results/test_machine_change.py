@@ -15,7 +15,7 @@ from truepath.answers.history.machine_change import (
 from truepath.answers.history.machine_history import Entry, list_differing
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.machine import Target
 from truepath.results.result_json import result_json
 
@@ -86,7 +86,7 @@ def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(esti
     before = draw_result(certain, 1)
     # Both calibrations know their lengths to 20 ppm; the second has 40 ppm too much.
     after = draw_result(certain, 2)
-    longer = after.theta + 40e-6 * find_stretch(after.model)
+    longer = after.theta + 40e-6 * compute_scale_parameters(after.model)
     pair = before, replace(after, theta=longer)
     known = [one.widen_by_scale(20e-6) for one in pair]
     assert not find_changes(*known).is_significant
@@ -155,7 +155,7 @@ def test_history_of_the_volume_has_its_three_figures_and_what_is_none_is_refused
     ("p95", "state"), [(8.0, "within"), (9.5, "not-sure"), (12.0, "over")]
 )
 def test_a_tolerance_is_judged_with_the_uncertainty(calibrate, p95, state):
-    judged = documents.judge_tolerance(calibrate("mill", 1, p95=p95), 10.0)
+    judged = documents.assess_tolerance(calibrate("mill", 1, p95=p95), 10.0)
     assert judged.state == state
     assert "tolerance of 10 µm" in judged.text
 

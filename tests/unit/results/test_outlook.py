@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.answers.trend.outlook import LookAhead
+from truepath.answers.trend.recalibration_forecast import ForecastModel
 from truepath.answers.trend.trend import describe_outlook
-from truepath.estimation.over_time.drift_course import Course
+from truepath.estimation.over_time.drift_process import Course
 
 HOUR_S = 3600.0
 
@@ -23,10 +23,10 @@ def look(beyond, begin_um=0.5, runs=4, limit=2.0):
 
     stub = SimpleNamespace(
         runs=at_runs,
-        at=lambda *time_s: Course(np.array(time_s), np.zeros((len(time_s), 0))),
+        course_at=lambda *time_s: Course(np.array(time_s), np.zeros((len(time_s), 0))),
         _measure_change_um=measure,
     )
-    return LookAhead.look(stub, limit, 10.0 * HOUR_S)
+    return ForecastModel.predict_exceedance(stub, limit, 10.0 * HOUR_S)
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,9 @@ from truepath.kinematics.effects.base import Role
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.results.error_tables import build_error_tables
-from truepath.results.findings import state_findings
 from truepath.results.prediction import predict
 from truepath.results.result_json import result_json
+from truepath.results.result_summary import state_findings
 
 # Of result/1, beside the schema.
 KEYS = (

@@ -15,7 +15,7 @@ from truepath.files.bundle.bundle import read_bundle
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath.results.analysis import analyse
 from truepath.results.error_tables import build_error_tables
-from truepath.results.trial_results import MAP, run_trials, trials_json
+from truepath.results.monte_carlo_results import MAP, run_trials, trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=1)
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.compensation.account.remaining_error import find_remaining
+from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.unmeasured import find_measured_ranges
+from truepath.compensation.tables.unmeasured_range import find_measured_ranges
 from truepath.kinematics.effects.backlash import make_half_width
 from truepath.results.error_tables import compute_half_differences
 from truepath.results.prediction import predict
-from truepath.results.verdict import judge_gain
+from truepath.results.result_assessment import assess_gain
 from truepath.results.volumetric_error import (
     compute_both_directions,
     compute_volumetric_error,
@@ -104,7 +104,7 @@ def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
     (half,) = compute_half_differences(losing)
     result = replace(loaded, half_difference_um={"X": (half.position_mm, half.value)})
     measured = find_measured_ranges(result.machine, {}, None)
-    account = find_remaining(map_errors(result), measured).state_map()
+    account = compute_residual_error(map_errors(result), measured).summarise_map()
     expanded = 2.0 * both.mean.uncertainty_um
     assert both.mean.value_um == pytest.approx(account["mean"], abs=expanded)
     assert both.largest.value_um == pytest.approx(account["largest"], rel=0.01)
@@ -117,7 +117,7 @@ def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
 def test_a_result_that_would_hardly_make_the_machine_better_says_so(seen, share, state):
     left_um = share * seen.before.mean.value_um
     mean = replace(seen.after.mean, value_um=left_um)
-    verdict = judge_gain(replace(seen, after=replace(seen.after, mean=mean)))
+    verdict = assess_gain(replace(seen, after=replace(seen.after, mean=mean)))
     assert verdict.state == state
     assert [reason.kind for reason in verdict.reasons] == (
         [] if state == "usable" else ["little-gained"]

@@ -7,9 +7,9 @@ import pytest
 from arming import arm_over_http
 from job_builders import CONNECTED, OBSERVED
 from truepath.machines.cell_status import CellStatus
-from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.condition_log import ConditionLog
 from truepath.machines.conditions.conditions import Finding, Level
-from truepath.machines.conditions.stream_watch import StreamLevels
+from truepath.machines.conditions.stream_status import StreamLevels
 
 GOOD = replace(OBSERVED, drift_limit_degC=0.5)
 WRONG = {
@@ -34,7 +34,7 @@ def seen():
 
 @pytest.fixture
 def board(seen, hand_clock):
-    return ConditionBoard(lambda: seen[0])
+    return ConditionLog(lambda: seen[0])
 
 
 def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(

@@ -9,7 +9,7 @@ import pytest
 from api_builders import edited, set_verdict
 from truepath.answers.history.machine_documents import Calibration, changes_json
 from truepath.compensation.export import export_files
-from truepath.compensation.tables.unmeasured import Unmeasured
+from truepath.compensation.tables.unmeasured_range import Unmeasured
 from truepath.machines.setup.simulated_controls import SimulatedControls
 
 pytestmark = pytest.mark.usefixtures("few_places")

@@ -7,7 +7,7 @@ from starlette.testclient import TestClient
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounters
-from truepath.measurement.durations import BOUNDS_S, Durations
+from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
 from truepath.measurement.messages import (
     CellState,
     CellVerb,
@@ -115,7 +115,7 @@ def test_an_aborted_measurement_is_counted_and_times_its_commands(
 
 def test_counts_of_measurements_add_up_and_never_fall():
     counters = CellCounters()
-    commits = Durations().add(0.02)
+    commits = DurationHistogram().add(0.02)
     counters.begin_measurement()
     counters.count(progress(100, lost_samples=2, crc_errors=5, gaps=1, commits=commits))
     counters.count(RunClosed("", "finished", samples=110, lost_samples=2))

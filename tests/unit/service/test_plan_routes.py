@@ -8,7 +8,7 @@ import pytest
 
 from scripted_cell import wait_until
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.jobs.running.plan_orders import plan_measurement
+from truepath.jobs.running.plan_requests import plan_measurement
 from truepath.motion.nc_programs.programs import read_program
 from truepath_simulators.scenario import load_machine
 

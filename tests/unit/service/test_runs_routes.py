@@ -13,7 +13,7 @@ from truepath.catalogue.job import Stage
 from truepath.errors import BundleError
 from truepath.jobs.dispatch.reconciliation import reconcile
 from truepath.jobs.dispatch.retention import Retention, RetentionRules
-from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.service.api.routes import runs as run_routes
 
 pytestmark = pytest.mark.database
@@ -330,7 +330,7 @@ def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
     assert not service.runs.find([finished["run_id"]])
     service.deletion.remove_files()
     assert not file.exists()
-    assert service.runs.list_left_behind() == []
+    assert service.runs.list_uncatalogued() == []
 
 
 def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(

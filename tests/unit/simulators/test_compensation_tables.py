@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from truepath.compensation.installed import load_format
+from truepath.compensation.format_registry import load_format
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath_simulators.compensation.correction import measure_deviation_mm
 from truepath_simulators.compensation.loading import LoadedTables
@@ -14,7 +14,7 @@ from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden.motion import Motion, MotionFollower
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
@@ -313,7 +313,7 @@ def test_the_machine_errs_less_with_its_own_error_taken_away():
 def test_a_direction_is_kept_while_an_axis_stands_and_across_motions():
     x = np.array([[100.0, 0.0, 0.0], [50.0, 0.0, 0.0], [50.0, 80.0, 0.0]])
     program = Program(x, np.full(3, 50.0), np.full(3, 1.0))
-    timeline = follow(program, np.zeros(3), 0.0, Limits())
+    timeline = make_program_timeline(program, np.zeros(3), 0.0, Limits())
     motion = Motion(MACHINE, timeline)
     at = timeline.start_s[np.flatnonzero(np.diff(timeline.row))] + 0.5
     headings = motion.headings(np.array([*at, timeline.end_s]))
@@ -324,7 +324,9 @@ def test_a_direction_is_kept_while_an_axis_stands_and_across_motions():
     program = Program(
         np.array([[100.0, 0.0, 0.0], [50.0, 0, 0]]), np.ones(2), np.ones(2)
     )
-    first = follow(program, np.zeros(3), 0.0, Limits())
+    first = make_program_timeline(program, np.zeros(3), 0.0, Limits())
     follower.follow(first)
     later = follower.follow(standing(first.positions(np.array([1e9]))[0], 1e6, 1))
-    np.testing.assert_allclose(later.driven(np.array([2e6]))[0], [50.01, 0.0, 0.0])
+    np.testing.assert_allclose(
+        later.corrected_positions(np.array([2e6]))[0], [50.01, 0.0, 0.0]
+    )

@@ -82,7 +82,7 @@ def test_time_counts_anew_for_what_has_not_struck_yet():
     schedule.add(parse_fault("tracker:beam-break@5s"), 0.0)
     schedule.begin(0.0)
     assert schedule.strikes("delay", 2.0)
-    schedule.begin_anew()
+    schedule.start_over()
     assert not schedule.strikes("silence", 6.0)
     schedule.begin(6.0)
     assert not schedule.strikes("silence", 10.0)

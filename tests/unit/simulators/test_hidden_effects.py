@@ -31,7 +31,7 @@ from truepath_simulators.hidden.warming import SpindleGrowth, ThermalGrowth
 from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
@@ -90,7 +90,9 @@ def test_lost_motion_stays_half_a_width_behind():
 
 
 def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked():
-    timeline = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    timeline = make_program_timeline(
+        THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits()
+    )
     motion = Motion(MACHINE, timeline)
     time_s = np.linspace(0.0, timeline.end_s + 1.0, 40_001)
     table = motion.play_mm("X", 0.5, time_s)
@@ -101,13 +103,15 @@ def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked():
     np.testing.assert_allclose(table, stepped, atol=1e-9)
     some = np.sort(np.random.default_rng(1).choice(len(time_s), 50))
     np.testing.assert_array_equal(motion.play_mm("X", 0.5, time_s[some]), table[some])
-    first = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    first = make_program_timeline(
+        THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits()
+    )
     way = program([(150, 200, 90)])
     later = first.end_s + 5.0
     new = (
         first.since(later)
         .cut(later)
-        .then(follow(way, THERE_AND_BACK.position[-1], later, Limits()))
+        .then(make_program_timeline(way, THERE_AND_BACK.position[-1], later, Limits()))
     )
     time_s = np.linspace(later, later + 1.0, 50)
     forgot, knows = Motion(MACHINE, new), Motion(MACHINE, continue_from(first, new))
@@ -198,7 +202,7 @@ def test_a_slow_servo_lags_by_its_speed_in_ramps_too():
     for k in range(1, len(time_s)):
         mean = 0.5 * (command[k] + command[k - 1])
         servo[k] = mean + (servo[k - 1] - mean) * np.exp(-5e-5 / 1e-3)
-    found = effect.carry(motion, time_s)["X"][:, 0]
+    found = effect.added_error_motions(motion, time_s)["X"][:, 0]
     np.testing.assert_allclose(found, servo - command, atol=5e-5)
 
 

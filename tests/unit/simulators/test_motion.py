@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from truepath_simulators.motion import interruption
 from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.followed_positions import FollowedPositions
 from truepath_simulators.motion.profile import Limits, rest_to_rest
 from truepath_simulators.motion.program import Program
@@ -59,7 +59,7 @@ def assert_smooth(timeline: Timeline, limits: Limits, feed_mm_s: float) -> None:
 def test_a_program_is_driven_within_its_limits_and_through_its_points(rng, limits):
     program = random_program(rng)
     program = replace(program, dwell_s=np.maximum(program.dwell_s, 0.05))
-    timeline = follow(program, np.zeros(3), 2.0, limits)
+    timeline = make_program_timeline(program, np.zeros(3), 2.0, limits)
     assert_smooth(timeline, limits, program.feed_mm_s.max())
     for row, (point, dwell) in enumerate(
         zip(program.position, program.dwell_s, strict=True)
@@ -86,18 +86,18 @@ def test_a_line_takes_the_time_of_its_feed_and_its_ramps(length, feed, limits):
 
 
 def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
-    timeline = follow(one_line(500.0, 100.0), np.zeros(3), 0.0, JERKY)
+    timeline = make_program_timeline(one_line(500.0, 100.0), np.zeros(3), 0.0, JERKY)
     t = np.linspace(0.0, timeline.end_s - 0.5, 1000)
     share = np.mean(np.abs(timeline.speeds(t) - 100.0) < 1e-9)
     assert share > 0.95
-    long = follow(one_line(500.0, 100.0, 1.7), np.zeros(3), 0.0, JERKY)
+    long = make_program_timeline(one_line(500.0, 100.0, 1.7), np.zeros(3), 0.0, JERKY)
     assert long.end_s - timeline.end_s == pytest.approx(1.2)
     program = Program(np.zeros((3, 3)), np.full(3, 10.0), np.full(3, 0.5))
-    timeline = follow(program, np.zeros(3), 1.0, JERKY)
+    timeline = make_program_timeline(program, np.zeros(3), 1.0, JERKY)
     assert timeline.end_s == pytest.approx(2.5)
     assert not timeline.speeds(np.linspace(0, 3, 50)).any()
     program = one_line(50.0, 100.0, 2.0)
-    timeline = follow(program, np.zeros(3), 0.0, JERKY)
+    timeline = make_program_timeline(program, np.zeros(3), 0.0, JERKY)
     arrival = timeline.end_s - 2.0
     at = arrival + 0.5
     left = interruption.find_rest(timeline, program, at)
@@ -111,7 +111,9 @@ def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
 @settings(max_examples=60, deadline=None)
 @given(lengths, feeds, shares, limits)
 def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
-    timeline = follow(one_line(length, feed, 0.0), np.zeros(3), 0.0, limits)
+    timeline = make_program_timeline(
+        one_line(length, feed, 0.0), np.zeros(3), 0.0, limits
+    )
     at = when * timeline.end_s
     stopped = interruption.hold_motion(timeline, at, limits)
     assert_smooth(stopped, limits, feed)
@@ -129,7 +131,7 @@ def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
 @given(shares, st.floats(0.01, 5.0), st.integers(0, 2**32 - 1))
 def test_a_held_program_goes_on_to_its_end(when, pause, seed):
     program = random_program(np.random.default_rng(seed), 5)
-    timeline = follow(program, np.zeros(3), 0.0, JERKY)
+    timeline = make_program_timeline(program, np.zeros(3), 0.0, JERKY)
     at = when * timeline.end_s
     left = interruption.find_rest(timeline, program, at)
     stopped = interruption.hold_motion(timeline, at, JERKY)
@@ -147,7 +149,9 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
 def test_the_feed_changes_under_way_within_the_limits(
     length, feed, other, when, limits
 ):
-    timeline = follow(one_line(length, feed, 0.3), np.zeros(3), 0.0, limits)
+    timeline = make_program_timeline(
+        one_line(length, feed, 0.3), np.zeros(3), 0.0, limits
+    )
     at = when * timeline.end_s
     changed = interruption.with_feed(timeline, one_line(length, other, 0.3), at, limits)
     assert_smooth(changed, limits, max(feed, other))
@@ -156,7 +160,9 @@ def test_the_feed_changes_under_way_within_the_limits(
 
 
 def test_half_the_feed_takes_twice_the_time_from_then_on():
-    timeline = follow(one_line(400.0, 100.0, 0.0), np.zeros(3), 0.0, JERKY)
+    timeline = make_program_timeline(
+        one_line(400.0, 100.0, 0.0), np.zeros(3), 0.0, JERKY
+    )
     slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
     at = np.array([3.0])
     assert slower.speeds(at)[0] == pytest.approx(50.0)
@@ -164,7 +170,7 @@ def test_half_the_feed_takes_twice_the_time_from_then_on():
 
 
 def test_what_has_ended_can_be_forgotten(rng):
-    timeline = follow(random_program(rng), np.zeros(3), 0.0, JERKY)
+    timeline = make_program_timeline(random_program(rng), np.zeros(3), 0.0, JERKY)
     t = np.linspace(20.0, timeline.end_s + 1.0, 500)
     np.testing.assert_array_equal(
         timeline.since(20.0).positions(t), timeline.positions(t)
@@ -186,7 +192,7 @@ def two_turns() -> Program:
 @pytest.mark.parametrize("held_at_s", [None, 20.3, 39.0])
 def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(held_at_s):
     program = two_turns()
-    motion = follow(program, program.position[0], 0.0, JERKY)
+    motion = make_program_timeline(program, program.position[0], 0.0, JERKY)
     whole_s = motion.end_s
     if held_at_s is not None:
         held = interruption.hold_motion(motion, held_at_s, JERKY)

@@ -17,7 +17,7 @@ from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_p
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
 from truepath_simulators.motion import turning_paths
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import path_length
 from truepath_simulators.scenario import load_machine
@@ -97,7 +97,7 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
 
 def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
     program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
-    timeline = follow(program, program.position[0], 1.0, Limits())
+    timeline = make_program_timeline(program, program.position[0], 1.0, Limits())
     time_s = np.linspace(1.0, timeline.end_s, 4000)
     row, place = timeline.rows(time_s), timeline.positions(time_s)
     begin, end = program.position[row - 1], program.position[row]
@@ -162,7 +162,7 @@ def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
         TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1),
         Schedule(map(parse_fault, orders)),
     )
-    timeline = follow(program, program.position[0], 0.0, Limits())
+    timeline = make_program_timeline(program, program.position[0], 0.0, Limits())
     device.receive(encode_message(Start(1, 50.0)), 0.0, 0.0)
     frames = device.due(timeline, timeline.end_s, 0.1)
     samples = StreamDecoder().feed(frames).samples

@@ -28,7 +28,7 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.machine_clock import AwakeClock
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.driven_motion import follow
+from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
@@ -109,7 +109,7 @@ def test_it_streams_long_or_short_frames_at_one_rate_at_a_time():
 def test_it_sees_the_machine_move_evenly_timed_on_its_own_clock():
     device = stream_of()
     path = Program(np.array([[200.0, 150, 75]]), np.array([100.0]), np.zeros(1))
-    device.timeline = follow(path, np.full(3, 100.0), 1.0, Limits())
+    device.timeline = make_program_timeline(path, np.full(3, 100.0), 1.0, Limits())
     samples = device.stream(1.5)
     np.testing.assert_array_equal(np.diff(samples.sequence), 1)
     np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)

@@ -79,7 +79,7 @@ def test_a_refused_world_is_a_wrong_answer_and_outcomes_are_kept_whole(
     monkeypatch.setattr(score, "run_of", refuse)
     clean = World(kind="clean")
     clean.recording = None
-    refused = score.judge_discovery(clean)
+    refused = score.assess_discovery(clean)
     assert refused.said == refused.wrong == ("refused",)
     assert not refused.right
     one = score.judge(World(effect("backlash", axis="X")), said(), 0.5)
@@ -167,7 +167,7 @@ def test_the_page_holds_a_table_of_each_kind():
 @pytest.mark.timeout(60)
 def test_a_small_draw_is_named_right(validation, kind, seed):
     world = validation("hidden_worlds").draw_world(seed, kind, SHORT)
-    found = validation("discovery_score").judge_discovery(world)
+    found = validation("discovery_score").assess_discovery(world)
     assert found.right, validation("discovery_worlds").describe(found)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from truepath.alignment.observations.cell_gate import leave_out_cells
+from truepath.alignment.observations.cell_gate import exclude_cells
 from truepath.alignment.observations.observations import Pass
 from truepath.alignment.observations.reduction import (
     CELL_MM,
@@ -106,7 +106,7 @@ def _reduce_ramp(
     cells = replace(cells, scatter_square=np.zeros(2), freedom=np.zeros(2))
     left_out += _describe_outliers(cells, time, each.row)
     tracker, expected = run.machine.tracker, way(cells.time_s)
-    cells, off = leave_out_cells(cells, expected, tracker, each.row)
+    cells, off = exclude_cells(cells, expected, tracker, each.row)
     place = np.interp(cells.time_s, time, share)
     rate, change = _follow(time, share, cells.time_s, span / count)
     rows = run.commanded.position[each.row - 1 : each.row + 1]
@@ -169,7 +169,7 @@ def _reduce_steady(
     time = time[on]
     cells = reduce_to_cells(time, tracker_mm[on], way, tracker.sigma_mm, count)
     left_out += _describe_outliers(cells, time, each.row)
-    cells, off = leave_out_cells(cells, way(cells.time_s), tracker, each.row)
+    cells, off = exclude_cells(cells, way(cells.time_s), tracker, each.row)
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
     late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
@@ -272,7 +272,7 @@ def reduce_standstills(
         )
         left_out = _describe_outliers(cells, stream.time_s[inside], row)
         expected = _at_rest(cells.time_s)
-        cells, off = leave_out_cells(cells, expected, run.machine.tracker, row)
+        cells, off = exclude_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
         still = np.zeros((n, 3))

@@ -22,7 +22,7 @@ _LIMIT = 10.0  # standard deviations of a cell
 _LEAST_MM = 0.01  # smaller deviations are left to the solve
 
 
-def leave_out_cells(
+def exclude_cells(
     cells: Cells,
     expected_mm: Float64[np.ndarray, "n 3"],
     tracker: TrackerNoise,

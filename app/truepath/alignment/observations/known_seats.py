@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.alignment.stream.seating import Seating, Seats
-from truepath.alignment.stream.sequence import seat_places
+from truepath.alignment.stream.sequence import seat_points
 
 
 class KnownSeats:
@@ -22,7 +22,7 @@ class KnownSeats:
         self._settled: frozenset[str] = frozenset()
         self.seats: Seats = {}
 
-    def expect(
+    def set_waypoints(
         self, place_mm: Float64[np.ndarray, "w 3"], seating: Seating | None
     ) -> None:
         """Sets the waypoints; `seating` is None where every target is as stated."""
@@ -35,7 +35,7 @@ class KnownSeats:
         """Estimates the seats from all points; True if one more is settled."""
         if self.seating is None:
             return False
-        self.seated_mm, found = seat_places(
+        self.seated_mm, found = seat_points(
             places_mm, self.place_mm, waypoints, self.seating
         )
         settled = self.seating.list_settled(waypoints)
@@ -52,7 +52,7 @@ class KnownSeats:
             return True
         return self.seating.names[self.seating.target[waypoint]] in self._settled
 
-    def find_reach_mm(self, waypoint: int) -> float:
+    def compute_reach_mm(self, waypoint: int) -> float:
         """Tolerance for a target whose seat is not settled yet; 0 for others."""
         if self.seating is None or self.is_known(waypoint):
             return 0.0

@@ -86,7 +86,7 @@ class Driving:
     missing: int = 0
 
     @property
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """True if all lines of the path are there, from the first to the last."""
         return self.first <= 1 and self.last >= self.rows - 1
 
@@ -184,7 +184,7 @@ class Observations:
             ramp=None if self.ramp is None else self.ramp[cells],
         )
 
-    def leave_out_ramps(self) -> Observations:
+    def exclude_ramps(self) -> Observations:
         """Only cells at constant feed and at standstill."""
         return self.select(np.flatnonzero(~self.is_ramp))
 

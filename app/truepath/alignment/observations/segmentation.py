@@ -64,7 +64,7 @@ class _Part:
     first: int
     last: int
     origin: int = -1
-    is_whole: bool = False
+    is_complete: bool = False
 
 
 def cut_into_passes(
@@ -86,7 +86,7 @@ def find_arc_drives(
     return tuple(
         ArcDrive(part.row, part.first, part.last)
         for part in _parts(stream, stops, matching, nominal)
-        if part.row in nominal.arcs and part.is_whole
+        if part.row in nominal.arcs and part.is_complete
     )
 
 
@@ -134,7 +134,9 @@ def _recognise_pass(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
     steady = _find_steady(time, points, share, on, curve)
-    ramps = _find_ramps(time, share, on, curve, steady, part) if part.is_whole else ()
+    ramps = (
+        _find_ramps(time, share, on, curve, steady, part) if part.is_complete else ()
+    )
     if steady is None and not ramps:
         return None
     begin, end, speed, middle = steady or (0, 0, 0.0, 0.0)
@@ -149,7 +151,7 @@ def _find_steady(
     curve: Curve,
 ) -> tuple[int, int, float, float] | None:
     """First and last sample, speed, share at mid time; None without such a part."""
-    speed, pace = speed_mm_s(time, points), curve.pace(share)
+    speed, pace = speed_mm_s(time, points), curve.relative_speed(share)
     counted = on & (pace > _SLOW_PACE)
     middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
     if middle.sum() < _FEWEST_SAMPLES // 2:

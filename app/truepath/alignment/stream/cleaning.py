@@ -117,7 +117,7 @@ def _aside(
     if len(time_s) < 2 * around:
         return aside
     speed = np.diff(position_mm, axis=0) / step_s[:, None]
-    usual = _usual(speed, around)
+    usual = _block_medians(speed, around)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = _limit_mm(off, time_s)
     # The typical speed deviates next to a jump as well, by far less.
@@ -180,7 +180,7 @@ def _limit_mm(
     return max(_SPIKE_MM, 10.0 * float(np.median(off_mm)), bent)
 
 
-def _usual(
+def _block_medians(
     speed: Float64[np.ndarray, "m 3"], around: int
 ) -> Float64[np.ndarray, "m 3"]:
     """Medians of blocks of samples, linearly interpolated."""

@@ -84,7 +84,9 @@ class Curve:
             return np.tile(self.chord_mm, (len(share), 1))
         return self._spline(share, 1)
 
-    def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    def relative_speed(
+        self, share: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
         """Target's speed over its mean speed on the line."""
         if self.is_straight:
             return np.ones(len(share))
@@ -92,7 +94,7 @@ class Curve:
 
     def fastest(self) -> float:
         """The highest pace at any node."""
-        return float(self.pace(_shares(self.node_mm)).max())
+        return float(self.relative_speed(_shares(self.node_mm)).max())
 
     def nearest(
         self,
@@ -190,7 +192,7 @@ class NominalPath:
         """True if the target goes straight from the end of each line to the next."""
         return not self.bends and not self.arcs
 
-    def lead_through(
+    def shift_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
     ) -> NominalPath:
         """Path shifted so that it passes through the observed standstills.

@@ -67,7 +67,7 @@ class Seating:
         """Restricted to some points."""
         return replace(self, target=self.target[places], frame=self.frame[places])
 
-    def slack_mm(self) -> Float64[np.ndarray, "w w"]:
+    def max_distance_change_mm(self) -> Float64[np.ndarray, "w w"]:
         """Largest change of the distance of two points by shifts."""
         flat = self.frame.reshape(len(self.frame), 9)
         turned = np.sqrt(np.maximum(6.0 - 2.0 * flat @ flat.T, 0.0) / 2.0)

@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from truepath.alignment.stream.nominal_path import require_spread
 from truepath.alignment.stream.seating import MOST_SIGMAS, Seating, Seats
-from truepath.alignment.stream.stop_chains import find_longest_chain, match_places
+from truepath.alignment.stream.stop_chains import find_longest_chain, match_points
 from truepath.alignment.stream.stops import StopSequence
 from truepath.errors import AlignmentError
 from truepath.numerics.rigid import RigidTransform, fit_rigid
@@ -60,30 +60,30 @@ def match_stops(
     """
     places = stops.position_mm
     require_spread(waypoint_mm, ordered_by)
-    slack_mm = 0.0 if seating is None else seating.slack_mm()
+    slack_mm = 0.0 if seating is None else seating.max_distance_change_mm()
     stop, waypoint = _recognise(places, waypoint_mm, slack_mm, ordered_by)
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
     seats: Seats = {}
     if seating is not None:
         # A target with few rows in the chain, or none, is found by its positions.
-        seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
+        seated, _ = seat_points(places[stop], waypoint_mm, waypoint, seating)
         pose = fit_rigid(seated[waypoint], places[stop])
         near_mm = TOLERANCE_MM + seating.reach_mm
-        stop, waypoint = match_places(places, pose.apply(seated), near_mm)
+        stop, waypoint = match_points(places, pose.apply(seated), near_mm)
         _require_followed(len(stop), len(places), len(waypoint_mm), ordered_by)
-        seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
+        seated, seats = seat_points(places[stop], waypoint_mm, waypoint, seating)
     pose = fit_rigid(seated[waypoint], places[stop])
     _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
     reach_mm = TOLERANCE_MM
     if seating is None:
         off = np.linalg.norm(pose.apply(seated)[waypoint] - places[stop], axis=1)
         reach_mm = max(TOLERANCE_MM, _SPREAD * float(np.median(off)))
-    stop, waypoint = match_places(places, pose.apply(seated), reach_mm)
+    stop, waypoint = match_points(places, pose.apply(seated), reach_mm)
     pose = fit_rigid(seated[waypoint], places[stop])
     return Matching(stop, waypoint, pose, seats, reach_mm)
 
 
-def seat_places(
+def seat_points(
     place_mm: Float64[np.ndarray, "k 3"],
     waypoint_mm: Float64[np.ndarray, "w 3"],
     waypoint: Int64[np.ndarray, " k"],
@@ -209,7 +209,7 @@ def _find_measured(
 ) -> str:
     for name in names:
         expected = expect(name)
-        found, _ = match_places(places, expected, _BESIDE_MM)
+        found, _ = match_points(places, expected, _BESIDE_MM)
         if 2 * len(found) > min(len(places), len(expected)):
             return f"the tracker measured {name} instead; "
     return ""

@@ -70,7 +70,7 @@ def _trace_back(
     return pairs[:, 0], pairs[:, 1]
 
 
-def match_places(
+def match_points(
     places: Float64[np.ndarray, "m 3"],
     expected: Float64[np.ndarray, "w 3"],
     within: float | Float64[np.ndarray, " w"],

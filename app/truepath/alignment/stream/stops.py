@@ -169,15 +169,15 @@ class StopStream:
         """Further samples; updates `stops`."""
         self._time_s = np.concatenate([self._time_s, time_s])
         self._point_mm = np.concatenate([self._point_mm, point_mm])
-        self._judge(len(self) - self._block)
+        self._assess(len(self) - self._block)
 
     def end(self) -> None:
         """End of data: classifies the last samples as well."""
-        self._judge(len(self))
+        self._assess(len(self))
         if self._rest_since is not None:
             self._note(self._rest_since, len(self))
 
-    def forget_before(self, index: int) -> None:
+    def discard_before(self, index: int) -> None:
         """Drops samples that are no longer needed; recent ones stay."""
         gone = min(index, self._judged - self._block) - self._dropped
         if gone > 0:
@@ -201,7 +201,7 @@ class StopStream:
         inside = slice(first - self._dropped, last - self._dropped)
         return self._time_s[inside], self._point_mm[inside]
 
-    def _judge(self, until: int) -> None:
+    def _assess(self, until: int) -> None:
         if until <= self._judged or self.kept < 3 * self._block:
             return
         at_rest = self._at_rest(self._judged, until)

@@ -13,8 +13,8 @@ from truepath.documents.whole_files import write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.run import Run
 from truepath.results.error_table_files import error_tables_csv
-from truepath.results.findings import Findings
 from truepath.results.result_json import result_json
+from truepath.results.result_summary import Findings
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
 

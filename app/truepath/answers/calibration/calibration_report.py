@@ -30,7 +30,7 @@ from truepath.answers.calibration.measurement_sections import (
     residual_over_noise,
 )
 from truepath.answers.shown.templating import View, render_page, render_part
-from truepath.results.findings import Findings
+from truepath.results.result_summary import Findings
 
 _SECTIONS: dict[str, Callable[[Findings], View]] = {
     "machine": describe_machine,

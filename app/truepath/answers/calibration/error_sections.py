@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from truepath.answers.comparison.model_difference import in_words
+from truepath.answers.comparison.model_difference import format_text
 from truepath.answers.shown.error_figures import draw_error_motions
 from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
 from truepath.answers.shown.templating import View
@@ -16,7 +16,7 @@ from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.machine.symbols import list_error_motions as symbols_of
 from truepath.results.error_tables import ErrorTable, compute_half_differences
-from truepath.results.findings import Findings
+from truepath.results.result_summary import Findings
 from truepath.results.updated_effects import describe_use, list_updated_effects
 from truepath.results.volumetric_error import Figure
 
@@ -153,6 +153,6 @@ def _list_values(findings: Findings, axis: Axis) -> View:
 
 def _state_numbers(parameters: Mapping[str, Quantity]) -> str:
     return "; ".join(
-        in_words(name, number.value, number.uncertainty)
+        format_text(name, number.value, number.uncertainty)
         for name, number in parameters.items()
     )

@@ -19,9 +19,9 @@ from truepath.results.environment_json import (
     describe_refraction,
     describe_scale,
 )
-from truepath.results.findings import Findings, RunFindings
-from truepath.results.grade_json import in_words
-from truepath.results.trial_results import MAP, TrialQuantity, TrialResults
+from truepath.results.grade_json import format_text
+from truepath.results.monte_carlo_results import MAP, TrialQuantity, TrialResults
+from truepath.results.result_summary import Findings, RunFindings
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 _K = 2.0
@@ -54,7 +54,7 @@ def describe_machine(findings: Findings) -> View:
         if grade is None
         else {
             "number": f"{grade.number:.2f}",
-            "text": in_words(grade),
+            "text": format_text(grade),
             "sample_sigma_um": format_number(UM_PER_MM * grade.sample_sigma_mm, 1),
         },
         "runs": [_describe_measurement(findings, run) for run in findings.runs],
@@ -146,7 +146,10 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
 
 def _describe_measurement(findings: Findings, run: RunFindings) -> View:
     summary, estimate = run.summary, run.estimate
-    brought, without_um = findings.contributions, findings.find_without_um(run)
+    brought, without_um = (
+        findings.contributions,
+        findings.get_uncertainty_without_run_um(run),
+    )
     return {
         "summary": summary,
         "estimate": estimate,

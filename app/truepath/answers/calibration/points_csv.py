@@ -81,7 +81,7 @@ def encode_predictions(points: Points, predicted: Prediction) -> str:
 
 def _read_numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
     values = table.numbers(name)
-    table.refuse(
+    table.reject(
         np.abs(values) > _FARTHEST,
         name,
         lambda k: f"is {values[k]:g}, no position of a machine",

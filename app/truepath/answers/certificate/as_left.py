@@ -17,7 +17,7 @@ ON, OFF = "on", "off"
 _LITTLE_GAINED = "little-gained"  # of a machine as left: there is little left to gain
 
 
-def judge_as_left(verdict: Verdict) -> Verdict:
+def drop_little_gained(verdict: Verdict) -> Verdict:
     """Without `little-gained`, which is no objection to a machine as left."""
     return Verdict(tuple(one for one in verdict.reasons if one.kind != _LITTLE_GAINED))
 
@@ -36,10 +36,10 @@ def require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
             file=file,
             remedy="give a result of the same machine",
         )
-    if _say_travel(found) != _say_travel(left):
-        what, one, other = "travel", _say_travel(found), _say_travel(left)
+    if _describe_travel(found) != _describe_travel(left):
+        what, one, other = "travel", _describe_travel(found), _describe_travel(left)
     elif not have_same_targets(found, left):
-        what, one, other = "targets", _say_targets(found), _say_targets(left)
+        what, one, other = "targets", _describe_targets(found), _describe_targets(left)
     else:
         return
     raise BundleError(
@@ -49,7 +49,7 @@ def require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
     )
 
 
-def refuse_as_left(found: Content, left: Content, *, file: str) -> None:
+def reject_as_left(found: Content, left: Content, *, file: str) -> None:
     """Raise BundleError for a shared Run, or where `left` began before `found`.
 
     found, left : contents of result files of one machine; file : that of `left`
@@ -82,11 +82,11 @@ def is_compensation_confirmed(left: Content) -> bool:
     return set(_list_controls(left)) == {ON}
 
 
-def _say_travel(machine: Machine) -> str:
+def _describe_travel(machine: Machine) -> str:
     return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)
 
 
-def _say_targets(machine: Machine) -> str:
+def _describe_targets(machine: Machine) -> str:
     return ", ".join(
         f"{target.name} ({', '.join(f'{each:g}' for each in target.offset_mm)}) mm"
         for target in machine.targets

@@ -10,20 +10,20 @@ import numpy as np
 from truepath.answers.certificate.issue import Certificate, Source
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.lengths import (
-    say_lengths,
-    say_measured_lengths,
+    describe_lengths,
+    describe_measured_lengths,
 )
-from truepath.answers.certificate.paper_colours import paint
+from truepath.answers.certificate.paper_colours import inline_colours
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.circles.circle_figures import FIGURES
-from truepath.answers.verification.circles.circles_at_standstill import CIRCLE_FIGURES
 from truepath.answers.verification.circles.polar_figure import (
     PolarWords,
     draw_polar_circles,
 )
-from truepath.answers.verification.driven_figures import LINE_FIGURES
-from truepath.answers.verification.places.held_places import DOUBTFUL
+from truepath.answers.verification.circles.static_circles import CIRCLE_FIGURES
+from truepath.answers.verification.places.matched_points import DOUBTFUL
+from truepath.answers.verification.static_test_figures import LINE_FIGURES
 from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json
 
@@ -57,14 +57,14 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         return {"source": None}
     return {
         "source": source,
-        "mismatch": _say_mismatch(
+        "mismatch": _describe_mismatch(
             "verification_mismatch", source, certificate, language
         ),
-        "decision": say_decision(source.content, language),
+        "decision": describe_decision(source.content, language),
         "statements": word_findings(source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
-        "driven": describe_driven(source.content, language),
+        "driven": describe_iso_figures(source.content, language),
         "circles": _describe_circles(source.content, language),
     }
 
@@ -73,7 +73,7 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
     """Residual error of compensation files, with its uncertainty."""
     source = certificate.compensation
     if source is None:
-        return {"source": None, "named": _say_named_files(certificate, language)}
+        return {"source": None, "named": _describe_named_files(certificate, language)}
     account = source.content
     error = account["volumetric_error_um"]
     after = error["after"]
@@ -91,29 +91,29 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
             "compensation_after",
             f"{left} µm (k = 2)",
         ),
-        ("compensation_lengths", _say_lengths(account, language)),
+        ("compensation_lengths", _describe_lengths(account, language)),
         ("compensation_file", ", ".join(map(_base_name, account["files"]))),
     ]
     return {
         "source": source,
-        "mismatch": _say_mismatch(
+        "mismatch": _describe_mismatch(
             "compensation_mismatch", source, certificate, language
         ),
-        "other": _say_other_files(certificate, language),
+        "other": _describe_other_files(certificate, language),
         "rows": [(language.say(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
 
 
-def _say_lengths(account: Mapping[str, Any], language: Language) -> str:
+def _describe_lengths(account: Mapping[str, Any], language: Language) -> str:
     """Also of compensation records without the temperature."""
     stated = as_object(account.get("lengths")).get("measured_degC")
     if stated:
-        return say_lengths((stated[0], stated[1]), language)
-    return say_measured_lengths(as_object(account.get("provenance")), language)
+        return describe_lengths((stated[0], stated[1]), language)
+    return describe_measured_lengths(as_object(account.get("provenance")), language)
 
 
-def _say_named_files(certificate: Certificate, language: Language) -> str:
+def _describe_named_files(certificate: Certificate, language: Language) -> str:
     verification = certificate.verification
     content = as_object(verification.content if verification else None)
     if not content.get("compensated"):
@@ -126,7 +126,7 @@ def _say_named_files(certificate: Certificate, language: Language) -> str:
     return language.say("compensation_named", format=named.get("format"), files=each)
 
 
-def _say_other_files(certificate: Certificate, language: Language) -> str:
+def _describe_other_files(certificate: Certificate, language: Language) -> str:
     """Empty where verification and compensation record name the same files."""
     if certificate.verification is None or certificate.compensation is None:
         return ""
@@ -178,7 +178,7 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
         yield f"{word} {shown} {unit}".strip()
 
 
-def _say_mismatch(
+def _describe_mismatch(
     key: str, source: Source, certificate: Certificate, language: Language
 ) -> str:
     other, own = source.input_sha256, certificate.found.input_sha256
@@ -187,7 +187,7 @@ def _say_mismatch(
     return language.say(key, other=other[:16], own=own[:16])
 
 
-def say_decision(content: Mapping[str, Any], language: Language) -> str:
+def describe_decision(content: Mapping[str, Any], language: Language) -> str:
     """Conformity with the tolerance; without one, agreement with the map."""
     conformity = as_object(content.get("conformity"))
     decision = as_object(conformity.get("measured")).get("conformity")
@@ -225,7 +225,7 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
             tolerance=_um(measured["tolerance_um"], language),
         )
     if stated := as_object(content.get("run_verdict")):
-        yield from map(language.say_reason, verdict_from_json(stated).reasons)
+        yield from map(language.describe_reason, verdict_from_json(stated).reasons)
     if str(content.get("components", "")).startswith("three at standstills"):
         yield language.shared["verify.across"]
     if unseen := content.get("unseen_directions"):
@@ -235,7 +235,7 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         yield language.shared["verify.resting"].format(axes=", ".join(resting))
     scale = as_object(content.get("map_scale"))
     if agreement := as_object(content.get("agreement")):
-        yield _say_agreement(agreement, scale.get("cause"), language)
+        yield _describe_agreement(agreement, scale.get("cause"), language)
     if cause := scale.get("cause"):
         times = language.number(scale["value"], 2)
         yield language.say(f"verification_scale_{cause}", times=times)
@@ -251,7 +251,7 @@ def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     return content.get("runs", ())
 
 
-def _say_agreement(
+def _describe_agreement(
     agreement: Mapping[str, Any], cause: str | None, language: Language
 ) -> str:
     """A `cause` in the control is named before the tracker."""
@@ -347,7 +347,7 @@ def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
     missing: Sequence[int] = content.get("circles_missing", ())
     words = _choose_words(language)
     return {
-        "figure": paint(draw_polar_circles(circles, words)),
+        "figure": inline_colours(draw_polar_circles(circles, words)),
         "head": (language.say("circle"), *map(words.name, FIGURES)),
         "rows": [row for one in circles for row in _list_moving_circle(one, language)],
         "missing": language.say(
@@ -371,7 +371,7 @@ def _choose_words(language: Language) -> PolarWords:
                 "ring",
             )
         ),
-        mark=language.mark,
+        mark=language.localise_numbers,
     )
 
 
@@ -383,7 +383,7 @@ def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[
     )
     stated = one["figures_um"], one["uncertainty_um"]
     predicted = one["predicted_um"], one["predicted_uncertainty_um"]
-    yield language.mark(heading), *_write_circle_figures(*stated, language)
+    yield language.localise_numbers(heading), *_write_circle_figures(*stated, language)
     yield language.say("circle_predicted"), *_write_circle_figures(*predicted, language)
 
 
@@ -395,7 +395,7 @@ def _write_circle_figures(
         yield language.write_expanded(value[name], sigma[name]) if known else "—"
 
 
-def describe_driven(content: Mapping[str, Any], language: Language) -> View:
+def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View:
     """Figures of ISO 230-2, -6 and -4; empty where none were measured.
 
     content : of a `verification/1`

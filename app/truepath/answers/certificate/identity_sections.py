@@ -36,13 +36,15 @@ def describe_heading(certificate: Certificate, language: Language) -> View:
 def describe_verdict(certificate: Certificate, language: Language) -> View:
     """Verdicts as found and as left, with reasons, the most severe first."""
     found = certificate.found.result.verdict
-    said = [{"of": "", **_say_verdict(found, language)}]
+    said = [{"of": "", **_describe_verdict(found, language)}]
     if (left := certificate.left_verdict) is not None:
-        said.append({"of": language.say("after_left"), **_say_verdict(left, language)})
+        said.append(
+            {"of": language.say("after_left"), **_describe_verdict(left, language)}
+        )
     return {"said": said}
 
 
-def _say_verdict(verdict: Verdict, language: Language) -> View:
+def _describe_verdict(verdict: Verdict, language: Language) -> View:
     reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
     key = verdict.state.replace("-", "_")
     texts = {
@@ -54,7 +56,7 @@ def _say_verdict(verdict: Verdict, language: Language) -> View:
         "state": verdict.state,
         "title": language.say(f"{key}_title"),
         "text": language.say(texts[verdict.state]),
-        "reasons": [language.say_reason(reason) for reason in reasons],
+        "reasons": [language.describe_reason(reason) for reason in reasons],
     }
 
 
@@ -64,7 +66,8 @@ def describe_identity(certificate: Certificate, language: Language) -> View:
     stated = {**_read_devices(certificate), **certificate.identity}
     missing = language.say("not_stated")
     travel = "; ".join(
-        f"{axis.name} {_say_range(axis.low, axis.high, language)} {position_unit(axis)}"
+        f"{axis.name} {_describe_range(axis.low, axis.high, language)} "
+        f"{position_unit(axis)}"
         for axis in machine.axes
     ).replace(" deg", "°")
     targets = "; ".join(
@@ -125,7 +128,7 @@ def _read_day(text: object, language: Language) -> str:
         return ""
 
 
-def _say_range(low: float, high: float, language: Language) -> str:
+def _describe_range(low: float, high: float, language: Language) -> str:
     return language.say(
         "from_to", low=language.number(low, 0), high=language.number(high, 0)
     )

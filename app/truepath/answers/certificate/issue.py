@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from truepath.answers.certificate.as_left import (
-    judge_as_left,
-    refuse_as_left,
+    drop_little_gained,
+    reject_as_left,
     require_same_machine,
 )
 from truepath.answers.certificate.language import LanguageCode
@@ -77,7 +77,9 @@ class Certificate:
     @property
     def left_verdict(self) -> Verdict | None:
         """None without a result as left; `little-gained` is no reason there."""
-        return None if self.left is None else judge_as_left(self.left.result.verdict)
+        return (
+            None if self.left is None else drop_little_gained(self.left.result.verdict)
+        )
 
     @property
     def shown_number(self) -> str:
@@ -105,7 +107,7 @@ def gather_certificate(
         require_same_machine(
             found.result.machine, as_left.result.machine, file=as_left.name
         )
-        refuse_as_left(found.content, as_left.content, file=as_left.name)
+        reject_as_left(found.content, as_left.content, file=as_left.name)
     return Certificate(
         found,
         issued,

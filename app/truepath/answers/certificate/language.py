@@ -54,17 +54,17 @@ class Language:
 
     def number(self, value: float, decimals: int = 1) -> str:
         """With the language's decimal mark and a true minus sign."""
-        return self.mark(format_number(value, decimals))
+        return self.localise_numbers(format_number(value, decimals))
 
     def write_expanded(self, value: float, standard: float) -> str:
         """`value ± U`, k = 2; `standard` is the standard uncertainty."""
-        return self.mark(format_expanded(value, standard))
+        return self.localise_numbers(format_expanded(value, standard))
 
     def count(self, value: int) -> str:
         """In groups of three digits, with narrow spaces."""
         return f"{value:,}".replace(",", "\u202f")
 
-    def mark(self, text: str) -> str:
+    def localise_numbers(self, text: str) -> str:
         """With decimal mark and minus sign of the language in all numbers."""
         return _MINUS.sub("−", _POINT.sub(self.decimal_mark, text))
 
@@ -107,7 +107,7 @@ class Language:
             return name
         return words[self.code if self.code in words else "en"].title
 
-    def say_reason(self, reason: Reason) -> str:
+    def describe_reason(self, reason: Reason) -> str:
         """A verdict's reason and remedy; English without a translation."""
         text = self.shared.get(f"verdict.{reason.kind}")
         if text is None:
@@ -115,7 +115,7 @@ class Language:
         shown = reason.shown
         if kind := shown.get("why_kind"):
             shown["why"] = self.shared.get(f"verdict.why.{kind}", shown["why"])
-        said = text.format(**{k: self.mark(v) for k, v in shown.items()})
+        said = text.format(**{k: self.localise_numbers(v) for k, v in shown.items()})
         run = f"{self.shared['verdict.run'].format(run=reason.run)} "
         remedy = self.shared.get(f"verdict.{reason.kind}_remedy", "")
         return f"{run if reason.run else ''}{said} {remedy}".strip()

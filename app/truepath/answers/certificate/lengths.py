@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from truepath.answers.certificate.language import Language
-from truepath.compensation.tables.length_reference import (
+from truepath.compensation.tables.reference_temperature import (
     REFERENCE_DEGC,
     STEEL_UM_PER_M_K,
     find_measured_degc,
 )
 
 
-def say_lengths(measured_degc: tuple[float, float] | None, language: Language) -> str:
+def describe_lengths(
+    measured_degc: tuple[float, float] | None, language: Language
+) -> str:
     """Sentence that lengths are not normalised to 20 °C; °C as (low, high)."""
     at = language.say("lengths_unknown")
     if measured_degc is not None:
@@ -27,6 +29,6 @@ def say_lengths(measured_degc: tuple[float, float] | None, language: Language) -
     )
 
 
-def say_measured_lengths(provenance: Mapping[str, Any], language: Language) -> str:
+def describe_measured_lengths(provenance: Mapping[str, Any], language: Language) -> str:
     """The same, with the temperature from the provenance of a result."""
-    return say_lengths(find_measured_degc(provenance), language)
+    return describe_lengths(find_measured_degc(provenance), language)

@@ -53,19 +53,23 @@ def describe_limits(certificate: Certificate, language: Language) -> View:
     """What the measurement cannot determine, or only poorly."""
     found = certificate.found.content["observability"]
     return {
-        "unobservable": [say_unobservable(s, language) for s in found["unobservable"]],
-        "weak": [say_poorly_observable(s, language) for s in found.get("weak", ())],
+        "unobservable": [
+            describe_unobservable(s, language) for s in found["unobservable"]
+        ],
+        "weak": [
+            describe_poorly_observable(s, language) for s in found.get("weak", ())
+        ],
         "rank": language.say(
             "limits_rank", rank=found["rank"], parameters=found["parameters"]
         ),
     }
 
 
-def say_unobservable(text: str, language: Language) -> str:
+def describe_unobservable(text: str, language: Language) -> str:
     """What data do not determine, and what would; unknown forms are quoted."""
     key, found = _match(_UNOBSERVABLE, text)
     if language.code == "en" or found is None:
-        return language.mark(text)
+        return language.localise_numbers(text)
     values = found.groupdict()
     if symbol := values.get("symbol"):
         values["name"] = language.name_symbol(symbol)
@@ -79,28 +83,30 @@ def say_unobservable(text: str, language: Language) -> str:
         )
     if accuracy := _ACCURACY.search(text):
         said.append(
-            language.say("limits_accuracy", urad=language.mark(accuracy["urad"]))
+            language.say(
+                "limits_accuracy", urad=language.localise_numbers(accuracy["urad"])
+            )
         )
     return " ".join(said)
 
 
-def say_poorly_observable(text: str, language: Language) -> str:
+def describe_poorly_observable(text: str, language: Language) -> str:
     """Which shape rests mostly on the prior; unknown forms are quoted."""
     found = _POOR.match(text)
-    form = _say_form(found["form"], language) if found else ""
+    form = _describe_form(found["form"], language) if found else ""
     if language.code == "en" or found is None or not form:
-        return language.mark(text)
+        return language.localise_numbers(text)
     who = found["first"]
     if others := found["others"]:
         key = "limits_poor_with_more" if found["more"] else "limits_poor_with"
         who = language.say(key, first=who, others=others)
-    sigma = language.mark(found["sigma"])
+    sigma = language.localise_numbers(found["sigma"])
     return language.say(
         "limits_poor", who=who, form=form, share=found["share"], sigma=sigma
     )
 
 
-def _say_form(text: str, language: Language) -> str:
+def _describe_form(text: str, language: Language) -> str:
     if text == "the angle":
         return language.say("limits_form_angle")
     found = _FORM.match(text)

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.paper_colours import paint
+from truepath.answers.certificate.paper_colours import inline_colours
 from truepath.answers.shown.chart import Frame, Scale, round_down
 from truepath.answers.shown.svg import (
     NUMBER,
@@ -86,7 +86,7 @@ def draw_slices(
     for level in range(_LEVELS):
         parts.append(_draw_slice(slices, level, names, largest, factor, language))
     parts.append(_draw_bar(largest, factor, language))
-    return paint(draw_image(_HEIGHT, title, parts))
+    return inline_colours(draw_image(_HEIGHT, title, parts))
 
 
 def draw_histograms(
@@ -104,7 +104,7 @@ def draw_histograms(
         frame = Frame(left, 20.0, left + width, _CHART_HEIGHT - 32.0)
         colour = (Colour.ACCENT, Colour.SECOND)[number % 2]
         parts.append(_draw_histogram(frame, name, lengths, colour, language))
-    return paint(draw_image(_CHART_HEIGHT, language.say("histogram"), parts))
+    return inline_colours(draw_image(_CHART_HEIGHT, language.say("histogram"), parts))
 
 
 def _choose_factor(slices: Slices) -> float:
@@ -211,7 +211,7 @@ def _draw_bar(largest: float, factor: float, language: Language) -> Markup:
         fill_box(14.0 + i * width, _BAR_TOP, width + 0.2, 6.0, mix_colour(i, pale=True))
         for i in range(SHADES)
     ]
-    names = map(language.mark, scale.name_ticks(ticks))
+    names = map(language.localise_numbers, scale.name_ticks(ticks))
     for at, text in zip(scale.place(ticks).tolist(), names, strict=True):
         parts.append(
             write_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")

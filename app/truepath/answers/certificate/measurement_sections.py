@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from truepath.answers.certificate.issue import Certificate
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.paper_colours import paint
+from truepath.answers.certificate.paper_colours import inline_colours
 from truepath.answers.shown.svg import (
     WIDTH,
     Colour,
@@ -42,7 +42,7 @@ def describe_measurement(certificate: Certificate, language: Language) -> View:
     warm_up = certificate.identity.get("warm_up", language.say("not_stated"))
     return {
         "warm_up": (language.say("identity_warm_up"), warm_up),
-        "grade": _say_grade(certificate.found.content.get("grade"), language),
+        "grade": _describe_grade(certificate.found.content.get("grade"), language),
         "runs": [_describe_run(run, language) for run in runs],
     }
 
@@ -162,7 +162,7 @@ def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[st
         yield language.say("air_scale", per_k=per_k, per_hpa=per_hpa)
 
 
-def _say_grade(grade: Mapping[str, Any] | None, language: Language) -> str:
+def _describe_grade(grade: Mapping[str, Any] | None, language: Language) -> str:
     if not grade:
         return ""
     word = language.shared[f"grade.{grade['verdict']}"]
@@ -203,7 +203,7 @@ def draw_setup(
         for number, at in enumerate(trackers_mm, start=1)
     ]
     parts += _write_axes(axes, corners, fit)
-    return paint(draw_image(_HEIGHT, language.say("section_setup"), parts))
+    return inline_colours(draw_image(_HEIGHT, language.say("section_setup"), parts))
 
 
 class _Fit:

@@ -21,7 +21,7 @@ _PAPER = {
 _VARIABLE = re.compile(r"var\(--([a-z]+)\)")
 
 
-def paint(figure: Markup) -> Markup:
+def inline_colours(figure: Markup) -> Markup:
     """The figure with literal colours and font."""
     text = _VARIABLE.sub(lambda found: _PAPER[found.group(1)], figure)
     # Colours and a font of this module: nothing from outside is in them.

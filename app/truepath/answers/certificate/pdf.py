@@ -48,7 +48,7 @@ def print_pdf(html: str) -> bytes:
     Raises PdfUnavailable with the remedy, also where no font has a letter of it: a box
     in its place would make a name unreadable.
     """
-    page = _load_printer()(string=html, url_fetcher=_refuse)
+    page = _load_printer()(string=html, url_fetcher=_reject)
     with _collect_missing_letters() as missing:
         printed = page.write_pdf(pdf_variant="pdf/ua-1")
     if missing:
@@ -95,5 +95,5 @@ def _say(error: Exception) -> str:
     return "WeasyPrint does not find Pango"
 
 
-def _refuse(url: str, *_: object, **__: object) -> NoReturn:
+def _reject(url: str, *_: object, **__: object) -> NoReturn:
     raise ValueError(f"a certificate fetches nothing, not {url}")

@@ -10,7 +10,7 @@ import numpy as np
 from truepath.answers.certificate.as_left import is_compensation_confirmed
 from truepath.answers.certificate.issue import Certificate, Content
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.lengths import say_measured_lengths
+from truepath.answers.certificate.lengths import describe_measured_lengths
 from truepath.answers.certificate.map_figures import (
     compute_slices,
     draw_histograms,
@@ -52,17 +52,20 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
         "rows": [
             (
                 language.say(name),
-                *(_say_figure(spread[k], language) for k in ("mean", "p95", "largest")),
+                *(
+                    _describe_figure(spread[k], language)
+                    for k in ("mean", "p95", "largest")
+                ),
             )
             for name, spread in states
         ],
         "is_measured": certificate.left is not None,
-        "left_note": _say_compensated(certificate, language),
-        "scale_note": _say_scale(certificate, language),
+        "left_note": _describe_compensated(certificate, language),
+        "scale_note": _describe_scale(certificate, language),
     }
 
 
-def _say_scale(certificate: Certificate, language: Language) -> str:
+def _describe_scale(certificate: Certificate, language: Language) -> str:
     sources = (certificate.found, certificate.left)
     ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
     if not ppm:
@@ -80,7 +83,7 @@ def _say_scale(certificate: Certificate, language: Language) -> str:
     return f"{said} {settled}"
 
 
-def _say_compensated(certificate: Certificate, language: Language) -> str:
+def _describe_compensated(certificate: Certificate, language: Language) -> str:
     if certificate.left is None:
         return ""
     confirmed = is_compensation_confirmed(certificate.left.content)
@@ -131,7 +134,7 @@ def describe_budget(certificate: Certificate, language: Language) -> View:
         "rows": rows,
         "total": (language.say("budget_total"), *sums, "100 %"),
         "expanded": (language.say("budget_expanded"), *doubled, ""),
-        "thermal": "" if has_thermal else _say_no_thermal(content, language),
+        "thermal": "" if has_thermal else _describe_no_thermal(content, language),
     }
 
 
@@ -181,7 +184,7 @@ def describe_positioning(certificate: Certificate, language: Language) -> View:
     every = compute_positioning_figures(found, halves, found.measured)
     return {
         "rows": [_state_positioning(one, language) for one in every],
-        "lengths": say_measured_lengths(found.provenance, language),
+        "lengths": describe_measured_lengths(found.provenance, language),
     }
 
 
@@ -194,7 +197,7 @@ def _list_after(
     return language.say("after_left"), np.linalg.norm(left.error_um, axis=1)
 
 
-def _say_figure(figure: Mapping[str, float], language: Language) -> str:
+def _describe_figure(figure: Mapping[str, float], language: Language) -> str:
     return language.write_expanded(figure["value_um"], figure["uncertainty_um"])
 
 
@@ -202,7 +205,7 @@ def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:
     return (part["volume"] / max(total["volume"], 1e-12)) ** 2
 
 
-def _say_no_thermal(content: Content, language: Language) -> str:
+def _describe_no_thermal(content: Content, language: Language) -> str:
     changes = [
         abs(one["change"])
         for run in content.get("runs", [])
@@ -227,7 +230,7 @@ def _describe_axis(axis: Axis, content: Content, language: Language) -> View:
     beyond = any(any(table["extrapolated"]) for table in tables.values())
     return {
         "title": language.say("axis", axis=axis.name),
-        "measured": _say_measured(axis, content, language, beyond=beyond),
+        "measured": _describe_measured(axis, content, language, beyond=beyond),
         "tables": [
             _list_values(axis, {s: tables[s] for s in group}, language)
             for group in groups
@@ -235,7 +238,7 @@ def _describe_axis(axis: Axis, content: Content, language: Language) -> View:
     }
 
 
-def _say_measured(
+def _describe_measured(
     axis: Axis, content: Content, language: Language, *, beyond: bool
 ) -> str:
     ends = content.get("measured_range", {}).get(axis.name)

@@ -137,7 +137,7 @@ def compare(
     Raises BadInput if no error is known to both, or one is stated in a wrong unit.
     """
     instrument = instrument or ReferenceUncertainty()
-    _refuse_units(reference)
+    _reject_units(reference)
     direct = {
         symbol: combine_direct_error(
             symbol, reference, instrument.of(find_unit(symbol))
@@ -164,7 +164,7 @@ def compare(
     return Comparison(tuple(errors), numbers, refused)
 
 
-def _refuse_units(reference: Sequence[DirectMeasurement]) -> None:
+def _reject_units(reference: Sequence[DirectMeasurement]) -> None:
     for one in reference:
         if one.unit != find_unit(one.error):
             raise BadInput(
@@ -190,7 +190,7 @@ def _compare_error(
     gauge = build_convention(symbol, axis, theirs.position_mm)
     removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
     rows = gauge @ motions[symbol].rows(theirs.position_mm)
-    value, sigma = evaluate(symbol, rows, *result.at_targets.part(symbol))
+    value, sigma = evaluate(symbol, rows, *result.reduce_to_targets.part(symbol))
     return ComparedError(
         symbol=symbol,
         unit=find_unit(symbol),

@@ -44,7 +44,7 @@ def list_differences(
 
     A number has changed if it did so by more than its expanded uncertainty (k = 2).
     """
-    before, after = before.at_targets, after.at_targets
+    before, after = before.reduce_to_targets, after.reduce_to_targets
     old, new = before.effects(), after.effects()
     added = [_describe_effect(after, new[n], "added") for n in new if n not in old]
     removed = [_describe_effect(before, old[n], "removed") for n in old if n not in new]
@@ -53,7 +53,7 @@ def list_differences(
     return (*added, *removed, *changed)
 
 
-def in_words(name: str, value: float, uncertainty: float) -> str:
+def format_text(name: str, value: float, uncertainty: float) -> str:
     """`width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
     suffix = next((s for s in _SUFFIXES if _cut_direction(name).endswith(f"_{s}")), "")
     stem = _cut_direction(name).removesuffix(f"_{suffix}").replace("_", " ")
@@ -71,7 +71,7 @@ def _describe_effect(state: EstimatedModel, effect: Effect, kind: str) -> Change
     catalogued = {e.name: e for e in state.model.catalogue_effects}
     if known := catalogued.get(effect.name):
         found = known.state(theta, covariance)
-        numbers = [in_words(n, m.value, m.uncertainty) for n, m in found.items()]
+        numbers = [format_text(n, m.value, m.uncertainty) for n, m in found.items()]
         return Change(kind, known.label, f"{known.label}: {', '.join(numbers)}")
     size = f"{len(theta)} parameters"
     if len(theta) == 1:

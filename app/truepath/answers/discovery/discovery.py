@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from truepath.answers.discovery.discovery_json import ask_json, discovery_json
+from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
 from truepath.answers.discovery.model_file import (
     NextModel,
     build_next_model,
@@ -59,6 +59,6 @@ def discover_runs(
     content = discovery_json(found) | {
         "model": {k: model.content[k] for k in ("version", "parent", "difference")},
         "verdict": model.content["verdict"],
-        "ask": None if asked is None else ask_json(asked, ASK),
+        "ask": None if asked is None else proposal_json(asked, ASK),
     }
     return Discovered(found, content, model, asked)

@@ -238,7 +238,7 @@ def describe_alternatives(finding: Finding) -> str:
     return f"this measurement cannot tell it from: {'; '.join(names)}"
 
 
-def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
+def proposal_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
     """The questions, the lines that decide them, and the reason in words.
 
     file : the `path.csv` of the lines, next to `discovery.json`; `rows` are the same,

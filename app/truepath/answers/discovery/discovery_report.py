@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from truepath.answers.calibration.analysis_files import REPORT
-from truepath.answers.comparison.model_difference import in_words
+from truepath.answers.comparison.model_difference import format_text
 from truepath.answers.discovery.discovery import ASK, Discovered
 from truepath.answers.discovery.discovery_json import (
     describe_alternatives,
@@ -98,7 +98,7 @@ def render_discovery_report(
             ],
             "unnamed": _describe_unnamed(discovery),
             "compared": discovery.compared,
-            "ask": None if design is None else describe_ask(design, ask_file),
+            "ask": None if design is None else describe_proposal(design, ask_file),
             "gap": _describe_gap(discovery),
             "runs": [
                 {"name": aligned.run.name, **_describe_run(residual)}
@@ -119,7 +119,7 @@ def render_discovery_report(
     )
 
 
-def describe_ask(design: DiscriminationDesign, file: str) -> View:
+def describe_proposal(design: DiscriminationDesign, file: str) -> View:
     """The open questions, and the lines that decide them.
 
     file : the path of the lines, next to the report
@@ -144,7 +144,7 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
         "title": write_title(finding.candidate),
         "grade": finding.grade,
         "numbers": "; ".join(
-            in_words(name, number.value, number.uncertainty)
+            format_text(name, number.value, number.uncertainty)
             for name, number in finding.parameters.items()
         ),
         "words": finding.family.words["en"],

@@ -40,7 +40,7 @@ from truepath.results.error_tables import (
     build_error_tables,
     compute_half_differences,
 )
-from truepath.results.verdict import judge_discovery
+from truepath.results.result_assessment import assess_discovery
 
 
 def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
@@ -49,7 +49,7 @@ def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
     Raises BundleError if it is of another machine or of another target, NotUsable if it
     is not to be used.
     """
-    earlier.require_fit(run.machine)
+    earlier.require_comparable(run.machine)
     loaded = earlier.result
     model = replace(loaded.model, machine=run.machine)
     seats = list_target_seats([run.machine.targets])
@@ -76,7 +76,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
 
     parent : what the Run was compared with; None for the rigid-body model fitted to it
     """
-    grown, verdict = extend_model(found), judge_discovery(found, parent)
+    grown, verdict = extend_model(found), assess_discovery(found, parent)
     machine = grown.model.machine
     before, origin = _describe_parent(found, parent)
     measured = find_measured_ranges(*(one.observations for one in found.aligned))

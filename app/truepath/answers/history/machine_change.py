@@ -110,8 +110,8 @@ def find_changes(before: CalibrationResult, after: CalibrationResult) -> Machine
     Raises BadInput if they share a Run, or hold for other targets; BundleError if they
     are of different machines.
     """
-    _refuse_what_cannot_be_compared(before, after)
-    pair = _Pair(before.at_targets, after.at_targets)
+    _reject_what_cannot_be_compared(before, after)
+    pair = _Pair(before.reduce_to_targets, after.reduce_to_targets)
     places, values, drawn = pair.evaluate_entries()
     sigma = drawn.std(axis=1)
     known = sigma > _SMALLEST
@@ -134,7 +134,7 @@ def find_changes(before: CalibrationResult, after: CalibrationResult) -> Machine
     return MachineChange(entries, volume, factor, pair.not_compared)
 
 
-def _refuse_what_cannot_be_compared(
+def _reject_what_cannot_be_compared(
     before: CalibrationResult, after: CalibrationResult
 ) -> None:
     one_machine([before.machine, after.machine], ["the earlier", "the later result"])

@@ -231,7 +231,7 @@ class ToleranceJudgement:
         )
 
 
-def judge_tolerance(one: Calibration, tolerance_um: float) -> ToleranceJudgement:
+def assess_tolerance(one: Calibration, tolerance_um: float) -> ToleranceJudgement:
     """On the 95th percentile of the volumetric error of a calibration."""
     entries = read_entries(read_stated(one), VOLUMETRIC)
     p95 = next(e for e in entries if e.label == "p95")

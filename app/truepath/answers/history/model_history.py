@@ -25,7 +25,7 @@ def find_model_file(results: Path, job_id: str) -> Path:
     raise NotFound(f"job {job_id} has no model and no result")
 
 
-def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
+def read_model_summary(results: Path, job_id: str) -> Mapping[str, Any]:
     """Version, parent, difference, effects and gap of a discovered model.
 
     Raises NotFound if the job discovered none.
@@ -39,13 +39,13 @@ def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
 
 def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Job and content of a model and its ancestors, the newest first."""
-    found = [(job_id, read_growth(results, job_id))]
+    found = [(job_id, read_model_summary(results, job_id))]
     seen = {job_id}
     while True:
         source = str(found[-1][1]["parent"]["source"])
         if source in seen or not (results / source / DISCOVERY).is_file():
             return found
-        found.append((source, read_growth(results, source)))
+        found.append((source, read_model_summary(results, source)))
         seen.add(source)
 
 

@@ -20,10 +20,10 @@ from truepath.kinematics.machine.symbols import (
     is_location,
 )
 from truepath.planning.grade import sample_sigma_mm, verdict
+from truepath.planning.line_suggestions import SetUpRemedy
 from truepath.planning.plan import Plan
-from truepath.planning.remedies import SetUpRemedy
-from truepath.planning.stations.station_choice import StationAdvice, StationOption
 from truepath.planning.stations.station_information import StationVariance
+from truepath.planning.stations.station_selection import StationAdvice, StationOption
 from truepath.results.updated_effects import (
     prior_model_json,
     state_predicted_effects,
@@ -50,7 +50,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "motion": _state_motion(planned.machine),
         "feed_choice": _explain_feeds(planned),
         "model": model and prior_model_json(model),
-        "verdict": verdict_json(Verdict() if model is None else model.judge_use()),
+        "verdict": verdict_json(Verdict() if model is None else model.assess_use()),
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
             "assumed": order.workspace.tracker_mm is None,
@@ -254,7 +254,7 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
     # Uncertainties are standard ones (k = 1).
     return {
         "recommended": len(advice.recommended.place_mm),
-        "statement": in_words(advice),
+        "statement": format_text(advice),
         "move_minutes": advice.move_s / 60.0,
         "judged": advice.judged,
         "best": {"position_mm": _round(advice.best_mm), **_state(advice.best)},
@@ -263,7 +263,7 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
     }
 
 
-def in_words(advice: StationAdvice) -> list[str]:
+def format_text(advice: StationAdvice) -> list[str]:
     """Sentences for the operator who sets the tracker up."""
     first, *further = advice.options
     said = [

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from truepath.answers.comparison.model_difference import in_words
+from truepath.answers.comparison.model_difference import format_text
 from truepath.answers.plan.plan_document import plan_document
 from truepath.answers.shown.chart import Scale
 from truepath.answers.shown.number_format import SIGN
@@ -88,7 +88,7 @@ def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
     keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
     numbers = (
         "; ".join(
-            in_words(name, number["value"], number["uncertainty"])
+            format_text(name, number["value"], number["uncertainty"])
             for name, number in effect[when].items()
         )
         for when in ("known_before", "parameters")

@@ -20,7 +20,7 @@ from truepath.answers.shown.svg import (
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.machine.machine import Axis
 from truepath.results.error_tables import ErrorTable, build_error_table
-from truepath.results.findings import Findings, RunFindings
+from truepath.results.result_summary import Findings, RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22

@@ -70,7 +70,7 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
         half_across=across,
         half_across_u=across_u,
     )
-    left_out = _list_left_out(results, names)
+    left_out = _list_excluded(results, names)
     return CombinedResults(model, theta, covariance, joined, left_out)
 
 
@@ -78,7 +78,9 @@ def _has(model: MachineModel, effect: Effect) -> bool:
     other = next((e for e in model.effects if e.name == effect.name), None)
     if other is None or other.parameters != effect.parameters:
         return False
-    return (effect.name in model.made_up_for) == (other.name in model.made_up_for)
+    return (effect.name in model.compensated_turns) == (
+        other.name in model.compensated_turns
+    )
 
 
 def _select(
@@ -129,7 +131,7 @@ def _join_provenance(results: Sequence[CalibrationResult]) -> dict[str, object]:
     return {**first, "run": ", ".join(names), "runs": runs}
 
 
-def _list_left_out(
+def _list_excluded(
     results: Sequence[CalibrationResult], names: set[str]
 ) -> tuple[tuple[State, str], ...]:
     every = {e.name: None for r in results for e in r.model.effects}

@@ -1,7 +1,8 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; the course of each entry over all is in
-`estimation.over_time.drift`, and when to calibrate again in `outlook`.
+`estimation.over_time.drift`, and when to calibrate again in
+`recalibration_forecast`.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from jaxtyping import Float64
 
 from truepath.alignment.align import align_all
 from truepath.answers.shown.number_format import format_number
-from truepath.answers.trend.outlook import (
+from truepath.answers.trend.recalibration_forecast import (
     CHANCE,
-    LookAhead,
-    Outlook,
+    ForecastModel,
     Quantiles,
+    RecalibrationForecast,
     TablesAt,
 )
 from truepath.errors import BadInput
-from truepath.estimation.checks.disturbances import CheckedEstimate, estimate_checked
+from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
 from truepath.estimation.over_time.drift import Drift, estimate_drift
-from truepath.estimation.over_time.drift_course import Course
+from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json
@@ -36,7 +37,7 @@ from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
 from truepath.results.error_table_files import tables_json
-from truepath.results.verdict import judge
+from truepath.results.result_assessment import assess
 from truepath_drivers.interfaces.records import TemperatureSamples
 
 HOUR_S = 3600.0
@@ -65,7 +66,7 @@ _KEYS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class TrendRequest:
     """Request for the time after the last Run; times are since that.
 
     at_s : the middle of each Run from any origin; None to take it from the clocks
@@ -82,10 +83,10 @@ class Question:
     celsius: dict[str, float] | None = None
 
     @staticmethod
-    def of(asked: Mapping[str, Any]) -> Question:
+    def of(asked: Mapping[str, Any]) -> TrendRequest:
         """From JSON, times in hours; missing keys have the defaults."""
         at_h, horizon_h = asked.get("at_h"), asked.get("horizon_h")
-        return Question(
+        return TrendRequest(
             None if at_h is None else tuple(HOUR_S * hours for hours in at_h),
             asked.get("limit_um"),
             HORIZON_S if horizon_h is None else HOUR_S * horizon_h,
@@ -109,12 +110,12 @@ class Trend:
     sizes: dict[str, Quantiles]
     at_runs: tuple[TablesAt, ...]
     later: tuple[TablesAt, ...]
-    outlook: Outlook
+    outlook: RecalibrationForecast
 
 
 def follow_machine(
     runs: Sequence[Run],
-    question: Question,
+    question: TrendRequest,
     *,
     on_progress: Progress = ignore_progress,
 ) -> Trend:
@@ -141,20 +142,25 @@ def follow_machine(
         for run, name in zip(runs, names, strict=True)
     )
     on_progress(0.9, "predicting")
-    ahead = LookAhead.of(drift, course)
+    ahead = ForecastModel.of(drift, course)
     ranges = _join_ranges([one.estimate.measured for one in found])
     return Trend(
         machine,
         summaries,
-        _judge(found, names),
+        _assess(found, names),
         sensors,
         _state_sizes(drift, bool(sensors)),
-        tuple(ahead.state(ahead.at_run(k), names[k], ranges) for k in range(len(runs))),
         tuple(
-            ahead.state(ahead.at(float(since_s[-1]) + later_s), "", ranges)
+            ahead.compute_tables(ahead.course_of_run(k), names[k], ranges)
+            for k in range(len(runs))
+        ),
+        tuple(
+            ahead.compute_tables(
+                ahead.course_at(float(since_s[-1]) + later_s), "", ranges
+            )
             for later_s in question.later_s
         ),
-        ahead.look(question.limit_um, question.horizon_s),
+        ahead.predict_exceedance(question.limit_um, question.horizon_s),
     )
 
 
@@ -164,12 +170,12 @@ def _estimate(run: Run, name: str) -> CheckedEstimate:
     return estimate_checked(models, observed)
 
 
-def _judge(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
+def _assess(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
     return Verdict(
         tuple(
             replace(reason, run=name)
             for one, name in zip(found, names, strict=True)
-            for reason in judge(one, [name]).reasons
+            for reason in assess(one, [name]).reasons
         )
     )
 
@@ -177,7 +183,7 @@ def _judge(found: Sequence[CheckedEstimate], names: Sequence[str]) -> Verdict:
 def _make_course(
     runs: Sequence[Run],
     since_s: Float64[np.ndarray, " n"],
-    question: Question,
+    question: TrendRequest,
 ) -> tuple[tuple[str, ...], Course]:
     """The sensors used and the Runs' times with their mean temperatures.
 
@@ -250,7 +256,7 @@ def trend_json(trend: Trend) -> dict[str, Any]:
     }
 
 
-def describe_outlook(outlook: Outlook) -> str:
+def describe_outlook(outlook: RecalibrationForecast) -> str:
     """One sentence on when to calibrate again."""
     if outlook.state == "not-known":
         return "When to calibrate again is not known: too few Runs, give three or more."
@@ -287,7 +293,7 @@ def _encode_tables(trend: Trend, at: TablesAt) -> dict[str, Any]:
     return {"time_h": hours, "change_um": asdict(at.change_um), **tables}
 
 
-def _encode_outlook(outlook: Outlook) -> dict[str, Any]:
+def _encode_outlook(outlook: RecalibrationForecast) -> dict[str, Any]:
     due, expected = outlook.due_s, outlook.expected_s
     return {
         "state": outlook.state,

@@ -19,7 +19,11 @@ from truepath.answers.shown.svg import (
     draw_segments,
 )
 from truepath.answers.shown.templating import render_page
-from truepath.answers.trend.outlook import Outlook, Quantiles, TablesAt
+from truepath.answers.trend.recalibration_forecast import (
+    Quantiles,
+    RecalibrationForecast,
+    TablesAt,
+)
 from truepath.answers.trend.trend import (
     HOUR_S,
     NOT_TOLD,
@@ -78,7 +82,7 @@ def render_trend_report(trend: Trend) -> str:
     )
 
 
-def draw_outlook(outlook: Outlook) -> Markup:
+def draw_outlook(outlook: RecalibrationForecast) -> Markup:
     """Difference from the tables over time, with the limit."""
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     hours = outlook.time_s / HOUR_S

@@ -32,37 +32,40 @@ from jaxtyping import Float64
 from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import NOT_MEASURED, LeftOut
-from truepath.answers.shown.drawn_vectors import DrawnVectors
-from truepath.answers.verification.circles.circles_in_motion import (
+from truepath.answers.shown.sampled_vectors import SampledVectors
+from truepath.answers.verification.circles.circular_test import (
     CirclesInMotion,
     evaluate_circles,
     join_circles,
 )
-from truepath.answers.verification.driven_figures import DrivenFigures, evaluate_driven
-from truepath.answers.verification.places.held_places import (
-    Consistency,
-    HeldPlaces,
-    PlaceVectors,
-    judge_consistency,
-)
+from truepath.answers.verification.places.error_ratio import MapScale, find_map_scale
 from truepath.answers.verification.places.length_statistics import (
     LengthStatistics,
-    state_measured,
-    state_predicted,
+    compute_measured_statistics,
+    compute_predicted_statistics,
 )
-from truepath.answers.verification.places.map_scale import MapScale, find_map_scale
-from truepath.answers.verification.places.measured_places import (
-    MeasuredPlaces,
-    reduce_to_places,
+from truepath.answers.verification.places.matched_points import (
+    Consistency,
+    MatchedPoints,
+    PointVectors,
+    assess_consistency,
 )
-from truepath.answers.verification.places.place_conformity import (
-    PlaceConformity,
-    decide_places,
+from truepath.answers.verification.places.multipoint_conformity import (
+    PointConformity,
+    decide_points,
 )
 from truepath.answers.verification.places.predicted_motion import (
     Correction,
     find_poses,
     predict_displacement,
+)
+from truepath.answers.verification.places.reduced_points import (
+    ReducedPoints,
+    reduce_to_points,
+)
+from truepath.answers.verification.static_test_figures import (
+    StaticTestFigures,
+    evaluate_static_lines_and_circles,
 )
 from truepath.errors import BadInput, Unidentifiable
 from truepath.estimation.problem.noise import NoiseModel
@@ -78,7 +81,7 @@ from truepath.kinematics.effects.instrument import (
 )
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
-from truepath.results.verdict import judge_air, judge_sensors
+from truepath.results.result_assessment import assess_air, assess_sensors
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +114,18 @@ class Verification:
     result: CalibrationResult
     runs: tuple[VerifiedRun, ...]
     run_verdict: Verdict
-    places: MeasuredPlaces
-    measured: PlaceVectors
-    predicted: PlaceVectors
-    deviation: PlaceVectors
+    places: ReducedPoints
+    measured: PointVectors
+    predicted: PointVectors
+    deviation: PointVectors
     combined_mm2: Float64[np.ndarray, "n 3 3"]
     statistics: dict[str, LengthStatistics]
     consistency: Consistency
     scale: MapScale | None
-    conformity: dict[str, PlaceConformity]
+    conformity: dict[str, PointConformity]
     tolerance_um: float | None
     is_compensated: bool
-    driven: DrivenFigures
+    driven: StaticTestFigures
     circles: CirclesInMotion
 
 
@@ -146,23 +149,23 @@ def verify(
     on_progress(0.0, "aligning")
     summaries = [summarize_run(run) for run in runs]
     for run, summary in zip(runs, summaries, strict=True):
-        _refuse_used_run(result, summary)
+        _reject_used_run(result, summary)
         one_machine([result.machine, run.machine], ["the result", run.name])
     parts = _align_parts(runs, first_row)
     if correction is not None:
-        _refuse_turning(runs[0].machine)
+        _reject_turning(runs[0].machine)
     on_progress(0.4, "estimating")
     found = find_poses(result, [part.seen for part in parts], correction)
     places = [
-        reduce_to_places(part.own, one.pose, one.noise)
+        reduce_to_points(part.own, one.pose, one.noise)
         for part, one in zip(parts, found, strict=True)
     ]
     _require_enough(places)
     ppm = [state_length_ppm(r.refraction, r.machine.tracker.range_ppm) for r in runs]
     errors = list_instrument_errors([one.cells for one in places])
-    held = HeldPlaces.join(
+    held = MatchedPoints.join(
         [
-            HeldPlaces.of(result, one, correction, errors, scale)
+            MatchedPoints.of(result, one, correction, errors, scale)
             for one, scale in zip(places, ppm, strict=True)
         ]
     )
@@ -191,7 +194,7 @@ def verify(
     return replace(_state(held, verified, tolerance_um, correction), circles=circles)
 
 
-def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
+def _require_enough(parts: Sequence[ReducedPoints]) -> None:
     for places in parts:
         if len(places.owner) <= places.nuisance.shape[1]:
             raise Unidentifiable(
@@ -200,7 +203,7 @@ def _require_enough(parts: Sequence[MeasuredPlaces]) -> None:
             )
 
 
-def _refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
+def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
     """Raise BadInput if a result was made from a Run or from a part of it.
 
     It would confirm itself.
@@ -216,7 +219,7 @@ def _refuse_used_run(result: CalibrationResult, run: RunSummary) -> None:
         )
 
 
-def _refuse_turning(machine: Machine) -> None:
+def _reject_turning(machine: Machine) -> None:
     from_base = machine.tracker.stands_on == "base" and machine.workpiece_side
     if machine.rotary_axes or from_base:
         raise BadInput(
@@ -227,20 +230,20 @@ def _refuse_turning(machine: Machine) -> None:
 
 
 def _state(
-    held: HeldPlaces,
+    held: MatchedPoints,
     runs: tuple[VerifiedRun, ...],
     tolerance_um: float | None,
     correction: Correction | None,
 ) -> Verification:
     places, residual = held.places, held.places.residual_mm
     spread, V = held.predict_covariance(), held.covariance_mm2
-    measured = held.state(residual, V)
-    predicted = held.state(held.predicted_mm, spread)
-    deviation = held.state(residual - held.predicted_mm, V)
+    measured = held.to_point_vectors(residual, V)
+    predicted = held.to_point_vectors(held.predicted_mm, spread)
+    deviation = held.to_point_vectors(residual - held.predicted_mm, V)
     noise = held.draw(places.noise_mm2, 1)
     tracker = held.draw(places.noise_mm2 + held.tracker_mm @ held.tracker_mm.T, 1)
     scale_mm = places.collect(held.less_rigid @ held.scale_mm)
-    consistency = judge_consistency(held, spread)
+    consistency = assess_consistency(held, spread)
     known_by = consistency.known_by
     summaries = [one.summary for one in runs]
     return Verification(
@@ -248,10 +251,10 @@ def _state(
         runs,
         Verdict.merge(
             [
-                judge_air(
+                assess_air(
                     [one.refraction for one in summaries], [s.name for s in summaries]
                 ),
-                judge_sensors(summaries),
+                assess_sensors(summaries),
             ]
         ),
         places,
@@ -260,9 +263,13 @@ def _state(
         deviation,
         measured.covariance_mm2 + predicted.covariance_mm2,
         {
-            "measured": state_measured(measured.vector_mm, tracker, known_by, scale_mm),
-            "predicted": state_predicted(predicted.vector_mm, held.draw(spread, 2)),
-            "deviation": state_measured(
+            "measured": compute_measured_statistics(
+                measured.vector_mm, tracker, known_by, scale_mm
+            ),
+            "predicted": compute_predicted_statistics(
+                predicted.vector_mm, held.draw(spread, 2)
+            ),
+            "deviation": compute_measured_statistics(
                 deviation.vector_mm, tracker, known_by, scale_mm
             ),
         },
@@ -271,9 +278,9 @@ def _state(
         _decide(places, measured, deviation, known_by, tolerance_um),
         tolerance_um,
         correction is not None,
-        evaluate_driven(
+        evaluate_static_lines_and_circles(
             places,
-            DrawnVectors(
+            SampledVectors(
                 measured.vector_mm,
                 noise,
                 places.collect(held.less_rigid @ held.common_mm),
@@ -285,16 +292,16 @@ def _state(
 
 
 def _decide(
-    places: MeasuredPlaces,
-    measured: PlaceVectors,
-    deviation: PlaceVectors,
+    places: ReducedPoints,
+    measured: PointVectors,
+    deviation: PointVectors,
     known_by: float,
     tolerance_um: float | None,
-) -> dict[str, PlaceConformity]:
+) -> dict[str, PointConformity]:
     if tolerance_um is None:
         return {}
     return {
-        name: decide_places(
+        name: decide_points(
             one.length_um,
             one.length_sigma_um,
             known_by,

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.answers.verification.circles.circles_at_standstill import CircleFigures
 from truepath.answers.verification.circles.circles_json import circles_json
-from truepath.answers.verification.driven_figures import LineFigures
-from truepath.answers.verification.places.held_places import K, PlaceVectors
+from truepath.answers.verification.circles.static_circles import CircleFigures
 from truepath.answers.verification.places.length_statistics import LengthStatistics
-from truepath.answers.verification.places.place_conformity import PlaceConformity
+from truepath.answers.verification.places.matched_points import K, PointVectors
+from truepath.answers.verification.places.multipoint_conformity import PointConformity
+from truepath.answers.verification.static_test_figures import LineFigures
 from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.answers.verification.verification_statements import state_findings
 from truepath.files.earlier.verdict import verdict_json
@@ -56,7 +56,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         **circles_json(found.circles),
         "places": _places_json(found),
         "components": "all three"
-        if found.places.is_whole
+        if found.places.is_complete
         else "three at standstills, the two across the travel on lines",
         "unseen_directions": list(found.places.unseen_directions),
         "axes_at_rest": list(found.places.resting_axes),
@@ -106,7 +106,7 @@ def _run_json(run: VerifiedRun) -> dict[str, Any]:
         "input_sha256": run.summary.digest,
         "samples_used": run.samples[0],
         "samples_offered": run.samples[1],
-        "left_out": [_describe_left_out(one) for one in run.left_out],
+        "left_out": [_describe_excluded(one) for one in run.left_out],
         "length_scale_ppm": run.scale_ppm,
         "environment": environment_json(run.summary),
     }
@@ -120,7 +120,7 @@ def _noise_json(run: VerifiedRun) -> dict[str, Any]:
     }
 
 
-def _conformity_json(one: PlaceConformity, found: Verification) -> dict[str, Any]:
+def _conformity_json(one: PointConformity, found: Verification) -> dict[str, Any]:
     return {
         "conformity": one.conformity.value,
         "rule": "ISO 14253-1",
@@ -156,7 +156,7 @@ def _difference_json(found: Verification) -> dict[str, Any]:
     return content
 
 
-def _directions_json(deviation: PlaceVectors) -> dict[str, Any]:
+def _directions_json(deviation: PointVectors) -> dict[str, Any]:
     value_um = 1e3 * deviation.vector_mm
     return {
         name: {
@@ -196,7 +196,7 @@ def _places_json(found: Verification) -> dict[str, Any]:
     }
 
 
-def _describe_left_out(one: LeftOut) -> dict[str, Any]:
+def _describe_excluded(one: LeftOut) -> dict[str, Any]:
     return {
         "cause": one.cause,
         "row": one.row,

@@ -26,18 +26,18 @@ from truepath.answers.verification.circles.circle_figures import FIGURES
 from truepath.answers.verification.circles.circle_figures import (
     FIGURES as MOVING_FIGURES,
 )
-from truepath.answers.verification.circles.circles_at_standstill import (
-    CIRCLE_FIGURES,
-    CircleFigures,
-)
-from truepath.answers.verification.circles.circles_in_motion import CircleInMotion
 from truepath.answers.verification.circles.circles_json import circles_json
+from truepath.answers.verification.circles.circular_test import CircleInMotion
 from truepath.answers.verification.circles.polar_figure import (
     ENGLISH,
     draw_polar_circles,
 )
-from truepath.answers.verification.driven_figures import LINE_FIGURES, LineFigures
-from truepath.answers.verification.places.held_places import K
+from truepath.answers.verification.circles.static_circles import (
+    CIRCLE_FIGURES,
+    CircleFigures,
+)
+from truepath.answers.verification.places.matched_points import K
+from truepath.answers.verification.static_test_figures import LINE_FIGURES, LineFigures
 from truepath.answers.verification.verification import Verification
 from truepath.answers.verification.verification_json import verification_json
 from truepath.answers.verification.verification_statements import state_findings
@@ -109,7 +109,7 @@ def render_verification_report(found: Verification) -> str:
             ),
             "runs": [_draw_line(one) for one in found.driven.lines],
             "components": "in all three components"
-            if found.places.is_whole
+            if found.places.is_complete
             else "across the travel on lines, in three components at standstills",
         },
     )

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from truepath.answers.shown.number_format import format_number
 from truepath.answers.verification.circles.circles_json import state_circles
 from truepath.answers.verification.places.conformity import Conformity
-from truepath.answers.verification.places.held_places import K
-from truepath.answers.verification.places.map_scale import ScaleCause
+from truepath.answers.verification.places.error_ratio import ScaleCause
+from truepath.answers.verification.places.matched_points import K
 from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.results.environment_json import describe_refraction
 
@@ -59,7 +59,7 @@ def state_findings(found: Verification) -> Iterator[str]:
 
 def _state_unseen(found: Verification) -> Iterator[str]:
     """An error along the line of travel is in no figure."""
-    if found.places.is_whole:
+    if found.places.is_complete:
         return
     yield (
         "On lines the two components across the travel are measured; an error along "

@@ -35,7 +35,7 @@ from truepath.catalogue.errors import (
     StorageUnavailable,
 )
 from truepath.errors import BadInput
-from truepath.seldom import Seldom
+from truepath.log_throttle import LogThrottle
 from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
@@ -60,7 +60,7 @@ class Database:
 
     def __init__(self, url: str, *, patience_s: float = 15.0) -> None:
         self._patience_s = patience_s
-        self._writer, self._seldom = threading.RLock(), Seldom()
+        self._writer, self._throttle = threading.RLock(), LogThrottle()
         self.engine = _engine(url)
 
     @contextmanager
@@ -174,11 +174,11 @@ class Database:
                     raise StorageFull(text) from error
                 if host_clock.now_s() > deadline:
                     raise StorageUnavailable(_busy_text(error)) from error
-                if self._seldom.is_due():
+                if self._throttle.is_due():
                     log.warning("catalogue is busy", reason=str(error.orig))
                 host_clock.sleep_s(0.1)
             except DatabaseError as error:
-                _refuse_damaged(error)
+                _reject_damaged(error)
                 raise
 
     def _copy_aside(self, revision: str) -> None:
@@ -203,11 +203,11 @@ def _as_storage_errors() -> Iterator[None]:
     except OperationalError as error:
         raise StorageUnavailable(_busy_text(error)) from error
     except DatabaseError as error:
-        _refuse_damaged(error)
+        _reject_damaged(error)
         raise
 
 
-def _refuse_damaged(error: DatabaseError) -> None:
+def _reject_damaged(error: DatabaseError) -> None:
     if any(sign in str(error.orig) for sign in _DAMAGED):
         raise StorageUnavailable(
             f"the catalogue is damaged ({error.orig}); stop the service, then run "

@@ -28,7 +28,7 @@ _ENDS_ASKED_FOR = {
 }
 
 
-def ask_for(job: Job, verb: Verb) -> Job:
+def apply_request(job: Job, verb: Verb) -> Job:
     """The job after a user's request. Raises IllegalTransition."""
     state, desired = apply_verb(verb, job.state), _DESIRED_STATES[verb]
     if state is job.state and (job.is_final or job.desired_state == desired):
@@ -94,7 +94,7 @@ def end_job(
     )
 
 
-def leave_end(job: Job, machine_version: int) -> Job:
+def reopen_measurement(job: Job, machine_version: int) -> Job:
     """An interrupted measurement, in preparation again.
 
     machine_version : of the configuration that it continues with
@@ -110,7 +110,7 @@ def leave_end(job: Job, machine_version: int) -> Job:
     )
 
 
-def put_back(job: Job, *, in_order: bool = False) -> Job:
+def requeue(job: Job, *, in_order: bool = False) -> Job:
     """The job queued again, or ended where it may not be started once more.
 
     The same object where nothing changes. A job that measures is never passed here.
@@ -143,7 +143,7 @@ def require_version(job: Job, version: int) -> None:
         raise StaleVersion(version, job.version, job.state)
 
 
-def refuse_to_measure_again(job: Job) -> None:
+def reject_to_measure_again(job: Job) -> None:
     """Raise IllegalTransition for a measurement that would be queued again."""
     if job.kind.measures and job.state is State.QUEUED:
         raise IllegalTransition(f"job {job.id} measures; it is not begun again")

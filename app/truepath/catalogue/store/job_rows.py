@@ -86,7 +86,7 @@ def encode_columns(job: Job) -> dict[str, Any]:
     return content
 
 
-def refuse_second_measurement(connection: Connection, machine: str | None) -> None:
+def reject_second_measurement(connection: Connection, machine: str | None) -> None:
     """Raise CellBusy if a measurement of the machine has not ended."""
     for job in select_jobs(connection, UNFINISHED):
         if job.kind.measures and job.machine == machine:

@@ -46,7 +46,7 @@ from truepath.catalogue.store.idempotency import (
     insert_key,
 )
 from truepath.catalogue.store.job_changes import (
-    refuse_to_measure_again,
+    reject_to_measure_again,
     require_version,
     stamp_times,
 )
@@ -58,7 +58,7 @@ from truepath.catalogue.store.job_rows import (
     find_analyses_of_one,
     insert_job,
     read_job,
-    refuse_second_measurement,
+    reject_second_measurement,
     select_jobs,
     update_job,
 )
@@ -99,7 +99,7 @@ class Store:
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                refuse_second_measurement(connection, new.machine)
+                reject_second_measurement(connection, new.machine)
             job = insert_job(connection, identified, plan)
             if key is not None:
                 insert_key(connection, key, job.id)
@@ -136,15 +136,15 @@ class Store:
         with self._database.read() as connection:
             return _see(read_job(connection, job_id), ended)
 
-    def see(self, job: Job) -> Job:
+    def apply_pending_end(self, job: Job) -> Job:
         """A stored job, but ended if it has ended since."""
         return _see(job, self._ended)
 
-    def keep_end(self, before: Job, ended: Job) -> Job:
+    def mark_ended(self, before: Job, ended: Job) -> Job:
         """Show a job as ended until `change` has stored it; the first call counts."""
         return self._ended.setdefault(before.id, stamp_times(before, ended))
 
-    def forget_end(self, job_id: str) -> None:
+    def discard_pending_end(self, job_id: str) -> None:
         """Leave an end that could not be stored to the next start of the service."""
         self._ended.pop(job_id, None)
 
@@ -157,7 +157,7 @@ class Store:
         """The request of a job that plans; empty for others."""
         return self._read_plan_content(job_id).get("request") or {}
 
-    def keep_plan(self, job_id: str, plan: Json) -> None:
+    def store_plan(self, job_id: str, plan: Json) -> None:
         """Store a finished plan together with its request."""
         self._update(job_id, plan={"request": self.read_plan_request(job_id), **plan})
 
@@ -265,7 +265,7 @@ class Store:
                     return before, event  # the word that it was committed got lost
             if version is not None:
                 require_version(before, version)
-            seen = before if ends else self.see(before)
+            seen = before if ends else self.apply_pending_end(before)
             after = change(seen)
             if after is seen:
                 return seen, None
@@ -274,8 +274,8 @@ class Store:
             if after.state is not before.state:
                 check_transition(before.state, after.state)
                 if before.is_final and after.kind.measures:
-                    refuse_second_measurement(connection, after.machine)
-                refuse_to_measure_again(after)
+                    reject_second_measurement(connection, after.machine)
+                reject_to_measure_again(after)
             after = stamp_times(before, replace(after, version=before.version + 1))
             update_job(connection, before, after)
             written.append((after, _insert_event(connection, after)))
@@ -283,7 +283,7 @@ class Store:
 
         job = self._database.write(apply, self._publish)[0]
         if ends and job.is_final:
-            self.forget_end(job_id)
+            self.discard_pending_end(job_id)
         return job
 
     def rename(self, job_id: str, name: str | None, note: str | None) -> Job:
@@ -305,7 +305,7 @@ class Store:
 
         return self._database.write(change, self._publish)[0]
 
-    def keep_progress(
+    def store_progress(
         self, job_id: str, stage: Stage, progress: Progress, health: Health
     ) -> None:
         """Store the progress of a job, without a new version."""

@@ -20,7 +20,7 @@ from truepath.cli.terminal import (
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
-    collect_seldom,
+    collect_garbage_rarely,
     print_files,
     print_json,
     require_folder,
@@ -74,7 +74,7 @@ def analyse(
     json: Json = False,
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import (
         read_runs,
         render_analysis,
@@ -86,7 +86,7 @@ def analyse(
         add_known_lengths,
         decode_known_lengths,
     )
-    from truepath.measurement.run_file.run_reading import open_recorded
+    from truepath.measurement.run_file.run_loader import open_recorded
     from truepath.numerics.adaptive_trials import TrialPlan
     from truepath.results.analysis import analyse
 
@@ -142,12 +142,12 @@ def discover(
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import read_runs
     from truepath.answers.discovery.discovery import discover_runs
     from truepath.answers.discovery.discovery_report import write_discovery
     from truepath.estimation.problem.prior_model import read_prior_model
-    from truepath.measurement.run_file.run_reading import open_recorded
+    from truepath.measurement.run_file.run_loader import open_recorded
 
     require_folder(output, "the results")
     with show_progress("discover") as on_progress:

@@ -12,7 +12,7 @@ import typer
 
 from truepath.cli.terminal import (
     Json,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -101,7 +101,7 @@ def import_recording(
     from truepath.files.imports.recording import read_recording
 
     require_folder(output, "the bundle")
-    collect_seldom()
+    collect_garbage_rarely()
     options = TextOptions(
         delimiter=delimiter,
         decimal=decimal,
@@ -140,10 +140,10 @@ def import_recording(
         print_json(_summarise(read, source, notes, problems, files))
     else:
         print_files(files)
-    _refuse(problems, recording)
+    _reject(problems, recording)
 
 
-def _refuse(problems: Sequence[BadInput], recording: Path) -> None:
+def _reject(problems: Sequence[BadInput], recording: Path) -> None:
     if len(problems) > 1:
         for problem in problems:
             say(f"problem: {problem}")
@@ -191,9 +191,9 @@ def _hold_against_commanded(
             "left-handed or two are swapped; say which by --axes (x,-y,z or y,x,z)"
         )
         return [*problems, BadInput(why)], [*read.notes]
-    from truepath.results.verdict import judge_recording
+    from truepath.results.result_assessment import assess_recording
 
-    said = [str(reason) for reason in judge_recording(seen).reasons]
+    said = [str(reason) for reason in assess_recording(seen).reasons]
     return problems, [*read.notes, *said]
 
 

@@ -15,7 +15,7 @@ from truepath.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
-    collect_seldom,
+    collect_garbage_rarely,
     print_files,
     print_json,
     print_table,
@@ -44,7 +44,7 @@ def grade(
     json: Json = False,
 ) -> None:
     """What a set-up is worth, from its geometry alone; nothing moves."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.files.bundle.commanded_file import read_set_up
     from truepath.results.grade_json import grade_set_up
 
@@ -124,7 +124,7 @@ def plan(
     json: Json = False,
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
-    collect_seldom()
+    collect_garbage_rarely()
     if verify:
         _plan_verification(machine, output, verify, seed, control or (), json=json)
         return
@@ -133,10 +133,10 @@ def plan(
     from truepath.files.bundle.machine_file import read_machine
     from truepath.files.bundle.workspace_file import read_workspace
     from truepath.motion.workspace.workspace import Workspace
-    from truepath.planning.plan_making import make_plan
-    from truepath.planning.plan_order import PlanOrder
+    from truepath.planning.plan_builder import make_plan
+    from truepath.planning.plan_request import PlanRequirements
 
-    request = PlanOrder(
+    request = PlanRequirements(
         mode,
         minutes,
         target_um,

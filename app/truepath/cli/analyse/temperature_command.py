@@ -12,7 +12,7 @@ from truepath.cli.summary import print_verdict, warn_of_verdict
 from truepath.cli.terminal import (
     Json,
     OutputFolder,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -85,7 +85,7 @@ def temperature(
     json: Json = False,
 ) -> None:
     """How the errors of a machine depend on its temperature, from several results."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.temperature.machine_temperature import read_results
     from truepath.answers.temperature.temperature_model import study_temperature
     from truepath.answers.temperature.temperature_report import write_temperature

@@ -11,7 +11,7 @@ from truepath.cli.summary import print_verdict, warn_of_verdict
 from truepath.cli.terminal import (
     Json,
     OutputFolder,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -60,11 +60,11 @@ def trend(
     json: Json = False,
 ) -> None:
     """The machine over time: tables at each measurement, later, when to repeat."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.trend.trend import HOUR_S, Question, follow_machine
+    from truepath.answers.trend.trend import HOUR_S, TrendRequest, follow_machine
     from truepath.answers.trend.trend_report import write_trend
-    from truepath.measurement.run_file.run_reading import open_recorded
+    from truepath.measurement.run_file.run_loader import open_recorded
 
     require_folder(output, "the trend")
     with show_progress("trend") as on_progress:
@@ -72,7 +72,7 @@ def trend(
         runs = read_runs(bundles, open_recorded)
         times = None if at is None else _parse_times(at, HOUR_S)
         ahead = [HOUR_S * hours for hours in (horizon, *(later or ()))]
-        question = Question(
+        question = TrendRequest(
             times,
             limit,
             ahead[0],

@@ -13,7 +13,7 @@ from truepath.cli.terminal import (
     Json,
     OutputFolder,
     ResultFile,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -64,24 +64,24 @@ def verify(
     json: Json = False,
 ) -> None:
     """A measurement that the calibration did not use, held against its result."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.verification.verification import verify
     from truepath.answers.verification.verification_report import write_verification
     from truepath.compensation.active_files import read_active_files
     from truepath.files.earlier.result_file import read_result
-    from truepath.measurement.run_file.run_reading import open_recorded
+    from truepath.measurement.run_file.run_loader import open_recorded
 
     require_folder(output, "the verification")
     loaded = read_result(result)
     files = tuple(compensation or ())
     active = read_active_files(files, format, loaded.machine)
-    active = active and active.relate(loaded.provenance)
+    active = active and active.relate_to_result(loaded.provenance)
     with show_progress("verify") as on_progress:
         found = verify(
             loaded,
             open_recorded(bundle),
             tolerance_um=tolerance_um,
-            correction=active.added if active else None,
+            correction=active.additional_correction_at if active else None,
             on_progress=on_progress,
         )
         on_progress(1.0, "writing")

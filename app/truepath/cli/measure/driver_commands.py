@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truepath.cli.terminal import Config, DataDir, Json, collect_seldom, print_json
+from truepath.cli.terminal import (
+    Config,
+    DataDir,
+    Json,
+    collect_garbage_rarely,
+    print_json,
+)
 from truepath.errors import BadInput
 
 if TYPE_CHECKING:
@@ -52,8 +58,8 @@ def _default(option: DriverOption) -> str:
 
 def formats(json: Json = False) -> None:
     """The formats of compensation files, and what each carries."""
-    collect_seldom()
-    from truepath.compensation.installed import describe_format, list_formats
+    collect_garbage_rarely()
+    from truepath.compensation.format_registry import describe_format, list_formats
 
     found = [describe_format(name, kind) for name, kind in list_formats().items()]
     if json:
@@ -92,12 +98,12 @@ def plugins(
 
     The exit status is 1 where one cannot be used, or does not keep its interface.
     """
-    collect_seldom()
+    collect_garbage_rarely()
     from dataclasses import asdict
 
     from truepath.operation.plugin_list import (
         check_device,
-        list_left_out,
+        list_excluded,
         list_plugins,
     )
 
@@ -107,7 +113,7 @@ def plugins(
         found = [check_device(device, _find_machine(config, data_dir))]
     else:
         found = list(list_plugins(checks=check))
-    left_out = list_left_out()
+    left_out = list_excluded()
     if json:
         print_json({"plugins": [asdict(one) for one in found], "left_out": left_out})
     else:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from truepath.cli.terminal import ResultFile, collect_seldom, print_files, say
+from truepath.cli.terminal import ResultFile, collect_garbage_rarely, print_files, say
 from truepath.errors import BadInput, NotUsable
 
 _SUFFIXES = (".pdf", ".html")
@@ -57,7 +57,7 @@ def certificate(
     ] = False,
 ) -> None:
     """A calibration certificate of a result, as PDF or HTML."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.certificate.document import render_certificate
     from truepath.answers.certificate.issue import (
         gather_certificate,
@@ -88,7 +88,7 @@ def certificate(
         remedy = "--accept-verdict issues it all the same"
         raise BadInput(f"{error} {remedy}") from error
     _write(output, html)
-    _say_missing(stated)
+    _describe_missing(stated)
     print_files([output])
 
 
@@ -107,7 +107,7 @@ def _write(output: Path, html: str) -> None:
     replace_file(output, data)
 
 
-def _say_missing(stated: Mapping[str, str]) -> None:
+def _describe_missing(stated: Mapping[str, str]) -> None:
     from truepath.files.bundle.identity_file import FIELDS
 
     if missing := [name for name in FIELDS if name not in stated]:

@@ -13,7 +13,7 @@ from truepath.cli.terminal import (
     Json,
     OutputFolder,
     ResultFile,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -43,7 +43,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """A result against a direct measurement of single error motions."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.answers.comparison.comparison import ReferenceUncertainty
     from truepath.answers.comparison.comparison_report import compare_files
 
@@ -131,10 +131,10 @@ def export(
     json: Json = False,
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.compensation.active_files import read_given_tables
     from truepath.compensation.export import export_files
-    from truepath.compensation.tables.unmeasured import Unmeasured
+    from truepath.compensation.tables.unmeasured_range import Unmeasured
 
     chosen = {
         "control": control,

@@ -70,7 +70,7 @@ def rebuild(
     settings = _load(config, data_dir)
     from dataclasses import asdict
 
-    from truepath.catalogue.data_folder import hold_folder
+    from truepath.catalogue.data_dir_lock import hold_folder
     from truepath.catalogue.store.database import Database
     from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 

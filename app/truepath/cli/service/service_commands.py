@@ -10,7 +10,7 @@ import typer
 from truepath.cli.terminal import (
     Json,
     OutputFolder,
-    collect_seldom,
+    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -123,7 +123,7 @@ def demo(
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
-    collect_seldom()
+    collect_garbage_rarely()
     from truepath.cli.demo import Demo
 
     faults = tuple(fault or ())
@@ -163,7 +163,7 @@ def record(
     from truepath.files.bundle.bundle import write_bundle
     from truepath.files.bundle.commanded_file import read_set_up
     from truepath.measurement.run_file.run_file import RunHeader
-    from truepath.measurement.run_file.run_reading import open_run
+    from truepath.measurement.run_file.run_loader import open_run
     from truepath.settings import load_settings
     from truepath_drivers.interfaces.tracker import PolledTracker
 

@@ -194,7 +194,7 @@ class _Tape:
 
 
 def _make_tape(table: AxisTable, interval: float, first: int, *, both: bool) -> _Tape:
-    low, high = _find_span_mm(table.axis)
+    low, high = _compute_span_mm(table.axis)
     below, above = (math.ceil(end / interval - 1e-9) for end in (-low, high))
     at = interval * np.arange(-below, above + 1)
     own, reference = table.own, first + below - 1
@@ -240,7 +240,7 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
     If none down to half the spacing does that, the last points are beyond the ends.
     """
-    low, high = _find_span_mm(table.axis)
+    low, high = _compute_span_mm(table.axis)
     below, above = round(-low / _UNIT_MM), round(high / _UNIT_MM)
     common, spacing = math.gcd(below, above), table.spacing_mm / _UNIT_MM
     most = Fanuc.most_points - 1
@@ -253,18 +253,18 @@ def _choose_interval_mm(table: AxisTable) -> float:
 
 
 def _round_spacing_mm(table: AxisTable) -> float:
-    low, high = _find_span_mm(table.axis)
+    low, high = _compute_span_mm(table.axis)
     spacing_mm = max(table.spacing_mm, (high - low) / (Fanuc.most_points - 1))
     return math.ceil(spacing_mm / _UNIT_MM - 1e-6) * _UNIT_MM
 
 
 def _count_sections(axis: LinearAxis, rows: int) -> int:
-    low, high = _find_span_mm(axis)
+    low, high = _compute_span_mm(axis)
     share = (high - low) / (axis.high - axis.low)
     return min(math.ceil((rows - 1) * share - 1e-9), Fanuc.most_points - 1)
 
 
-def _find_span_mm(axis: LinearAxis) -> tuple[float, float]:
+def _compute_span_mm(axis: LinearAxis) -> tuple[float, float]:
     """Ends of the travel, extended to the reference point."""
     return min(axis.low, 0.0), max(axis.high, 0.0)
 

@@ -29,7 +29,7 @@ from truepath.compensation.format import (
     Correction,
 )
 from truepath.compensation.rotary_tables import (
-    AxisPlace,
+    RotaryAxisLocation,
     list_stated_locations,
 )
 from truepath.compensation.tables.motion_correction import (
@@ -160,8 +160,8 @@ class GenericJson(GenericTables):
         for axis, side, at_mm, *motions in document["rows"]:
             yield axis, side, at_mm, motions
 
-    def list_places(
-        self, machine: Machine, places: Sequence[AxisPlace]
+    def list_written_locations(
+        self, machine: Machine, places: Sequence[RotaryAxisLocation]
     ) -> frozenset[str]:
         """All locations that the result has."""
         del machine
@@ -181,7 +181,7 @@ class GenericJson(GenericTables):
         }
 
 
-def _describe_places(places: Sequence[AxisPlace]) -> dict[str, Any]:
+def _describe_places(places: Sequence[RotaryAxisLocation]) -> dict[str, Any]:
     """At the zero of all axes; empty without rotary axes."""
     scale = {"um": 1e3, "urad": 1e6}
     found = {

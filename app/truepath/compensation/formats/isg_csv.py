@@ -32,7 +32,10 @@ from truepath.compensation.formats.isg_rotary import (
     read_rotary_blocks,
     write_rotary_blocks,
 )
-from truepath.compensation.rotary_tables import AxisPlace, list_stated_locations
+from truepath.compensation.rotary_tables import (
+    RotaryAxisLocation,
+    list_stated_locations,
+)
 from truepath.compensation.tables.motion_correction import correct_by_motions
 from truepath.compensation.tables.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
 from truepath.errors import BadInput
@@ -100,8 +103,8 @@ class IsgCsv(CompensationFormat):
 
         return correct_by_motions(machine, blocks, find_motion)
 
-    def list_places(
-        self, machine: Machine, places: Sequence[AxisPlace]
+    def list_written_locations(
+        self, machine: Machine, places: Sequence[RotaryAxisLocation]
     ) -> frozenset[str]:
         """All locations that the result has."""
         del machine

@@ -36,7 +36,7 @@ from truepath.compensation.tables.motion_correction import FindMotion
 from truepath.compensation.tables.tool_length import (
     TOOL_SYMBOLS,
     ToolLength,
-    find_tool_mm,
+    compute_tool_mm,
 )
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.location_error import list_axis_locations
@@ -88,7 +88,7 @@ def read_rotary_blocks(text: str, machine: Machine) -> Correction:
     ) -> Float64[np.ndarray, "n 6"]:
         return interpolate_block(blocks, axis, position_mm, machine)
 
-    tool_mm = tip + abs(find_tool_mm(machine)[2]) * direction
+    tool_mm = tip + abs(compute_tool_mm(machine)[2]) * direction
     return _correct_by_chain(machine, tool_mm, find_motion, location)
 
 

@@ -28,8 +28,8 @@ from truepath.compensation.format import (
     TableFormat,
 )
 from truepath.compensation.rotary_tables import (
-    AxisPlace,
     RotaryAddition,
+    RotaryAxisLocation,
     RotaryTable,
     list_stated_locations,
 )
@@ -116,8 +116,8 @@ class LinuxCnc(TableFormat):
                 added[axis] = RotaryAddition(nominal, trim, half_deg=half)
         return added
 
-    def list_places(
-        self, machine: Machine, places: Sequence[AxisPlace]
+    def list_written_locations(
+        self, machine: Machine, places: Sequence[RotaryAxisLocation]
     ) -> frozenset[str]:
         """Locations that the pins contain."""
         return _list_pin_places(machine, places)
@@ -195,7 +195,9 @@ def _find_tilting_axis(machine: Machine) -> str | None:
     return names[1] if names[1] in _ACROSS and straight else None
 
 
-def _list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
+def _list_pin_places(
+    machine: Machine, places: Sequence[RotaryAxisLocation]
+) -> frozenset[str]:
     # None where one of its axes is unknown: its pins would be those of the drawing
     tilting = _find_tilting_axis(machine)
     if tilting is None or not all(place.known for place in places):
@@ -205,7 +207,9 @@ def _list_pin_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset
     return list_stated_locations(places) & pins
 
 
-def _write_kinematics(machine: Machine, places: tuple[AxisPlace, ...]) -> Iterator[str]:
+def _write_kinematics(
+    machine: Machine, places: tuple[RotaryAxisLocation, ...]
+) -> Iterator[str]:
     tilting = _find_tilting_axis(machine)
     if tilting is None or not _list_pin_places(machine, places):
         return

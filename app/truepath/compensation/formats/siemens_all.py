@@ -38,15 +38,15 @@ from truepath.compensation.formats.siemens_lec_cec import (
     SiemensCec,
     SiemensLec,
 )
-from truepath.compensation.formats.siemens_reading import read_rotary_tables
+from truepath.compensation.formats.siemens_parser import read_rotary_tables
 from truepath.compensation.formats.siemens_swivel import (
     ABOUT_SWIVEL,
     SWIVEL,
-    list_swivel_places,
+    list_swivel_locations,
     read_swivel,
     write_swivel,
 )
-from truepath.compensation.rotary_tables import AxisPlace, RotaryAddition
+from truepath.compensation.rotary_tables import RotaryAddition, RotaryAxisLocation
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import LINEAR
@@ -148,11 +148,11 @@ class SiemensOrder(CompensationFormat):
         """Additions of the leadscrew tables to rotary axes."""
         return read_rotary_tables(_select(files, SiemensLec()))
 
-    def list_places(
-        self, machine: Machine, places: Sequence[AxisPlace]
+    def list_written_locations(
+        self, machine: Machine, places: Sequence[RotaryAxisLocation]
     ) -> frozenset[str]:
         """Locations that the swivel data set contains."""
-        return list_swivel_places(machine, places)
+        return list_swivel_locations(machine, places)
 
     def read_locations(
         self, files: Mapping[str, str], machine: Machine
@@ -195,7 +195,7 @@ def _write_temperature_file(
     return "\n".join([*lines, "M17", ""])
 
 
-def _find_slope_per_k(table: AxisTable) -> float:
+def _compute_slope_per_k(table: AxisTable) -> float:
     # Gradient of an axis' own error through its reference, per kelvin
     off_mm = table.position_mm - table.position_mm[table.reference]
     own = table.mean_mm[:, table.own]
@@ -208,7 +208,7 @@ def _write_axis(table: AxisTable, temperature: TemperatureTables) -> Iterator[st
         yield f"; {name}: no growth is seen, temperature compensation stays off"
         return
     number = LINEAR.index(name) + 1
-    slope = _find_slope_per_k(table)
+    slope = _compute_slope_per_k(table)
     off_mm = table.position_mm - table.position_mm[table.reference]
     left_mm = table.mean_mm[:, table.own] - slope * off_mm
     rms_um = 1e3 * math.sqrt(float(left_mm @ left_mm) / len(left_mm))

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
-from truepath.compensation.axis_choices import split_by_axis
 from truepath.compensation.format import AxisTable
+from truepath.compensation.per_axis_options import split_by_axis
 from truepath.compensation.rotary_tables import RotaryTable
 from truepath.errors import BadInput
 
@@ -33,11 +33,11 @@ class MeasuringSystem:
 
     def __init__(self, word: str) -> None:
         self._by_axis = split_by_axis(word, MEASURING_SYSTEMS)
-        self._usual = MEASURING_SYSTEMS[0] if self._by_axis else word
+        self._block_medians = MEASURING_SYSTEMS[0] if self._by_axis else word
         title, index, active = f"system {word}", str(self._find_index("")), "each axis"
         if self._by_axis:
             stated = ", ".join(f"{n} of {axis}" for axis, n in self._by_axis.items())
-            title, index = f"system {stated}, {self._usual} of others", "e"
+            title, index = f"system {stated}, {self._block_medians} of others", "e"
             active = "its axis, e being one less than its number"
         self.remark = (
             f"tables of measuring {title}: $AA_ENC_COMP[{index}, ...]; it has to be "
@@ -60,7 +60,7 @@ class MeasuringSystem:
 
     def require_known(self, known: Collection[str], control: str) -> None:
         """Raises BadInput if a control has no such measuring system."""
-        for number in (self._usual, *self._by_axis.values()):
+        for number in (self._block_medians, *self._by_axis.values()):
             if number not in known:
                 raise BadInput(
                     f"measuring_system: the {control} has {', '.join(known)} alone, "
@@ -68,7 +68,7 @@ class MeasuringSystem:
                 )
 
     def _find_index(self, axis: str) -> int:
-        return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._usual))
+        return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._block_medians))
 
     def write_straight(self, table: AxisTable, *, forward: bool) -> list[str]:
         """Lines of a linear axis.

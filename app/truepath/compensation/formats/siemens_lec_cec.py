@@ -31,7 +31,7 @@ from truepath.compensation.formats.siemens_leadscrew import (
     MEASURING_SYSTEMS,
     MeasuringSystem,
 )
-from truepath.compensation.formats.siemens_reading import (
+from truepath.compensation.formats.siemens_parser import (
     read_rotary_tables,
     read_tables,
 )

@@ -22,7 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.rotary_tables import AxisPlace, list_stated_locations
+from truepath.compensation.rotary_tables import (
+    RotaryAxisLocation,
+    list_stated_locations,
+)
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import (
     Machine,
@@ -99,7 +102,9 @@ def find_swivel_kind(machine: Machine) -> SwivelKind | None:
     return SwivelKind(letter, (*head, *table))
 
 
-def list_swivel_places(machine: Machine, places: Sequence[AxisPlace]) -> frozenset[str]:
+def list_swivel_locations(
+    machine: Machine, places: Sequence[RotaryAxisLocation]
+) -> frozenset[str]:
     """Locations that the data set contains, of those in the result.
 
     None where no data set describes the machine, or where one of its axes is unknown:
@@ -110,10 +115,12 @@ def list_swivel_places(machine: Machine, places: Sequence[AxisPlace]) -> frozens
     return list_stated_locations(places)
 
 
-def write_swivel(machine: Machine, places: Sequence[AxisPlace]) -> Iterator[str]:
+def write_swivel(
+    machine: Machine, places: Sequence[RotaryAxisLocation]
+) -> Iterator[str]:
     """Lines that set the vectors; none where nothing of them was measured."""
     kind = find_swivel_kind(machine)
-    if kind is None or not list_swivel_places(machine, places):
+    if kind is None or not list_swivel_locations(machine, places):
         return
     by_name = {place.axis.name: place for place in places}
     chosen = [by_name[axis.name] for axis in kind.axes]

@@ -16,8 +16,8 @@ from jaxtyping import Float64
 from truepath.compensation.active_files import ActiveFiles
 from truepath.compensation.format import AxisTable, CompensationTables
 from truepath.compensation.rotary_tables import (
-    AxisPlace,
     RotaryAddition,
+    RotaryAxisLocation,
     RotaryTable,
 )
 from truepath.compensation.tables.error_map import ErrorMap
@@ -106,7 +106,9 @@ def _combine_rotary(
     )
 
 
-def _combine_place(place: AxisPlace, located: Mapping[str, float]) -> AxisPlace:
+def _combine_place(
+    place: RotaryAxisLocation, located: Mapping[str, float]
+) -> RotaryAxisLocation:
     own = {s: v for s, v in located.items() if s[2] == place.axis.name}
     known = {**dict.fromkeys(own, 0.0), **place.location}
     return replace(place, location={s: v + own.get(s, 0.0) for s, v in known.items()})

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.compensation.format import AxisTable, PairTable
-from truepath.compensation.tables.unmeasured import MeasuredRange
+from truepath.compensation.tables.unmeasured_range import MeasuredRange
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import Conditions, make_standstill
@@ -20,7 +20,7 @@ from truepath.kinematics.effects.error_motion import (
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
 from truepath.kinematics.machine.symbols import DIRECTION, LINEAR, is_turn
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
-from truepath.results.lost_motion_across import complete_across, find_across_mm
+from truepath.results.lateral_lost_motion import complete_across, compute_across_mm
 
 _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
@@ -59,7 +59,7 @@ class ErrorMap:
             error = self.volumetric_map.displacement_mm(at, self.result.theta)
         else:
             error = self.volumetric_map.error_mm(at, self.result.theta)
-        error += direction * find_across_mm(self.result, at)
+        error += direction * compute_across_mm(self.result, at)
         for column, axis in enumerate(self.axes):
             half = self.half_difference_mm(axis.name, position_mm[:, column])
             error += direction * half[:, None] * find_own_arm(axis, at)

@@ -48,15 +48,15 @@ def has_positioning(errors: ErrorMap, axis: RotaryAxis) -> bool:
     return any(one.symbol == own for one in motions)
 
 
-def find_positioning_rad(
+def compute_positioning_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """ECC of a C axis at positions; beyond the measured range that at its ends."""
-    at_deg = keep_to_measured(errors, axis, at_deg)
+    at_deg = clip_to_measured(errors, axis, at_deg)
     return errors.rotation_rad(axis.name, at_deg)[:, TURNS.index(axis.name)]
 
 
-def keep_to_measured(
+def clip_to_measured(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Positions, clipped to the measured range."""
@@ -71,9 +71,11 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
     wanted = math.ceil((high - axis.low) / SPACING_DEG - 1e-9) + 1
     at_deg = np.linspace(axis.low, high, int(np.clip(wanted, 2, most_points)))
     zero = np.array([reference_position_mm(axis)])
-    value, at_zero = (find_positioning_rad(errors, axis, at) for at in (at_deg, zero))
+    value, at_zero = (
+        compute_positioning_rad(errors, axis, at) for at in (at_deg, zero)
+    )
     error_deg = find_sense(errors, axis) * np.degrees(value - at_zero)
-    half_rad = errors.half_turn_rad(axis.name, keep_to_measured(errors, axis, at_deg))
+    half_rad = errors.half_turn_rad(axis.name, clip_to_measured(errors, axis, at_deg))
     half_deg = find_sense(errors, axis) * np.degrees(half_rad)
     motions = _find_motions(errors, axis, at_deg)
     if axis.turns_fully:
@@ -85,7 +87,7 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
 def _find_motions(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
-    at_deg = keep_to_measured(errors, axis, at_deg)
+    at_deg = clip_to_measured(errors, axis, at_deg)
     symbols, model = list_error_motions(axis.name), errors.result.model
     motions = np.zeros((len(at_deg), len(symbols)))
     for one in model.identifiable_motions:

@@ -16,11 +16,17 @@ from truepath.compensation.format import (
     Correction,
     TemperatureTables,
 )
-from truepath.compensation.tables.axis_places import find_places, leave_out_places
 from truepath.compensation.tables.combination import combine_tables
 from truepath.compensation.tables.error_map import ErrorMap, map_errors, tabulate_axis
 from truepath.compensation.tables.rotary import tabulate_rotary
-from truepath.compensation.tables.unmeasured import MeasuredRange, find_measured_ranges
+from truepath.compensation.tables.rotary_axis_locations import (
+    exclude_locations,
+    find_locations,
+)
+from truepath.compensation.tables.unmeasured_range import (
+    MeasuredRange,
+    find_measured_ranges,
+)
 from truepath.files.earlier.temperature_file import TemperatureModel
 
 
@@ -51,10 +57,12 @@ class Tabulation:
     temperature: StatedTemperature | None = None
     active: ActiveFiles | None = None
 
-    def leave_out_places(self, errors: ErrorMap) -> ErrorMap:
+    def exclude_locations(self, errors: ErrorMap) -> ErrorMap:
         """Errors without the locations of rotary axes that the files contain."""
-        stated = self.kind.list_places(errors.machine, find_places(errors))
-        return leave_out_places(errors, stated)
+        stated = self.kind.list_written_locations(
+            errors.machine, find_locations(errors)
+        )
+        return exclude_locations(errors, stated)
 
     def tabulate(self, errors: ErrorMap) -> CompensationTables:
         """Content of the files, combined with the active ones."""
@@ -69,13 +77,13 @@ class Tabulation:
         return CompensationTables(
             self.stem,
             errors.machine,
-            self._tabulate_axes(self.leave_out_places(errors)),
+            self._tabulate_axes(self.exclude_locations(errors)),
             self.stamp,
             self.temperature and self._tabulate_change(self.temperature),
             tabulate_rotary(errors, self.kind.most_points, active or ())
             if self.kind.carries_rotary or self.kind.composes_rotary
             else (),
-            find_places(errors),
+            find_locations(errors),
         )
 
     def _tabulate_axes(self, errors: ErrorMap) -> tuple[AxisTable, ...]:
@@ -120,7 +128,7 @@ class Tabulation:
         return replace(self, measured=every)
 
 
-def find_interpolation_losses_mm(
+def compute_interpolation_losses_mm(
     errors: ErrorMap, tables: tuple[AxisTable, ...]
 ) -> list[Float64[np.ndarray, "n 3"]]:
     """Error of linear interpolation between rows, along the middle, by axis."""

@@ -43,12 +43,12 @@ class ToolLength:
         """N0X, N0Y, N0Z; None where the file has none."""
         if not self._follows:
             return None
-        return (0, 0, -1 if find_tool_mm(machine)[2] < 0.0 else 1)
+        return (0, 0, -1 if compute_tool_mm(machine)[2] < 0.0 else 1)
 
     def find_tip(self, machine: Machine) -> Float64[np.ndarray, "3"]:
         """P0X, P0Y, P0Z: the tip without the length that the control adds."""
         offset = np.array(machine.target().offset_mm, float)
-        return offset - find_tool_mm(machine) if self._follows else offset
+        return offset - compute_tool_mm(machine) if self._follows else offset
 
     def shorten(
         self, tables: tuple[AxisTable, ...], machine: Machine
@@ -56,7 +56,7 @@ class ToolLength:
         """Tables of a tool without length, if the control adds the length."""
         if not self._follows:
             return tables
-        tool_mm = find_tool_mm(machine)
+        tool_mm = compute_tool_mm(machine)
         return tuple(
             replace(
                 table,
@@ -67,7 +67,7 @@ class ToolLength:
         )
 
 
-def find_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
+def compute_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
     """Part of the target's offset along Z, where a tool's length counts."""
     return np.array([0.0, 0.0, machine.target().offset_mm[2]])
 
@@ -81,7 +81,7 @@ def add_tool(
 
     direction : N0X, N0Y, N0Z, 0 where the file has none
     """
-    tool_mm = abs(find_tool_mm(machine)[2]) * direction
+    tool_mm = abs(compute_tool_mm(machine)[2]) * direction
     reached = motion.copy()
     reached[:, :3] += np.cross(motion[:, 3:], tool_mm)
     return reached

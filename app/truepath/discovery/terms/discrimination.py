@@ -34,7 +34,7 @@ from truepath.motion.workspace.travel import (
     check_travel,
     inner_travel,
 )
-from truepath.planning.predicted_cells import predict_cells
+from truepath.planning.simulated_cells import predict_cells
 from truepath_drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5

@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.noise.baseline import Baseline, replace_pose
-from truepath.estimation.noise.within_cells import (
+from truepath.estimation.noise.intra_cell_motion import (
     CellDeviations,
     compute_cell_deviations,
 )

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from truepath.discovery.terms.folded_lines import FOLDS, FoldedLines
+from truepath.discovery.terms.cross_validation import FOLDS, FoldedLines
 from truepath.discovery.terms.line_blocks import WhitenedBlocks
 from truepath.estimation.problem.information import Information
 from truepath.kinematics.conditions import Conditions
@@ -153,7 +153,7 @@ class TermEquations:
         own = np.zeros((len(offers), width, width))
         for number, line in enumerate(self.lines.lines):
             at = line.design.observations.at
-            here = _tell_apart(at, moment_s)
+            here = _distinguish(at, moment_s)
             jacobians = [effect.jacobian(at) for effect in offers[here]]
             new = line.whiten(np.concatenate(jacobians, axis=2))
             fixed = [each.between(number, number + 1) for each in known_blocks]
@@ -242,7 +242,7 @@ class TermEquations:
             yield _Term(effect, blocks.select(own), cross[:, :, own], {})
 
 
-def _tell_apart(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:
+def _distinguish(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:
     first, last = np.searchsorted(moment_s, at.time_s[[0, -1]], "right").tolist()
     return slice(max(first - 1, 0), min(last + 1, len(moment_s)))
 

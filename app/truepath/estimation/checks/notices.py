@@ -1,9 +1,9 @@
 """Changes detected during a measurement, named where one explanation is clear.
 
-A change is noticed as soon as it exceeds what chance rarely produces (`change_search`).
-It is named where every other kind explains it clearly worse; else only its start is
-known. Lines that follow may name it, rename it, or show that it is over. A notice is
-never withdrawn.
+A change is noticed as soon as it exceeds what chance rarely produces
+(`change_detection`). It is named where every other kind explains it clearly worse; else
+only its start is known. Lines that follow may name it, rename it, or show that it is
+over. A notice is never withdrawn.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.checks.change_search import LASTING, Change, ChangeSearch
-from truepath.estimation.checks.watch_sums import WatchSums
+from truepath.estimation.checks.change_detection import LASTING, Change, ChangeSearch
+from truepath.estimation.checks.running_sums import WatchSums
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.information import Information
 

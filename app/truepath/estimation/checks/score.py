@@ -79,16 +79,20 @@ class ScoredColumns:
         """The leading dimension stays, of length 1."""
         return self.select(slice(k, k + 1))
 
-    def give(self, one: ScoredColumns, shared: Float64[np.ndarray, "l j k"]) -> Self:
+    def condition_on(
+        self, one: ScoredColumns, shared: Float64[np.ndarray, "l j k"]
+    ) -> Self:
         """Conditional on one more set of columns.
 
         shared : products of the columns of both
         """
         root, score = one.score
         own = root[0].T @ (shared - one.known[0].T @ self.known)
-        return self.put_beside(np.concatenate([self.known, own], axis=1), own, score[0])
+        return self.eliminate_with(
+            np.concatenate([self.known, own], axis=1), own, score[0]
+        )
 
-    def put_beside(
+    def eliminate_with(
         self,
         known: Float64[np.ndarray, "l n k"],
         own: Float64[np.ndarray, "l j k"],

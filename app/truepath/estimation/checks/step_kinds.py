@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import chdtri
 
-from truepath.estimation.checks.setup_steps import POSE, Step
-from truepath.estimation.checks.step_candidates import COLUMNS
+from truepath.estimation.checks.setup_shifts import POSE, Step
+from truepath.estimation.checks.shift_candidates import COLUMNS
 from truepath.numerics.rigid import cross_matrix
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 

@@ -5,8 +5,8 @@ linearisation and one noise model. Both are updated whenever the number of lines
 doubled, and at the end: then all cells are added again, so that the mean cost is at
 most a second addition of each.
 
-Lines that contradict the rest are held back (`live_gate`, `checked_parts`). Where the
-set-up has moved, the earlier data remain as information on the machine, their pose
+Lines that contradict the rest are held back (`innovation_gate`, `segment_check`). Where
+the set-up has moved, the earlier data remain as information on the machine, their pose
 integrated out.
 
 A weak prior keeps tables finite before the lines determine them.
@@ -27,20 +27,20 @@ from truepath.alignment.point_alignment import PointAlignment
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.notices import ChangeWatch, Notice
-from truepath.estimation.checks.run_parts import RunPart, list_range_steps
-from truepath.estimation.live.checked_parts import (
-    check_parts,
-    list_at_knocks,
-    weaken_prior,
-)
-from truepath.estimation.live.earlier_runs import (
-    EarlierRun,
+from truepath.estimation.checks.run_segments import RunSegment, list_range_steps
+from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
+from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
+from truepath.estimation.live.live_model import LiveModel, list_live_errors
+from truepath.estimation.live.previous_runs import (
+    PreviousRun,
     refine_run,
     sum_up_runs,
 )
-from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
-from truepath.estimation.live.live_gate import LineGate, LiveCheck
-from truepath.estimation.live.live_model import LiveModel, list_live_errors
+from truepath.estimation.live.segment_check import (
+    check_parts,
+    list_at_setup_shifts,
+    weaken_prior,
+)
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.information import (
@@ -49,15 +49,15 @@ from truepath.estimation.problem.information import (
     add_information,
 )
 from truepath.estimation.problem.knots import add_hidden_variance, join_cells
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import RecursiveEstimator
 from truepath.estimation.problem.prior import widen_by_unknown_precision
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.run import PointBlock, list_locks_s
 from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
@@ -82,17 +82,17 @@ class LiveEstimator:
         commanded: Path | Configurations,
         *,
         perpendicular_only: bool = False,
-        known: KnownEffects | None = None,
-        earlier: Sequence[EarlierRun] = (),
+        known: PriorEffects | None = None,
+        earlier: Sequence[PreviousRun] = (),
     ) -> None:
         self._machine, self._commanded = machine, commanded
-        self._known = known or KnownEffects()
+        self._known = known or PriorEffects()
         self._alignment: StreamingAlignment | PointAlignment
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
         self._model = LiveModel.start(machine, commanded, self._known)
         self._prior = self._model.guess_prior()
-        self._earlier = self._runs = self._model.nothing
+        self._earlier = self._runs = self._model.zero_information
         self._seats = self._alignment.seats  # of the linearisation
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
@@ -100,7 +100,7 @@ class LiveEstimator:
         self._inputs = [
             refine_run(
                 each.seen,
-                self._model.whole,
+                self._model.full_model,
                 self._known,
                 perpendicular_only=perpendicular_only,
             )
@@ -128,7 +128,7 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        told, tracker = self._prior.told, filter(is_of_instrument, self._model.beside)
+        told, tracker = self._prior.told, filter(is_tracker_error, self._model.beside)
         names = told.precision.keys() - {effect.name for effect in tracker}
         precision = {name: told.precision[name] for name in names}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
@@ -137,7 +137,7 @@ class LiveEstimator:
         """Expected position of each row of a path, tracker's frame.
 
         From the standstills so far; after a step of the set-up, from those since then.
-        None for points, and where `place_rows` has none.
+        None for points, and where `locate_rows` has none.
         """
         seen = self._alignment
         if not isinstance(self._commanded, Path):
@@ -145,9 +145,9 @@ class LiveEstimator:
         if not isinstance(seen, StreamingAlignment):
             return None
         since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
-        return seen.place_rows(since_s)
+        return seen.locate_rows(since_s)
 
-    def take(self, block: TrackerSamples | PointBlock) -> bool:
+    def add_block(self, block: TrackerSamples | PointBlock) -> bool:
         """Next samples or points; True if they finished a line or point.
 
         Also True if the target was at rest at a further point that matches none. All
@@ -157,11 +157,11 @@ class LiveEstimator:
         self._watch_beam(block if is_stream else block.samples)
         if is_stream:
             assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
-            return self._add(self._alignment.add(block)) or self._goes_astray()
+            return self._add(self._alignment.add(block)) or self._is_off_path()
         if not isinstance(self._alignment, PointAlignment):
             self._alignment = PointAlignment(self._machine, self._commanded)
             self._seats = self._alignment.seats
-        return self._add(self._alignment.add(block)) or self._goes_astray()
+        return self._add(self._alignment.add(block)) or self._is_off_path()
 
     def _watch_beam(self, samples: TrackerSamples) -> None:
         tail = TrackerSamples.join([self._tail, samples])
@@ -184,7 +184,7 @@ class LiveEstimator:
         """Estimate from the lines so far, None before the pose is known."""
         if self._sums is None:
             return None
-        model = self._model.whole
+        model = self._model.full_model
         size = model.size
         data = self._add_known(self._sums.information())
         self._prior, result = self._prior.fit(data)
@@ -204,14 +204,14 @@ class LiveEstimator:
             self._state_check(),
         )
 
-    def _goes_astray(self) -> bool:
+    def _is_off_path(self) -> bool:
         before_s = self._astray_s
-        for each in self._alignment.list_astray()[-1:]:
+        for each in self._alignment.list_unmatched()[-1:]:
             self._astray_s = each.end_s
         return self._astray_s > before_s and self._sums is not None
 
     def _state_check(self) -> LiveCheck:
-        astray = self._alignment.list_astray()
+        astray = self._alignment.list_unmatched()
         return replace(self._check, left_out=(*self._check.left_out, *astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
@@ -220,7 +220,7 @@ class LiveEstimator:
             return ()
         model, weak = self._model, self._model.weak
         prior = self._prior.precision_matrix(len(weak)) + np.diag(weak)
-        known = self._known.add_to(Information.of_matrix(prior), model.whole)
+        known = self._known.add_to(Information.of_matrix(prior), model.full_model)
         known = known.select(self._sums.linearisation.select_columns(model.watched))
         time_s = float(self._parts[-1].cells.time_s[-1])
         return self._watch.list_notices(known, time_s)
@@ -240,12 +240,12 @@ class LiveEstimator:
         if self._sums is None or moved or len(self._parts) >= self._next_look:
             self._look_again()
         else:
-            self._let_in(self._sums, self._observations(parts))
+            self._add_gated_lines(self._sums, self._observations(parts))
             if len(self._gate.held) > held and _is_due(len(self._gate.held)):
                 self._look_again()
         return True
 
-    def _let_in(self, sums: RecursiveEstimator, seen: Observations) -> None:
+    def _add_gated_lines(self, sums: RecursiveEstimator, seen: Observations) -> None:
         if self._foretold is None:
             self.estimate()
         assert self._foretold is not None  # noqa: S101 (the estimate has set it)
@@ -275,25 +275,25 @@ class LiveEstimator:
         seen = self._alignment.observations(parts)
         seen = replace(seen, pose=self._pose or seen.pose)
         seen = add_surroundings(seen, self._commanded, locks_s=self._locks_s)
-        (cells,) = join_cells([seen], self._model.whole)
+        (cells,) = join_cells([seen], self._model.full_model)
         return cells
 
     def _know(self, *beside: Effect) -> None:
-        self._model = self._model.know(*beside)
+        self._model = self._model.with_instrument_errors(*beside)
         self._prior = self._model.guess_prior(self._prior)
-        self._earlier = self._model.nothing
-        whole, weak = self._model.whole, self._model.weak
+        self._earlier = self._model.zero_information
+        whole, weak = self._model.full_model, self._model.weak
         self._runs = sum_up_runs(self._inputs, whole, weak[-6:])
 
     def _add_known(self, data: Information) -> Information:
-        size, weak = self._model.whole.size, self._model.weak
+        size, weak = self._model.full_model.size, self._model.weak
         matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
         before = add_information([self._earlier, self._runs])
         matrix[:size, :size] += before.matrix
         vector[:size] += before.vector
         square = data.square + before.square
         data = replace(data, matrix=matrix, vector=vector, square=square)
-        return self._known.add_to(data, self._model.whole)
+        return self._known.add_to(data, self._model.full_model)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
         """Relinearises about the newest pose and noise, and adds all cells again.
@@ -307,7 +307,7 @@ class LiveEstimator:
         self._know(*errors)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
         known = self._check.knocks
-        parts, pose = [RunPart(0, seen)], seen.pose
+        parts, pose = [RunSegment(0, seen)], seen.pose
         check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
         if len(self._parts) >= _FIRST_LOOK:
             if self._sums is not None:
@@ -324,15 +324,15 @@ class LiveEstimator:
                 own = found.find_pose(found.main)
                 noise = _refine_noise(main, own, noise, self._known, errors)
             pose = found.find_pose(len(parts) - 1)
-            check, self._gate = found.state(noise), found.start_gate(seen)
-            said = list_at_knocks(self._check.left_out, check)
+            check, self._gate = found.to_live_check(noise), found.start_gate(seen)
+            said = list_at_setup_shifts(self._check.left_out, check)
             check = replace(check, left_out=(*check.left_out, *said))
-            self._earlier = found.sum_up_earlier(self._model.whole, noise, weak)
+            self._earlier = found.sum_up_earlier(self._model.full_model, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)
             self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
         model = self._model
-        about = Linearisation(model.whole, model.tracker, pose, noise)
+        about = Linearisation(model.full_model, model.tracker, pose, noise)
         self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
         held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
         watched = about.restrict(model.watched)
@@ -356,7 +356,7 @@ def _refine_noise(
     observations: Observations,
     pose: RigidTransform,
     noise: NoiseModel,
-    known: KnownEffects,
+    known: PriorEffects,
     errors: Sequence[Effect],
 ) -> NoiseModel:
     run, at = RunInput(observations, pose, noise), observations.at

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.estimation.live.live_gate import LiveCheck
+from truepath.estimation.live.innovation_gate import LiveCheck
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.kinematics.estimated_model import EstimatedModel
 

@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.estimation.problem.confounded_prior import WholePrior
+from truepath.estimation.problem.confounded_prior import FullPrior
 from truepath.estimation.problem.information import Information
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.kinematics.coarse_model import add_bends, add_half_widths
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter, Role
@@ -29,8 +29,8 @@ from truepath.kinematics.effects.instrument import (
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
-    list_partly_told_effects,
-    list_untold_effects,
+    list_absorbed_effects,
+    list_partly_determined_effects,
 )
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
@@ -57,26 +57,26 @@ class LiveModel:
     beside: tuple[Effect, ...] = ()
 
     @staticmethod
-    def start(machine: Machine, commanded: Commanded, known: KnownEffects) -> LiveModel:
+    def start(machine: Machine, commanded: Commanded, known: PriorEffects) -> LiveModel:
         """Parameters before anything is measured."""
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
-        partly = list_partly_told_effects(machine, offsets)
+        partly = list_partly_determined_effects(machine, offsets)
         model = model.with_effects(*known.effects).with_confounded(partly)
         told = add_half_widths(model)
         if isinstance(commanded, Path):
             told = add_bends(told)
-        untold = tuple(list_untold_effects(machine, offsets))
+        untold = tuple(list_absorbed_effects(machine, offsets))
         gram = compute_volumetric_gram(told.with_confounded(untold))
         return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)), gram)
 
-    def know(self, *beside: Effect) -> LiveModel:
+    def with_instrument_errors(self, *beside: Effect) -> LiveModel:
         """Replaces the instrument errors by those known now."""
         return replace(self, beside=beside)
 
     @cached_property
-    def whole(self) -> MachineModel:
+    def full_model(self) -> MachineModel:
         """All effects but the pose."""
         told = self.machine.with_effects(*self.beside)
         return told.with_confounded(self.untold)
@@ -91,17 +91,17 @@ class LiveModel:
     @cached_property
     def weak(self) -> Float64[np.ndarray, " q"]:
         """Precision that keeps each parameter finite, the pose last."""
-        return list_weak_precisions((*self.whole.effects, self.tracker))
+        return list_weak_precisions((*self.full_model.effects, self.tracker))
 
     @property
-    def nothing(self) -> Information:
+    def zero_information(self) -> Information:
         """Zero information on all but the pose."""
-        return Information.of_matrix(np.zeros((self.whole.size,) * 2))
+        return Information.of_matrix(np.zeros((self.full_model.size,) * 2))
 
     @property
     def watched(self) -> list[Effect]:
         """Without range steps, which would hide a change already found."""
-        return [e for e in self.whole.effects if not isinstance(e, RangeStep)]
+        return [e for e in self.full_model.effects if not isinstance(e, RangeStep)]
 
     @property
     def most_locks(self) -> int:
@@ -109,13 +109,13 @@ class LiveModel:
         found = [e.locks for e in self.beside if isinstance(e, SetUpErrors)]
         return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
-    def guess_prior(self, before: WholePrior | None = None) -> WholePrior:
+    def guess_prior(self, before: FullPrior | None = None) -> FullPrior:
         """Initial prior, with the precisions learnt before where there are any."""
         told = self.machine.with_effects(*self.beside)
-        prior = WholePrior.guess(told, self.untold)
+        prior = FullPrior.guess(told, self.untold)
         if before is None:
             return prior
-        return WholePrior(
+        return FullPrior(
             _learn(prior.told, before.told), _learn(prior.whole, before.whole)
         )
 

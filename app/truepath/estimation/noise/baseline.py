@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.confounded_prior import WholePrior, guess_whole_prior
+from truepath.estimation.problem.confounded_prior import FullPrior, guess_full_prior
 from truepath.estimation.problem.design_matrix import Linearisation, middle_of
 from truepath.estimation.problem.information import (
     Information,
@@ -36,7 +36,7 @@ from truepath.kinematics.coarse_model import (
     add_effects,
 )
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
@@ -44,7 +44,7 @@ from truepath.numerics.rigid import RigidTransform
 
 
 class MachinePrior(Protocol):
-    """Knowledge of the machine before the Runs: `WholePrior`, `KnownMachine`."""
+    """Knowledge of the machine before the Runs: `FullPrior`, `KnownMachine`."""
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Zero for parameters after the machine's."""
@@ -82,7 +82,7 @@ class KnownMachine:
     def widen_tracker(self, times: float) -> KnownMachine:
         """Multiplies the standard uncertainty of the instrument errors."""
         scale = np.ones(len(self.covariance))
-        for effect in filter(is_of_instrument, self.model.effects):
+        for effect in filter(is_tracker_error, self.model.effects):
             scale[self.model.slices[effect.name]] = times
         return replace(self, covariance=scale[:, None] * self.covariance * scale)
 
@@ -151,21 +151,21 @@ def fit_baseline(
     runs = _fit_noise(noise_model, guessed)
     if reference is None:
         nested = replace(nested, alone=_refine_knots(nested.alone, runs))
-        prior: MachinePrior = WholePrior.guess(nested.alone, nested.confounded)
-        theta = np.zeros(nested.whole.size)
+        prior: MachinePrior = FullPrior.guess(nested.alone, nested.confounded)
+        theta = np.zeros(nested.with_confounded.size)
     else:
         more = nested.alone.size - len(reference.theta)
         theta = np.pad(reference.theta, (0, more))
         prior = KnownMachine(
             nested.alone, block_diag(reference.covariance, np.eye(more))
         )
-    return Baseline(nested.whole, theta, prior, runs, noise_model)
+    return Baseline(nested.with_confounded, theta, prior, runs, noise_model)
 
 
 def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel:
     while any(map(can_refine, model.error_motions)):
         data = combine_runs(collect_information(runs, model))
-        prior, result = guess_whole_prior(model).fit(data)
+        prior, result = guess_full_prior(model).fit(data)
         intervals = find_intervals(model, prior.precision, result)
         if not intervals:
             break

@@ -19,7 +19,7 @@ from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.noise.noise_evidence import NoiseEvidence, Slope
-from truepath.estimation.problem.confounded_prior import guess_whole_prior
+from truepath.estimation.problem.confounded_prior import guess_full_prior
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import (
     Information,
@@ -27,9 +27,9 @@ from truepath.estimation.problem.information import (
     add_information,
 )
 from truepath.estimation.problem.knots import find_intervals, refine_motions
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
 from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import (
     RunInformation,
     RunInput,
@@ -86,7 +86,7 @@ def guess_noise(observations: Observations, *, perpendicular_only: bool) -> Nois
 def refine_runs(
     model: MachineModel,
     runs: Sequence[RunInput],
-    known: KnownEffects | None = None,
+    known: PriorEffects | None = None,
     *,
     longest_s: float = _LONGEST_S,
 ) -> tuple[RunInput, ...]:
@@ -103,16 +103,16 @@ def refine_runs(
 
     Raises Unidentifiable if the lines do not determine the parameters.
     """
-    known = known or KnownEffects()
+    known = known or PriorEffects()
     few = [
-        replace(r, observations=_select_lines(_leave_out_ramps(r.observations)))
+        replace(r, observations=_select_lines(_exclude_ramps(r.observations)))
         for r in runs
     ]
     found = _Together.of(few, model, known, longest_s)
     if any(any(run.noise.place) for run in runs):
         # Differences between places are noise, or a machine that bends from one to the
         # next: a search that starts at one of them rarely finds the other.
-        usual = replace(found, prior=guess_whole_prior(model))
+        usual = replace(found, prior=guess_full_prior(model))
         found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
     else:
         found = found.find_noise()
@@ -136,19 +136,19 @@ class _Together:
     runs: tuple[RunInformation, ...]
     prior: BendingPrior
     result: Posterior
-    known: KnownEffects
+    known: PriorEffects
     longest_s: float
 
     @staticmethod
     def of(
         runs: Sequence[RunInput],
         model: MachineModel,
-        known: KnownEffects,
+        known: PriorEffects,
         longest_s: float,
     ) -> _Together:
         found = collect_information(runs, model)
         data = known.add_to(combine_runs(found), model)
-        prior, result = guess_whole_prior(model).fit(data)
+        prior, result = guess_full_prior(model).fit(data)
         return _Together(found, prior, result, known, longest_s)
 
     @property
@@ -205,7 +205,7 @@ def _fit_noise(
     run: RunInformation,
     prior: BendingPrior,
     others: Sequence[RunInformation],
-    effects: KnownEffects,
+    effects: PriorEffects,
     longest_s: float,
 ) -> NoiseModel:
     design = _merge_design(run.observations, run.linearisation)
@@ -223,7 +223,7 @@ def _fit_noise(
     if any(noise.place):
         noise = _hold_to_most(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
-    return replace(noise, shown=_find_shown(design, noise, rest))
+    return replace(noise, shown=_estimate_ou_from_neighbours(design, noise, rest))
 
 
 def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
@@ -275,7 +275,7 @@ def _split_jitter(
     return np.abs(design.travel) * jitter_mm
 
 
-def _find_shown(
+def _estimate_ou_from_neighbours(
     design: DesignMatrix, noise: NoiseModel, rest: Float64[np.ndarray, "n 3"]
 ) -> tuple[float, float, float]:
     """Size of the correlated part, from pairs of neighbours in space on different
@@ -344,8 +344,8 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
     return about.build_merged(observations, _count_to_merge(observations))
 
 
-def _leave_out_ramps(observations: Observations) -> Observations:
-    others = observations.leave_out_ramps()
+def _exclude_ramps(observations: Observations) -> Observations:
+    others = observations.exclude_ramps()
     return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
 
 

@@ -1,7 +1,7 @@
 """Error parameters over time, from the information of each of several Runs.
 
 The parameters at Run k are θ + B dₖ: θ is constant, B are the shapes of change, and the
-course of each shape is an independent Gaussian process (`drift_course`). All
+course of each shape is an independent Gaussian process (`drift_process`). All
 information is on (θ, d₁ … d_K) and adds as that of cells does; θ is integrated out
 once, so that other sizes of the process are cheap to try. This is the smoother of
 Rauch, Tung and Striebel over the states of the process, in information form and for all
@@ -27,7 +27,7 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 from scipy.stats import norm, qmc
 
-from truepath.estimation.over_time.drift_course import (
+from truepath.estimation.over_time.drift_process import (
     SIZES,
     Course,
     DriftSizes,
@@ -37,7 +37,7 @@ from truepath.estimation.over_time.drift_course import (
 from truepath.estimation.problem.prior import pool_precision
 from truepath.estimation.solve.common_basis import CommonBasis
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.error_motion import ErrorMotion, find_usual_size
+from truepath.kinematics.effects.error_motion import ErrorMotion, get_typical_size
 from truepath.kinematics.machine.symbols import is_straightness
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.scaled_cholesky import ScaledCholesky
@@ -209,11 +209,11 @@ def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
     """Mixture over 64 samples of the sizes; at : the Runs, the first at time 0."""
     shapes = build_drift_shapes(basis.model)
     data = DriftData.of(basis, at, shapes)
-    sizes, _ = _draw_populations(data, _Normal.usual(), _FIRST_ROUNDS)
+    sizes, _ = _sample_populations(data, _Normal.usual(), _FIRST_ROUNDS)
     for _ in range(_RESIZINGS):
         found = DriftPosterior.of(data, make_sizes(sizes.centre))
         data = DriftData.of(basis, at, shapes * _size_shapes(found, shapes))
-    sizes, unit = _draw_populations(data, sizes, _ROUNDS)
+    sizes, unit = _sample_populations(data, sizes, _ROUNDS)
     weight = sizes.weight
     # Systematic resampling: each sample in proportion to its weight.
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
@@ -261,12 +261,12 @@ class _Normal:
         return _Normal(centre, root, weight)
 
 
-def _draw_populations(
+def _sample_populations(
     data: DriftData, known: _Normal, rounds: int
 ) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
     unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
     for number in range(rounds):
-        z = _draw_normal(number)
+        z = _sample_normal(number)
         unit = known.centre + _WIDER * z @ known.root.T
         log = _find_likelihoods(data, unit) + compute_prior_log(unit)
         log -= compute_prior_log(z)  # of the draws, up to a constant
@@ -275,7 +275,7 @@ def _draw_populations(
     return known, unit
 
 
-def _draw_normal(seed: int) -> Float64[np.ndarray, "n s"]:
+def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
     drawn = norm.ppf(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
     return np.asarray(drawn, float)
 
@@ -330,7 +330,7 @@ def _yield_shapes(effect: Effect) -> Iterator[Float64[np.ndarray, " k"]]:
         # The shapes of an error motion are sorted: straight ones first.
         sizes = _SIZES[1:] if is_straightness(effect.symbol) else _SIZES
         for shape, share in zip(np.eye(size), sizes, strict=False):
-            usual = share * find_usual_size(effect.symbol)
+            usual = share * get_typical_size(effect.symbol)
             yield usual * shape / float(np.abs(rows @ shape).max())
     elif effect.iso_symbol:
         yield np.array([_USUAL_NUMBER[p.unit] for p in effect.parameters])

@@ -56,7 +56,7 @@ _COUNTED = 1  # shape that gives the size of a motion: the smoothest is the larg
 _SMOOTH = 4  # shapes of a motion: two waves around, or two over the travel
 
 
-def guess_whole_prior(model: MachineModel) -> BendingPrior:
+def guess_full_prior(model: MachineModel) -> BendingPrior:
     """Prior of typical size, proper for confounded effects."""
     confounded = _list_confounded(model)
     return guess_prior(model, {e.name: straight_precision(e) for e in confounded})
@@ -74,7 +74,7 @@ def _list_confounded(model: MachineModel) -> Iterator[Effect]:
 
 
 @dataclass(frozen=True)
-class WholePrior:
+class FullPrior:
     """Prior of all effects, with precisions from the determined ones.
 
     told : of the effects that the fit needs; they come first in the model
@@ -85,27 +85,27 @@ class WholePrior:
     whole: BendingPrior
 
     @staticmethod
-    def guess(told: MachineModel, untold: Sequence[Effect]) -> WholePrior:
+    def guess(told: MachineModel, untold: Sequence[Effect]) -> FullPrior:
         """Prior of typical size."""
-        prior = guess_whole_prior(told)
+        prior = guess_full_prior(told)
         whole = add_confounded(prior, None, told.with_confounded(untold))
-        return WholePrior(prior, whole)
+        return FullPrior(prior, whole)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Zero for parameters after the machine's."""
         return self.whole.precision_matrix(size)
 
-    def fit(self, data: Information) -> tuple[WholePrior, Posterior]:
+    def fit(self, data: Information) -> tuple[FullPrior, Posterior]:
         """The prior whose precisions maximise the evidence, and the posterior."""
         size, first = len(data.vector), self.told.model.size
         untold = np.s_[first : self.whole.model.size]
         told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
         whole, result = fit_confounded(told, result, self.whole.model, data)
-        return WholePrior(told, whole), result
+        return FullPrior(told, whole), result
 
-    def widen_tracker(self, times: float) -> WholePrior:
+    def widen_tracker(self, times: float) -> FullPrior:
         """Multiplies the standard uncertainty of the instrument errors."""
-        return WholePrior(
+        return FullPrior(
             self.told.widen_tracker(times), self.whole.widen_tracker(times)
         )
 
@@ -200,7 +200,7 @@ def straight_precision(
 def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
     told: dict[str, list[float]] = {}
     usual_size: dict[str, float] = {}
-    for kind, usual, value in _list_told(model, result):
+    for kind, usual, value in _list_determined(model, result):
         usual_size[kind] = usual
         told.setdefault(kind, []).append(value)
     return {
@@ -214,7 +214,7 @@ def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
     }
 
 
-def _list_told(
+def _list_determined(
     model: MachineModel, result: Posterior
 ) -> Iterator[tuple[str, float, float]]:
     """Kind, typical size and value of all effects determined to better."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 from truepath.estimation.problem.confounded_prior import (
     fit_confounded,
-    guess_whole_prior,
+    guess_full_prior,
 )
 from truepath.estimation.problem.information import Information, Posterior
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import (
     RunInformation,
     RunInput,
@@ -48,7 +48,7 @@ class Fit:
     model: MachineModel
     found: tuple[RunInformation, ...]
     runs: tuple[RunInformation, ...]
-    known: KnownEffects
+    known: PriorEffects
     prior: BendingPrior
     result: Posterior
     cost: float
@@ -62,7 +62,7 @@ class Fit:
 def select_fit(
     runs: Sequence[RunInput],
     models: NestedModels,
-    known: KnownEffects | None = None,
+    known: PriorEffects | None = None,
 ) -> Fit:
     """The fit of greatest evidence among the models of the direction of approach.
 
@@ -70,14 +70,14 @@ def select_fit(
 
     Effects that the targets do not determine play no part in the choice.
     """
-    known = known or KnownEffects()
-    found = _collect(runs, models, models.constant)
+    known = known or PriorEffects()
+    found = _collect(runs, models, models.with_half_widths)
     none = _fit("none", models.alone, found, known)
-    constant = _fit("constant", models.constant, found, known)
+    constant = _fit("constant", models.with_half_widths, found, known)
     if none.cost <= constant.cost:
         return none
-    found = _collect(runs, models, models.tables)
-    tables = _fit("tables", models.tables, found, known)
+    found = _collect(runs, models, models.with_half_tables)
+    tables = _fit("tables", models.with_half_tables, found, known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
@@ -100,11 +100,11 @@ def _fit(
     direction: str,
     model: MachineModel,
     found: tuple[RunInformation, ...],
-    known: KnownEffects,
+    known: PriorEffects,
 ) -> Fit:
     runs = tuple(run.restrict(model.effects) for run in found)
     data = known.add_to(combine_runs(runs), model)
-    prior, result = guess_whole_prior(model).fit(data)
+    prior, result = guess_full_prior(model).fit(data)
     precisions = len(model.effects) - len(model.error_motions)
     cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, found, runs, known, prior, result, cost)

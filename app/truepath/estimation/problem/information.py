@@ -176,7 +176,7 @@ class OwnParameters:
             data.log_determinant + self.factor.log_determinant,
         )
 
-    def follow(self) -> Float64[np.ndarray, "r k"]:
+    def compute_coupling(self) -> Float64[np.ndarray, "r k"]:
         """D⁻¹B: decrease of these parameters for a unit increase of those before."""
         return self.factor.solve(self.coupling)
 
@@ -187,7 +187,7 @@ class OwnParameters:
 
         The reverse of `eliminate`.
         """
-        follow = self.follow()
+        follow = self.compute_coupling()
         theta = self.factor.solve(self.vector) - follow @ known.theta
         covariance = self.factor.invert() + follow @ known.covariance @ follow.T
         return np.concatenate([known.theta, theta]), covariance

@@ -44,11 +44,11 @@ def join_cells(
     """
     if model.catalogue_effects:
         return list(observed)
-    longest_mm = _find_cell_mm(model)
+    longest_mm = _compute_cell_mm(model)
     return [each.join_cells(longest_mm) for each in observed]
 
 
-def _find_cell_mm(model: MachineModel) -> dict[str, float]:
+def _compute_cell_mm(model: MachineModel) -> dict[str, float]:
     cells: dict[str, float] = {}
     for motion in model.error_motions:
         name = motion.axis.name

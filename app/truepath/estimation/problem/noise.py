@@ -115,7 +115,7 @@ def _add_jitter(
     return matrices - weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
 
 
-def floor_mm(
+def expected_rms_mm(
     observations: Observations,
     noise: NoiseModel,
     travel: Float64[np.ndarray, "n 3"],
@@ -136,7 +136,7 @@ def floor_mm(
     return float(np.sqrt(np.mean(variance)))
 
 
-def limit_noise(noise: NoiseModel) -> NoiseModel:
+def cap_correlated_noise(noise: NoiseModel) -> NoiseModel:
     """Correlated noise limited to the typical level, so that tests can find the rest.
 
     A higher level is kept where neighbours in space show it: machine errors are alike
@@ -162,6 +162,6 @@ def calm_places(noise: NoiseModel) -> NoiseModel:
     return replace(noise, place=(x, y, z))
 
 
-def raise_noise(noise: NoiseModel) -> NoiseModel:
+def assume_typical_noise(noise: NoiseModel) -> NoiseModel:
     """Correlated noise at its typical limit: few lines do not determine it."""
     return replace(noise, ou=(_MOST_OU, _MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

@@ -17,9 +17,9 @@ from jaxtyping import Float64
 from scipy.linalg import eigh
 
 from truepath.estimation.problem.confounded_prior import straight_precision
+from truepath.estimation.problem.confounding_advice import describe_confounded
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.estimation.problem.separation import describe_confounded
 from truepath.kinematics.effects.base import Effect, ErrorCurve
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.machine.machine import Machine
@@ -84,7 +84,7 @@ class PoorlyObservableShape:
         )
 
 
-def usual_precision_matrix(
+def typical_precision_matrix(
     model: MachineModel, prior_precision: Mapping[str, float] | None = None
 ) -> Float64[np.ndarray, "p p"]:
     """Prior precision of a typical machine, proper in every direction.
@@ -117,7 +117,7 @@ def find_poorly_observable(
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
     blind : include shapes that the data do not determine at all
     """
-    prior = usual_precision_matrix(model)
+    prior = typical_precision_matrix(model)
     # Vᵀ P V = 1: each shape is one standard deviation of a typical machine.
     value, vector = eigh(information, prior)
     remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
@@ -246,7 +246,7 @@ def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observ
     scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
     value, vector = np.linalg.eigh(information * scale[:, None] * scale)
     blind = value < _NULL_SPACE**2 * value[-1] + 1e-13
-    covariance = np.linalg.inv(information + usual_precision_matrix(model))
+    covariance = np.linalg.inv(information + typical_precision_matrix(model))
     offsets_mm = np.concatenate([run.observations.at.offset_mm for run in runs])
     said = describe_confounded(offsets_mm, confounded, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])

@@ -27,7 +27,7 @@ from truepath.estimation.problem.information import (
     compute_posterior,
 )
 from truepath.kinematics.effects.base import Parameter, QuadraticPrior
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 
 USUAL_PRECISION = 8.0  # of an effect of typical size 1, before any data
@@ -66,7 +66,7 @@ class BendingPrior:
 
     def widen_tracker(self, times: float) -> BendingPrior:
         """Multiplies the standard uncertainty of the instrument errors."""
-        tracker = {e.name for e in self.model.effects if is_of_instrument(e)}
+        tracker = {e.name for e in self.model.effects if is_tracker_error(e)}
         wider = {
             name: value / times**2 if name in tracker else value
             for name, value in self.precision.items()

@@ -10,9 +10,9 @@ from typing import Any
 
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
-from truepath.estimation.problem.known_effects import (
-    KnownEffects,
-    extract_known_effects,
+from truepath.estimation.problem.prior_effects import (
+    PriorEffects,
+    extract_prior_effects,
 )
 from truepath.files.bundle.run import RunSummary
 from truepath.files.bundle.sample_sketch import share_samples
@@ -51,7 +51,7 @@ class PriorModel:
         }
         return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
 
-    def is_of(self, runs: Sequence[RunSummary]) -> bool:
+    def uses_any_run(self, runs: Sequence[RunSummary]) -> bool:
         """True if one of these Runs, or a part of one, was a source of the result."""
         return any(
             own["input_sha256"] == run.digest
@@ -62,7 +62,7 @@ class PriorModel:
 
     def select_effects(
         self, machine: Machine, runs: Sequence[RunSummary] = ()
-    ) -> KnownEffects:
+    ) -> PriorEffects:
         """Known effects for the analysis of a machine.
 
         runs : to be analysed; if one of them is a source of the result, its numbers
@@ -73,13 +73,13 @@ class PriorModel:
         """
         self._require_same(machine)
         own = self.result
-        known = extract_known_effects(own.model, own.theta, own.covariance)
-        if self.is_of(runs):
-            return known.loosen()
+        known = extract_prior_effects(own.model, own.theta, own.covariance)
+        if self.uses_any_run(runs):
+            return known.inflate_covariance()
         own.verdict.require_usable(self.source)
         return known
 
-    def require_fit(self, machine: Machine) -> None:
+    def require_comparable(self, machine: Machine) -> None:
         """Raise unless the result may be compared with a measurement of a machine.
 
         BundleError if it is of another machine or of another target, NotUsable if it is
@@ -88,7 +88,7 @@ class PriorModel:
         self._require_same(machine)
         self.result.verdict.require_usable(self.source)
 
-    def judge_use(self) -> Verdict:
+    def assess_use(self) -> Verdict:
         """Verdict for results that use this model: doubtful unless it is usable."""
         if self.result.verdict.state == "usable":
             return Verdict()

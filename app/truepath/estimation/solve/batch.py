@@ -19,7 +19,6 @@ from truepath.estimation.problem.knots import (
     join_cells,
     refine_motions,
 )
-from truepath.estimation.problem.known_effects import KnownEffects
 from truepath.estimation.problem.noise import split_sigma_mm
 from truepath.estimation.problem.observability import (
     Observability,
@@ -27,6 +26,7 @@ from truepath.estimation.problem.observability import (
     name_undetermined,
 )
 from truepath.estimation.problem.prior import widen_by_unknown_precision
+from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import RunInformation, RunInput
 from truepath.estimation.solve.extrapolation import (
     Ranges,
@@ -39,10 +39,10 @@ from truepath.estimation.solve.run_estimate import (
     estimate_run,
 )
 from truepath.kinematics.coarse_model import NestedModels, RunModels
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import adds_up, compute_second_order_mm
+from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 from truepath.kinematics.volumetric_map import ShapeModel
 from truepath.progress import ShareProgress, ignore_progress
 
@@ -73,7 +73,7 @@ class Estimate(EstimatedModel):
     perpendicular_only: bool
     runs: tuple[RunEstimate, ...]
     measured: Ranges
-    known: KnownEffects = field(default_factory=KnownEffects)
+    known: PriorEffects = field(default_factory=PriorEffects)
     chances: tuple[float | None, ...] = ()
     fit: Fit | None = None
 
@@ -101,7 +101,7 @@ def estimate(
     models: RunModels,
     observed: Sequence[Observations],
     *,
-    known: KnownEffects | None = None,
+    known: PriorEffects | None = None,
     perpendicular_only: bool = False,
     keep_fit: bool = False,
     given: Sequence[int] | None = None,
@@ -120,7 +120,7 @@ def estimate(
 
     Raises Unidentifiable if the lines do not determine the error motions.
     """
-    known = known or KnownEffects()
+    known = known or PriorEffects()
     numbers = range(len(observed)) if given is None else given
     seen = [
         replace(each, at=replace(each.at, run=k))
@@ -150,11 +150,11 @@ def _state(
     observed: Sequence[Observations],
     shapes: ShapeModel,
     inputs: Sequence[RunInput],
-    known: KnownEffects,
+    known: PriorEffects,
     perpendicular_only: bool,
 ) -> Estimate:
     """The covariance includes the uncertainty of the prior's precisions."""
-    tracker = {e.name for e in fit.model.effects if is_of_instrument(e)}
+    tracker = {e.name for e in fit.model.effects if is_tracker_error(e)}
     found = fit.prior.precision.items()
     result = widen_by_unknown_precision(fit.prior, fit.result)
     result = add_hidden_variance(result, fit.model, fit.prior.precision)
@@ -189,7 +189,7 @@ def _fit_linear(
     inputs: tuple[RunInput, ...],
     seen: Sequence[Observations],
     models: RunModels,
-    known: KnownEffects,
+    known: PriorEffects,
 ) -> tuple[tuple[RunInput, ...], Fit]:
     """A machine with large errors is linearised again about the first fit."""
     fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
@@ -220,7 +220,7 @@ def _fit_ramps(
     inputs: Sequence[RunInput],
     seen: Sequence[Observations],
     nested: NestedModels,
-    known: KnownEffects,
+    known: PriorEffects,
 ) -> Fit:
     fit = _fit(inputs, seen, nested, known)
     for _ in range(_RAMP_ROUNDS):
@@ -241,7 +241,7 @@ def _fit(
     inputs: Sequence[RunInput],
     seen: Sequence[Observations],
     nested: NestedModels,
-    known: KnownEffects,
+    known: PriorEffects,
 ) -> Fit:
     """Refines the knots as needed. `seen` has the shortest cells of each Run."""
     fit = select_fit(inputs, nested, known)
@@ -267,7 +267,7 @@ def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
 # the actual position on the line, and the effect of error motions on each other.
 def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
     """True if the errors of the machine are small enough to superpose."""
-    return adds_up(model, seen.at, machine.theta)
+    return is_nearly_linear(model, seen.at, machine.theta)
 
 
 def linearise_about(
@@ -336,7 +336,7 @@ def widen_ramps(
     """
     found: list[RunInput] = []
     for given, run, across, along in zip(inputs, runs, across_mm, travel, strict=True):
-        sigma_mm = _find_scatter_mm(run, across, along)
+        sigma_mm = _compute_scatter_mm(run, across, along)
         noise = replace(run.noise, ramp_sigma_mm=sigma_mm)
         found.append(replace(given, noise=noise))
     changes = [
@@ -347,7 +347,7 @@ def widen_ramps(
     return tuple(found) if any(changes) else None
 
 
-def _find_scatter_mm(
+def _compute_scatter_mm(
     run: RunInformation,
     across_mm: Float64[np.ndarray, " n"],
     travel: Float64[np.ndarray, "n 3"],

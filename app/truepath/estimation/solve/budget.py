@@ -32,7 +32,7 @@ from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import compute_under
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
-from truepath.kinematics.effects.instrument import is_of_instrument
+from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_component_grams
 
@@ -91,7 +91,7 @@ def _split_covariance(
     prior = fit.prior.precision_matrix(size)
     tracker = [
         fit.model.slices[effect.name]
-        for effect in filter(is_of_instrument, fit.model.effects)
+        for effect in filter(is_tracker_error, fit.model.effects)
     ]
     perfect, free = prior.copy(), fit.result.covariance
     for part in tracker:

@@ -77,7 +77,7 @@ def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
         for effect in model.effects:
             known = found.get(effect.name)
             finer = known is None or len(effect.parameters) > len(known.parameters)
-            if finer and effect.name not in model.made_up_for:
+            if finer and effect.name not in model.compensated_turns:
                 found[effect.name] = effect
     return list(found.values())
 

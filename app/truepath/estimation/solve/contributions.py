@@ -49,9 +49,9 @@ def find_contributions(
     number = len(set(given))
     if number < 2:
         return Contributions(sigma_mm, ())
-    every = _predict_left_mm(fit, range(len(given)))
+    every = _predict_residual_mm(fit, range(len(given)))
     without = [
-        _predict_left_mm(
+        _predict_residual_mm(
             fit, [k for k, source in enumerate(given) if source != left_out]
         )
         for left_out in range(number)
@@ -62,7 +62,7 @@ def find_contributions(
     return Contributions(sigma_mm, tuple(without_mm))
 
 
-def _predict_left_mm(fit: Fit, runs: Sequence[int]) -> float:
+def _predict_residual_mm(fit: Fit, runs: Sequence[int]) -> float:
     data = fit.known.add_to(combine_runs([fit.runs[k] for k in runs]), fit.model)
     precision = fit.prior.precision_matrix(fit.model.size)
     try:

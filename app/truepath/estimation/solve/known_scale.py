@@ -25,9 +25,9 @@ from truepath.files.bundle.run import KnownLength
 from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.instrument import (
     SetUpErrors,
-    is_of_instrument,
+    is_tracker_error,
 )
-from truepath.kinematics.estimated_model import find_stretch
+from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.model import MachineModel
 
 _CONTRADICTED = 3.0  # standard uncertainties
@@ -84,7 +84,7 @@ def settle_scale(
     covariance = estimate.covariance - gain_theta @ H @ estimate.covariance
     shared = -(scale**2) * gain_theta.sum(axis=1)
     variance = scale**2 * (1.0 - float(gain_scale.sum()))
-    stretch = find_stretch(estimate.model)
+    stretch = compute_scale_parameters(estimate.model)
     apart = np.outer(shared, stretch)
     settled = replace(
         estimate,
@@ -157,11 +157,11 @@ def _trace_errors(
         set_up=run.set_up,
     )
     at = replace(make_standstill(machine, nowhere), recorded=recorded)
-    for effect in filter(is_of_instrument, model.effects):
+    for effect in filter(is_tracker_error, model.effects):
         if isinstance(effect, SetUpErrors) and effect.set_up in ("", run.set_up):
             middle_s = 0.5 * (effect.begin_s + effect.end_s)
             at = replace(at, time_s=np.full(len(points_mm), middle_s))
-    for effect in filter(is_of_instrument, model.effects):
+    for effect in filter(is_tracker_error, model.effects):
         moved = np.einsum("ij,njp->nip", run.rotation, effect.jacobian(at))
         first, second = moved[::2], moved[1::2]
         rows[:, model.slices[effect.name]] = np.einsum(

@@ -118,7 +118,7 @@ def _trial_run(run: RunInformation) -> TrialRun:
     size = run.linearisation.machine_model.size
     weighted = _weigh(design, run.noise)
     # The pose is solved along: its share of the data is passed on.
-    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.follow()
+    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.compute_coupling()
     return TrialRun(
         run.observations, run.noise, design.travel, machine.astype(np.float32)
     )
@@ -133,14 +133,16 @@ def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 
 
 def run_block(trials: Trials, number: int) -> TrialBlock:
     """Summary of one block of trials: deviations of each output from its estimate."""
-    return summarise(draw_outputs(trials, number, BLOCK), trials.interval)
+    return summarise(sample_outputs(trials, number, BLOCK), trials.interval)
 
 
-def draw_outputs(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]:
+def sample_outputs(
+    trials: Trials, number: int, count: int
+) -> Float64[np.ndarray, "o t"]:
     """Deviations of the outputs in the first `count` trials of a block."""
     seed = np.random.SeedSequence(trials.seed, spawn_key=(number,))
     rng = np.random.default_rng(seed)
-    parts = [_draw_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
+    parts = [_sample_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
     return np.concatenate(parts, axis=1)[:, :count]
 
 
@@ -160,10 +162,12 @@ def _split_prior(fit: Fit) -> tuple[PriorBlock, ...]:
     return tuple(blocks)
 
 
-def _draw_some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
+def _sample_some(
+    trials: Trials, rng: np.random.Generator
+) -> Float64[np.ndarray, "o t"]:
     pulled = np.zeros((len(trials.theta), _AT_ONCE))
     for run in trials.runs:
-        noise = _draw_white(run, rng) + _draw_ou(run, rng)
+        noise = _sample_white(run, rng) + _sample_ou(run, rng)
         pulled += np.tensordot(run.weighted, noise, axes=((0, 1), (0, 1)))
     moved = np.empty_like(pulled)
     for first in range(0, _AT_ONCE, _SAME_PRECISION):
@@ -188,25 +192,25 @@ def _solve_again(
     return cho_solve(factor, right, overwrite_b=True, check_finite=False)
 
 
-def _draw_white(
+def _sample_white(
     run: TrialRun, rng: np.random.Generator
 ) -> Float32[np.ndarray, "n 3 t"]:
     sigma, _ = split_sigma_mm(run.observations, run.noise)
-    draw = _draw_normal(rng, *sigma.shape, _AT_ONCE)
+    draw = _sample_normal(rng, *sigma.shape, _AT_ONCE)
     draw *= sigma[:, :, None].astype(np.float32)
     jitter_mm = run.noise.along_sigma_mm
     if 0.0 < jitter_mm < np.inf:
-        jitter = _draw_normal(rng, len(sigma), 1, _AT_ONCE)
+        jitter = _sample_normal(rng, len(sigma), 1, _AT_ONCE)
         draw += (jitter_mm * run.travel[:, :, None]).astype(np.float32) * jitter
     return draw
 
 
-def _draw_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+def _sample_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
     _, sigma = split_sigma_mm(run.observations, run.noise)
     step = np.diff(run.observations.at.time_s, prepend=-np.inf)
     keep = np.exp(-step / run.noise.ou_time_s)
     fresh = np.sqrt(1.0 - keep**2)
-    state = _draw_normal(rng, *sigma.shape, _AT_ONCE)
+    state = _sample_normal(rng, *sigma.shape, _AT_ONCE)
     state[1:] *= fresh[1:, None, None].astype(np.float32)
     for k in range(1, len(sigma)):
         state[k] += np.float32(keep[k]) * state[k - 1]
@@ -214,5 +218,5 @@ def _draw_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 
     return state
 
 
-def _draw_normal(rng: np.random.Generator, *shape: int) -> Float32[np.ndarray, "..."]:
+def _sample_normal(rng: np.random.Generator, *shape: int) -> Float32[np.ndarray, "..."]:
     return rng.standard_normal(shape, dtype=np.float32)

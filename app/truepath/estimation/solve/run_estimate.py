@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 
 from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Posterior
-from truepath.estimation.problem.noise import NoiseModel, floor_mm
+from truepath.estimation.problem.noise import NoiseModel, expected_rms_mm
 from truepath.estimation.problem.runs import RunInformation
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.effects.pose_timing_seats import TargetSeat
@@ -146,7 +146,7 @@ def compute_residuals(
         run.observations.row,
         run.observations.at.position_mm,
         float(np.sqrt(np.mean(counted**2))),
-        floor_mm(run.observations, run.noise, travel),
+        expected_rms_mm(run.observations, run.noise, travel),
     )
 
 

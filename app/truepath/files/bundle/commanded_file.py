@@ -62,13 +62,13 @@ def decode_commanded(
         feed = _read_feed(table)
         rest = _read_dwell(table), _read_targets(table, machine)
         commanded = Path(axes, position, feed, *rest, _read_arcs(table))
-        _refuse_standing_lines(table, commanded)
-        _refuse_bad_arcs(table, commanded)
+        _reject_standing_lines(table, commanded)
+        _reject_bad_arcs(table, commanded)
     else:
         rest = _read_dwell(table), _read_targets(table, machine)
         commanded = Configurations(axes, position, *rest)
-    _refuse_out_of_travel(table, machine, commanded)
-    _refuse_metres(table, machine, commanded)
+    _reject_out_of_travel(table, machine, commanded)
+    _reject_metres(table, machine, commanded)
     return commanded
 
 
@@ -157,14 +157,14 @@ def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
 
 def _read_dwell(table: Table) -> NDArray[np.float64]:
     dwell_s = table.numbers("dwell_s")
-    table.refuse(dwell_s < 0, "dwell_s", lambda k: f"is {dwell_s[k]:g}, below 0")
+    table.reject(dwell_s < 0, "dwell_s", lambda k: f"is {dwell_s[k]:g}, below 0")
     return dwell_s
 
 
 def _read_feed(table: Table) -> NDArray[np.float64]:
     feed = table.numbers("feed_mm_min")
     remedy = "a feed must be above 0"
-    table.refuse(feed <= 0, "feed_mm_min", lambda k: f"is {feed[k]:g}", remedy)
+    table.reject(feed <= 0, "feed_mm_min", lambda k: f"is {feed[k]:g}", remedy)
     return feed
 
 
@@ -183,14 +183,14 @@ def _read_arcs(table: Table) -> tuple[Arc | None, ...]:
     numbers = [table.numbers(name, nan=True) for name in ARC_COLUMNS[1:]]
     for name, column in zip(ARC_COLUMNS[1:], numbers, strict=True):
         stated = np.array([text != "" for text in axes])
-        table.refuse(stated & np.isnan(column), name, lambda _: "is empty on an arc")
+        table.reject(stated & np.isnan(column), name, lambda _: "is empty on an arc")
     return tuple(
         Arc(name, (float(u), float(v)), float(turn)) if name else None
         for name, u, v, turn in zip(axes, *numbers, strict=True)
     )
 
 
-def _refuse_bad_arcs(table: Table, path: Path) -> None:
+def _reject_bad_arcs(table: Table, path: Path) -> None:
     for row, arc in enumerate(path.arc):
         if arc is None or row == 0:  # a part of a Run may begin where an arc ended
             continue
@@ -201,7 +201,7 @@ def _refuse_bad_arcs(table: Table, path: Path) -> None:
             raise table.error(problem, row, ARC_COLUMNS[0], remedy)
 
 
-def _refuse_standing_lines(table: Table, path: Path) -> None:
+def _reject_standing_lines(table: Table, path: Path) -> None:
     if len(path) < 2:
         raise BundleError(
             "has one row, and no line", file=table.file, remedy="a path needs two rows"
@@ -219,7 +219,7 @@ def _refuse_standing_lines(table: Table, path: Path) -> None:
             )
 
 
-def _refuse_metres(table: Table, machine: Machine, commanded: Commanded) -> None:
+def _reject_metres(table: Table, machine: Machine, commanded: Commanded) -> None:
     columns = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
     if not columns:
         return
@@ -242,7 +242,7 @@ def _refuse_metres(table: Table, machine: Machine, commanded: Commanded) -> None
         )
 
 
-def _refuse_out_of_travel(table: Table, machine: Machine, commanded: Commanded) -> None:
+def _reject_out_of_travel(table: Table, machine: Machine, commanded: Commanded) -> None:
     breach = first_breach(machine, commanded)
     if breach is not None:
         raise table.error(

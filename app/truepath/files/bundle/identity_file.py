@@ -80,7 +80,7 @@ def read_assignments(assignments: list[str]) -> Identity:
     return identity_from_json(content, file="--state")
 
 
-def read_kept_identities(file: Path) -> Mapping[str, Identity]:
+def read_stored_identities(file: Path) -> Mapping[str, Identity]:
     """Identities by machine name that earlier versions stored in a file.
 
     Empty where there is no file. Raises BundleError on a damaged one.
@@ -96,7 +96,7 @@ def read_kept_identities(file: Path) -> Mapping[str, Identity]:
     return {str(k): identity_from_json(v, file=name) for k, v in machines.items()}
 
 
-def write_kept_identities(file: Path, machines: Mapping[str, Identity]) -> None:
+def write_stored_identities(file: Path, machines: Mapping[str, Identity]) -> None:
     """Write the remaining identities; without any the file is removed."""
     if not machines:
         file.unlink(missing_ok=True)

@@ -44,20 +44,20 @@ def decode_known_lengths(
     ends_mm = ends_mm.reshape(-1, 2, 3)
     apart_mm = np.linalg.norm(ends_mm[:, 1] - ends_mm[:, 0], axis=1)
     length_mm, sigma_mm = table.numbers("length_mm"), table.numbers("u_mm")
-    table.refuse(
+    table.reject(
         length_mm < (1.0 - _WRONG) * _SHORTEST_MM,  # a warm bar was longer
         "length_mm",
         lambda k: f"is {length_mm[k]:g}, shorter than {_SHORTEST_MM:g} mm",
         "state it in mm, or leave the row out: it says nothing of a scale",
     )
-    table.refuse(
+    table.reject(
         sigma_mm <= 0.0,
         "u_mm",
         lambda k: f"is {sigma_mm[k]:g}",
         "state the standard uncertainty of the length, half of one that is for k = 2",
     )
     near_mm = np.linalg.norm(ends_mm, axis=2).min(axis=1)
-    table.refuse(
+    table.reject(
         near_mm < _SHORTEST_MM,
         "x1_mm",
         lambda k: f"puts an end {near_mm[k]:g} mm from the tracker",
@@ -67,13 +67,13 @@ def decode_known_lengths(
     measured_mm, column = apart_mm, "x1_mm"
     if "measured_mm" in table.names:
         measured_mm, column = table.numbers("measured_mm"), "measured_mm"
-        table.refuse(
+        table.reject(
             np.abs(measured_mm - apart_mm) > _WRONG * apart_mm,
             column,
             lambda k: f"is {measured_mm[k]:g}, the ends are {apart_mm[k]:.3f} mm apart",
             "state both as the tracker has measured them",
         )
-    table.refuse(
+    table.reject(
         np.abs(measured_mm - length_mm) > _WRONG * length_mm,
         column,
         lambda k: f"makes {measured_mm[k]:.3f} mm of a length of {length_mm[k]:.3f} mm",
@@ -111,13 +111,13 @@ def _warm(
     if not set(_THERMAL) & set(table.names):
         return length_mm, sigma_mm
     degc, per_k = table.numbers(_THERMAL[0]), 1e-6 * table.numbers(_THERMAL[1])
-    table.refuse(
+    table.reject(
         np.abs(degc - _AT_DEGC) > 40.0,
         _THERMAL[0],
         lambda k: f"is {degc[k]:g}",
         "state the temperature of the length in °C",
     )
-    table.refuse(
+    table.reject(
         np.abs(per_k) > 1e-4,
         _THERMAL[1],
         lambda k: f"is {1e6 * per_k[k]:g}",

@@ -18,7 +18,7 @@ from truepath.documents.file_model import (
     is_line,
     parse_json,
     quote,
-    refuse,
+    reject,
     validate,
 )
 from truepath.documents.whole_files import read_whole
@@ -54,7 +54,7 @@ def _require_within(vector: Vector) -> Vector:
     for index, value in enumerate(vector):
         if abs(value) > _LARGEST:
             remedy = f"it must be within ±{_LARGEST:g}"
-            raise refuse(f"is {value:g}", remedy, index)
+            raise reject(f"is {value:g}", remedy, index)
     return vector
 
 
@@ -92,7 +92,7 @@ class RotaryAxisFile(FileModel):
         _require_order("deg", self.min_deg, self.max_deg)
         if self.direction is not None and not any(self.direction):
             remedy = "write a direction of any length"
-            raise refuse("is [0, 0, 0]", remedy, "direction")
+            raise reject("is [0, 0, 0]", remedy, "direction")
         return self
 
     def axis(self, name: str) -> RotaryAxis:
@@ -115,11 +115,11 @@ class AxesFile(FileModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_unknown(cls, content: object) -> object:
+    def _reject_unknown(cls, content: object) -> object:
         for name in content if isinstance(content, dict) else ():
             if name not in cls.model_fields:
                 known = "linear axes are X, Y, Z; rotary axes are A, B, C"
-                raise refuse("is an unknown axis", known, name)
+                raise reject("is an unknown axis", known, name)
         return content
 
     def axes(self) -> tuple[Axis, ...]:
@@ -147,11 +147,11 @@ class SpecificationFile(_Keys):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_unknown(cls, content: object) -> object:
+    def _reject_unknown(cls, content: object) -> object:
         for name in content if isinstance(content, dict) else ():
             if name not in cls.model_fields:
                 known = f"known are {', '.join(cls.model_fields)}"
-                raise refuse("is an unknown error of a tracker", known, name)
+                raise reject("is an unknown error of a tracker", known, name)
         return content
 
     def specification(self) -> TrackerSpecification:
@@ -176,7 +176,7 @@ class TrackerFile(FileModel):
         if self.transverse_sigma_um == self.angle_sigma_urad == 0.0:
             problem = "and angle_sigma_urad are both 0"
             remedy = "state the noise across the beam"
-            raise refuse(problem, remedy, "transverse_sigma_um")
+            raise reject(problem, remedy, "transverse_sigma_um")
         return self
 
     def tracker(self) -> TrackerNoise:
@@ -215,15 +215,15 @@ class ApproachFile(FileModel):
         for name, value in (self.clearance_mm or {}).items():
             place = "approach", "clearance_mm", name
             if name not in linear:
-                raise refuse("is no linear axis", "name X, Y or Z", *place)
+                raise reject("is no linear axis", "name X, Y or Z", *place)
             axis = linear[name]
             if not axis.low <= value <= axis.high:
                 remedy = f"it must be from {axis.low:g} to {axis.high:g}"
-                raise refuse(f"is {value:g}", remedy, *place)
+                raise reject(f"is {value:g}", remedy, *place)
         names = [axis.name for axis in axes]
         if self.order and sorted(self.order) != sorted(names):
             remedy = f"name every axis once: {', '.join(names)}"
-            raise refuse(f"is {quote(self.order)}", remedy, "approach", "order")
+            raise reject(f"is {quote(self.order)}", remedy, "approach", "order")
 
     def approach(self) -> Approach:
         """Clearance in mm, as pairs of axis and position."""
@@ -254,9 +254,9 @@ class MachineFile(FileModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_two_kinds_of_targets(cls, content: object) -> object:
+    def _reject_two_kinds_of_targets(cls, content: object) -> object:
         if isinstance(content, dict) and {"targets", "tool_offset_mm"} <= set(content):
-            raise refuse(
+            raise reject(
                 "stands beside targets", "keep one of the two", "tool_offset_mm"
             )
         return content
@@ -264,15 +264,15 @@ class MachineFile(FileModel):
     @model_validator(mode="after")
     def _require_targets(self) -> MachineFile:
         if self.targets is None and self.tool_offset_mm is None:
-            raise refuse("is missing", "add it", "tool_offset_mm")
+            raise reject("is missing", "add it", "tool_offset_mm")
         if self.targets == {}:
-            raise refuse("is empty", "name at least one target", "targets")
+            raise reject("is empty", "name at least one target", "targets")
         for name in self.targets or ():
             if not name.strip():
-                raise refuse("has no name", "name every target", "targets", name)
+                raise reject("has no name", "name every target", "targets", name)
             if not is_line(name):
                 problem = f"has the name {quote(name)}"
-                raise refuse(problem, "write a short line of printed text", "targets")
+                raise reject(problem, "write a short line of printed text", "targets")
         return self
 
     @model_validator(mode="after")
@@ -280,7 +280,7 @@ class MachineFile(FileModel):
         named = sorted(name for side in self.sides() for name in side)
         known = sorted(axis.name for axis in self.axes.axes())
         if named != known:
-            raise refuse(
+            raise reject(
                 f"is {quote(self.kinematic_chain)} but the axes are {', '.join(known)}",
                 "name every axis once",
                 "kinematic_chain",
@@ -296,7 +296,7 @@ class MachineFile(FileModel):
         """Axes of `w-…-b-…-t` on the side of the workpiece, and of the tool."""
         parts = self.kinematic_chain.split("-")
         if parts[0] != "w" or parts[-1] != "t" or parts.count("b") != 1:
-            raise refuse(
+            raise reject(
                 f"is {quote(self.kinematic_chain)}",
                 "write w-…-b-…-t, workpiece to tool, one base",
                 "kinematic_chain",
@@ -371,7 +371,7 @@ def _require_order(unit: str, low: float, high: float) -> None:
     least = _LEAST_TRAVEL[unit]
     if high - low < least:
         remedy = f"it must exceed min_{unit}, {low:g}, by {least:g} {unit} or more"
-        raise refuse(f"is {high:g}", remedy, f"max_{unit}")
+        raise reject(f"is {high:g}", remedy, f"max_{unit}")
 
 
 def _axis_json(axis: Axis) -> dict[str, Any]:

@@ -208,7 +208,7 @@ def _name_point_columns(points: PointRows) -> dict[str, NDArray[np.generic]]:
 def _read_points(table: Table, kept: NDArray[np.bool_]) -> PointRows:
     point = table.numbers("point")
     odd = (point != np.rint(point)) | (point < 1)
-    table.refuse(
+    table.reject(
         odd,
         "point",
         lambda k: f"is {point[k]:g}, no row of points.csv",
@@ -218,7 +218,7 @@ def _read_points(table: Table, kept: NDArray[np.bool_]) -> PointRows:
     if "shots" in table.names:
         shots = table.numbers("shots")
         odd = (shots != np.rint(shots)) | (shots < 1)
-        table.refuse(odd, "shots", lambda k: f"is {shots[k]:g}, no number of shots")
+        table.reject(odd, "shots", lambda k: f"is {shots[k]:g}, no number of shots")
     covariance_mm2 = np.zeros((len(table), 3, 3))
     for key, (i, j) in _COVARIANCE.items():
         if key in table.names:
@@ -237,7 +237,7 @@ def _read_clock(
     back = np.diff(time_s) <= 0
     if repeats is not None:
         back &= ~repeats[1:]
-    table.refuse(
+    table.reject(
         np.append(False, back),
         "t_s",
         lambda k: f"does not increase: {time_s[k]:.6f} after {time_s[k - 1]:.6f}",
@@ -270,7 +270,7 @@ def _read_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float
         position_mm[:, column] = np.where(np.isinf(value), np.nan, value)
         bad = table.find_empty(key) & (status == 0)
         remedy = "a sample without a position needs a status other than 0"
-        table.refuse(bad, key, lambda _: "is empty or NaN", remedy)
+        table.reject(bad, key, lambda _: "is empty or NaN", remedy)
     return position_mm
 
 
@@ -279,7 +279,7 @@ def _read_status(table: Table) -> NDArray[np.int64]:
         return np.zeros(len(table), np.int64)
     value = table.numbers("status")
     odd = (value != np.rint(value)) | (np.abs(value) > 2**53)
-    table.refuse(odd, "status", lambda k: f"is {value[k]:g}, no whole number")
+    table.reject(odd, "status", lambda k: f"is {value[k]:g}, no whole number")
     return value.astype(np.int64)
 
 

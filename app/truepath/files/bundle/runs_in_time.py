@@ -65,7 +65,7 @@ def order_in_time(
     """
     if len(runs) < 2:
         raise BadInput("one Run tells nothing of time: give two at least")
-    _refuse_twice(runs)
+    _reject_twice(runs)
     machine = one_machine([run.machine for run in runs], [run.name for run in runs])
     for run in runs[1:]:
         if not have_same_targets(runs[0].machine, run.machine):
@@ -87,7 +87,7 @@ def order_in_time(
     return RunsInTime(machine, time_s)
 
 
-def _refuse_twice(runs: Sequence[TimedRun]) -> None:
+def _reject_twice(runs: Sequence[TimedRun]) -> None:
     known: dict[str, str] = {}
     for run in runs:
         if run.digest in known:

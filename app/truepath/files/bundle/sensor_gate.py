@@ -64,7 +64,7 @@ class ChannelGate:
             low, high = find_pressures(self.altitude_m)
             self.channel = replace(self.channel, low=low, high=high)
 
-    def judge(self, at_s: float, value: float) -> str:
+    def check(self, at_s: float, value: float) -> str:
         """Why a number is rejected, empty where it is accepted."""
         self.seen += 1
         fault = self._find_fault(at_s, value)
@@ -148,7 +148,7 @@ def gate_columns(
     for row, at_s in enumerate(time_s.tolist()):
         for name, gate in gates.items():
             value, was_well = float(kept[name][row]), not gate.why
-            if math.isnan(value) or not gate.judge(at_s, value):
+            if math.isnan(value) or not gate.check(at_s, value):
                 continue
             is_early = was_well and at_s - time_s[0] < STEADY_S
             gate.left_out += row if is_early else 0

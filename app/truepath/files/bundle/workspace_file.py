@@ -29,7 +29,7 @@ from truepath.documents.file_model import (
     Text,
     Vector,
     parse_json,
-    refuse,
+    reject,
     validate,
 )
 from truepath.documents.whole_files import read_whole
@@ -51,7 +51,7 @@ class AreaFile(FileModel):
     @model_validator(mode="after")
     def _require_order(self) -> AreaFile:
         if any(h < low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
-            raise refuse("lies below min_mm", "exchange the two", "max_mm")
+            raise reject("lies below min_mm", "exchange the two", "max_mm")
         return self
 
     def box(self) -> Box:
@@ -74,7 +74,7 @@ class BoxFile(FileModel):
                 "[" + ", ".join(f"{v:g}" for v in place) + "]"
                 for place in (self.min_mm, self.max_mm)
             )
-            raise refuse(f"is {high}", f"each must exceed min_mm, {low}", "max_mm")
+            raise reject(f"is {high}", f"each must exceed min_mm, {low}", "max_mm")
         return self
 
     def box(self) -> Box:
@@ -91,7 +91,7 @@ class ReflectorFile(FileModel):
     @model_validator(mode="after")
     def _require_direction(self) -> ReflectorFile:
         if not any(self.direction):
-            raise refuse("has no length", "write where it looks", "direction")
+            raise reject("has no length", "write where it looks", "direction")
         return self
 
 
@@ -126,7 +126,7 @@ class TrackerPlaceFile(FileModel):
     @model_validator(mode="after")
     def _require_place(self) -> TrackerPlaceFile:
         if self.position_mm is None and not self.areas:
-            raise refuse(
+            raise reject(
                 "is missing", "state it, or areas to choose from", "position_mm"
             )
         return self
@@ -136,7 +136,7 @@ class TrackerPlaceFile(FileModel):
         farthest = self.farthest_mm
         if farthest is not None and farthest <= self.nearest:
             remedy = f"it must be above {self.nearest:g}"
-            raise refuse(f"is {farthest:g}", remedy, "farthest_mm")
+            raise reject(f"is {farthest:g}", remedy, "farthest_mm")
         return self
 
 
@@ -153,7 +153,7 @@ class WorkspaceFile(FileModel):
     def _require_tracker_of_sight(self) -> WorkspaceFile:
         if self.blocks_sight and self.tracker is None:
             problem = "needs to know where the tracker stands"
-            raise refuse(problem, "state tracker.position_mm", "blocks_sight")
+            raise reject(problem, "state tracker.position_mm", "blocks_sight")
         return self
 
     def workspace(self) -> Workspace:

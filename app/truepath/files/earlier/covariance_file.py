@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.documents.file_model import FileModel, Text, quote, refuse
+from truepath.documents.file_model import FileModel, Text, quote, reject
 
 ENCODING = "base64, zlib, little-endian float64, lower triangle by rows"
 AS_WRITTEN = "take the file as it was written"
@@ -27,18 +27,18 @@ class CovarianceFile(FileModel):
         """Raises a refusal unless it is of the size of all numbers of the effects."""
         if self.size != size or size > _MOST:
             problem = f"is {self.size}, the effects state {size} numbers"
-            raise refuse(problem, "", "covariance", "size")
+            raise reject(problem, "", "covariance", "size")
         if self.encoding != ENCODING:
             remedy = f"write one of {ENCODING}"
             place = "covariance", "encoding"
-            raise refuse(f"is {quote(self.encoding)}", remedy, *place)
+            raise reject(f"is {quote(self.encoding)}", remedy, *place)
         try:
             covariance = unpack_symmetric(self.data, size)
         except ValueError as error:
-            raise refuse(str(error), AS_WRITTEN, "covariance", "data") from error
+            raise reject(str(error), AS_WRITTEN, "covariance", "data") from error
         if (np.diag(covariance) < 0.0).any():
             problem = "states a negative variance"
-            raise refuse(problem, AS_WRITTEN, "covariance", "data")
+            raise reject(problem, AS_WRITTEN, "covariance", "data")
         return covariance
 
 

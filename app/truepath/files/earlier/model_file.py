@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from truepath.documents.file_model import FileModel, Text, quote, refuse, validate
+from truepath.documents.file_model import FileModel, Text, quote, reject, validate
 from truepath.errors import BadInput
 from truepath.files.earlier.covariance_file import (
     AS_WRITTEN,
@@ -67,11 +67,11 @@ class ErrorMotionFile(FileModel):
         few = not _FEWEST_KNOTS <= len(knots) <= _MOST_KNOTS
         if few or (np.diff(knots) <= 0).any():
             remedy = f"write {_FEWEST_KNOTS} to {_MOST_KNOTS}, in order"
-            raise refuse(f"are {len(knots)}, or not increasing", remedy, key)
+            raise reject(f"are {len(knots)}, or not increasing", remedy, key)
         values = _read_numbers(self, key := f"values_{find_unit(self.symbol)}")
         if len(values) != len(knots):
             problem = f"are {len(values)} for {len(knots)} knots"
-            raise refuse(problem, "write one a knot", key)
+            raise reject(problem, "write one a knot", key)
         return make_error_motion_over(self.symbol, axis, knots), values
 
 
@@ -114,11 +114,11 @@ class CataloguedFile(FileModel):
             family = find_family(self.name)
         except BadInput as error:
             remedy = "install what brings this effect"
-            raise refuse(str(error), remedy, "name") from error
+            raise reject(str(error), remedy, "name") from error
         effect = self._restore_effect(family, machine)
         if len(self.values) != (count := len(effect.parameters)):
             problem = f"are {len(self.values)}, the effect has {count}"
-            raise refuse(problem, AS_WRITTEN, "values")
+            raise reject(problem, AS_WRITTEN, "values")
         return effect, np.array(self.values, np.float64)
 
     def _restore_effect(self, family: Family, machine: Machine) -> Effect:
@@ -127,23 +127,23 @@ class CataloguedFile(FileModel):
         keys = {key: stated[key] for key in family.keys if key in stated}
         for key, text in keys.items():
             if not isinstance(text, str):
-                raise refuse(f"is {quote(text)}", "write a text", key)
+                raise reject(f"is {quote(text)}", "write a text", key)
         middle_mm = [[0.5 * (axis.low + axis.high) for axis in machine.axes]]
         try:
             effect = restore_effect(family, machine, keys, self.numbers)
             at = make_standstill(machine, np.array(middle_mm))
             moved = np.zeros(0) if effect is None else effect.jacobian(at)
         except (KeyError, ValueError, ZeroDivisionError) as error:
-            raise refuse(
+            raise reject(
                 f"{family.name} does not fit this machine ({error})",
                 "give axis, direction and numbers of an effect of this machine",
                 "name",
             ) from error
         if effect is None:
             problem = f"{family.name} belongs to the Run that it was found in"
-            raise refuse(problem, "take it out of the model", "name")
+            raise reject(problem, "take it out of the model", "name")
         if not np.isfinite(moved).all():
-            raise refuse(f"{family.name} has numbers that make no effect", "", "name")
+            raise reject(f"{family.name} has numbers that make no effect", "", "name")
         return effect
 
 
@@ -176,7 +176,7 @@ class ModelFile(FileModel):
         for index, name in enumerate(names):
             if name in names[:index]:
                 remedy = "state each effect once"
-                raise refuse(f"repeats {name}", remedy, "effects", index)
+                raise reject(f"repeats {name}", remedy, "effects", index)
         self.covariance.matrix(sum(len(values) for _, values in self.stated))
         return self
 
@@ -238,14 +238,14 @@ def build_number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
 
 def _read_numbers(file: FileModel, key: str) -> Float64[np.ndarray, "*n"]:
     if (stated := getattr(file, key)) is None:
-        raise refuse("is missing", "add it", key)
+        raise reject("is missing", "add it", key)
     return np.array(stated, np.float64)
 
 
 def _require_symbol(symbol: str, known: dict[str, Any]) -> None:
     if symbol not in known:
         remedy = f"write one of {', '.join(known)}"
-        raise refuse(f"is {quote(symbol)}", remedy, "symbol")
+        raise reject(f"is {quote(symbol)}", remedy, "symbol")
 
 
 def _build_rows(effect: Effect) -> Float64[np.ndarray, "s p"]:

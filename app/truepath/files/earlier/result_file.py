@@ -24,7 +24,7 @@ from truepath.documents.file_model import (
     FileModel,
     Text,
     parse_json,
-    refuse,
+    reject,
     require_finite,
     validate,
 )
@@ -130,7 +130,7 @@ class _LinearRange(FileModel):
     def _require_order(self) -> _LinearRange:
         if self.to_mm < self.from_mm:
             problem = f"is {self.to_mm:g}, below from_mm {self.from_mm:g}"
-            raise refuse(problem, "write the lower end as from_mm", "to_mm")
+            raise reject(problem, "write the lower end as from_mm", "to_mm")
         return self
 
 
@@ -166,14 +166,14 @@ class _HalfDifference(FileModel):
         if len(at) == 0 or len(at) != len(value):
             problem = f"are {len(value)} for {len(at)} in position_{along}"
             place = "half_difference", symbol, f"value_{unit}"
-            raise refuse(problem, "write one a position", *place)
+            raise reject(problem, "write one a position", *place)
         if len(sigma) not in (0, len(at)):
             problem = f"are {len(sigma)} for {len(at)} in position_{along}"
             place = "half_difference", symbol, f"uncertainty_{unit}"
-            raise refuse(problem, "write one a position, or none", *place)
+            raise reject(problem, "write one a position, or none", *place)
         if np.any(np.diff(at) <= 0.0):
             place = "half_difference", symbol, f"position_{along}"
-            raise refuse("do not ascend", "sort the rows by position", *place)
+            raise reject("do not ascend", "sort the rows by position", *place)
         return (at, value), sigma
 
 
@@ -247,13 +247,13 @@ class _Document(_MachineOfResult):
             return content
         schema = content.get("schema")
         if schema is None:
-            raise refuse("is missing", "add it", "schema")
+            raise reject("is missing", "add it", "schema")
         if schema not in (RESULT_SCHEMA, MODEL_SCHEMA):
             remedy = f"give a file of {RESULT_SCHEMA} or {MODEL_SCHEMA}"
-            raise refuse("is not that of a result or model", remedy, "schema")
+            raise reject("is not that of a result or model", remedy, "schema")
         if content.get("model") is None:
             problem = "is missing, without which nothing can be predicted"
-            raise refuse(problem, "analyse the bundle again", "model")
+            raise reject(problem, "analyse the bundle again", "model")
         return content
 
     def ranges(self) -> dict[str, tuple[float, float]]:
@@ -301,7 +301,7 @@ class ModelDocument(_Document):
     @model_validator(mode="after")
     def _require_whole_version(self) -> ModelDocument:
         if self.version != int(self.version):
-            raise refuse(f"is {self.version:g}", "write a whole number", "version")
+            raise reject(f"is {self.version:g}", "write a whole number", "version")
         return self
 
 

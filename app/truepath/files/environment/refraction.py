@@ -133,7 +133,7 @@ def correct_refraction(
     assumed = [name for name in MEASURED if name not in found]
     if _HPA in assumed and altitude_m is None:
         assumed.append(_ALTITUDE)
-    usual = (_USUAL_DEGC, _find_usual_hpa(altitude_m), _USUAL_PERCENT)
+    usual = (_USUAL_DEGC, _compute_typical_hpa(altitude_m), _USUAL_PERCENT)
     whole = [
         found.get(name, np.full(len(time_s), value))
         for name, value in zip(MEASURED, usual, strict=True)
@@ -147,7 +147,7 @@ def correct_refraction(
     return told, replace(tracker, position_mm=position_mm)
 
 
-def guess_scale(
+def assumed_range_factor(
     refraction: Refraction, channels: Collection[str], altitude_m: float | None = None
 ) -> float:
     """Factor on ranges in typical air, where sensor readings come too late.
@@ -159,7 +159,7 @@ def guess_scale(
         return 1.0
     usual = _USUAL_AIR
     if altitude_m is not None or _HPA not in channels:
-        usual = (_USUAL_DEGC, _find_usual_hpa(altitude_m), _USUAL_PERCENT)
+        usual = (_USUAL_DEGC, _compute_typical_hpa(altitude_m), _USUAL_PERCENT)
     air = (np.array([value]) for value in usual)
     index = find_air_index(light.wavelength_nm, *air, is_group=light.is_group)
     return light.assumed_index / float(index[0])
@@ -172,7 +172,7 @@ def find_factor(refraction: Refraction) -> float:
     return refraction.light.assumed_index / refraction.index
 
 
-def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
+def range_scale_uncertainty_ppm(refraction: Refraction) -> tuple[float, float, float]:
     """Standard uncertainty of all ranges, ppm, and ppm per K and per hPa.
 
     It is common to the whole Run, and to the positioning errors of all axes.
@@ -184,7 +184,7 @@ def state_scale_ppm(refraction: Refraction) -> tuple[float, float, float]:
     away = [[0.0, 0.0, 0.0], *np.diag(sizes)]
     if _ALTITUDE in refraction.assumed:
         higher_m = _USUAL_ALTITUDE_M + ASSUMED[_ALTITUDE]
-        less_hpa = _find_usual_hpa(None) - find_site_pressure_hpa(higher_m)
+        less_hpa = _compute_typical_hpa(None) - find_site_pressure_hpa(higher_m)
         away.append([0.0, less_hpa, 0.0])
     at = np.array(refraction.air or _USUAL_AIR) + np.array(away)
     index = find_air_index(light.wavelength_nm, *at.T, is_group=light.is_group)
@@ -204,7 +204,7 @@ def state_length_ppm(refraction: Refraction, tracker_ppm: float) -> float:
     """
     air_ppm = UNCORRECTED_PPM
     if refraction.by != NOBODY:
-        air_ppm = state_scale_ppm(refraction)[0]
+        air_ppm = range_scale_uncertainty_ppm(refraction)[0]
     return math.hypot(air_ppm, tracker_ppm)
 
 
@@ -233,7 +233,7 @@ def refraction_from_json(content: Any) -> Refraction:
     )
 
 
-def _find_usual_hpa(altitude_m: float | None) -> float:
+def _compute_typical_hpa(altitude_m: float | None) -> float:
     return find_site_pressure_hpa(
         _USUAL_ALTITUDE_M if altitude_m is None else altitude_m
     )

@@ -101,7 +101,7 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     ends = (max(k for k, cell in enumerate(row, 1) if cell) for row in made)
     needed = Counter(ends).most_common(1)[0][0]
     if name == "comma":
-        _refuse_decimal_comma(lines, split, file)
+        _reject_decimal_comma(lines, split, file)
     shape = (needed, width)
     first = next(n for n in filled if _is_data(split[n]) and _fits(split[n], shape))
     header, units = _find_header(split, first, shape)
@@ -202,7 +202,7 @@ def _pad(row: list[str], width: int) -> list[str]:
     return (row + [""] * width)[:width]
 
 
-def _refuse_decimal_comma(
+def _reject_decimal_comma(
     lines: Sequence[str], split: Sequence[list[str]], file: str
 ) -> None:
     """Refuse ambiguous commas: rows of whole numbers, or of many widths."""

@@ -227,7 +227,7 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     names = cells.names or ("",) * len(columns)
     blank = [c.index for c in columns if not c.role and not names[c.index]]
     some = _take_some(cells)
-    kind = {k: _tell_kind(some, k) for k in blank}
+    kind = {k: _detect_kind(some, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
     has_clock = "time" in roles or "time" in kind.values()
@@ -264,7 +264,7 @@ def _take_some(cells: Cells) -> Cells:
     return replace(cells, columns=columns, row_of=rows)
 
 
-def _tell_kind(cells: Cells, index: int) -> str:
+def _detect_kind(cells: Cells, index: int) -> str:
     column = cells.columns[index]
     some = column[:: len(column) // _KINDS + 1]
     if any(map(CLOCK.search, some)):
@@ -275,11 +275,11 @@ def _tell_kind(cells: Cells, index: int) -> str:
         NUMBER.match(c) or is_none(c) for c in some
     ):
         return "word"
-    is_whole = not any(set(".,eEdD") & set(cell) for cell in some)
+    is_complete = not any(set(".,eEdD") & set(cell) for cell in some)
     comma = any("," in cell for cell in some) and not any("." in cell for cell in some)
     step = np.diff(read_numbers(cells, index, "comma" if comma else "point"))
     rises = step.size and (step >= 0).mean() > _RISING and not (step == step[0]).all()
-    if is_whole:
+    if is_complete:
         return "count" if rises else "whole"
     return "rising" if rises else "decimal"
 

@@ -44,7 +44,7 @@ def find_points(
     commanded: Commanded,
     shots: Shots,
     names: Sequence[str],
-    find_places: FindPlaces | None,
+    find_locations: FindPlaces | None,
 ) -> tuple[NDArray[np.int64] | None, dict[str, int], tuple[str, ...]]:
     """The commanded point of each row, of each name its row from 1, and notes.
 
@@ -61,8 +61,8 @@ def find_points(
             "cannot be told: names repeat", file=cells.file, remedy=remedy
         )
     by_place = None
-    if find_places is not None and not is_stream:
-        by_place = _find_by_place(commanded, shots, find_places)
+    if find_locations is not None and not is_stream:
+        by_place = _find_by_place(commanded, shots, find_locations)
     slack = 0 if by_place is None else _MOST_SHIFT
     found: dict[tuple[int, ...], tuple[Column, dict[str, int]]] = {}
     for column in columns:
@@ -85,7 +85,7 @@ def find_points(
         )
     for row, (column, row_of) in found.items():
         by_name = np.array(row) - 1
-        notes = _tell_shifts(cells, by_name, by_place)
+        notes = _describe_shifts(cells, by_name, by_place)
         if by_place is not None and notes:
             return by_place, {}, notes
         if by_name.max() >= points:
@@ -109,9 +109,9 @@ def find_points(
 
 
 def _find_by_place(
-    points: Configurations, shots: Shots, find_places: FindPlaces
+    points: Configurations, shots: Shots, find_locations: FindPlaces
 ) -> NDArray[np.int64] | None:
-    found = find_places(points, shots.position_mm[shots.is_valid])
+    found = find_locations(points, shots.position_mm[shots.is_valid])
     if found is None:
         return None
     by_place = np.full(len(shots.is_valid), -1)
@@ -119,7 +119,7 @@ def _find_by_place(
     return by_place
 
 
-def _tell_shifts(
+def _describe_shifts(
     cells: Cells, by_name: NDArray[np.int64], by_place: NDArray[np.int64] | None
 ) -> tuple[str, ...]:
     if by_place is None:

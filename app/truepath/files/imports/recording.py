@@ -98,7 +98,7 @@ def read_recording(
     commanded: Commanded,
     options: TextOptions,
     names: Sequence[str] = (),
-    find_places: FindPlaces | None = None,
+    find_locations: FindPlaces | None = None,
 ) -> Recording:
     """Read an exported recording of commanded rows, with all its problems.
 
@@ -143,7 +143,7 @@ def read_recording(
     )
     shots = Shots(position_mm, status == 0, time_s)
     rows, mapping, said = attempt(
-        lambda: find_points(cells, columns, commanded, shots, names, find_places),
+        lambda: find_points(cells, columns, commanded, shots, names, find_locations),
         (None, {}, ()),
     )
     ordered = attempt(

@@ -148,8 +148,8 @@ def _set_aside(database: Database) -> Path | None:
 
 def _add_runs(catalogue: RunCatalogue) -> tuple[int, dict[str, str]]:
     left = [
-        *((i, catalogue.read_measured) for i in catalogue.list_left_behind()),
-        *((i, catalogue.read_uploaded) for i in catalogue.list_uploads_left()),
+        *((i, catalogue.read_measured) for i in catalogue.list_uncatalogued()),
+        *((i, catalogue.read_uploaded) for i in catalogue.list_remaining_uploads()),
     ]
     unreadable: dict[str, str] = {}
     for run_id, read in sorted(left, key=lambda one: one[0]):

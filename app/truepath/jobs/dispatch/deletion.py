@@ -78,7 +78,7 @@ class Deletion:
 
         Raises NotFound, StillNeeded.
         """
-        self._refuse_certified(job_id)
+        self._reject_certified(job_id)
         found = Deleted("job", job_id, self._hash_files(job_id))
 
         def change(connection: Connection) -> None:
@@ -106,7 +106,7 @@ class Deletion:
         if answers and not with_results:
             raise _make_refusal(f"run {run_id}", answers)
         for job in answers:
-            self._refuse_certified(job.id)
+            self._reject_certified(job.id)
         found = [Deleted("job", job.id, self._hash_files(job.id)) for job in answers]
         files = {f"runs/{record.file}": record.sha256}
         found.append(Deleted("run", run_id, files))
@@ -156,7 +156,7 @@ class Deletion:
         above = self._results.parent
         return {f.relative_to(above).as_posix(): hash_file(f) for f in files}
 
-    def _refuse_certified(self, job_id: str) -> None:
+    def _reject_certified(self, job_id: str) -> None:
         own = self._results / job_id
         stated = {hash_file(own / n) for n in _STATED if (own / n).is_file()}
         for record in self._results.glob(f"*/{_CERTIFICATES}"):
@@ -218,12 +218,12 @@ def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
         if _answers(job):
             _delete_job(connection, job, allowed)
         elif run_id in job.run_ids:
-            _forget_run(connection, job, run_id)
+            _remove_run(connection, job, run_id)
     connection.execute(delete(runs).where(runs.c.id == run_id))
     _note_deletion(connection, "run", run_id)
 
 
-def _forget_run(connection: Connection, job: Job, run_id: str) -> None:
+def _remove_run(connection: Connection, job: Job, run_id: str) -> None:
     left = [one for one in job.run_ids if one != run_id]
     if job.run_id != run_id:
         first = job.run_id

@@ -18,7 +18,11 @@ from truepath.catalogue.errors import (
 from truepath.catalogue.job import Job
 from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.store.idempotency import IdempotencyKey
-from truepath.catalogue.store.job_changes import leave_end, put_back, require_version
+from truepath.catalogue.store.job_changes import (
+    reopen_measurement,
+    requeue,
+    require_version,
+)
 from truepath.catalogue.transitions import State, Verb, apply_verb
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
@@ -32,7 +36,7 @@ from truepath.jobs.dispatch.resumability import (
     require_resumable,
     require_targets_apart,
 )
-from truepath.jobs.kinds.requested_job import RequestedJob, check_requested_job
+from truepath.jobs.kinds.job_creation import RequestedJob, check_requested_job
 from truepath.jobs.kinds.workflow import run_job
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import (
@@ -225,7 +229,7 @@ class Dispatcher:
             self._require_conditions(active.job)
         job = active.apply_verb(Verb.RESUME, version)
         if then is not OnNotice.NOTE:
-            active.wish(then)
+            active.request_notice_action(then)
         if job.state is State.RESUMING:
             self._command_cell(job, CellVerb.RESUME)
         return job
@@ -262,7 +266,9 @@ class Dispatcher:
         if self._under_way.is_closing:
             raise CellDown("the service is ending")
         job = self._context.store.change(
-            job_id, lambda ended: leave_end(ended, driven.version), version=job.version
+            job_id,
+            lambda ended: reopen_measurement(ended, driven.version),
+            version=job.version,
         )
         self._under_way.begin(job)
         active = self._under_way.get(job_id)
@@ -310,7 +316,7 @@ class Dispatcher:
         self._under_way.join(deadline)
 
     def _begin_again(self, job: Job) -> None:
-        queued = self._context.store.change(job.id, put_back, version=job.version)
+        queued = self._context.store.change(job.id, requeue, version=job.version)
         log.info("job found unfinished", job_id=job.id, was=str(job.state))
         if not queued.is_final:
             self._under_way.begin(queued)
@@ -421,7 +427,7 @@ class _JobsUnderWay:
             if job.kind.measures:
                 catalogue_runs(job, self._context)
             if job.kind.analyses and job.machine and self._context.calibrations:
-                self._context.calibrations.judge(job.machine)
+                self._context.calibrations.update_status(job.machine)
         finally:
             with self._lock:  # acknowledged meanwhile, it has another thread
                 if self._active.get(job.id) is active:

@@ -16,8 +16,8 @@ from truepath.errors import NotFound
 from truepath.files.bundle.identity_file import (
     OF_ONE_MEASUREMENT,
     Identity,
-    read_kept_identities,
-    write_kept_identities,
+    read_stored_identities,
+    write_stored_identities,
 )
 
 log = structlog.get_logger(__name__)
@@ -53,7 +53,7 @@ def describe_identity(record: MachineRecord | None) -> Identity:
     return {**record.stated, **{field: text for field, text in own.items() if text}}
 
 
-def keep_identity(
+def store_identity(
     record: MachineRecord | None, given: Identity, registry: MachineRegistry
 ) -> Identity:
     """Merge new entries into the stored ones; gives all of them.
@@ -77,13 +77,13 @@ def take_over_identities(data_folder: Path, registry: MachineRegistry) -> None:
     until they are. Raises BundleError on a damaged file.
     """
     file = data_folder / "identities.json"
-    kept = read_kept_identities(file)
+    kept = read_stored_identities(file)
     left = dict(kept)
     for name, stated in kept.items():
         record = registry.find_by_name(name)
         if record is not None:
-            keep_identity(record, {**stated, **describe_identity(record)}, registry)
+            store_identity(record, {**stated, **describe_identity(record)}, registry)
             del left[name]
             log.info("identity taken over", machine=record.id)
     if left != kept:
-        write_kept_identities(file, left)
+        write_stored_identities(file, left)

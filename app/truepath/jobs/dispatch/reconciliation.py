@@ -62,7 +62,7 @@ def reconcile(
     skip : Runs to ignore; most : largest number of Runs to read
     """
     failed: dict[str, str] = {}
-    left = [i for i in context.runs.list_left_behind() if i not in skip]
+    left = [i for i in context.runs.list_uncatalogued() if i not in skip]
     for run_id in left[:most]:
         try:
             context.runs.read_measured(run_id)

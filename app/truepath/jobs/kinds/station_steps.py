@@ -32,11 +32,11 @@ from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import hash_commanded, list_commanded
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.row_measurement import measure_rows
+from truepath.jobs.running.fixed_path_measurement import measure_rows
 from truepath.jobs.running.station_resumption import (
     list_kept_ids,
     make_resumption,
-    select_left,
+    select_remaining,
 )
 from truepath.motion.configurations import Commanded
 
@@ -227,7 +227,7 @@ class StationSteps:
         run_ids = [*list_kept_ids(station), run_id]
         try:
             self._drive(
-                select_left(station), run_id, f"station {number}", gives_up=False
+                select_remaining(station), run_id, f"station {number}", gives_up=False
             )
             self._keep(number, measured=True, run_ids=run_ids)
         finally:
@@ -264,4 +264,4 @@ class StationSteps:
             {**station, **values} if k == number else station
             for k, station in enumerate(plan["stations"], start=1)
         ]
-        self.context.store.keep_plan(self.job.id, plan)
+        self.context.store.store_plan(self.job.id, plan)

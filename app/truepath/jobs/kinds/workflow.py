@@ -31,22 +31,22 @@ from truepath.catalogue.transitions import State
 from truepath.errors import TruepathError
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json
-from truepath.jobs.kinds.driving_steps import DrivingSteps
+from truepath.jobs.kinds.motion_workflow import DrivingSteps
 from truepath.jobs.kinds.station_steps import StationSteps, begin_at_station
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import (
+    assess_approach,
+    assess_path,
     hash_commanded,
-    judge_approach,
-    judge_path,
     list_commanded,
 )
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.notices import add_to_result
-from truepath.jobs.running.plan_orders import order_first_part
+from truepath.jobs.running.live_alerts import add_to_result
+from truepath.jobs.running.plan_requests import request_first_part
 from truepath.jobs.running.resumption import ResumedSteps, Resumption
 from truepath.jobs.workers.executor import Task
 from truepath.jobs.workers.reanalysis import Reanalysis, list_orders, write_summary
-from truepath.jobs.workers.unchanged_runs import OfUnchangedRuns
+from truepath.jobs.workers.run_integrity import OfUnchangedRuns
 from truepath.machines.conditions.conditions import NO_JOB
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
@@ -86,7 +86,7 @@ def _choose_machine(job: Job, context: JobContext) -> JobContext:
 
 def _put_back(active: ActiveJob) -> None:
     try:
-        active.put_back()
+        active.requeue()
     except StorageUnavailable as error:  # the next start of the service will find it
         log.warning("the job cannot be queued again yet", reason=str(error))
 
@@ -137,7 +137,7 @@ def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None
             job = active.end(state, failure)
         except StorageUnavailable:
             if active.is_interrupted:
-                active.forget_end()
+                active.discard_pending_end()
                 return
             host_clock.sleep_s(TRY_AGAIN_S)
         else:
@@ -179,12 +179,12 @@ class _JobSteps:
 
     def _plan(self) -> None:
         state = State.PREPARING if self.job.kind.measures else State.RUNNING
-        machine, order = self.context.require_machine(), self._plan_order()
+        machine, order = self.context.require_machine(), self._plan_request()
         if self._is_adaptive:
-            order = order_first_part(machine, order)
+            order = request_first_part(machine, order)
         planner = self.context.planner
         plan = self._compute(state, Stage.PLANNING, planner, machine, order)
-        self.context.store.keep_plan(self.job.id, plan)
+        self.context.store.store_plan(self.job.id, plan)
 
     def _prepare_rest(self) -> None:
         plan = self.context.store.read_plan(self.job.id) or {}
@@ -200,10 +200,10 @@ class _JobSteps:
         begin_at_station(self.active, self.context.store)
         parts = list_commanded(plan)
         self._show_path(parts)
-        self._hear_tracker()
+        self._monitor_tracker()
         self.active.enter(State.READY, Stage.MEASURING)
         try:
-            self.active.wait_until_armed(hash_commanded(parts), self._hear_tracker)
+            self.active.wait_until_armed(hash_commanded(parts), self._monitor_tracker)
         finally:
             self._show_path(())
         return commanded
@@ -212,23 +212,23 @@ class _JobSteps:
         driven = self.context.driven or self.context.machines.choose(None)
         if driven.conditions is None:
             return
-        order = self._plan_order()
+        order = self._plan_request()
         workspace = workspace_from_json(order.get("workspace") or {})
         machine, board = driven.machine, driven.conditions
         if parts:
-            board.judge_approach = partial(judge_approach, machine, parts, workspace)
-        board.path = judge_path(machine, parts, workspace) if parts else NO_JOB
+            board.assess_approach = partial(assess_approach, machine, parts, workspace)
+        board.path = assess_path(machine, parts, workspace) if parts else NO_JOB
         asked = {"on": True, "off": False}.get(order.get("control_compensation", ""))
         board.wants_compensation = asked if parts else None
 
-    def _hear_tracker(self) -> None:
+    def _monitor_tracker(self) -> None:
         driven = self.context.driven or self.context.machines.choose(None)
         if driven.conditions is None:
             return
         machine = driven.machine
         rate_hz, aims = machine.tracker.rate_hz, len(machine.targets) > 1
         with suppress(CellDown):  # that is a separate condition
-            driven.cell.hear_tracker(rate_hz, aims=aims)
+            driven.cell.monitor_tracker_at_rest(rate_hz, aims=aims)
 
     def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
         plan, job = self.context.store.read_plan(self.job.id) or {}, self.job
@@ -241,10 +241,12 @@ class _JobSteps:
             run_id = self._resumed_steps.begin_part(resumption, commanded)
             commanded = resumption.select_rest(commanded)
         elif job.started is not None:
-            run_id = self._resumed_steps.begin_anew()
-        order = self._plan_order()
-        going_on = (0, ()) if resumption is None else resumption.going_on
-        steps = DrivingSteps(job, self.active, self.context, order, run_id, *going_on)
+            run_id = self._resumed_steps.start_over()
+        order = self._plan_request()
+        continuation = (0, ()) if resumption is None else resumption.continuation
+        steps = DrivingSteps(
+            job, self.active, self.context, order, run_id, *continuation
+        )
         steps.run(commanded)
         return tuple(dict.fromkeys((*before, run_id)))
 
@@ -337,7 +339,7 @@ class _JobSteps:
             self.active,
             self.context,
             self._compute,
-            self._hear_tracker,
+            self._monitor_tracker,
             self._show_path,
         )
 
@@ -345,7 +347,7 @@ class _JobSteps:
     def _is_adaptive(self) -> bool:
         return self.job.kind is JobKind.MEASURE_ADAPTIVE
 
-    def _plan_order(self) -> Json:
+    def _plan_request(self) -> Json:
         file, _ = self._find_model()
         request = self.context.store.read_plan_request(self.job.id)
         return {**request, "model_file": file}

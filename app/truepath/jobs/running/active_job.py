@@ -27,10 +27,10 @@ from truepath.catalogue.job import (
 )
 from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.store.job_changes import (
-    ask_for,
+    apply_request,
     end_job,
     enter_state,
-    put_back,
+    requeue,
     set_failure,
 )
 from truepath.catalogue.store.store import Store
@@ -84,9 +84,9 @@ class ActiveJob:
         """Whether the service ends."""
         return self._interrupted
 
-    def forget_end(self) -> None:
+    def discard_pending_end(self) -> None:
         """Leave the end of the job to the next start of the service."""
-        self._store.forget_end(self.job_id)
+        self._store.discard_pending_end(self.job_id)
 
     @property
     def is_aborted(self) -> bool:
@@ -110,10 +110,10 @@ class ActiveJob:
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Store a user's request. Raises IllegalTransition, StaleVersion."""
-        seen = self._store.see(self.job)
+        seen = self._store.apply_pending_end(self.job)
         if seen.is_final:  # whether that could be stored or not
-            return ask_for(seen, verb)
-        return self._change(lambda job: ask_for(job, verb), version)
+            return apply_request(seen, verb)
+        return self._change(lambda job: apply_request(job, verb), version)
 
     def arm(self, plan_sha256: str) -> None:
         """Permit the motion of the plan with this hash."""
@@ -137,11 +137,11 @@ class ActiveJob:
                 self.wants_pause = True
             raise
 
-    def wish(self, what: OnNotice) -> None:
+    def request_notice_action(self, what: OnNotice) -> None:
         """Set the action on the newest notice."""
         self._wish = what
 
-    def take_wish(self) -> OnNotice | None:
+    def pop_notice_action(self) -> OnNotice | None:
         """Action that a user has chosen; None on the next call."""
         wish, self._wish = self._wish, None
         return wish
@@ -238,7 +238,7 @@ class ActiveJob:
             )
 
         def ask(job: Job) -> Job:
-            return ask_for(job, Verb.ABORT) if state is State.ABORTED else job
+            return apply_request(job, Verb.ABORT) if state is State.ABORTED else job
 
         try:
             if state is State.ABORTED:
@@ -247,16 +247,16 @@ class ActiveJob:
         except StorageUnavailable as error:
             # A success is seen when it is stored: its result is found by it.
             if state is not State.SUCCEEDED:
-                ended = self._store.keep_end(self.job, change(ask(self.job)))
+                ended = self._store.mark_ended(self.job, change(ask(self.job)))
                 with self._changed:
                     if self.state is not ended.state:  # once; it is shown again then
                         self.state, self._unstored = ended.state, None
             self.show_unstored(error)
             raise
 
-    def put_back(self) -> None:
+    def requeue(self) -> None:
         """Queue the job again for the next start of the service."""
-        self._change(lambda job: put_back(job, in_order=True))
+        self._change(lambda job: requeue(job, in_order=True))
 
     def add_run(self, run_id: str) -> None:
         """Store a new Run of the job, unless it has ended."""
@@ -289,7 +289,7 @@ class ActiveJob:
         if is_new_stage or now - self._stored_at >= STORE_EVERY_S:
             self._stored_at = now
             try:
-                self._store.keep_progress(
+                self._store.store_progress(
                     self.job_id, self._stage, progress, self._health
                 )
             except StorageUnavailable as error:
@@ -309,7 +309,7 @@ class ActiveJob:
 
     def show(self, job: Job) -> Job:
         """The stored job, with a failure that could not be stored."""
-        seen = self._store.see(job)
+        seen = self._store.apply_pending_end(job)
         if seen.is_final or self._unstored is None:
             return seen
         return replace(seen, failure=self._unstored)

@@ -18,7 +18,7 @@ from truepath.files.bundle.commanded_file import (
     encode_commanded_json,
 )
 from truepath.jobs.running.resumption import Resumption
-from truepath.jobs.running.station_resumption import select_left
+from truepath.jobs.running.station_resumption import select_remaining
 from truepath.kinematics.machine.machine import Machine, Target, position_unit
 from truepath.machines.conditions.conditions import Condition, Finding, Level
 from truepath.machines.machine_cells import MachineCell
@@ -73,7 +73,7 @@ class Arming:
     valid_s: float
 
 
-def judge_path(
+def assess_path(
     machine: Machine, parts: Sequence[Commanded], workspace: Workspace
 ) -> Finding:
     """Whether all parts stay in the travel and out of keep-out boxes.
@@ -85,10 +85,10 @@ def judge_path(
     try:
         for part in parts:
             check_travel(machine, part)
-            clear.refuse(machine, part)
+            clear.require_allowed(machine, part)
         for number, (before, after) in enumerate(pairwise(parts), start=2):
             begin, end = before.position[-1], after.position[0]
-            clear.refuse_way(
+            clear.reject_way(
                 machine, begin, end, f"the way on to part {number}", REPLAN
             )
     except OutOfTravel as error:
@@ -98,7 +98,7 @@ def judge_path(
     return Finding(Level.TRUE)
 
 
-def judge_approach(
+def assess_approach(
     machine: Machine,
     parts: Sequence[Commanded],
     workspace: Workspace,
@@ -122,7 +122,7 @@ def judge_approach(
         "the way to the first row",
     )
     try:
-        workspace.without_sight.refuse_way(
+        workspace.without_sight.reject_way(
             machine,
             begin,
             first.position[0],
@@ -145,7 +145,7 @@ def list_commanded(plan: Mapping[str, Any] | None) -> list[Commanded]:
     if "stations" in plan:
         points = decode_commanded_json(plan["known_points"])
         left = [one for one in plan["stations"] if not one.get("measured")]
-        return [rows for one in left for rows in (points, select_left(one))]
+        return [rows for one in left for rows in (points, select_remaining(one))]
     commanded, resumption = decode_commanded_json(plan), Resumption.read(plan)
     if resumption is None:
         return [commanded]
@@ -167,7 +167,7 @@ def summarise_motion(
 ) -> MotionSummary:
     """Extent, feeds and duration of the parts.
 
-    here : as in `judge_approach`; the motion from there is in the envelope
+    here : as in `assess_approach`; the motion from there is in the envelope
     """
     grows = kind is JobKind.MEASURE_ADAPTIVE
     named = {name for part in parts for name in part.target}

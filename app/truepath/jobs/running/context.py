@@ -14,9 +14,8 @@ from truepath.catalogue.transitions import State
 from truepath.jobs.running.cell_measurement import CONFIRM_S
 from truepath.jobs.running.live_estimation import LiveEstimation, Show
 from truepath.jobs.running.live_process import LiveEstimateOrder
-from truepath.jobs.running.plan_orders import plan_measurement
-from truepath.jobs.workers.executor import ProcessExecutor, Task
-from truepath.jobs.workers.science import (
+from truepath.jobs.running.plan_requests import plan_measurement
+from truepath.jobs.workers.analysis_tasks import (
     check_closure,
     check_station,
     discover_recorded,
@@ -25,6 +24,7 @@ from truepath.jobs.workers.science import (
     reanalyse_run,
     verify_recorded,
 )
+from truepath.jobs.workers.executor import ProcessExecutor, Task
 from truepath.jobs.workers.workers import Workers
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.cell_supervisor import CellSupervisor

@@ -39,7 +39,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell import Cell
 from truepath.motion.configurations import Commanded, append_part
-from truepath.motion.paths.planned_rows import PlannedRows
+from truepath.motion.paths.plan_segments import PlannedRows
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
@@ -103,7 +103,7 @@ class LiveEstimation:
         with suppress(queue.Full):
             host_clock.put(self._queue, LiveCommand.CHOOSE_PART, FINISH_S)
 
-    def take_part(self) -> Part | None:
+    def pop_part(self) -> Part | None:
         """Reply to `ask`, once it is there. Never waits."""
         with suppress(queue.Empty):
             return self._parts.get_nowait()
@@ -251,7 +251,7 @@ class LiveSteering:
         return is_usable and reached_um <= (self.target_um or 0.0)
 
     def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
-        part = self.live.take_part()
+        part = self.live.pop_part()
         if part is not None:
             self._answer_by = None
             self._add(part, commanded)

@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any
 from truepath.files.bundle.run import PointBlock
 from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.run_file.run_reading import open_recorded
+from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.motion.configurations import Commanded, Configurations, append_part
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
-    from truepath.estimation.live.earlier_runs import EarlierRun
     from truepath.estimation.live.live import LiveEstimator
+    from truepath.estimation.live.previous_runs import PreviousRun
     from truepath.planning.adaptive_plan import AdaptivePlanner, Part
-    from truepath.planning.plan_order import PlanOrder
+    from truepath.planning.plan_request import PlanRequirements
 
 _BEHIND, _AHEAD = 2, 10
 """Rows before and after the newest whose predicted positions are reported."""
@@ -39,7 +39,7 @@ _MICRO = 1e3  # mm to µm
 class LiveEstimateOrder:
     """Measurement to estimate.
 
-    request : as in `plan_orders`: the model whose effects are estimated too, and the
+    request : as in `plan_requests`: the model whose effects are estimated too, and the
         aim of the further parts of an adaptive measurement
     total : planned lines or points, where they are commanded part by part
     earlier_files : Runs of the measurement that is resumed
@@ -98,13 +98,13 @@ def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
 
 def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
-    from truepath.estimation.live.earlier_runs import align_earlier
     from truepath.estimation.live.live import LiveEstimator
-    from truepath.jobs.running.plan_orders import read_plan_order
+    from truepath.estimation.live.previous_runs import align_earlier
+    from truepath.jobs.running.plan_requests import read_plan_requirements
 
     files = order.earlier_files
     earlier = align_earlier([open_recorded(FilePath(file)) for file in files])
-    request = read_plan_order(order.request or {})
+    request = read_plan_requirements(order.request or {})
     live = LiveEstimator(
         order.machine,
         order.commanded,
@@ -117,24 +117,24 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     while not stream.is_over:
         is_new = False
         blocks = stream.gather()
-        for part in stream.take_parts():
+        for part in stream.pop_parts():
             chooser.go_on(part)
             is_new = True
         for block in blocks:
-            is_new = live.take(block) or is_new
+            is_new = live.add_block(block) or is_new
         if stream.is_over:
             is_new = live.finish()
         if is_new:
-            _tell(link, live, chooser, stream)
+            _send_live_estimate(link, live, chooser, stream)
         if stream.is_asked:
             stream.is_asked = False
             part = chooser.next()
             link.send(PartChosen(part))
             if part.rows:  # its first line is to be known as commanded
-                _tell(link, live, chooser, stream)
+                _send_live_estimate(link, live, chooser, stream)
 
 
-def _tell(
+def _send_live_estimate(
     link: Connection, live: LiveEstimator, chooser: _PartChooser, stream: _Stream
 ) -> None:
     now, begun_s = live.estimate(), stream.begun_s or 0.0
@@ -154,9 +154,9 @@ class _PartChooser:
     def __init__(
         self,
         order: LiveEstimateOrder,
-        request: PlanOrder,
+        request: PlanRequirements,
         live: LiveEstimator,
-        earlier: Sequence[EarlierRun],
+        earlier: Sequence[PreviousRun],
     ) -> None:
         self._order, self._request, self._live = order, request, live
         self._earlier = earlier
@@ -203,7 +203,7 @@ class _Stream:
         self.begun_s: float | None = None
         self._parts: list[Commanded] = []
 
-    def take_parts(self) -> list[Commanded]:
+    def pop_parts(self) -> list[Commanded]:
         parts, self._parts = self._parts, []
         return parts
 
@@ -239,14 +239,14 @@ class _Stream:
 def estimate_json(now: Any) -> dict[str, Any]:
     """A LiveEstimate in the form of `result.json`."""
     from truepath.results.error_tables import build_error_tables
-    from truepath.results.verdict import judge_live
+    from truepath.results.result_assessment import assess_live
 
     tables = build_error_tables(now)
     places = {
         place.symbol: _number(place, f"_{place.unit}") for place in tables.locations
     }
     return {
-        "verdict": verdict_json(judge_live(now.check, now.done)),
+        "verdict": verdict_json(assess_live(now.check, now.done)),
         "volumetric_uncertainty_um": round(_MICRO * now.volumetric_sigma_mm, 4),
         "done": now.done,
         "cells": now.cells,

@@ -26,7 +26,7 @@ from truepath.files.bundle.commanded_file import (
 )
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.row_measurement import measure_rows
+from truepath.jobs.running.fixed_path_measurement import measure_rows
 from truepath.motion.configurations import (
     Commanded,
     Configurations,
@@ -74,7 +74,7 @@ def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
     return int(ends[number - 1]) if number else 0, int(ends[number])
 
 
-def _join_told(plan: Json, base: int, told: Commanded) -> Commanded:
+def _append_later_rows(plan: Json, base: int, told: Commanded) -> Commanded:
     """A measurement that chooses rows as it moves may have commanded more than the plan
     could store.
 
@@ -124,7 +124,7 @@ class Resumption:
         )
 
     @property
-    def going_on(self) -> tuple[int, tuple[str, ...]]:
+    def continuation(self) -> tuple[int, tuple[str, ...]]:
         """First row of the further part, and the Runs before it."""
         return self.first_row, self.kept_run_ids
 
@@ -163,7 +163,7 @@ class ResumedSteps:
         parts = [part for part in parts if part["run_id"] in recorded]
         plan |= {"parts": parts, "resumption": None, **self._find(plan, parts)}
         found = plan["resumption"]
-        self.context.store.keep_plan(self.job.id, plan)
+        self.context.store.store_plan(self.job.id, plan)
         log.info("the measurement can go on", row=found and found["first_row"])
 
     def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any]:
@@ -180,7 +180,9 @@ class ResumedSteps:
         if not usable:
             return {}
         last, base = found[usable[-1]], parts[usable[-1]]["first_row"]
-        commanded = _join_told(plan, base, decode_commanded_json(last["commanded"]))
+        commanded = _append_later_rows(
+            plan, base, decode_commanded_json(last["commanded"])
+        )
         rows = [base + row for row in last["row"]]
         first, _ = _find_target(commanded, rows[-1])
         rows = [row for row in rows if row >= first]  # no target is changed
@@ -205,7 +207,7 @@ class ResumedSteps:
             self.job, self.active, self.context, points, closure_id, what="closure"
         )
         self._require_closure(resumption, closure_id)
-        self._keep_part({**part, "closure_id": closure_id})
+        self._append_part({**part, "closure_id": closure_id})
         return run_id
 
     def list_kept(self, resumption: Resumption | None) -> tuple[str, ...]:
@@ -218,16 +220,16 @@ class ResumedSteps:
         others = tuple(run_id for run_id in self.job.run_ids if run_id not in own)
         return (*others, *(() if resumption is None else resumption.kept_run_ids))
 
-    def begin_anew(self) -> str:
+    def start_over(self) -> str:
         """Run of a part from the first row, where no earlier Run can be used."""
         run_id = make_id()
-        self._keep_part({"run_id": run_id, "first_row": 0})
+        self._append_part({"run_id": run_id, "first_row": 0})
         return run_id
 
-    def _keep_part(self, part: Json) -> None:
+    def _append_part(self, part: Json) -> None:
         plan = dict(self.context.store.read_plan(self.job.id) or {})
         plan["parts"] = [*plan["parts"], part]
-        self.context.store.keep_plan(self.job.id, plan)
+        self.context.store.store_plan(self.job.id, plan)
 
     def _require_closure(self, resumption: Resumption, closure_id: str) -> None:
         found = self.compute(

@@ -18,7 +18,7 @@ from truepath.jobs.running.resumption import choose_first_row
 from truepath.motion.configurations import Commanded, select_rows
 
 
-def select_left(station: Json) -> Commanded:
+def select_remaining(station: Json) -> Commanded:
     """Remaining rows of a station, as the plan keeps it."""
     commanded, resumption = decode_commanded_json(station), station.get("resumption")
     if resumption is None:

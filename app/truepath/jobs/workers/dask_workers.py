@@ -103,7 +103,7 @@ class _Cluster:
                 elif host_clock.now_s() > deadline:
                     raise ClusterLost from error
             except KilledWorker as error:
-                raise _blame(number, error) from error
+                raise _worker_error(number, error) from error
             except (CancelledError, CommClosedError) as error:
                 raise ClusterLost from error
 
@@ -114,7 +114,7 @@ class _Cluster:
             return False
 
 
-def _blame(number: int, error: Exception) -> WorkerDied:
+def _worker_error(number: int, error: Exception) -> WorkerDied:
     return WorkerDied(
         f"block {number} ended every worker that computed it ({error}); it is not "
         "tried again; the workers may be short of memory"
@@ -182,7 +182,7 @@ class _Blocks:
         try:
             return future.result()
         except WorkerDied as error:
-            raise _blame(number, error) from error
+            raise _worker_error(number, error) from error
 
     def _open(self) -> Executor:
         log.warning(

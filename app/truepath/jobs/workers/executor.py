@@ -74,7 +74,7 @@ class ProcessExecutor:
             for process in filter(None, self._free):
                 process.close()
 
-    def take(self, cancelled: threading.Event) -> WorkerProcess:
+    def acquire(self, cancelled: threading.Event) -> WorkerProcess:
         """Wait for a free process. Raises Aborted if cancelled first."""
         with self._changed:
             host_clock.wait_for(
@@ -132,7 +132,7 @@ class Computation:
 
     def result(self) -> Any:
         """Wait for the value; raises TaskFailed, Aborted, or WorkerDied."""
-        process = self._process = self.executor.take(self._cancelled)
+        process = self._process = self.executor.acquire(self._cancelled)
         keep = True
         try:
             self.started()

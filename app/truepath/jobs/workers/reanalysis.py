@@ -24,7 +24,7 @@ from truepath.catalogue.store.store import Store
 from truepath.documents.whole_files import replace_file
 from truepath.errors import WorkerDied
 from truepath.jobs.workers.executor import Computation, ProcessExecutor, Task
-from truepath.jobs.workers.unchanged_runs import OfUnchangedRuns
+from truepath.jobs.workers.run_integrity import OfUnchangedRuns
 from truepath_drivers import host_clock
 
 SUMMARY, OUTCOME, RUNS = "reanalysis.json", "outcome.json", "runs"
@@ -123,7 +123,7 @@ class Reanalysis:
             raise Aborted("cancelled before it began")
         if not order.file:
             text = "its file has gone from the folder of runs"
-            keep_outcome(order, failure=("NotFound", text))
+            store_outcome(order, failure=("NotFound", text))
         else:
             self._compute(order)
         with self._lock:
@@ -145,9 +145,9 @@ class Reanalysis:
         try:
             computation.result()
         except TaskFailed as error:  # a changed file, or a defect of ours
-            keep_outcome(order, failure=(error.family, error.text))
+            store_outcome(order, failure=(error.family, error.text))
         except WorkerDied as error:
-            keep_outcome(order, failure=(type(error).__name__, str(error)))
+            store_outcome(order, failure=(type(error).__name__, str(error)))
         finally:
             with self._lock:
                 self._under_way.discard(computation)
@@ -159,7 +159,7 @@ class Reanalysis:
             self.started()
 
 
-def keep_outcome(
+def store_outcome(
     order: RunOrder,
     *,
     after: Json | None = None,

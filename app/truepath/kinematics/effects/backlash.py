@@ -25,7 +25,7 @@ from truepath.kinematics.effects.base import (
 )
 from truepath.kinematics.effects.error_motion import (
     find_arm,
-    find_usual_size,
+    get_typical_size,
 )
 from truepath.kinematics.effects.family import (
     USUAL_MM,
@@ -79,7 +79,7 @@ class Backlash(ErrorCurve):
 
     def prior(self) -> QuadraticPrior:
         """Mean square of h over the travel."""
-        return self.charge_square(_SHARE * find_usual_size(self.symbol))
+        return self.mean_square_prior(_SHARE * get_typical_size(self.symbol))
 
 
 def make_half_width(symbol: str, axis: Axis) -> Backlash:
@@ -133,7 +133,7 @@ class BacklashFamily(Family):
         """One per axis."""
         effects = [_lost_positioning(axis) for axis in at.machine.axes]
         usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
-        return [self.offer(e, [usual[is_turn(e.symbol)]]) for e in effects]
+        return [self.make_candidate(e, [usual[is_turn(e.symbol)]]) for e in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Width, µm; of a rotary axis without a sign, µrad.
@@ -147,7 +147,7 @@ class BacklashFamily(Family):
 
 
 @dataclass(frozen=True)
-class TurningOver(Backlash):
+class GradualBacklash(Backlash):
     """An error motion that changes sides gradually within some travel.
 
     turnover_mm : travel after a reversal in which it changes sides
@@ -198,7 +198,7 @@ class LateralBacklashFamily(Family):
     value_name = "turnover_mm"
     numbers = ("turnover_mm",)
     is_smooth = False
-    makes = TurningOver
+    makes = GradualBacklash
     keys = {"axis": replace(AXIS, phrase=""), "motion": MOTION}
     words = read_words("""
         [en]
@@ -227,7 +227,7 @@ class LateralBacklashFamily(Family):
             Candidate(
                 self.name,
                 {"axis": axis.name, "motion": symbol},
-                _turning_over(symbol, axis, first),
+                _gradual_backlash(symbol, axis, first),
                 np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
                 first,
             )
@@ -243,7 +243,7 @@ class LateralBacklashFamily(Family):
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
-        return _turning_over(symbol, axis, numbers.get(self.value_name, 0.0))
+        return _gradual_backlash(symbol, axis, numbers.get(self.value_name, 0.0))
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Turnovers, mm; None if the travel since each reversal is not recorded."""
@@ -256,8 +256,10 @@ class LateralBacklashFamily(Family):
         return {"half_width": half_width, self.value_name: found.value}
 
 
-def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:
+def _gradual_backlash(
+    symbol: str, axis: LinearAxis, turnover_mm: float
+) -> GradualBacklash:
     plain = make_half_width(symbol, axis)
-    return TurningOver(
+    return GradualBacklash(
         plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
     )

@@ -197,7 +197,7 @@ class SplineEffect(Effect):
         name, count = self.name, self.gauge.shape[1]
         return tuple(Parameter(f"{name}[{i}]", self.unit) for i in range(count))
 
-    def charge_square(self, usual: float, kind: str = "") -> QuadraticPrior:
+    def mean_square_prior(self, usual: float, kind: str = "") -> QuadraticPrior:
         """Mean square over all knots as a prior. usual : typical size of the values"""
         length = float(self.spline.knots[-1] - self.spline.knots[0])
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length

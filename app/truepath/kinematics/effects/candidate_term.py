@@ -84,7 +84,7 @@ def propose_terms(
     for run, conditions in enumerate(at):
         for family in families:
             for candidate in family.propose(conditions):
-                if not family.outlasts(candidate, conditions.machine):
+                if not family.persists_between_runs(candidate, conditions.machine):
                     yield CandidateTerm(family, candidate, run)
                 elif candidate.label not in of_machine:
                     of_machine.add(candidate.label)

@@ -131,7 +131,7 @@ class ElasticSagFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per ordered pair and direction."""
         return [
-            self.offer(ElasticSag(axis, by, direction), [2.0 * USUAL_MM])
+            self.make_candidate(ElasticSag(axis, by, direction), [2.0 * USUAL_MM])
             for axis, by in permutations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
@@ -170,7 +170,7 @@ class SwivelSagFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per pair and direction."""
         return [
-            self.offer(SwivelSag(axis, by, direction), [2.0 * USUAL_MM] * 2)
+            self.make_candidate(SwivelSag(axis, by, direction), [2.0 * USUAL_MM] * 2)
             for axis in at.machine.linear_axes
             for by in at.machine.rotary_axes
             for direction in LINEAR

@@ -69,7 +69,10 @@ class ErrorMotion(ErrorCurve):
         """
         length = self.axis.high - self.axis.low
         usual = (
-            find_usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
+            get_typical_size(self.symbol) ** 2
+            * (2.0 * np.pi / length) ** 4
+            * length
+            / 2
         )
         form = self.gauge.T @ self.spline.bending() @ self.gauge
         free = 1 if self.spline.period else 2
@@ -92,7 +95,7 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     return arms[symbol]
 
 
-def find_usual_size(symbol: str) -> float:
+def get_typical_size(symbol: str) -> float:
     """Typical size of an error motion, mm or rad."""
     return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
 

@@ -190,7 +190,7 @@ class Family(ABC):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Candidates under these conditions, scans at their middle."""
 
-    def offer(self, effect: Effect, usual: Iterable[float]) -> Candidate:
+    def make_candidate(self, effect: Effect, usual: Iterable[float]) -> Candidate:
         """Candidate whose keys and value are fields of the effect. usual : of θ"""
         keys = {key: getattr(effect, key) for key in self.keys}
         keys = {k: v.name if isinstance(v, Axis) else v for k, v in keys.items()}
@@ -230,7 +230,7 @@ class Family(ABC):
         parts = {k: key.read(machine, keys[k]) for k, key in self.keys.items()}
         return make(**parts, **{name: numbers[name] for name in self.numbers})
 
-    def outlasts(self, candidate: Candidate, machine: Machine) -> bool:
+    def persists_between_runs(self, candidate: Candidate, machine: Machine) -> bool:
         """Whether the effect can be restored, and so is in the next Run too."""
         numbers = self.list_numbers(candidate)
         return self.restore(machine, candidate.keys, numbers) is not None

@@ -133,7 +133,7 @@ class TiltWanderFamily(FreeFormFamily):
         off = at.point_mm - np.array([x, y, z])
         about = (first_s, span_s, (x, y, z), float(np.sqrt(3.0 * np.mean(off**2))))
         usual = USUAL_MM / np.array([*range(1, _HALF_WAVES + 1)])
-        return [self.offer(TiltWander(d, *about), usual) for d in LINEAR]
+        return [self.make_candidate(TiltWander(d, *about), usual) for d in LINEAR]
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class SideShapeFamily(FreeFormFamily):
             return []
         usual = USUAL_MM / np.array([*range(1, _SIDE_DEGREES + 1)])
         return [
-            self.offer(SideShape(axis, direction), usual)
+            self.make_candidate(SideShape(axis, direction), usual)
             for axis in at.machine.linear_axes
             for direction in LINEAR
         ]

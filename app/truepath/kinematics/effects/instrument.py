@@ -333,7 +333,7 @@ def _known(count: int) -> QuadraticPrior:
     return QuadraticPrior(np.eye(count), count, float(count), is_known=True)
 
 
-def is_of_instrument(effect: Effect) -> bool:
+def is_tracker_error(effect: Effect) -> bool:
     """Whether an effect is a systematic error of the tracker."""
     return isinstance(effect, TrackerErrors | SetUpErrors | RangeStep)
 

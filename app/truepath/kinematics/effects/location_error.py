@@ -90,7 +90,7 @@ class SquarenessFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per pair of axes."""
         names = tuple(axis.name for axis in at.machine.linear_axes)
-        return [self.offer(s, [_USUAL_RAD]) for s in list_squarenesses(names)]
+        return [self.make_candidate(s, [_USUAL_RAD]) for s in list_squarenesses(names)]
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ _LOOKS = ("range", "azimuth", "elevation")
 
 
 @dataclass(frozen=True)
-class LookError(BeamEffect):
+class DirectionalTrackerError(BeamEffect):
     """Range, or an angle, has an error that depends on the direction of the beam.
 
     middle, half : (2,) of azimuth from the mean direction, and of elevation, rad
@@ -119,7 +119,10 @@ class LookErrorFamily(BeamFamily):
         reach_mm = float(np.hypot(np.hypot(x, y), z))
         about = (turn_rad, (m1, m2), (h1, h2), reach_mm)
         falling = USUAL_MM / np.array([i + j for i, j in _PAIRS])
-        return [self.offer(LookError(look, *about), falling) for look in _LOOKS]
+        return [
+            self.make_candidate(DirectionalTrackerError(look, *about), falling)
+            for look in _LOOKS
+        ]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Root mean square over the directions, µm."""

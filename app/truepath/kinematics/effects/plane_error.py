@@ -98,7 +98,7 @@ class PlaneErrorFamily(Family):
         """One per pair of axes and direction."""
         falling = np.array([1.0 / (i * j) for i, j in _PAIRS])
         return [
-            self.offer(PlaneError(*plane, direction), USUAL_MM * falling)
+            self.make_candidate(PlaneError(*plane, direction), USUAL_MM * falling)
             for plane in combinations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]

@@ -136,7 +136,7 @@ class ScrewCyclicFamily(_FamilyOfAxes):
         """One per linear axis that resolves waves."""
         usual = USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND])
         axes = [a for a in at.machine.linear_axes if self.is_resolved(a, at)]
-        return [self.offer(ScrewCyclic(axis, 10.0), usual) for axis in axes]
+        return [self.make_candidate(ScrewCyclic(axis, 10.0), usual) for axis in axes]
 
 
 class GearCyclicFamily(_FamilyOfAxes):
@@ -175,7 +175,10 @@ class GearCyclicFamily(_FamilyOfAxes):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per rotary axis that resolves waves."""
         axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
-        return [self.offer(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2) for axis in axes]
+        return [
+            self.make_candidate(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2)
+            for axis in axes
+        ]
 
 
 class PositionWaveFamily(_FamilyOfAxes):
@@ -210,7 +213,7 @@ class PositionWaveFamily(_FamilyOfAxes):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per axis that resolves waves and direction across it."""
         return [
-            self.offer(PositionWave(axis, direction, 20.0), [USUAL_MM] * 2)
+            self.make_candidate(PositionWave(axis, direction, 20.0), [USUAL_MM] * 2)
             for axis in at.machine.linear_axes
             for direction in LINEAR
             if direction != axis.name and self.is_resolved(axis, at)

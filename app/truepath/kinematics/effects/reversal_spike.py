@@ -81,7 +81,7 @@ class ReversalSpikeFamily(Family):
         """One per axis that reverses, and direction."""
         axes = at.machine.linear_axes
         return [
-            self.offer(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
+            self.make_candidate(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
             for axis in axes
             for other in axes
             if _reverses(axis, at)

@@ -82,7 +82,10 @@ class RotaryEccentricityFamily(Family):
             for axis in at.machine.rotary_axes
             if np.ptp(at.axis_mm(axis.name)) >= _LEAST_TURN_DEG
         ]
-        return [self.offer(RotaryEccentricity(axis), [_USUAL_RAD] * 2) for axis in axes]
+        return [
+            self.make_candidate(RotaryEccentricity(axis), [_USUAL_RAD] * 2)
+            for axis in axes
+        ]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Amplitude in µrad, and phase."""

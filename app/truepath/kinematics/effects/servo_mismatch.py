@@ -70,4 +70,4 @@ class ServoMismatchFamily(Family):
         if at.recorded is None or not at.recorded.rate.any():
             return []
         axes = at.machine.linear_axes
-        return [self.offer(ServoMismatch(axis), [_USUAL_S]) for axis in axes]
+        return [self.make_candidate(ServoMismatch(axis), [_USUAL_S]) for axis in axes]

@@ -63,7 +63,9 @@ class TableDriftFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """A single candidate."""
         span = max(float(np.ptp(at.time_s)), 1.0)
-        return [self.offer(TableDrift(at.middle_s), [2.0 * USUAL_MM / span] * 3)]
+        return [
+            self.make_candidate(TableDrift(at.middle_s), [2.0 * USUAL_MM / span] * 3)
+        ]
 
 
 _STEP_S = 2.0
@@ -113,7 +115,7 @@ class SetupStepFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """A single candidate, at the middle of the Run."""
-        return [self.offer(SetupStep(at.middle_s), [USUAL_MM] * 3)]
+        return [self.make_candidate(SetupStep(at.middle_s), [USUAL_MM] * 3)]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Moments, none so early or late that one line would decide.

@@ -89,7 +89,9 @@ class SpeedErrorFamily(Family):
             if np.std(speed) <= _LEAST_SPREAD * fastest:
                 continue
             found += [
-                self.offer(SpeedError(axis, other.name, fastest), [USUAL_MM] * 2)
+                self.make_candidate(
+                    SpeedError(axis, other.name, fastest), [USUAL_MM] * 2
+                )
                 for other in at.machine.linear_axes
             ]
         return found

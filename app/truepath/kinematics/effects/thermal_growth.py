@@ -121,10 +121,10 @@ class ThermalGrowthFamily(Family):
         celsius = _read_sensor(axis, at)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
-            return self.offer(ThermalGrowth(axis, first), [_USUAL_PER_K])
+            return self.make_candidate(ThermalGrowth(axis, first), [_USUAL_PER_K])
         half_s = 0.5 * float(np.ptp(at.time_s))
         effect = WarmingUp(axis, half_s, float(at.time_s.min()))
-        return self.offer(effect, [_USUAL_GROWTH])
+        return self.make_candidate(effect, [_USUAL_GROWTH])
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Time constants in s; None where there is a sensor."""

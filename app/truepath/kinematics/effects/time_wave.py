@@ -120,7 +120,7 @@ class TimeWaveFamily(SinusoidFamily):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """One per direction."""
         waves = [TimeWave(d, 20.0, at.middle_s) for d in LINEAR]
-        return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
+        return [self.make_candidate(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
@@ -164,7 +164,7 @@ class VibrationFamily(SinusoidFamily):
         if at.recorded is None:
             return []
         waves = [Vibration(d, _LIMIT_HZ, at.middle_s) for d in LINEAR]
-        return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
+        return [self.make_candidate(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
@@ -225,7 +225,9 @@ class TimeWanderFamily(Family):
         """One per direction; slower waves are typically larger."""
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
         usual = USUAL_MM / np.array(_HALF_WAVES)
-        return [self.offer(TimeWander(d, first_s, span_s), usual) for d in LINEAR]
+        return [
+            self.make_candidate(TimeWander(d, first_s, span_s), usual) for d in LINEAR
+        ]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Root mean square over the Run, µm."""

@@ -68,7 +68,7 @@ class ToolGrowthFamily(Family):
         """A single candidate, at half the Run's length."""
         half_s = 0.5 * max(float(np.ptp(at.time_s)), 1.0)
         effect = ToolGrowth(half_s, float(at.time_s.min()))
-        return [self.offer(effect, [2.0 * USUAL_MM])]
+        return [self.make_candidate(effect, [2.0 * USUAL_MM])]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Time constants in s."""

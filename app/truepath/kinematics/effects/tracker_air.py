@@ -115,11 +115,11 @@ class ScaleDriftFamily(BeamFamily):
         celsius = read_air_degc(at)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
-            return [self.offer(ScaleByAir(first), [2.0 * _USUAL_PER_K])]
+            return [self.make_candidate(ScaleByAir(first), [2.0 * _USUAL_PER_K])]
         span = max(float(np.ptp(at.time_s)), 1.0)
         length = float(np.linalg.norm(recorded.tracker_mm, axis=1).mean())
         usual = 4.0 * USUAL_MM / (span * length)
-        return [self.offer(ScaleDrift(at.middle_s), [usual])]
+        return [self.make_candidate(ScaleDrift(at.middle_s), [usual])]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """In ppm per K, or per s."""
@@ -172,4 +172,4 @@ class BeamBendingFamily(BeamFamily):
         """A single candidate."""
         del at
         square = 3.0 * float(np.mean(recorded.tracker_mm**2))
-        return [self.offer(BeamBending(), [4.0 * USUAL_MM / square])]
+        return [self.make_candidate(BeamBending(), [4.0 * USUAL_MM / square])]

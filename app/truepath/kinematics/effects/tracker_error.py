@@ -90,7 +90,7 @@ class TrackerEccentricityFamily(BeamFamily):
         """One per circle."""
         del at, recorded
         effects = map(TrackerEccentricity, CIRCLES)
-        return [self.offer(effect, [_USUAL_RAD] * 2) for effect in effects]
+        return [self.make_candidate(effect, [_USUAL_RAD] * 2) for effect in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Amplitude in µrad, and phase."""
@@ -141,7 +141,7 @@ class TrackerRangeOffsetFamily(BeamFamily):
     ) -> Sequence[Candidate]:
         """A single candidate."""
         del at, recorded
-        return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
+        return [self.make_candidate(TrackerRangeOffset(), [4.0 * USUAL_MM])]
 
 
 @dataclass(frozen=True)
@@ -184,4 +184,4 @@ class ElevationIndexFamily(BeamFamily):
     ) -> Sequence[Candidate]:
         """A single candidate."""
         del at, recorded
-        return [self.offer(ElevationIndex(), [_USUAL_RAD])]
+        return [self.make_candidate(ElevationIndex(), [_USUAL_RAD])]

@@ -1,7 +1,7 @@
 """Conditions before the machine may move, as levels and not as events.
 
 Each condition is derived from readings of the cell in its own cycle: a device that does
-not answer delays no request (`condition_board`). The board reads once a second, so that
+not answer delays no request (`condition_log`). The board reads once a second, so that
 `since` is when a level changed and not when it was requested. What a device does not
 report is unknown; only a known fault is an obstacle, and a controller that the cell has
 not read for a while is a fault. The measurement checks everything again before it
@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from truepath.catalogue.calibrations import Standing
+from truepath.catalogue.calibrations import CalibrationStatus
 from truepath.errors import JobError
 from truepath.machines.cell_status import MOVING, CellStatus, ControllerLevels
-from truepath.machines.conditions.stream_watch import StreamLevels, Temperature
+from truepath.machines.conditions.stream_status import StreamLevels, Temperature
 
 
 class Level(StrEnum):
@@ -132,7 +132,7 @@ class Observed:
     free_bytes: int
     least_bytes: int
     clock_step_s: float = 0.0
-    standing: Standing | None = None
+    standing: CalibrationStatus | None = None
     stream: StreamLevels = field(default_factory=StreamLevels)
     drift_limit_degC: float | None = None  # noqa: N815
 

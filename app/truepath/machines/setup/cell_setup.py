@@ -17,7 +17,7 @@ from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import Machine
 from truepath.machine_settings import DeviceConfiguration
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.conditions.condition_board import ConditionBoard
+from truepath.machines.conditions.condition_log import ConditionLog
 from truepath.machines.conditions.conditions import Condition, Observed
 from truepath.machines.machine_cells import MachineCell
 from truepath.measurement.messages import CellConfig
@@ -46,7 +46,7 @@ def configure_cell(stated: DeviceConfiguration) -> CellConfig:
     )
 
 
-def refuse_same_names(named: Iterable[tuple[str, str]]) -> None:
+def reject_same_names(named: Iterable[tuple[str, str]]) -> None:
     """Raise BadInput where two machine files have one name, which identifies Runs.
 
     named : identifier and name of each machine
@@ -62,7 +62,7 @@ def refuse_same_names(named: Iterable[tuple[str, str]]) -> None:
         known[name] = machine_id
 
 
-def refuse_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
+def reject_shared_links(reached: Iterable[tuple[str, CellConfig]]) -> None:
     """Raise BadInput where two machines name one port or address.
 
     reached : identifier and devices of each machine
@@ -139,7 +139,7 @@ class CellSetup:
                 least_bytes=self.least_bytes,
                 clock_step_s=_read_clock_difference_s() - self.begun_s,
                 standing=self.calibrations
-                and self.calibrations.find_standing(machine_id),
+                and self.calibrations.find_calibration_status(machine_id),
                 stream=cell.stream.read(),
                 drift_limit_degC=self.drift_limit_degC,
             )
@@ -148,5 +148,5 @@ class CellSetup:
             body = {"machine": machine_id, **asdict(condition)}
             self.publish(JobEvent("condition", None, body))
 
-        board = ConditionBoard(observe, on_change=publish)
+        board = ConditionLog(observe, on_change=publish)
         return MachineCell(machine_id, machine, cell, board, version)

@@ -44,8 +44,8 @@ from truepath.machines.machine_cells import MachineCell, Machines
 from truepath.machines.setup.cell_setup import (
     CellSetup,
     configure_cell,
-    refuse_same_names,
-    refuse_shared_links,
+    reject_same_names,
+    reject_shared_links,
 )
 from truepath.machines.setup.simulated_controls import (
     LoadedFiles,
@@ -101,7 +101,9 @@ class MachineSetup:
         for one in known:
             devices = {"simulated": True} if one.control else _describe(one.config)
             content = machine_to_json(one.machine)
-            version = self.registry.note(one.id, SETTINGS, content, devices)
+            version = self.registry.record_configuration(
+                one.id, SETTINGS, content, devices
+            )
             self._put(one.id, one.machine, one.config, version)
         for record in self.registry.list_all():
             if record.origin == CATALOGUE and record.versions:
@@ -115,10 +117,12 @@ class MachineSetup:
         Raises BundleError, MachineKnown.
         """
         machine = machine_from_json(machine_file)
-        self._refuse_name(machine_id, machine.name)
+        self._reject_name(machine_id, machine.name)
         names = {"name": machine.name, **{k: v for k, v in identity.items() if v}}
         self.registry.add(machine_id, CATALOGUE, names)
-        self.registry.note(machine_id, CATALOGUE, machine_to_json(machine), {})
+        self.registry.record_configuration(
+            machine_id, CATALOGUE, machine_to_json(machine), {}
+        )
         return self.registry.get(machine_id)
 
     def set_devices(
@@ -136,10 +140,12 @@ class MachineSetup:
         record = self._get_changeable(machine_id, version)
         config = configure_cell(devices)
         _check_options(config)
-        self._refuse_links(machine_id, config)
+        self._reject_links(machine_id, config)
         content = record.versions[0].machine_file
         kept = devices.model_dump(mode="json")
-        number = self.registry.note(machine_id, CATALOGUE, content, kept)
+        number = self.registry.record_configuration(
+            machine_id, CATALOGUE, content, kept
+        )
         machine = machine_from_json(content)
         self._put(machine_id, machine, config, number).start()
         return self.registry.get(machine_id)
@@ -156,9 +162,11 @@ class MachineSetup:
         """
         before = self._get_changeable(machine_id, version).versions[0]
         machine = machine_from_json(machine_file)
-        self._refuse_name(machine_id, machine.name)
+        self._reject_name(machine_id, machine.name)
         content, devices = machine_to_json(machine), dict(before.devices)
-        number = self.registry.note(machine_id, CATALOGUE, content, devices)
+        number = self.registry.record_configuration(
+            machine_id, CATALOGUE, content, devices
+        )
         if devices and number != before.number:
             config = configure_cell(DeviceConfiguration(**devices))
             self._put(machine_id, machine, config, number).start()
@@ -179,7 +187,7 @@ class MachineSetup:
                 )
         self.registry.change(machine_id, origin=REMOVED)
         self._configs.pop(machine_id, None)
-        taken = self.machines.take_out(machine_id)
+        taken = self.machines.pop_machine(machine_id)
         if taken is not None:
             taken.close()
 
@@ -189,7 +197,7 @@ class MachineSetup:
         Raises NotFound, CellBusy, DeviceError, DeviceSettings, CellDown.
         """
         one = self.machines.get(machine_id)
-        self.refuse_while_measuring(machine_id)
+        self.reject_while_measuring(machine_id)
         tried = one.cell.try_tracker(one.machine.tracker.rate_hz)
         if tried is None:
             raise CellBusy("", "measuring")
@@ -199,7 +207,7 @@ class MachineSetup:
         """Files that this service has loaded into a simulated control."""
         return self.simulated_controls.read(machine_id)
 
-    def refuse_while_measuring(self, machine_id: str) -> None:
+    def reject_while_measuring(self, machine_id: str) -> None:
         """Raise CellBusy where a measuring job holds the machine."""
         for job in self._store.list_unfinished():
             if job.kind.measures and job.machine == machine_id:
@@ -211,7 +219,7 @@ class MachineSetup:
             raise NotFound(f"machine {machine_id} was removed; add it again")
         if record.origin != CATALOGUE:
             raise SetElsewhere(f"machine {machine_id} is configured in the settings")
-        self.refuse_while_measuring(machine_id)
+        self.reject_while_measuring(machine_id)
         newest = record.versions[0].number
         if version is not None and version != newest:
             raise StaleMachine(machine_id, version, newest)
@@ -224,8 +232,8 @@ class MachineSetup:
         try:
             config = configure_cell(DeviceConfiguration(**newest.devices))
             machine = machine_from_json(newest.machine_file)
-            self._refuse_name(record.id, machine.name)
-            self._refuse_links(record.id, config)
+            self._reject_name(record.id, machine.name)
+            self._reject_links(record.id, config)
         except (TruepathError, ValueError) as error:
             log.error("a machine is left out", machine=record.id, reason=str(error))
             return
@@ -241,20 +249,20 @@ class MachineSetup:
             before.close()
         return made
 
-    def _refuse_name(self, machine_id: str, name: str) -> None:
+    def _reject_name(self, machine_id: str, name: str) -> None:
         known = {one.id: one.machine.name for one in self.machines.list_all()}
         for record in self.registry.list_all():
             if record.origin == CATALOGUE and record.versions:
                 known[record.id] = str(record.versions[0].machine_file["name"])
         try:
-            refuse_same_names((known | {machine_id: name}).items())
+            reject_same_names((known | {machine_id: name}).items())
         except BadInput as error:
             raise MachineKnown(str(error)) from error
 
-    def _refuse_links(self, machine_id: str, config: CellConfig) -> None:
+    def _reject_links(self, machine_id: str, config: CellConfig) -> None:
         others = {k: v for k, v in self._configs.items() if k != machine_id}
         try:
-            refuse_shared_links([*others.items(), (machine_id, config)])
+            reject_shared_links([*others.items(), (machine_id, config)])
         except BadInput as error:
             raise MachineKnown(str(error)) from error
 

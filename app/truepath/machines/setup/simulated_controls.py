@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from truepath.catalogue.errors import NotSimulated
-from truepath.compensation.kept_files import find_file, read_account
+from truepath.compensation.stored_files import find_file, read_account
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import Machine
 

@@ -13,8 +13,8 @@ import numpy as np
 from truepath.driver_border import find_stuck, list_origins
 from truepath.errors import MeasurementFailed
 from truepath.files.environment.refraction import (
+    assumed_range_factor,
     choose_refraction,
-    guess_scale,
     lacks_air,
 )
 from truepath.kinematics.machine.machine import Machine
@@ -50,7 +50,7 @@ from truepath.measurement.monitors.environment_reader import (
     list_groups,
     name_channels,
 )
-from truepath.measurement.monitors.plausibility import PlaceCheck, find_impossible
+from truepath.measurement.monitors.plausibility import PointCheck, find_impossible
 from truepath.measurement.progress import LiveView, schedule_rows
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
@@ -173,7 +173,7 @@ class Measurement:
         view = LiveView(
             self._report,
             reports_blocks=order.live,
-            range_scale=guess_scale(
+            range_scale=assumed_range_factor(
                 header.refraction, header.channels, order.machine.altitude_m
             ),
         )
@@ -202,7 +202,7 @@ class Measurement:
             self._report,
             schedule_rows(order.commanded, order.feed_mm_min),
             self._settings,
-            PlaceCheck(
+            PointCheck(
                 order.machine, has_one_target=len(set(order.commanded.target)) <= 1
             ),
             search,

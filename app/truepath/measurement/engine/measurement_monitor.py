@@ -35,10 +35,14 @@ from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import CellState, ReportEvent
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
 from truepath.measurement.monitors.feed_hold import FeedHold
-from truepath.measurement.monitors.plausibility import IN_A_ROW, PlaceCheck, SeenPlace
+from truepath.measurement.monitors.plausibility import (
+    IN_A_ROW,
+    ObservedPoint,
+    PointCheck,
+)
 from truepath.measurement.monitors.stream_reader import StreamReader, StreamState
 from truepath.measurement.progress import LiveView, ProgressEstimator, RowSchedule
-from truepath.measurement.rows_to_repeat import RowsToRepeat
+from truepath.measurement.retry_rows import RowsToRepeat
 from truepath.measurement.run_file.event_log import EventLog
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.target.target_search import SearchStep, Sight, TargetSearch
@@ -74,7 +78,7 @@ class MeasurementMonitor:
         report: ReportEvent,
         schedule: RowSchedule,
         settings: EngineSettings,
-        places: PlaceCheck,
+        places: PointCheck,
         search: TargetSearch | None = None,
     ) -> None:
         self.settings = settings
@@ -147,11 +151,11 @@ class MeasurementMonitor:
             if self._recovery is not None:
                 stands = status.position == here
                 self._recovery.follow(self.position_by_axis, stands=stands)
-            self._judge_positions()
+            self._assess_positions()
         self._report_progress()
         return status
 
-    def _judge_positions(self) -> None:
+    def _assess_positions(self) -> None:
         if self._machine.doubt:
             if self._machine.doubts >= IN_A_ROW:
                 fault = make_position_fault(self._machine.doubt)
@@ -159,7 +163,7 @@ class MeasurementMonitor:
             return
         if isinstance(self._tracker, PolledTracker):
             return
-        may_jump = self._is_task_under_way or self.state.must_stand
+        may_jump = self._is_task_under_way or self.state.requires_standstill
         seen = None if may_jump else self.stream.find_seen()
         axes, name = self.position_by_axis, self.progress.target
         fault = self.places.follow(axes, name, seen, host_clock.now_s())
@@ -359,7 +363,7 @@ class StreamMonitor:
             return None
         return stream.place_mm if stream.is_seen else None
 
-    def find_seen(self) -> SeenPlace | None:
+    def find_seen(self) -> ObservedPoint | None:
         """Newest target position; None where the stream is not good."""
         return self._stream.seen if self._stream is not None and self.is_good else None
 
@@ -384,8 +388,8 @@ class StreamMonitor:
             # Too short for an operator to be at the machine: resume automatically.
             for reason in {HoldReason.SILENCE, HoldReason.DAMAGE} & self._state.holds:
                 self._feed.release(reason, "the stream is good again")
-        lacks_samples = self._stream.take_gap_s() > _BREAK_S
-        self._rows.follow(is_broken=lacks_samples or self._state.must_stand)
+        lacks_samples = self._stream.pop_gap_s() > _BREAK_S
+        self._rows.follow(is_broken=lacks_samples or self._state.requires_standstill)
         self._follow_damage(is_damaged=state is StreamState.DAMAGED)
 
     def _follow_damage(self, *, is_damaged: bool) -> None:
@@ -425,8 +429,8 @@ class TargetRecovery:
         """
         name, point = self._progress.target, self._progress.point
         if HoldReason.BEAM not in self._state.holds:
-            self._search.forget()
-            self._rows.forget_loss()
+            self._search.discard_loss()
+            self._rows.discard_loss()
             place_mm = None if self._see is None else self._see()
             if place_mm is not None:
                 self._search.remember(position, name, place_mm, stands=stands)

@@ -165,7 +165,7 @@ class MeasurementSteps(ABC):
             if (
                 status is None
                 or status.state not in _STANDING
-                or self._state.must_stand
+                or self._state.requires_standstill
             ):
                 if status is not None and status.state is MotionState.RUNNING:
                     grace_by_s = host_clock.now_s() + 10 * self.settings.poll_s
@@ -186,7 +186,7 @@ class MeasurementSteps(ABC):
         begin_s = self._tracker.device_s
         while self._tracker.device_s - begin_s < device_s:
             self._monitor.tick()
-            if self._state.must_stand:
+            if self._state.requires_standstill:
                 self.checkpoint()
                 begin_s = self._tracker.device_s
             if at is not None and not self._monitor.is_at(at):
@@ -198,7 +198,7 @@ class MeasurementSteps(ABC):
     def checkpoint(self) -> None:
         """Wait at rest for as long as a hold lasts."""
         self._monitor.tick()
-        while self._state.must_stand:
+        while self._state.requires_standstill:
             self._monitor.tick()
 
     def request_part(self) -> Commanded | None:
@@ -227,7 +227,7 @@ class MeasurementSteps(ABC):
             self._monitor.report(PartRequested(self._progress.row))
         while not self.is_concluding:
             self._tick_at_end()
-            if not self._state.must_stand and not self._parts.empty():
+            if not self._state.requires_standstill and not self._parts.empty():
                 return self._parts.get_nowait()
         return None
 
@@ -247,7 +247,7 @@ class MeasurementSteps(ABC):
         if status is None or self._end is None:
             return
         here = np.array(status.position)
-        if self._state.must_stand:
+        if self._state.requires_standstill:
             self._end = here  # an operator may move it by hand meanwhile
         elif (np.abs(here - self._end) > OVERSHOT).any():
             raise make_runs_on_fault(self.motion.axes, status)
@@ -275,17 +275,17 @@ class MeasurementSteps(ABC):
             case _:
                 pass
 
-    def leave_out_rest(self, *, is_row_done: bool) -> None:
+    def exclude_rest(self, *, is_row_done: bool) -> None:
         """Record that the remaining rows are omitted.
 
         is_row_done : the current row is complete
         """
-        self._progress.leave_out_rest(is_row_done=is_row_done)
+        self._progress.exclude_rest(is_row_done=is_row_done)
         text = f"row {self._progress.row + 1}: enough is known, the rest is left out"
         self._recorder.event("concluded", text)
 
     def _end_motion(self) -> None:
-        self.leave_out_rest(is_row_done=self._has_arrived)
+        self.exclude_rest(is_row_done=self._has_arrived)
         stand_by_s = host_clock.now_s() + self.settings.confirm_s
         while True:
             with contextlib.suppress(ConnectionLost, DeviceTimeout):
@@ -349,7 +349,7 @@ class PointSteps(MeasurementSteps):
             until_s = f"until {self._tracker.device_s:.6f} s"
             self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
             if self.is_concluding and row + 1 < len(points):
-                self.leave_out_rest(is_row_done=True)
+                self.exclude_rest(is_row_done=True)
                 return False
         return True
 

@@ -100,7 +100,7 @@ class PathSteps(MeasurementSteps):
         """Repeats lost lines before a new part. Arcs alone are given up after some
         tries: other lines do not depend on them.
         """
-        row, arcs = self._monitor.rows.take(), self._take_broken_arcs()
+        row, arcs = self._monitor.rows.pop_row(), self._take_broken_arcs()
         if self.is_concluding or (row is None and not (arcs and self._again_left)):
             return self.request_part()
         self._again_left -= 1
@@ -113,7 +113,7 @@ class PathSteps(MeasurementSteps):
         return self._repeat(first, lambda: drive_again(self._commanded, first))
 
     def _take_broken_arcs(self) -> list[int]:
-        rows, path = self._monitor.rows.take_broken(), self._commanded
+        rows, path = self._monitor.rows.pop_broken_rows(), self._commanded
         if not isinstance(path, Path):
             return []
         return sorted(row for row in rows if row and any(path.arc[row : row + 1]))
@@ -147,7 +147,9 @@ class PathSteps(MeasurementSteps):
         self.wait_motion(end, last, lambda now: self._is_line_done(now, path))
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
-        moving = status.state is MotionState.RUNNING and not self._state.must_stand
+        moving = (
+            status.state is MotionState.RUNNING and not self._state.requires_standstill
+        )
         if not self.is_concluding or not moving:
             return False
         if self._concluded_row is None:

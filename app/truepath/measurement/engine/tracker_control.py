@@ -141,7 +141,7 @@ class TrackerControl:
             self._home(failure)
             return False
         elif failure is not None:
-            self._bear(failure)
+            self._handle_failure(failure)
             return False
         else:
             self._monitor.events.record("target", f"{name} was selected")
@@ -209,16 +209,18 @@ class TrackerControl:
         self, reader: Call, row: int, here: tuple[float, ...], target: str
     ) -> bool:
         if reader.failure is not None:
-            self._bear(reader.failure)
+            self._handle_failure(reader.failure)
             return False
         point: PointMeasurement = reader.answer
         if not is_seen(point.position_mm).all():
-            self._bear(BeamLost("the tracker shows a place that no beam reaches"))
+            self._handle_failure(
+                BeamLost("the tracker shows a place that no beam reaches")
+            )
             return False
         if not self.holds_target(target, point.position_mm):
             return False
         axes = dict(zip(self._monitor.motion.axes, here, strict=True))
-        good, fault = self._monitor.places.judge_point(axes, target, point.position_mm)
+        good, fault = self._monitor.places.assess_point(axes, target, point.position_mm)
         if fault is not None:
             self._monitor.feed.hold(HoldReason.PLACE, fault)
         if not good:
@@ -231,7 +233,7 @@ class TrackerControl:
         self._failures, self._point_s = 0, point.time_s
         return True
 
-    def _bear(self, failure: BaseException) -> None:
+    def _handle_failure(self, failure: BaseException) -> None:
         """Holds the feed for a lost beam; reconnects a lost link."""
         if isinstance(failure, BeamLost):
             self._monitor.feed.hold(HoldReason.BEAM, make_beam_fault(str(failure)))

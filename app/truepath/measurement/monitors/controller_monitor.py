@@ -69,7 +69,7 @@ class ControllerMonitor:
             return None
         self._out_of_reach.reset()
         now_s = host_clock.now_s()
-        self.doubt = self.gate.judge(status, asked_s, now_s)
+        self.doubt = self.gate.check(status, asked_s, now_s)
         if self.doubt:
             if not self.position:
                 raise make_position_fault(self.doubt)

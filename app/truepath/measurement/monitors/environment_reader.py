@@ -14,7 +14,7 @@ from truepath.errors import MeasurementFailed
 from truepath.files.bundle.run import IMPLAUSIBLE
 from truepath.files.bundle.sensor_gate import ChannelGate
 from truepath.measurement.faults import Fault
-from truepath.measurement.monitors.channel_judge import ChannelJudge
+from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
 from truepath.measurement.run_file.recorder import Recorder
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
@@ -117,7 +117,7 @@ class EnvironmentReader:
         self._stopping = threading.Event()
         self._gates: dict[str, ChannelGate] = {}
         self._judges = {
-            c.name: ChannelJudge(c, altitude_m, self._gates)
+            c.name: SensorPlausibility(c, altitude_m, self._gates)
             for group in groups
             for c in group.channels
         }
@@ -168,7 +168,7 @@ class EnvironmentReader:
         values: dict[str, float] = {}
         for reading in readings:
             judge = self._judges[reading.channel]
-            values[reading.channel], notice = judge.judge(reading)
+            values[reading.channel], notice = judge.assess(reading)
             if notice is not None:
                 self._on_notice(notice)
         self._recorder.put_environment(readings[len(readings) // 2].host_time_s, values)

@@ -79,7 +79,7 @@ class PositionGate:
         self._feed_mm_s = float(path.feed_mm_min.max()) / 60.0
         self._running_s = None
 
-    def judge(self, status: MotionStatus, asked_s: float, now_s: float) -> str:
+    def check(self, status: MotionStatus, asked_s: float, now_s: float) -> str:
         """Why a reading is implausible; empty where it is accepted, which stores it.
 
         asked_s, now_s : times of request and reply
@@ -147,7 +147,7 @@ class PositionGate:
 
 
 @dataclass(frozen=True, slots=True)
-class SeenPlace:
+class ObservedPoint:
     """Target position of a stream.
 
     changes : number of blocks in which it was not bit for bit as before
@@ -158,7 +158,7 @@ class SeenPlace:
     changes: int
 
 
-class PlaceCheck:
+class PointCheck:
     """Compares target displacements by tracker and controller. One thread.
 
     has_one_target : else the tracker may be turned from one to another meanwhile
@@ -174,7 +174,11 @@ class PlaceCheck:
         self._doubts = 0
 
     def follow(
-        self, axes: dict[str, float], name: str, seen: SeenPlace | None, now_s: float
+        self,
+        axes: dict[str, float],
+        name: str,
+        seen: ObservedPoint | None,
+        now_s: float,
     ) -> Fault | None:
         """Compare one look at a stream; a fault after two disagreements in a row.
 
@@ -190,7 +194,7 @@ class PlaceCheck:
             fault = self._find_apart(axes, stated, seen.place_mm, now_s)
         return self._count(fault)
 
-    def judge_point(
+    def assess_point(
         self, axes: dict[str, float], name: str, place_mm: _Vector
     ) -> tuple[bool, Fault | None]:
         """Compare a measured point with the last good one; first value: it is good."""
@@ -215,7 +219,7 @@ class PlaceCheck:
         target = self._machine.target(name)
         return observe_targets(self._machine, row, [target]).point_mm[0]
 
-    def _find_frozen(self, stated: _Vector, seen: SeenPlace) -> Fault | None:
+    def _find_frozen(self, stated: _Vector, seen: ObservedPoint) -> Fault | None:
         if self._still is None or self._still[0] != seen.changes:
             self._still, self._away_s = (seen.changes, stated), None
             return None

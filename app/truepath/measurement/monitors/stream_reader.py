@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.errors import MeasurementFailed
-from truepath.measurement.monitors.plausibility import SeenPlace
-from truepath.measurement.monitors.tracker_trial import drop_earlier_samples
+from truepath.measurement.monitors.plausibility import ObservedPoint
+from truepath.measurement.monitors.tracker_self_test import drop_earlier_samples
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.time_limits import RunningClock, StreamTimeouts
 from truepath_drivers import host_clock
@@ -73,7 +73,7 @@ class StreamReader:
         self.device_time_s: float | None = None
         self.has_valid = self.is_seen = False
         self.place_mm: NDArray[np.float64] | None = None
-        self.seen: SeenPlace | None = None
+        self.seen: ObservedPoint | None = None
         self._seen_s: float | None = None  # device time of the newest valid sample
         self._gap_s = 0.0
 
@@ -111,7 +111,7 @@ class StreamReader:
             return StreamState.BEAM_LOST
         return StreamState.GOOD
 
-    def take_gap_s(self) -> float:
+    def pop_gap_s(self) -> float:
         """Longest gap between valid samples since the last call, tracker's clock.
 
         A gap counts once a valid sample has ended it.
@@ -161,7 +161,7 @@ class StreamReader:
                     same = block.position_mm[valid] == self.seen.place_mm
                     changes = self.seen.changes + (not same.all())
                 newest = block.position_mm[valid[-1]]
-                self.seen = SeenPlace(self.device_time_s, newest, changes)
+                self.seen = ObservedPoint(self.device_time_s, newest, changes)
                 self.place_mm = block.position_mm[valid[-1]]
                 self._note_gaps(block.device_time_s[valid])
 
@@ -199,7 +199,7 @@ def record_stream(
     reader.start(rate_hz)
     try:
         while not is_over(TICK_S):
-            _refuse_failures(reader, recorder)
+            _reject_failures(reader, recorder)
             state = reader.assess()
             on_state(recorder.samples, recorder.lost_samples, state)
             if state is StreamState.DEAD:
@@ -213,10 +213,10 @@ def record_stream(
             reader.stop()
         raise
     reader.stop()
-    _refuse_failures(reader, recorder)
+    _reject_failures(reader, recorder)
 
 
-def _refuse_failures(reader: StreamReader, recorder: Recorder) -> None:
+def _reject_failures(reader: StreamReader, recorder: Recorder) -> None:
     if reader.failure is not None:
         raise reader.failure
     if recorder.failure:

@@ -47,8 +47,8 @@ from truepath.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.measurement.monitors.channel_judge import ChannelJudge
-from truepath.measurement.monitors.tracker_trial import try_tracker
+from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
+from truepath.measurement.monitors.tracker_self_test import try_tracker
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
@@ -112,8 +112,8 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
             if cell.is_spoilt:
                 log.error("a call of a driver does not end; the process ends for it")
                 return
-            cell.look_at_controller()
-            cell.look_at_thermometers()
+            cell.poll_controller()
+            cell.poll_thermometers()
     except (EOFError, OSError):
         log.error("the link to the parent is gone; the feed is held")
     finally:
@@ -139,7 +139,7 @@ class _CellServer:
         self._look_s = 0.0
         self._controller_s = 0.0  # when it is read again
         self._thermometers_s = 0.0  # likewise
-        self._judges: dict[str, ChannelJudge] = {}
+        self._judges: dict[str, SensorPlausibility] = {}
         self._has_tried = False  # to connect or to measure, of late
 
     @property
@@ -150,7 +150,7 @@ class _CellServer:
         tried = self._has_tried and not self._measuring
         return tried and bool(find_stuck(self._tracker, self._motion))
 
-    def look_at_controller(self) -> None:
+    def poll_controller(self) -> None:
         now_s = host_clock.now_s()
         if self._motion is None or not self._identities or self._measuring:
             return
@@ -165,7 +165,7 @@ class _CellServer:
         self._controller_s = host_clock.now_s() + pause_s
         self._outbox.report(read)
 
-    def look_at_thermometers(self) -> None:
+    def poll_thermometers(self) -> None:
         """Not during a measurement and shortly after, which has its own reader. A
         reader that hangs in its driver is not waited for: it has ended by the next
         look.
@@ -185,7 +185,7 @@ class _CellServer:
         shown: dict[str, float] = {}
         for one in readings:
             if one.channel.endswith("_degC"):
-                shown[one.channel], _ = self._judges[one.channel].judge(one)
+                shown[one.channel], _ = self._judges[one.channel].assess(one)
         is_away = not any(math.isfinite(value) for value in shown.values())
         pause_s = THERMOMETERS_AWAY_S if is_away else THERMOMETERS_S
         self._thermometers_s = host_clock.now_s() + pause_s
@@ -285,7 +285,9 @@ class _CellServer:
                 self._identities["thermometers"] = self._thermometers.connect()
                 gates: dict[str, ChannelGate] = {}
                 channels = self._thermometers.channels
-                self._judges = {c.name: ChannelJudge(c, None, gates) for c in channels}
+                self._judges = {
+                    c.name: SensorPlausibility(c, None, gates) for c in channels
+                }
             except DeviceError as error:
                 refused = str(error)
                 log.warning("thermometers: %s", error)
@@ -297,7 +299,7 @@ class _CellServer:
             self._outbox.report(FaultReported("busy", text, action))
         elif self._tracker is None or self._motion is None or not self._identities:
             text = "tracker and controller are not connected"
-            self._refuse(FaultReported("not-connected", text, "connect first"))
+            self._reject(FaultReported("not-connected", text, "connect first"))
         else:
             self._has_tried = True
             try:
@@ -315,12 +317,12 @@ class _CellServer:
                     self._thermometers,
                 )
             except DeviceError as error:
-                self._refuse(classify_fault(error).event)
+                self._reject(classify_fault(error).event)
                 return
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
 
-    def _refuse(self, fault: FaultReported) -> None:
+    def _reject(self, fault: FaultReported) -> None:
         self._outbox.report(fault)
         self._state(CellState.FAILED, fault.text)
         self._outbox.report(RunClosed("", CellState.FAILED))

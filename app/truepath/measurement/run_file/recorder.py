@@ -26,7 +26,7 @@ import numpy as np
 from truepath.documents.whole_files import sync_to_disk
 from truepath.errors import MeasurementFailed
 from truepath.files.bundle.run import PointBlock, PointRows
-from truepath.measurement.durations import Durations
+from truepath.measurement.duration_histogram import DurationHistogram
 from truepath.measurement.messages import RunClosed
 from truepath.measurement.run_file.run_file import (
     AXES_STREAM,
@@ -102,7 +102,7 @@ class Recorder:
     ) -> None:
         self.file, self.failure, self.is_space_low = file, "", False
         self.samples = self.lost_samples = self.gaps = 0
-        self.commits = Durations()
+        self.commits = DurationHistogram()
         self._on_recorded, self._reserve_bytes = on_recorded, reserve_bytes
         self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE_ITEMS)
         self._has_callback_failed = False

@@ -9,7 +9,6 @@ import numpy as np
 
 from truepath.documents.whole_files import sync_to_disk
 from truepath.measurement.messages import RunClosed
-from truepath.measurement.run_file.run_content import RunContent, find_log, read_content
 from truepath.measurement.run_file.run_file import (
     CLOSED,
     connect,
@@ -20,7 +19,8 @@ from truepath.measurement.run_file.run_file import (
     seal,
     transaction,
 )
-from truepath.measurement.run_file.run_reading import NAMED_PROBLEMS, TORN, read_samples
+from truepath.measurement.run_file.run_loader import NAMED_PROBLEMS, TORN, read_samples
+from truepath.measurement.run_file.run_salvage import RunContent, find_log, read_content
 
 
 def repair_run(file: str | Path) -> RunClosed:

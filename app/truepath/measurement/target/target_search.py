@@ -52,11 +52,11 @@ class TargetSearch:
         self, tracker: TargetFinder, machine: Machine, settings: EngineSettings
     ) -> None:
         self._tracker, self._settings = tracker, settings
-        self._places = SeenPlaces(machine)
+        self._places = ObservedPoints(machine)
         self._lost, self._waiting = (Stopwatch() for _ in range(2))
         self._found = Counter[int]()
         self._task: Call | None = None
-        self._expected: ExpectedPlace | None = None
+        self._expected: ExpectedPoint | None = None
         self._tries = 0
         self._is_over, self._is_able = False, True
 
@@ -71,7 +71,7 @@ class TargetSearch:
         """Store the position of a target that is seen, thus not lost."""
         self._places.remember(position, name, place_mm, stands=stands)
 
-    def forget(self) -> None:
+    def discard_loss(self) -> None:
         """Reset all tries: no target is lost."""
         self._lost.reset()
         self._waiting.reset()
@@ -99,7 +99,7 @@ class TargetSearch:
     def _try(
         self, position: dict[str, float], name: str, key: int, lost_s: float
     ) -> SearchStep | None:
-        expected = self._places.foretell(position, name)
+        expected = self._places.predict_point(position, name)
         is_late = lost_s > self._settings.timeouts.search_s
         if expected is None or is_late or self._found[key] >= MOST_FOUND:
             return self._give_up("the tracker is not asked to search again")
@@ -109,7 +109,7 @@ class TargetSearch:
         self._waiting.reset()
         return None
 
-    def _aim_and_search(self, expected: ExpectedPlace) -> None:
+    def _aim_and_search(self, expected: ExpectedPoint) -> None:
         self._tracker.aim(*expected.direction_rad)
         self._tracker.search()
 
@@ -183,7 +183,7 @@ _Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class ExpectedPlace:
+class ExpectedPoint:
     """Predicted target position in the tracker's frame.
 
     reach_mm : largest expected deviation
@@ -201,7 +201,7 @@ class ExpectedPlace:
         return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
 
 
-class SeenPlaces:
+class ObservedPoints:
     """Observed target positions, at rest and in motion. One thread."""
 
     def __init__(self, machine: Machine) -> None:
@@ -223,19 +223,24 @@ class SeenPlaces:
         self._newest = stated, place
         (self._standing if stands else self._moving).add(stated, place)
 
-    def foretell(self, position: dict[str, float], name: str) -> ExpectedPlace | None:
+    def predict_point(
+        self, position: dict[str, float], name: str
+    ) -> ExpectedPoint | None:
         """Predicted position, None where no target was ever seen."""
         if self._newest is None:
             return None
         stated, (last, place) = self._state_place(position, name), self._newest
-        exact, rough = self._standing.foretell(stated), self._moving.foretell(stated)
+        exact, rough = (
+            self._standing.predict_point(stated),
+            self._moving.predict_point(stated),
+        )
         if exact is not None:
-            return ExpectedPlace(exact, _ASTRAY_MM, "as the standstills have it")
+            return ExpectedPoint(exact, _ASTRAY_MM, "as the standstills have it")
         reach_mm = _ASTRAY_MM + self._step_mm
         if rough is not None:
-            return ExpectedPlace(rough, reach_mm, "as the lines have it")
+            return ExpectedPoint(rough, reach_mm, "as the lines have it")
         away_mm = float(np.linalg.norm(stated - last))
-        return ExpectedPlace(place, reach_mm + away_mm, "where it was seen last")
+        return ExpectedPoint(place, reach_mm + away_mm, "where it was seen last")
 
     def _state_place(self, position: dict[str, float], name: str) -> _Vector:
         machine = self._machine
@@ -253,7 +258,7 @@ class _Pairs:
             self._stated.append(stated)
             self._seen.append(seen)
 
-    def foretell(self, stated: _Vector) -> _Vector | None:
+    def predict_point(self, stated: _Vector) -> _Vector | None:
         """None where the pairs do not determine it."""
         if len(self._stated) < _FEWEST:
             return None

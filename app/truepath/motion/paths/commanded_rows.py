@@ -43,7 +43,7 @@ def command_rows(
         feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
         check_feeds(machine, feeds)
         commanded = Path(axes, position, feeds, dwell_s, target)
-        _refuse_standing_lines(commanded)
+        _reject_standing_lines(commanded)
     else:
         commanded = Configurations(axes, position, dwell_s, target)
     if len(commanded) > MAX_ROWS:
@@ -81,7 +81,7 @@ def _targets(machine: Machine, rows: Sequence[Row]) -> tuple[str, ...]:
     return names
 
 
-def _refuse_standing_lines(path: Path) -> None:
+def _reject_standing_lines(path: Path) -> None:
     if len(path) < 2:
         raise PlanningError("a path of one row has no line; give at least two rows")
     for index in range(1, len(path)):

@@ -63,8 +63,8 @@ def drive_arcs_again(driven: Path, rows: Collection[int]) -> Path:
     end = len(driven) - 1
     back = [_Step(row - 1, row, is_back=True) for row in range(end, first - 1, -1)]
     forth = [_Step(row, row) for row in range(first, last + 1)]
-    steps = _leave_out_loops(driven, [_Step(end, end), *back], ())
-    steps += _leave_out_loops(driven, [_Step(first - 1, 0), *forth], rows)[1:]
+    steps = _exclude_loops(driven, [_Step(end, end), *back], ())
+    steps += _exclude_loops(driven, [_Step(first - 1, 0), *forth], rows)[1:]
     places, lines = [each.place for each in steps], [each.line for each in steps]
     return replace(
         driven,
@@ -89,7 +89,7 @@ class _Step:
         return _turn_back(arc) if self.is_back else arc
 
 
-def _leave_out_loops(
+def _exclude_loops(
     driven: Path, steps: Iterable[_Step], wanted: Collection[int]
 ) -> list[_Step]:
     """Drops steps that only lead back to a position. wanted : lines that stay"""

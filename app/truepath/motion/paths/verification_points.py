@@ -79,7 +79,7 @@ def make_verification_points(
     low, high = inner_travel(machine)
     makers = {
         VerificationKind.DIAGONALS: _list_diagonals,
-        VerificationKind.RANDOM_POINTS: partial(_draw_points, workspace),
+        VerificationKind.RANDOM_POINTS: partial(_sample_points, workspace),
         VerificationKind.BIDIRECTIONAL: _run_axes,
         VerificationKind.CIRCLES: _list_circles,
     }
@@ -121,7 +121,7 @@ def _list_diagonals(
     return add_resting_axes(machine, linear)
 
 
-def _draw_points(
+def _sample_points(
     workspace: Workspace,
     machine: Machine,
     low: Limits,

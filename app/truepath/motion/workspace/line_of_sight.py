@@ -53,7 +53,7 @@ def angles_deg(
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def compute_share(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
+def compute_axis_coupling(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
     """Displacement of a body in the tracker's frame, per unit of each axis.
 
     carrier : axis whose carriage carries it, or `base`; empty for a body at rest

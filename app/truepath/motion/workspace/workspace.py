@@ -22,7 +22,7 @@ from truepath.motion.workspace.line_of_sight import (
     Box,
     Reflector,
     angles_deg,
-    compute_share,
+    compute_axis_coupling,
     cross_box,
     measure_distances,
     touch_beam,
@@ -100,7 +100,7 @@ class Workspace:
             ok &= ~breaks
         return ok
 
-    def refuse(
+    def require_allowed(
         self, machine: Machine, commanded: Commanded, remedy: str = REPLAN
     ) -> None:
         """Raise PlanningError if a motion is not allowed; names row and reason.
@@ -116,9 +116,9 @@ class Workspace:
         if bad.any():
             index = int(np.argmax(bad))
             way = f"the way to row {row[index + (len(position) > 1)] + 1}"
-            self.refuse_way(machine, begin[index], end[index], way, remedy)
+            self.reject_way(machine, begin[index], end[index], way, remedy)
 
-    def refuse_way(
+    def reject_way(
         self,
         machine: Machine,
         begin: Float64[np.ndarray, " a"],
@@ -151,7 +151,7 @@ class Workspace:
         first, last = _observe(machine, begin), _observe(machine, end)
         yield from self._check_range(tracker, first, last)
         for box in self.blocks_sight:
-            share = compute_share(machine, box.carried_by)
+            share = compute_axis_coupling(machine, box.carried_by)
             moved = begin @ share, end @ share
             behind = touch_beam(
                 (tracker - moved[0], tracker - moved[1]),
@@ -184,7 +184,7 @@ class Workspace:
         )
 
 
-def moves_where_seen(machine: Machine, target: Target) -> bool:
+def moves_relative_to_tracker(machine: Machine, target: Target) -> bool:
     """True if a target moves relative to the tracker."""
     from_base = machine.tracker.stands_on == "base"
     if target.on == "workpiece":
@@ -197,7 +197,7 @@ def moving_targets(machine: Machine) -> tuple[Target, ...]:
 
     Raises PlanningError if there is none.
     """
-    targets = tuple(t for t in machine.targets if moves_where_seen(machine, t))
+    targets = tuple(t for t in machine.targets if moves_relative_to_tracker(machine, t))
     if not targets:
         raise PlanningError(
             f"no target of {machine.name} moves where the tracker stands; "

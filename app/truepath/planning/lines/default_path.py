@@ -29,7 +29,7 @@ from truepath.planning.lines.target_blocks import (
     plan_in_turn,
     wait_for_tracker,
 )
-from truepath.planning.lines.target_shares import ExpectedLegs
+from truepath.planning.lines.target_time_split import ExpectedLegs
 from truepath_drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill

@@ -89,7 +89,7 @@ class LegChoice:
                 stops = self._reorder(stops)
             stops = self._fill(stops, budget_s, legs)
             # Legs that no longer fit are gone: the rest may have less information.
-            best = min(best, stops, key=self._predict_left)
+            best = min(best, stops, key=self._predict_residual)
             if gained < _WORTH:
                 break
         return best
@@ -127,15 +127,17 @@ class LegChoice:
 
         At the first feed that has an allowed leg.
         """
-        ends = self.design.hold(self._draw_places(self.effort.candidates), here)
+        ends = self.design.restrict_axes(
+            self._draw_places(self.effort.candidates), here
+        )
         known = IntegratedVariance(inverse(precision), self.design.gram)
         for feed in feeds_mm_min:
-            best = self._judge(known, here, ends, float(feed), left_s)
+            best = self._assess(known, here, ends, float(feed), left_s)
             if best is not None:
                 return best
         return None
 
-    def _judge(
+    def _assess(
         self,
         known: IntegratedVariance,
         here: Float64[np.ndarray, " a"],
@@ -242,15 +244,15 @@ class LegChoice:
     ) -> Float64[np.ndarray, "n a"]:
         low, high = self.region.low, self.region.high
         step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
-        better = self.design.better_places(C, here)
+        better = self.design.find_better_positions(C, here)
         known = np.round(np.clip(np.vstack([here + step, better]), low, high), DECIMALS)
         return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
 
     def _cost(self, stops: Stops) -> float:
         """J · T, mm² s."""
-        return self._predict_left(stops) * self._duration_s(stops)
+        return self._predict_residual(stops) * self._duration_s(stops)
 
-    def _predict_left(self, stops: Stops) -> float:
+    def _predict_residual(self, stops: Stops) -> float:
         """J, mm²."""
         return self.design.add(self._inform(stops)).integrated_variance
 

@@ -14,7 +14,7 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.motion.motion_times import Legs, Stops
 from truepath.motion.workspace.travel import add_resting_axes
 from truepath.planning.design_state import DesignState
-from truepath.planning.predicted_cells import find_slopes_mm
+from truepath.planning.simulated_cells import compute_slopes_mm
 from truepath_drivers.interfaces.records import Path
 
 _STEADY = 10  # positions along a line: error motions of few knots bend less often
@@ -45,7 +45,7 @@ class LineDesignState(DesignState):
         share = np.hstack([steady, on_ramp, 1.0 - on_ramp, np.ones((n, 1))])
         at = self.conditions(_place(legs, share), np.sign(step))
         at = replace(at, recorded=self._record(at, legs))
-        slope = find_slopes_mm(at, step)
+        slope = compute_slopes_mm(at, step)
         pace = np.linalg.norm(slope, axis=1, keepdims=True)
         jitter = np.tile(_PLACES * [np.inf], (n, 1))
         jitter[:, :_STEADY], jitter[:, -1] = self.noise.jitter_mm2_s, 0.0
@@ -109,7 +109,7 @@ class LineDesignState(DesignState):
     def command(self, machine: Machine, stops: Stops) -> Path:
         """A path through the stops, with the feeds that the machine reaches."""
         position = add_resting_axes(machine, stops.position)
-        feed = np.append(stops.feed_mm_min[:1], self.drive.driven_feed(stops.legs))
+        feed = np.append(stops.feed_mm_min[:1], self.drive.limited_feed(stops.legs))
         dwell_s = np.full(len(stops), self.drive.dwell_s)
         names = ()
         if self.model.machine.rotary_axes:

@@ -112,7 +112,7 @@ class Planner:
     def check(self, plan: Commanded) -> None:
         """Raise PlanningError if a plan leaves the travel or the workspace."""
         check_travel(self.machine, plan)
-        self.workspace.refuse(self.machine, plan)
+        self.workspace.require_allowed(self.machine, plan)
 
     def _is_apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
         feed = max(self.feeds_mm_min)
@@ -166,7 +166,7 @@ def inform(
     return np.sum([planner.inform(block) for planner, block in pairs], axis=0)
 
 
-def judge_feeds(
+def assess_feeds(
     planners: Sequence[Planner], blocks: Sequence[Path]
 ) -> dict[float, float]:
     """Information per second at each feed, relative to the paths' own feeds.

@@ -1,8 +1,8 @@
 """The configuration to measure next: where one measurement lowers J most.
 
-On one axis the optimum is exact (`find_best_place`). On several, one axis after another
-is set to its optimum while the others are fixed, until nothing rises any more; from
-several starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37).
+On one axis the optimum is exact (`find_best_position`). On several, one axis after
+another is set to its optimum while the others are fixed, until nothing rises any more;
+from several starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37).
 Starts are the best of a dense search, which also certifies the answer: none of its
 configurations is better.
 """
@@ -21,7 +21,7 @@ from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import Legs, Stops
 from truepath.motion.workspace.travel import add_resting_axes
-from truepath.numerics.design_criteria import IntegratedVariance, find_best_place
+from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 from truepath.planning.design_state import DesignState
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
@@ -151,7 +151,7 @@ class Climb:
             positions[:, axis] = place
             return self.rows(positions)
 
-        best = find_best_place(
+        best = find_best_position(
             self.known,
             rows,
             self.axes.borders[axis],
@@ -198,7 +198,7 @@ class PointDesignState(DesignState):
         names = self._name_target(len(stops))
         return Configurations(machine.axis_names, position, dwell_s, names)
 
-    def better_places(
+    def find_better_positions(
         self,
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],

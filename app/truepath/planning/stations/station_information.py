@@ -35,7 +35,7 @@ from truepath.motion.motion_times import row_times_s
 from truepath.motion.workspace.workspace import Workspace
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.forecast import Assumptions
-from truepath.planning.predicted_cells import predict_cells
+from truepath.planning.simulated_cells import predict_cells
 from truepath_drivers.interfaces.records import Path
 
 INTERVALS = 6  # of the knots, as lines are chosen by
@@ -101,7 +101,7 @@ class Survey:
 
 
 @dataclass(frozen=True)
-class StationJudge:
+class StationEvaluator:
     """Evaluates stations by a survey.
 
     model : of the machine, then the tracker's errors, those of a set-up last
@@ -119,7 +119,7 @@ class StationJudge:
     @staticmethod
     def of(
         survey: Survey, assumed: Assumptions, specification: TrackerSpecification
-    ) -> StationJudge:
+    ) -> StationEvaluator:
         """For the survey's targets and the tracker's specification."""
         targets = survey.measured.targets
         names = set(survey.commanded.target) or {targets[0].name}
@@ -136,7 +136,7 @@ class StationJudge:
         )
         takes_s = float(row_times_s(survey.commanded, survey.feed_mm_min).sum())
         set_up = SetUpErrors(specification, 0.0, takes_s)
-        return StationJudge(
+        return StationEvaluator(
             survey,
             assumed,
             machine.with_effects(tracker, set_up),
@@ -145,7 +145,7 @@ class StationJudge:
             len(tracker.parameters),
         )
 
-    def judge(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
+    def assess(self, place_mm: Float64[np.ndarray, "3"]) -> StationInformation | None:
         """None where the station does not even determine its own pose."""
         survey = self.survey
         workspace = survey.workspace.place_tracker(place_mm)

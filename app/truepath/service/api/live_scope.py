@@ -24,7 +24,7 @@ from truepath.machines.sample_feed import SampleQueue
 from truepath.service.api.routes.events import ASK_S, Session
 from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service
-from truepath.service.api.sockets import POLICY, TRY_LATER, send_until_left
+from truepath.service.api.sockets import POLICY, TRY_LATER, send_until_disconnected
 from truepath_drivers.interfaces.records import TrackerSamples
 
 MAGIC, VERSION = b"TPLV", 1
@@ -85,7 +85,9 @@ async def _show(
     queue = machine.cell.samples.subscribe(wake)
     open_scopes.add(queue)
     try:
-        await send_until_left(websocket, _send(websocket, service, queue, changed))
+        await send_until_disconnected(
+            websocket, _send(websocket, service, queue, changed)
+        )
     finally:
         open_scopes.remove(queue)
         machine.cell.samples.unsubscribe(queue)
@@ -98,10 +100,10 @@ async def _send(
     session = Session(service, read_token(websocket.scope))
     while not service.closing.is_set():
         changed.clear()
-        samples, dropped = queue.take()
+        samples, dropped = queue.pop_oldest()
         while samples is not None and await session.is_open():
             await websocket.send_bytes(encode_frame(samples, dropped))
-            samples, dropped = queue.take()
+            samples, dropped = queue.pop_oldest()
         if not await session.is_open():
             return
         with suppress(TimeoutError):

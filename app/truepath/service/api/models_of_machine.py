@@ -14,7 +14,7 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.answers.history.model_history import (
     find_model_file,
     read_difference,
-    read_growth,
+    read_model_summary,
     read_versions,
 )
 from truepath.catalogue.job import Job, JobKind
@@ -84,7 +84,9 @@ def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     kinds = [kind for kind in JobKind if kind.discovers]
     list_page = partial(service.store.list_page, states=[State.SUCCEEDED], kinds=kinds)
     jobs, after = paging.read(list_page)
-    items = [_describe(job, read_growth(service.results, job.id)) for job in jobs]
+    items = [
+        _describe(job, read_model_summary(service.results, job.id)) for job in jobs
+    ]
     return ModelPage(items=items, next=after)
 
 
@@ -123,7 +125,7 @@ def get_model_difference(
     """Return what a model has that another has not, and which numbers differ."""
     job = _require_discovery(service, model_id)
     if against is None:
-        growth = read_growth(service.results, job.id)
+        growth = read_model_summary(service.results, job.id)
         changes, before = growth["difference"], growth["parent"]["source"]
     else:
         before = service.store.get(against).id

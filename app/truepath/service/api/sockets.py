@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket, WebSocketState
 GOING_AWAY, POLICY, TRY_LATER = 1001, 1008, 1013
 
 
-async def send_until_left(
+async def send_until_disconnected(
     websocket: WebSocket, sending: Coroutine[Any, Any, None]
 ) -> None:
     """Run a sender until it ends or the client has left, then close.

@@ -35,11 +35,11 @@ class Topics:
         (job_id,) = self.jobs if len(self.jobs) == 1 else (None,)
         return None if self.machines else job_id
 
-    def take_job(self, job: Job) -> bool:
+    def includes_job(self, job: Job) -> bool:
         """Whether a job is selected."""
         return self.is_all or job.id in self.jobs or job.machine in self.machines
 
-    def take(self, event: JobEvent, find_machine: FindMachine) -> bool:
+    def includes_event(self, event: JobEvent, find_machine: FindMachine) -> bool:
         """Whether an event is selected. Never waits."""
         if self.is_all or event.job_id in self.jobs:
             return True

@@ -232,10 +232,10 @@ class LinuxCncController(MotionController):
         """Clear the emergency stop and switch the drives on."""
         self._require_machine()
         with self._lock.hold():
-            self._session.demand_and_see(
+            self._session.command_and_confirm(
                 "estop off", lambda: self._session.reads("estop", "off")
             )
-            self._session.demand_and_see(
+            self._session.command_and_confirm(
                 "machine on", lambda: self._session.reads("machine", "on")
             )
 

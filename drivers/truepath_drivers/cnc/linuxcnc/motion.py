@@ -47,7 +47,7 @@ class LinuxCncMotion:
         look, machine = self._session.look(), self._session.machine
         was_under_way = self._memory.is_under_way
         has_compensation = machine.has_compensation if machine else None
-        status = replace(self._memory.judge(look), compensation=has_compensation)
+        status = replace(self._memory.assess(look), compensation=has_compensation)
         if was_under_way and look.follows_tip and self._memory.has_moved(look):
             self.abort()
             raise MotionFault(f"{self._session.name}: {TIP_IS_FOLLOWED}")
@@ -162,7 +162,7 @@ class MotionMemory:
         pairs = zip(look.position, self.driven.goal, strict=True)
         return all(abs(now - goal) <= _ARRIVED for now, goal in pairs)
 
-    def judge(self, look: Reading) -> MotionStatus:
+    def assess(self, look: Reading) -> MotionStatus:
         """Status of a reading; stores the end of a motion."""
         moves = not look.stands and look.unable is None
         is_held = look.is_paused or (look.is_busy and look.is_tripped)

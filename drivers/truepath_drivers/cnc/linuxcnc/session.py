@@ -148,9 +148,9 @@ class LinuxCncSession:
     def enter_mode(self, mode: str) -> None:
         """Confirm a mode. Raises Refused, also where another client has the command."""
         if not self.reads("mode", mode) or not self.reads("enable", "on"):
-            self.demand_and_see(f"mode {mode}", lambda: self.reads("mode", mode))
+            self.command_and_confirm(f"mode {mode}", lambda: self.reads("mode", mode))
 
-    def demand_and_see(self, what: str, is_done: Callable[[], bool]) -> None:
+    def command_and_confirm(self, what: str, is_done: Callable[[], bool]) -> None:
         """Send a `set` and wait for its effect. Raises Refused, MotionFault."""
         self.demand(what)
         deadline_s = host_clock.now_s() + _DONE_S
@@ -167,7 +167,7 @@ class LinuxCncSession:
     def drive_by_blocks(self, blocks: tuple[str, ...]) -> None:
         """Execute blocks one after another that move nothing."""
         for block in blocks:
-            self.demand_and_see(f"mdi {block}", lambda: not self.is_running())
+            self.command_and_confirm(f"mdi {block}", lambda: not self.is_running())
 
     def require_joint_coordinates(self) -> None:
         """Raise Refused where coordinates differ from the joints: RTCP is on."""

@@ -180,7 +180,7 @@ class CommandChannel:
             try:
                 request = [self._number(deadline_s), verb, *arguments]
                 status = self._deliver(request, deadline_s)
-                self._judge(verb, status)
+                self._assess(verb, status)
             finally:
                 self._is_urgent = False
             return status
@@ -300,7 +300,7 @@ class CommandChannel:
                     raise
                 host_clock.sleep_s(_BUSY_POLL_S)
 
-    def _judge(self, verb: r.Command, status: ControllerStatus) -> None:
+    def _assess(self, verb: r.Command, status: ControllerStatus) -> None:
         place = f"{self.name} refuses {verb.name}"
         match status.result:
             case r.Result.DONE:

@@ -101,7 +101,7 @@ class ModbusRegisters(Thermometers):
         now_s = host_clock.now_s()
         due = [r for r in self._registers if now_s >= self._due_s.get(r.name, now_s)]
         silent: dict[int, str] = {}
-        lost = self._open_anew() if due else ""
+        lost = self._reopen() if due else ""
         readings: list[Reading] = []
         for each in due:
             self._due_s[each.name] = now_s + each.period_s
@@ -158,7 +158,7 @@ class ModbusRegisters(Thermometers):
                 pass
             except DeviceError:
                 shy.add(way.unit)
-                self._open_anew()
+                self._reopen()
         # Its neighbour may be another sensor: its own address comes first.
         fault = each.channel.find_fault
         may = [i for i, v in enumerate(values) if v != 0.0 and not fault(v)]
@@ -185,7 +185,7 @@ class ModbusRegisters(Thermometers):
         )
         return each.decode(words)
 
-    def _open_anew(self) -> str:
+    def _reopen(self) -> str:
         if self._link.is_open:
             return ""
         try:

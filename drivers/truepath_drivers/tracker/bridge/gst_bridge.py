@@ -105,7 +105,7 @@ class GstBridge:
         head = struct.pack("<BBBB", 1, 0x30, transaction, kind)
         if kind == 0x20:
             if body[3:] != b"\x01":
-                return _refuse(body, 6, "version 1 only")
+                return _reject(body, 6, "version 1 only")
             texts = [text.encode()[:60] for text in self._texts]
             info = struct.pack("<BI", 1, round(self._max_rate_hz * 1e3))
             info += b"".join(bytes([len(text)]) + text for text in texts)
@@ -117,17 +117,17 @@ class GstBridge:
         elif kind == 0x23:
             self._heard_us = clock_us
         else:
-            return _refuse(body, 1, "unknown command")
+            return _reject(body, 1, "unknown command")
         return encode_frame(head)
 
     def _start(self, body: bytes, head: bytes, clock_us: int) -> bytes:
         if len(body) != 8 or body[7] != 0:
-            return _refuse(body, 2, "MEAS64 only")
+            return _reject(body, 2, "MEAS64 only")
         rate_hz = int.from_bytes(body[3:7], "little") / 1e3
         if not 0 < rate_hz <= self._max_rate_hz:
-            return _refuse(body, 3, "rate not possible")
+            return _reject(body, 3, "rate not possible")
         if self.streaming and rate_hz != self.rate_hz:
-            return _refuse(body, 4, "streams at another rate")
+            return _reject(body, 4, "streams at another rate")
         self.streaming, self.rate_hz, self._heard_us = True, rate_hz, clock_us
         info = struct.pack("<IHQ", round(rate_hz * 1e3), self._sequence, clock_us)
         return encode_frame(head + info)
@@ -159,7 +159,7 @@ def _open_frame(piece: bytes) -> bytes:
     return body if good and zlib.crc32(body).to_bytes(4, "little") == crc else b""
 
 
-def _refuse(body: bytes, code: int, text: str) -> bytes:
+def _reject(body: bytes, code: int, text: str) -> bytes:
     head = struct.pack("<BBBBB", 1, 0x31, body[2], body[1], code)
     return encode_frame(head + bytes([len(text)]) + text.encode())
 

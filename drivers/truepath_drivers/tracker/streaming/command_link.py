@@ -52,7 +52,7 @@ class CommandLink:
             patience_s = self._reply_timeout_s / _TRIES + longer_s * (left == 0)
             reply = receiver.wait_reply(patience_s)
             if reply is not None:
-                return self._refuse_nak(reply)
+                return self._reject_nak(reply)
         raise DeviceTimeout(
             f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
             f"{self._reply_timeout_s + longer_s:g} s; is the tracker on, warm and in "
@@ -63,7 +63,7 @@ class CommandLink:
         """Send the keep-alive without waiting for its reply."""
         self._send(Ping(next(self._transactions) & 0xFF))
 
-    def _refuse_nak(self, reply: Reply) -> Ack:
+    def _reject_nak(self, reply: Reply) -> Ack:
         if isinstance(reply, Nak):
             family = NotHomed if reply.code == NakCode.NOT_READY else Refused
             raise family(

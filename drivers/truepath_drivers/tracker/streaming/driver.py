@@ -268,14 +268,14 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             receiver = self._require_receiver()
             try:
                 if not self._knows_verbs:
-                    self._ask_for_verbs(receiver)
+                    self._query_verbs(receiver)
                 return self._link.ask(receiver, build, self._turn_s)
             except Refused as error:
                 if error.code == NakCode.NO_TARGET:
                     raise BeamLost(f"{error}; bring it near the beam") from error
                 raise
 
-    def _ask_for_verbs(self, receiver: Receiver) -> None:
+    def _query_verbs(self, receiver: Receiver) -> None:
         try:
             info = self._link.ask(receiver, lambda t: Hello(t, VERBS_VERSION)).detail
         except Refused as error:

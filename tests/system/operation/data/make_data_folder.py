@@ -26,7 +26,7 @@ from truepath.catalogue.transitions import State
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.jobs.workers.science import analyse_recorded
+from truepath.jobs.workers.analysis_tasks import analyse_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader

@@ -50,7 +50,7 @@ def look(*, tripped=False, **said):
 def judge(*, tripped=False, **said):
     memory = MotionMemory(ended=MotionState.FINISHED)
     program = Program("", "", (7, 9), (10.0, 5.0, -2.0))
-    return memory.begin(program, (0.0, 0.0, 0.0)).judge(look(tripped=tripped, **said))
+    return memory.begin(program, (0.0, 0.0, 0.0)).assess(look(tripped=tripped, **said))
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import ArcDrive
 from truepath.alignment.observations.reduction import beam_frame
-from truepath.answers.verification.places.measured_places import correlate_means
+from truepath.answers.verification.places.reduced_points import correlate_means
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
@@ -155,7 +155,7 @@ def fit_centre(radial: Float64[np.ndarray, "s e"]) -> Float64[np.ndarray, "2 e"]
     return 2.0 / SECTORS * (_list_outwards().T @ radial)
 
 
-def take_centre_off(
+def subtract_centre(
     radial: Float64[np.ndarray, "s e"], centre: Float64[np.ndarray, "2 e"]
 ) -> Float64[np.ndarray, "s e"]:
     """Radius less the commanded one about another centre, to first order."""
@@ -170,12 +170,12 @@ def compute_figures(
     both : radius less the commanded one by sense
     """
     centre = fit_centre(np.mean(list(both.values()), axis=0))
-    centred = {sense: take_centre_off(one, centre) for sense, one in both.items()}
+    centred = {sense: subtract_centre(one, centre) for sense, one in both.items()}
     every = np.concatenate(list(centred.values()))
     figures = {"G": np.ptp(every, axis=0)}
     figures |= {"F_max": every.max(axis=0), "F_min": every.min(axis=0)}
     for sense, one in both.items():
-        figures[f"G_{sense}"] = np.ptp(take_centre_off(one, fit_centre(one)), axis=0)
+        figures[f"G_{sense}"] = np.ptp(subtract_centre(one, fit_centre(one)), axis=0)
     if len(both) == 2:
         there, back = both.values()
         figures["H"] = np.abs(there - back).max(axis=0)
@@ -240,15 +240,15 @@ def _find_shape(
 ) -> dict[str, Sectors]:
     there, *back = radial_mm
     if not back:
-        return {there: _keep_clear(radial_mm[there], noise[there])}
+        return {there: _threshold_harmonics(radial_mm[there], noise[there])}
     a, b = radial_mm[there], radial_mm[back[0]]
     x, y = noise[there], noise[back[0]]
-    mean = _keep_clear(0.5 * (a + b), 0.5 * (x + y))
-    half = _keep_clear(0.5 * (a - b), 0.5 * (x - y))
+    mean = _threshold_harmonics(0.5 * (a + b), 0.5 * (x + y))
+    half = _threshold_harmonics(0.5 * (a - b), 0.5 * (x - y))
     return {there: mean + half, back[0]: mean - half}
 
 
-def _keep_clear(values: Sectors, noise: Float64[np.ndarray, "s e"]) -> Sectors:
+def _threshold_harmonics(values: Sectors, noise: Float64[np.ndarray, "s e"]) -> Sectors:
     """Only the harmonics whose power is above what noise may make of any of them."""
     wave = np.fft.rfft(values)
     power = np.mean(np.abs(np.fft.rfft(noise, axis=0)) ** 2, axis=1)

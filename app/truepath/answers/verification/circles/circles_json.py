@@ -12,7 +12,7 @@ from truepath.answers.verification.circles.circle_figures import (
     SECTOR_DEG,
     list_sector_angles,
 )
-from truepath.answers.verification.circles.circles_in_motion import (
+from truepath.answers.verification.circles.circular_test import (
     CircleInMotion,
     CirclesInMotion,
 )

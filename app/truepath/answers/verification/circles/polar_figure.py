@@ -31,7 +31,7 @@ from truepath.answers.shown.svg import (
 )
 from truepath.answers.verification.circles.circle_figures import (
     FIGURES,
-    take_centre_off,
+    subtract_centre,
 )
 
 _IN_A_ROW = 3
@@ -204,7 +204,7 @@ def _centre(
 ) -> dict[str, Sectors]:
     centre = np.array(centre_um)[:, None]
     return {
-        sense: take_centre_off(np.array(values)[:, None], centre)[:, 0]
+        sense: subtract_centre(np.array(values)[:, None], centre)[:, 0]
         for sense, values in radial_um.items()
     }
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.files.units import UM_PER_MM
-from truepath.results.length_scale import TWICE, state_scale_share
+from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95
@@ -37,7 +37,7 @@ LengthStatistics = dict[str, Statistic]
 """By `mean`, `p95` and `largest`."""
 
 
-def state_measured(
+def compute_measured_statistics(
     vector_mm: Float64[np.ndarray, "n 3"],
     noise_mm: Float64[np.ndarray, "n 3 d"],
     known_by: float,
@@ -59,7 +59,9 @@ def state_measured(
     more = added * (1.0 + np.sqrt(2.0 / known_by))
     louder = _state(UM_PER_MM * _take_off(vector_mm[:, :, None], more))[:, 0] - value
     scaled = vector_mm[:, :, None] + scale_mm[:, :, None] * np.array(TWICE)
-    common = state_scale_share(value, _state(UM_PER_MM * _take_off(scaled, added)))
+    common = compute_scale_uncertainty(
+        value, _state(UM_PER_MM * _take_off(scaled, added))
+    )
     spread = np.sqrt(
         again.var(axis=1) + (_TAKEN_OFF * bias) ** 2 + louder**2 + common**2
     )
@@ -75,7 +77,7 @@ def _take_off(
     return np.sqrt(np.maximum(square, 0.0))
 
 
-def state_predicted(
+def compute_predicted_statistics(
     vector_mm: Float64[np.ndarray, "n 3"], departure_mm: Float64[np.ndarray, "n 3 d"]
 ) -> LengthStatistics:
     """Statistics of vectors that may deviate from a prediction.

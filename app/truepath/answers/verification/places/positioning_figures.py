@@ -25,7 +25,7 @@ from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import find_unit, is_positioning
 from truepath.results.error_tables import choose_table_positions
-from truepath.results.volumetric_error import draw_parameters
+from truepath.results.volumetric_error import sample_parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +75,8 @@ def compute_positioning_figures(
     halves : by the symbol, of those that depend on the direction
     measured : by axis, the range that was measured, if it is known
     """
-    at = estimated.at_targets
-    theta = at.theta[:, None] + draw_parameters(at.covariance)
+    at = estimated.reduce_to_targets
+    theta = at.theta[:, None] + sample_parameters(at.covariance)
     theta = np.column_stack([at.theta, theta])
     return tuple(
         _compute(
@@ -101,7 +101,7 @@ def _compute(
     unit = find_unit(motion.symbol)
     rows = motion.rows(position)
     mean = scale_of(unit) * rows @ theta[at.model.slices[motion.name]]
-    spread = _draw_half(half, position, theta.shape[1])
+    spread = _sample_half(half, position, theta.shape[1])
     both = np.concatenate([mean + spread, mean - spread])
     return PositioningFigures(
         motion.symbol,
@@ -121,7 +121,7 @@ def _choose_positions(axis: Axis, measured: Ranges) -> Float64[np.ndarray, " n"]
     return np.concatenate([[low], inside, [high]])
 
 
-def _draw_half(
+def _sample_half(
     half: HalfDifference | None, position: Float64[np.ndarray, " n"], count: int
 ) -> Float64[np.ndarray, "n d"]:
     """Half differences: first as stated, then sampled."""

@@ -11,18 +11,18 @@ from jaxtyping import Float64
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.known_effects import (
-    KnownEffects,
-    extract_known_effects,
+from truepath.estimation.problem.noise import assume_typical_noise
+from truepath.estimation.problem.prior_effects import (
+    PriorEffects,
+    extract_prior_effects,
 )
-from truepath.estimation.problem.noise import raise_noise
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.second_order import compute_second_order_mm
-from truepath.results.lost_motion import find_lost_motion_mm
+from truepath.results.lost_motion import compute_lost_motion_mm
 
 _ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth
 
@@ -38,7 +38,7 @@ def predict_displacement(
     Lost motion counts by the direction that each axis came from.
     """
     moved = result.model.displacement_mm(at, result.theta)
-    moved = moved + find_lost_motion_mm(result, at)
+    moved = moved + compute_lost_motion_mm(result, at)
     moved = moved + compute_second_order_mm(result.model, at, result.theta)
     return moved if correction is None else moved + correction(at)
 
@@ -54,9 +54,9 @@ def find_poses(
     the result do not count as noise. The prediction is subtracted first: no noise is
     lost to the free errors either.
     """
-    known = extract_known_effects(
+    known = extract_prior_effects(
         result.model, np.zeros(result.model.size), result.covariance
-    ).loosen()
+    ).inflate_covariance()
     models = build_run_models(
         result.machine, [part.at for part in parts], known.effects
     )
@@ -64,7 +64,7 @@ def find_poses(
     try:
         return _settle_noise(models.coarse, starts, known)
     except Unidentifiable:  # too few points: typical noise
-        return [replace(one, noise=raise_noise(one.noise)) for one in starts]
+        return [replace(one, noise=assume_typical_noise(one.noise)) for one in starts]
 
 
 def _take_off(
@@ -77,7 +77,7 @@ def _take_off(
 
 
 def _settle_noise(
-    model: MachineModel, starts: Sequence[RunInput], known: KnownEffects
+    model: MachineModel, starts: Sequence[RunInput], known: PriorEffects
 ) -> Sequence[RunInput]:
     """Alternate between the noise and the variance of the machine's free errors.
 

@@ -22,7 +22,7 @@ from truepath.files.earlier.verdict import State as VerdictState
 from truepath.jobs.dispatch.identities import (
     describe_identity,
     find_machine,
-    keep_identity,
+    store_identity,
 )
 from truepath.service.api.models.base import (
     CertificateNumber,
@@ -186,7 +186,7 @@ def issue_certificate(
         _find_other(service, body.as_left_job, "result.json"),
         _find_other(service, body.verification_job, "verification.json"),
         _find_account(service, result.parent, body),
-        _keep_identity(service, result, body),
+        _store_identity(service, result, body),
         body.language,
         body.accept_verdict,
     )
@@ -270,7 +270,7 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
 def _find_account(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
-    from truepath.compensation.kept_files import find_file
+    from truepath.compensation.stored_files import find_file
 
     if body.compensation_id is not None:
         kept = folder / "compensations"
@@ -286,13 +286,13 @@ def _find_account(
     return file if file.is_file() else None
 
 
-def _keep_identity(
+def _store_identity(
     service: Service, result: Path, body: CertificateRequest
 ) -> Identity:
     """New entries take precedence over those of the registry."""
     given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
     machine = _find_machine(service, result)
-    return keep_identity(machine, given, service.setup.registry)
+    return store_identity(machine, given, service.setup.registry)
 
 
 def _find_machine(service: Service, result: Path) -> MachineRecord | None:

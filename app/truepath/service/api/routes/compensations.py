@@ -334,7 +334,7 @@ class CompensationList(BaseModel):
 @router.get("/compensation-formats")
 def list_compensation_formats() -> FormatList:
     """List the formats of controllers that files can be made for."""
-    from truepath.compensation.installed import describe_format, list_formats
+    from truepath.compensation.format_registry import describe_format, list_formats
 
     found = list_formats().items()
     return FormatList(items=[FormatOut(**describe_format(*each)) for each in found])
@@ -355,8 +355,8 @@ def create_compensation(
     was measured, they are combined with the tables that it had, or the difference.
     """
     from truepath.compensation.active_files import GivenTables
-    from truepath.compensation.order import CompensationOrder, keep_files
-    from truepath.compensation.tables.unmeasured import Unmeasured
+    from truepath.compensation.order import CompensationOrder, store_files
+    from truepath.compensation.tables.unmeasured_range import Unmeasured
 
     folder = _find_folder(service, job_id)
     source = find_model_file(service.results, service.store.get(job_id).id)
@@ -368,7 +368,7 @@ def create_compensation(
     )
     made = _describe(
         job_id,
-        *keep_files(source, folder, order, accept_verdict=request.accept_verdict),
+        *store_files(source, folder, order, accept_verdict=request.accept_verdict),
     )
     response.headers["Location"] = made.links.self
     return made
@@ -377,7 +377,7 @@ def create_compensation(
 @router.get("/jobs/{job_id}/compensations", responses=declare_problems(404))
 def list_compensations(job_id: JobId, service: ServiceDep) -> CompensationList:
     """List the files that were made of a result."""
-    from truepath.compensation.kept_files import list_accounts
+    from truepath.compensation.stored_files import list_accounts
 
     kept = list_accounts(_find_folder(service, job_id))
     return CompensationList(items=[_describe(job_id, *each) for each in kept])
@@ -390,7 +390,7 @@ def get_compensation(
     job_id: JobId, compensation_id: CompensationId, service: ServiceDep
 ) -> CompensationOut:
     """Return what files leave, and their names."""
-    from truepath.compensation.kept_files import read_account
+    from truepath.compensation.stored_files import read_account
 
     account = read_account(_find_folder(service, job_id), compensation_id)
     return _describe(job_id, compensation_id, account)
@@ -408,7 +408,7 @@ def download_compensation_file(
     service: ServiceDep,
 ) -> FileResponse:
     """Return one file as the control loads it, or `compensation.json`."""
-    from truepath.compensation.kept_files import find_file
+    from truepath.compensation.stored_files import find_file
 
     file = find_file(_find_folder(service, job_id), compensation_id, name)
     return FileResponse(file, media_type="application/octet-stream", filename=name)
@@ -423,7 +423,7 @@ def download_compensation(
     job_id: JobId, compensation_id: CompensationId, service: ServiceDep
 ) -> Response:
     """Return all files and their account, zipped."""
-    from truepath.compensation.kept_files import pack_files
+    from truepath.compensation.stored_files import pack_files
 
     packed = pack_files(_find_folder(service, job_id), compensation_id)
     name = f'attachment; filename="{compensation_id}.zip"'

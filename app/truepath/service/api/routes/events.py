@@ -30,7 +30,7 @@ from truepath.service.api.models.base import JobId
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.sockets import send_until_left
+from truepath.service.api.sockets import send_until_disconnected
 from truepath.service.api.topics import Topics, parse_topics
 from truepath_drivers import host_clock
 
@@ -80,7 +80,7 @@ class Subscription:
         """Accept an event. Never waits; a full queue drops the oldest live one."""
         is_live = job_event.id is None and job_event.type in _LIVE
         find_machine = self.service.dispatcher.find_machine
-        if is_live and not self._topics.take(job_event, find_machine):
+        if is_live and not self._topics.includes_event(job_event, find_machine):
             return
         with self._lock:
             if job_event.id is not None:
@@ -121,7 +121,7 @@ class Subscription:
                 )
                 for stored in missed:
                     known, job = stored.id or known, decode_job(stored.body)
-                    if topics.take_job(job):
+                    if topics.includes_job(job):
                         yield _describe_job_event(job, stored.id)
                 news = bool(missed)
             for job_event in live:
@@ -259,7 +259,7 @@ async def send_events(
                 await websocket.send_text(sent)
 
     await websocket.accept()
-    await send_until_left(websocket, send())
+    await send_until_disconnected(websocket, send())
 
 
 def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
@@ -276,7 +276,7 @@ def _read_present(
     store = service.store
     unfinished = {job.id: job for job in store.list_unfinished()}
     named = {job_id: store.get(job_id) for job_id in sorted(topics.jobs)}
-    jobs = [job for job in (unfinished | named).values() if topics.take_job(job)]
+    jobs = [job for job in (unfinished | named).values() if topics.includes_job(job)]
     shown = [service.dispatcher.show(job) for job in jobs]
     return [_describe_job_event(job, newest) for job in shown]
 

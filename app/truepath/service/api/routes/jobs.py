@@ -133,7 +133,7 @@ def delete_job(job_id: JobId, request: Request, service: ServiceDep) -> None:
     machine = service.store.get(job_id).machine
     note_deletion(request, [service.deletion.delete_job(job_id)])
     if machine is not None:
-        service.calibrations.judge(machine)
+        service.calibrations.update_status(machine)
 
 
 @router.post(

@@ -255,8 +255,8 @@ def _choose_calibrations(
 def get_machine_standing(machine_id: MachinePath, service: ServiceDep) -> StandingOut:
     """Return whether a machine is within its tolerance and as it was."""
     service.setup.registry.get(machine_id)
-    service.calibrations.judge(machine_id)
-    standing = service.calibrations.find_standing(machine_id)
+    service.calibrations.update_status(machine_id)
+    standing = service.calibrations.find_calibration_status(machine_id)
     if standing is None:
         raise NotFound(f"nothing is known of how machine {machine_id} stands")
     return StandingOut(**standing.describe())

@@ -336,7 +336,7 @@ def set_machine_file(
     before = service.setup.registry.get(machine_id)
     after = service.setup.set_machine_file(machine_id, request.machine_file, version)
     _note_change(http, before, after)
-    service.calibrations.judge(machine_id)
+    service.calibrations.update_status(machine_id)
     return _read_detail(machine_id, service)
 
 
@@ -393,7 +393,7 @@ def _change(machine_id: str, request: MachineIdentity, service: Service) -> None
     given = request.model_dump(exclude_unset=True)
     values = {k: "" if v is None and k in IDENTITY else v for k, v in given.items()}
     service.setup.registry.change(machine_id, **values)
-    service.calibrations.judge(machine_id)
+    service.calibrations.update_status(machine_id)
 
 
 def _note_change(

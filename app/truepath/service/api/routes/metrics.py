@@ -26,7 +26,7 @@ from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounts
 from truepath.machines.cell_status import CellStatus
 from truepath.machines.machine_cells import Machines
-from truepath.measurement.durations import BOUNDS_S, Durations
+from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.events import count_streams
 from truepath.service.api.security.route_roles import find_route
@@ -236,7 +236,7 @@ def _gauge(name: str, text: str, value: float) -> Metric:
 
 
 def _add_durations(
-    family: HistogramMetricFamily, labels: tuple[str, ...], durations: Durations
+    family: HistogramMetricFamily, labels: tuple[str, ...], durations: DurationHistogram
 ) -> None:
     bounds = [*(str(bound) for bound in BOUNDS_S), "+Inf"]
     upto = list(zip(bounds, accumulate(durations.counts), strict=True))

@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 from truepath.catalogue.job import Job, JobKind
 from truepath.errors import NotFound
 from truepath.files.bundle.commanded_file import decode_commanded_json
-from truepath.jobs.kinds.requested_job import RequestedJob
-from truepath.jobs.running.plan_orders import check_rows, list_station_rows
+from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.running.plan_requests import check_rows, list_station_rows
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
 from truepath.motion.nc_programs.programs import (

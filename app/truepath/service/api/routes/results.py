@@ -229,7 +229,7 @@ class VolumetricMapOut(BaseModel):
     )
 
 
-def find_machine_tolerance_um(service: Service, job_id: str) -> float | None:
+def get_machine_tolerance_um(service: Service, job_id: str) -> float | None:
     """Tolerance of the machine of a job; None where it is unknown."""
     machine_id = service.store.get(job_id).machine
     if machine_id is None:
@@ -360,7 +360,7 @@ def get_volumetric_error(
     stated = result.get("volumetric_error")
     if stated is None:
         raise NotFound(f"the result of job {job_id} states no volumetric error")
-    machine_um = find_machine_tolerance_um(service, job_id)
+    machine_um = get_machine_tolerance_um(service, job_id)
     before, after = (
         hold_against(stated[state], tolerance_um, machine_um)
         for state in ("before", "after_expected")
@@ -397,10 +397,10 @@ def get_volumetric_map(
     """
     file = _find_file(service, job_id, "result.json")
     # Imported where it computes: the service itself carries no science.
-    from truepath.compensation.map_in_volume import MapOrder, keep_map
+    from truepath.compensation.volumetric_error_grid import MapOrder, store_map
 
     order = MapOrder(grid, state, compensation)
-    found = keep_map(file, file.parent / "maps", order, file.parent / "compensations")
+    found = store_map(file, file.parent / "maps", order, file.parent / "compensations")
     verdict = found["verdict"]["state"]
     return VolumetricMapOut(**{**found, "verdict": verdict}, job_id=job_id)
 

@@ -144,7 +144,7 @@ def delete_run(
     deleted = service.deletion.delete_run(run_id, with_results=with_results)
     note_deletion(request, deleted)
     if len(deleted) > 1:
-        service.calibrations.judge_all()
+        service.calibrations.assess_all()
 
 
 @router.get(
@@ -187,7 +187,7 @@ def put_known_lengths(
         problem = f"is larger than {_LARGEST_TABLE >> 20} MB"
         raise BundleError(problem, file=KNOWN_LENGTHS, remedy="send fewer rows")
     lengths = decode_known_lengths(data)
-    service.runs.keep_known_lengths(run_id, data)
+    service.runs.store_known_lengths(run_id, data)
     return KnownLengthsOut(count=len(lengths))
 
 
@@ -209,7 +209,7 @@ def download_known_lengths(run_id: RunId, service: ServiceDep) -> FileResponse:
 )
 def delete_known_lengths(run_id: RunId, service: ServiceDep) -> None:
     """Forget the known lengths that were sent after a Run."""
-    service.runs.keep_known_lengths(run_id, None)
+    service.runs.store_known_lengths(run_id, None)
 
 
 @uploads.post("", status_code=201, responses=declare_problems(413, 422, 507))
@@ -248,9 +248,9 @@ def _keep(bundle: UploadFile, service: Service) -> RunRecord:
     except BundleError as error:
         sent = _ODD.sub("_", _find_last_part(bundle.filename))[:100] or "bundle"
         place = {"row": error.row, "column": error.column, "remedy": error.remedy}
-        is_whole = error.file in ("bundle", upload.name, str(upload))
+        is_complete = error.file in ("bundle", upload.name, str(upload))
         problem = error.problem.replace(str(upload), sent).replace(upload.name, sent)
-        file = sent if is_whole else error.file
+        file = sent if is_complete else error.file
         raise BundleError(problem, file=file, **place) from error
     finally:
         upload.unlink(missing_ok=True)

@@ -72,7 +72,7 @@ def load_simulated_tables(
     machine = service.machines.get(machine_id).machine
     controls = service.setup.simulated_controls
     controls.require(machine_id)  # a real one is refused, whatever else is wrong
-    service.setup.refuse_while_measuring(machine_id)
+    service.setup.reject_while_measuring(machine_id)
     job_id = service.store.get(request.job_id).id
     folder = service.results / job_id / "compensations"
     before = _describe(machine_id, service)
@@ -90,7 +90,7 @@ def clear_simulated_tables(
     service.machines.get(machine_id)
     controls = service.setup.simulated_controls
     controls.require(machine_id)
-    service.setup.refuse_while_measuring(machine_id)
+    service.setup.reject_while_measuring(machine_id)
     before = _describe(machine_id, service)
     controls.clear(machine_id)
     note_change(http, old=_name_tables(before), new={})

@@ -140,7 +140,7 @@ def _describe_stop(jobs: Sequence[Job], machines: Sequence[MachineCell]) -> Stop
     """A controller status from before the job ended does not count for the stop."""
     ending = {job.machine for job in jobs}
     stands = {
-        one.id: (None, NOT_READ) if one.id in ending else one.cell.tell_standstill()
+        one.id: (None, NOT_READ) if one.id in ending else one.cell.describe_standstill()
         for one in machines
     }
     return Stopped(

@@ -20,7 +20,7 @@ from uvicorn import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
-from truepath.seldom import Seldom
+from truepath.log_throttle import LogThrottle
 from truepath.service.api.security.trusted_proxies import find_network, is_trusted_proxy
 
 HEAD_S = 10.0
@@ -99,7 +99,7 @@ class Connections:
         self._state, self._trusted = state, trusted_proxies
         self._most = find_most_connections(most_streams)
         self._opening: dict[Connection, socket.socket] = {}
-        self._seldom = Seldom()
+        self._throttle = LogThrottle()
 
     async def accept(
         self, listener: socket.socket, config: Config, app_state: dict[str, Any]
@@ -160,7 +160,7 @@ class Connections:
         return list(self._state.connections | self._opening.keys())
 
     def _close_for_another(self, some: list[Any], reason: str) -> None:
-        if self._seldom.is_due():
+        if self._throttle.is_due():
             log.warning("connections closed", reason=reason, held=len(some))
         some.sort(key=_rank)
         for number, one in enumerate(some[: 1 + len(some) // 8]):

@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.live_notice import OnNotice
-from truepath.jobs.kinds.requested_job import RequestedJob
+from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.motion.paths.commanded_rows import MAX_ROWS
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.numerics.adaptive_trials import TrialPlan

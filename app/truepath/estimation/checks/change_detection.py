@@ -1,0 +1,255 @@
+"""What has changed during a measurement in progress, and since which line.
+
+Each kind of change has a course over the lines: a step from one line on, a growth with
+time, a shift of one line. The gain of a fit by it is a score test (`score`) that allows
+for the uncertainty of the machine: while few lines have determined its errors, these
+can explain a change as well, and it is not detected yet. The likelihood ratio over all
+moments is that of Willsky and Jones (1976). Changes are selected one after the other,
+each conditional on those before it, which may have occurred slightly earlier or later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.special import chdtri
+
+from truepath.estimation.checks.running_sums import WatchSums
+from truepath.estimation.checks.score import ScoredColumns, compute_score
+from truepath.estimation.problem.information import Information
+from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
+LOST_MOTION, RANGE = "lost-motion-changed", "range-offset-changed"
+LASTING = (DRIFT, GROWTH)
+_RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
+_MOST = 3  # changes that are distinguished
+_OF_LARGEST = 0.03  # of its gain: a smaller change may be its effect, and waits
+_NEAR = 3  # lines and standstills: changes as near as that are one
+_NEWEST, _OLDER = 60, 60  # lines tested as the start of a change: all, and some
+_DRIFT_ONSETS = 4
+_SETTLES = 3.0  # times that a drift which settles falls by e
+_UNSEEN_OFFSET = 1e-8  # of its information: rounding
+_FEW = 2  # lines before a change or after it
+
+
+@dataclass(frozen=True)
+class Course:
+    """Changes of one kind, starting at several moments.
+
+    axis : empty unless the kind concerns one axis
+    columns : among the watched columns
+    onset : first line of each change; factor : (m, l), weight of each line
+    """
+
+    kind: str
+    axis: str
+    columns: slice
+    onset: tuple[int, ...]
+    factor: Float64[np.ndarray, "m l"]
+
+    def __getitem__(self, part: slice) -> Course:
+        return replace(self, onset=self.onset[part], factor=self.factor[part])
+
+
+@dataclass(frozen=True)
+class Trial(ScoredColumns):
+    """Courses conditional on a fit and on changes that are given."""
+
+    course: Course
+
+    @cached_property
+    def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
+        """A new range offset is nearly determined by the specification."""
+        if self.course.kind != RANGE:
+            return super().score
+        return compute_score(self.left, self.raw, self.pulled, _UNSEEN_OFFSET)
+
+    def leave_out(self, onset: int) -> Trial:
+        """Ignores starts within 3 lines of a change found; lasting kinds stay."""
+        near = np.abs(np.array(self.course.onset) - onset) <= _NEAR
+        if self.course.kind in LASTING:
+            return self
+        return replace(self, pulled=np.where(near[:, None], 0.0, self.pulled))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change that the data support.
+
+    kind, axis : of the best explanation; onset : number of its first line
+    gain : of the fit, χ²; limit : rarely exceeded by chance
+    margin : lead over the next best kind, each less its limit
+    size_mm : root mean square over the lines since, at its largest; sigma_mm : its
+        standard uncertainty
+    """
+
+    kind: str
+    axis: str
+    onset: int
+    gain: float
+    limit: float
+    margin: float
+    size_mm: float
+    sigma_mm: float
+
+
+class ChangeSearch:
+    """Searches sums of lines for changes, given the current knowledge.
+
+    known : information on machine and pose from other sources than these lines
+    before : first lines of the changes found previously
+    """
+
+    def __init__(
+        self, sums: WatchSums, known: Information, before: Sequence[int] = ()
+    ) -> None:
+        self._sums = sums
+        self._before = np.array(before, np.int64)
+        self._factor = ScaledCholesky.of(sums.data.matrix + known.matrix)
+        vector = sums.data.vector + known.vector
+        self._theta = self._factor.solve(vector)
+        self._square = sums.data.square + known.square - float(vector @ self._theta)
+        self._rest = sums.pulled - np.einsum("lpc,p->lc", sums.coupling, self._theta)
+
+    def find(self) -> list[Change]:
+        """At most three changes, the one with the largest gain first."""
+        trials = [self._prepare(course) for course in self._list_courses()]
+        found: list[Change] = []
+        explained = largest = 0.0
+        while trials and len(found) < _MOST:
+            which, k, change = self._find_best(trials, explained)
+            largest = max(largest, change.gain)
+            if change.gain < max(change.limit, _OF_LARGEST * largest):
+                break
+            found.append(change)
+            for number in (k, k - 1, k + 1):  # its true start is between
+                if 0 <= number < len(trials[which].course.onset):
+                    given = trials[which].select_one(number)
+                    explained += float(given.gain[0])
+                    trials = [self._give(given, each) for each in trials]
+            near = change.onset if change.kind not in LASTING else -_NEAR - 1
+            trials = [each.leave_out(near) for each in trials]
+        return found
+
+    def _list_courses(self) -> list[Course]:
+        sums, lines = self._sums, len(self._sums.row)
+        if lines <= _FEW:
+            return []
+        columns, machine = sums.columns, sums.columns.machine
+        onset = self._choose_onsets(lines)
+        number = np.arange(lines)
+        step = (number >= onset[:, None]).astype(np.float64)
+        time_s = sums.time_s - sums.time_s[0]
+        began = np.unique(np.linspace(0, lines - _FEW - 1, _DRIFT_ONSETS).astype(int))
+        since_s = np.maximum(time_s - time_s[began][:, None], 0.0)
+        share = since_s / since_s.max(axis=1, keepdims=True)
+        settled = -np.expm1(-_SETTLES * share) / -np.expm1(-_SETTLES)
+        grown = np.concatenate([share, settled])
+        whole = slice(columns.pose.start, columns.growth.stop)
+        begins = tuple(began.tolist()) * 2
+        one = (number == onset[:, None]).astype(np.float64)
+        steps = tuple(onset.tolist())
+        return [
+            Course(KNOCK, "", columns.pose, steps, step),
+            Course(LINE, "", slice(0, 3), steps, one),
+            Course(DRIFT, "", columns.pose, begins, grown),
+            Course(GROWTH, "", whole, begins, grown),
+            *(
+                Course(LOST_MOTION, axis.name, columns.lost_motion(k), steps, step)
+                for k, axis in enumerate(machine.axes)
+            ),
+            *self._list_new_offsets(),
+        ]
+
+    def _list_new_offsets(self) -> Iterator[Course]:
+        onset = 1 + np.flatnonzero(np.diff(self._sums.lock))
+        if len(onset):
+            step = (np.arange(len(self._sums.row)) >= onset[:, None]).astype(np.float64)
+            column = self._sums.columns.range
+            yield Course(RANGE, "", column, tuple(onset.tolist()), step)
+
+    def _choose_onsets(self, lines: int) -> Int64[np.ndarray, " m"]:
+        """Never the first line: all recent ones, a selection of older ones."""
+        first_of_newest = max(1, lines - _NEWEST)
+        older = np.linspace(1, first_of_newest, _OLDER).round().astype(np.int64)
+        stride = 1 + first_of_newest // _OLDER
+        near = np.add.outer(self._before, np.arange(-stride, stride + 1)).ravel()
+        newest = np.arange(first_of_newest, lines)
+        onset = np.unique(np.concatenate([older, near, newest]))
+        return onset[(onset >= 1) & (onset < lines)]
+
+    def _prepare(self, course: Course) -> Trial:
+        sums, own, factor = self._sums, course.columns, course.factor
+        coupling = np.tensordot(factor, sums.coupling[:, :, own], axes=1)
+        m, p, k = coupling.shape
+        half = self._factor.solve_half(coupling.transpose(1, 0, 2).reshape(p, m * k))
+        half = half.reshape(p, m, k).transpose(1, 0, 2)
+        raw = np.tensordot(factor**2, sums.own[:, own, own], axes=1)
+        left = raw - np.swapaxes(half, 1, 2) @ half
+        return Trial(half, raw, left, factor @ self._rest[:, own], course)
+
+    def _give(self, given: Trial, trial: Trial) -> Trial:
+        factor = given.course.factor * trial.course.factor
+        shared = self._sums.own[:, given.course.columns, trial.course.columns]
+        return trial.condition_on(given, np.tensordot(factor, shared, axes=1))
+
+    def _find_best(
+        self, trials: Sequence[Trial], explained: float
+    ) -> tuple[int, int, Change]:
+        """Trial with most gain over its limit, index within it, the change."""
+        excess: list[float] = []
+        best: list[int] = []
+        for trial in trials:
+            gain = trial.gain
+            best.append(int(np.argmax(gain)))
+            excess.append(float(gain.max()) - self._limit(trial))
+        first = int(np.argmax(excess))
+        kind = trials[first].course.kind
+        # A drift is growth of size 0: it holds where growth of the axes is not needed.
+        rival = max(
+            value
+            for k, (value, trial) in enumerate(zip(excess, trials, strict=True))
+            if k != first and (kind, trial.course.kind) != (DRIFT, GROWTH)
+        )
+        chosen = trials[first].select_one(best[first])
+        gain = float(chosen.gain[0])
+        rest = (self._square - explained - gain) / max(self._sums.freedom, 1.0)
+        scale = max(1.0, rest)
+        size_mm, sigma_mm = self._measure(chosen)
+        course = chosen.course
+        change = Change(
+            course.kind,
+            course.axis,
+            course.onset[0],
+            gain / scale,
+            _MARGIN * self._limit(chosen),
+            (excess[first] - rival) / scale,
+            size_mm,
+            sigma_mm,
+        )
+        return first, best[first], change
+
+    def _limit(self, trial: Trial) -> float:
+        """Growth includes a drift, so it pays for the columns of both."""
+        columns, drift = trial.pulled.shape[1], self._sums.columns.growth.start
+        parts = [columns]
+        if trial.course.kind == GROWTH:
+            parts = [drift, columns - drift]
+        risk = _RISK / max(len(self._sums.row), 1)
+        return float(np.sum(chdtri(np.array(parts, np.float64), risk)))
+
+    def _measure(self, chosen: Trial) -> tuple[float, float]:
+        course, sums = chosen.course, self._sums
+        root, value = chosen.score[0][0], chosen.value[0]
+        moved = course.factor[0] > 0.0
+        gram = sums.gram[moved][:, course.columns, course.columns].sum(axis=0)
+        gram = gram / sums.cells[moved].sum()
+        size_mm = float(np.sqrt(value @ gram @ value))
+        slope = root.T @ gram @ value / max(size_mm, 1e-12)
+        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # half the width to each side
+        return ways * size_mm, ways * float(np.linalg.norm(slope))

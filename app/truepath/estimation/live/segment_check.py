@@ -1,0 +1,261 @@
+"""All lines of a measurement in progress examined together, as after it.
+
+Cells and lines that the rest contradicts are excluded, and at a step of the set-up the
+Run is split (`outlier_detection`). Data between both sides of a known step are not
+used: its moment is not known to the cell, and one wrong cell at a large step would bend
+all the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+
+import numpy as np
+from jaxtyping import Float64
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.errors import Unidentifiable
+from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_misfit
+from truepath.estimation.checks.outlier_detection import remove_plainest
+from truepath.estimation.checks.run_segments import (
+    RunSegment,
+    SetupShift,
+    add_range_step,
+    list_new_offsets,
+    list_range_steps,
+    measure_setup_shift,
+    split_at_step,
+)
+from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
+from truepath.estimation.noise.noise_fit import estimate_residual_noise
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import (
+    Information,
+    Posterior,
+    add_information,
+    compute_posterior,
+)
+from truepath.estimation.problem.noise import (
+    NoiseModel,
+    assume_typical_noise,
+    expected_rms_mm,
+)
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.runs import (
+    RunInformation,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
+from truepath.kinematics.effects.base import QuadraticPrior
+from truepath.kinematics.effects.instrument import RangeStep
+from truepath.kinematics.model import MachineModel
+from truepath.numerics.rigid import RigidTransform
+
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class SegmentCheck:
+    """Parts of a Run between steps of the set-up, as far as noise explains them.
+
+    runs : information from the retained cells of each part; result : of the machine
+    """
+
+    parts: tuple[RunSegment, ...]
+    runs: tuple[RunInformation, ...]
+    result: Posterior
+    misfits: tuple[LackOfFit, ...]
+
+    @property
+    def main(self) -> int:
+        """Number of the part with most cells."""
+        return max(range(len(self.parts)), key=lambda k: len(self.parts[k].seen))
+
+    def restore(self, part: int) -> Float64[np.ndarray, " p"]:
+        """Parameters of the machine, then of the pose of a part."""
+        return self.runs[part].own.restore(self.result)[0]
+
+    def find_pose(self, part: int) -> RigidTransform:
+        """Pose of the tracker during a part."""
+        return self.runs[part].linearisation.correct_pose(self.restore(part))
+
+    def _list_setup_shifts(self) -> tuple[SetupShift, ...]:
+        poses = [self.find_pose(k) for k in range(len(self.parts))]
+        centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
+        knocks = [
+            measure_setup_shift(
+                (self.parts[k - 1], self.parts[k]),
+                (poses[k - 1], poses[k]),
+                0.5 * (centres[k - 1] + centres[k]),
+            )
+            for k in range(1, len(self.parts))
+        ]
+        model = self.runs[0].linearisation.machine_model
+        knocks += list_new_offsets(self.parts, model, self.result.theta)
+        return tuple(sorted(knocks, key=lambda knock: knock.time_s))
+
+    def estimate_noise(self, start: NoiseModel) -> NoiseModel:
+        """Noise from the residuals of the part with most cells."""
+        run = self.runs[self.main]
+        about = replace(run.linearisation, noise=start)
+        return estimate_residual_noise(run.observations, about, self.restore(self.main))
+
+    def sum_up_earlier(
+        self, model: MachineModel, noise: NoiseModel, weak: Float64[np.ndarray, "6"]
+    ) -> Information:
+        """Information from all but the newest part, poses integrated out."""
+        inputs = [
+            RunInput(part.seen, self.find_pose(k), noise)
+            for k, part in enumerate(self.parts[:-1])
+        ]
+        nothing = Information.of_matrix(np.zeros((model.size, model.size)))
+        runs = collect_parts(inputs, model, weak)
+        return add_information([nothing, *(run.own.eliminate() for run in runs)])
+
+    def to_live_check(self, noise: NoiseModel) -> LiveCheck:
+        """Exclusions, steps and residuals; `noise` is the estimated one."""
+        run, misfit = self.runs[self.main], self.misfits[self.main]
+        seen = run.observations
+        turned = seen.direction @ run.linearisation.pose.rotation.T
+        travel = np.einsum("nij,nj->ni", seen.beam_frame, turned)
+        counted = misfit.off_mm[~seen.is_ramp]
+        rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
+        usual_mm = expected_rms_mm(seen, noise.usual, travel)
+        return LiveCheck(
+            tuple(each for part in self.parts for each in part.seen.left_out),
+            self._list_setup_shifts(),
+            residual=max(rms_mm, expected_rms_mm(seen, noise, travel)) / usual_mm,
+            white=max(noise.white),
+        )
+
+    def start_gate(self, given: Observations) -> LineGate:
+        """Gate for the next lines.
+
+        given : all lines; the newest ones that were excluded entirely count as held
+        """
+        kept = {int(row) for part in self.parts for row in part.seen.row}
+        rows = [int(given.row[first]) for first, _ in given.lines]
+        held = list(takewhile(lambda row: row not in kept, reversed(rows)))
+        off_mm = [
+            each.off_mm
+            for part in self.parts
+            for each in part.seen.left_out
+            if each.row in held
+        ]
+        return LineGate(
+            tuple(self.misfits[self.main].line.tolist()),
+            len(given),
+            tuple(sorted(set(held))),
+            max(off_mm, default=0.0),
+        )
+
+
+def check_parts(
+    seen: Observations,
+    knocks: Sequence[SetupShift],
+    pose: RigidTransform,
+    noise: NoiseModel,
+    prior: BendingPrior,
+    known: PriorEffects,
+    weak: Float64[np.ndarray, "6"],
+) -> SegmentCheck:
+    """Parts of a Run without what the rest of it contradicts.
+
+    knocks : steps known so far
+    prior : proper, of the machine's model; known : effects in it
+    weak : precision of the pose that keeps it finite
+    """
+    noise = assume_typical_noise(noise)
+
+    def solve(parts: Sequence[RunSegment]) -> SegmentCheck:
+        charged = _charge(prior, list_range_steps(parts))
+        model = charged.model
+        inputs = [RunInput(part.seen, pose, noise) for part in parts]
+        runs = collect_parts(inputs, model, weak)
+        data = known.add_to(combine_runs(runs), model)
+        result = compute_posterior(data, charged.precision_matrix(model.size))
+        fit = Fit("constant", model, runs, runs, known, charged, result, 0.0)
+        misfits = tuple(assess_misfit(fit, k, names=True) for k in range(len(runs)))
+        return SegmentCheck(tuple(parts), runs, result, misfits)
+
+    found = solve(split_at(seen, knocks))
+    for _ in range(_ROUNDS):
+        fewer = remove_plainest(
+            found.parts, [part.seen for part in found.parts], found.misfits
+        )
+        if fewer is None or not all(len(part.seen) for part in fewer):
+            break  # nothing contradicts, or nothing would be left
+        try:
+            found = solve(fewer)
+        except Unidentifiable:
+            break  # too little would be left
+    return found
+
+
+def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
+    return replace(
+        prior,
+        model=prior.model.with_effects(*steps),
+        charges={**prior.charges, **{step.name: step.prior() for step in steps}},
+        precision={**prior.precision, **{step.name: 1.0 for step in steps}},
+    )
+
+
+def list_at_setup_shifts(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
+    """Earlier exclusions within a step's interval, not examined again."""
+    return [
+        each
+        for each in said
+        for first_s, last_s in (knock.between_s for knock in check.knocks)
+        if first_s < each.begin_s < last_s and each not in check.left_out
+    ]
+
+
+def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:
+    """Prior plus weak precisions, all of them fixed."""
+    charges, precision = dict(prior.charges), dict(prior.precision)
+    for effect in prior.model.effects:
+        form = np.diag(weak[prior.model.slices[effect.name]])
+        if own := prior.charges.get(effect.name):
+            form = form + prior.precision[effect.name] * own.form
+        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
+        precision[effect.name] = 1.0
+    return replace(prior, charges=charges, precision=precision)
+
+
+def split_at(seen: Observations, knocks: Sequence[SetupShift]) -> list[RunSegment]:
+    """Parts of a Run between known steps of the set-up."""
+    parts = [RunSegment(0, seen)]
+    for knock in knocks:
+        time_s = parts[-1].seen.at.time_s
+        before = int(np.searchsorted(time_s, knock.between_s[0], side="right"))
+        after = int(np.searchsorted(time_s, knock.between_s[1]))
+        if not 0 < before <= after < len(time_s):
+            continue
+        if knock.kind == RANGE:
+            parts[-1] = add_range_step(parts[-1], before, after, knock.time_s)
+        else:
+            first, second = split_at_step(parts[-1], before, after, knock.time_s)
+            parts[-1:] = [first, replace(second, kind=knock.kind)]
+    return parts
+
+
+def collect_parts(
+    inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
+) -> tuple[RunInformation, ...]:
+    """Information from parts of a Run, with a weak prior on their poses."""
+    own = np.concatenate([np.zeros(model.size), weak])
+    return tuple(
+        replace(
+            run,
+            data=replace(run.data, matrix=run.data.matrix + np.diag(own)),
+            weak=weak,
+        )
+        for run in collect_information(inputs, model)
+    )

@@ -1,0 +1,265 @@
+"""Information in samples within their cells: motion faster than cells can follow.
+
+The mean of a cell and the deviations of its samples from a straight line in time are
+independent where the noise is white, so their information on an effect adds up. Machine
+errors are practically straight within a cell; only motion that is fast in time shows
+here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from numpy.typing import NDArray
+
+from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import beam_frame
+from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.estimation.problem.design_matrix import Linearisation
+from truepath.files.bundle.run import Run
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.family import Wave
+from truepath.numerics.spectrum import transform
+
+_OUTLIER = 5.0
+_KEPT = 8  # fast effects with cached columns: those chosen, and one on trial
+
+
+@dataclass(frozen=True)
+class _Fast:
+    """An effect's columns (3n, p) without mean and slope in each cell, and weighted."""
+
+    effect: Effect
+    plain: Float64[np.ndarray, "m p"]
+    weighted: Float64[np.ndarray, "m p"]
+
+
+@dataclass(frozen=True)
+class CellDeviations:
+    """Deviations of all samples on lines from their cells' straight lines.
+
+    time_s : (n,); deviation_mm : (n, 3) in the frame that the tracker is mounted on;
+        cell : (n,)
+    lag : (n,) time from the middle of the cell, its sum of squares 1 in each cell
+    precision : (c, 3, 3) of one sample, for each cell; line : (c,) number of the line
+    """
+
+    time_s: Float64[np.ndarray, " n"]
+    deviation_mm: Float64[np.ndarray, "n 3"]
+    cell: Int64[np.ndarray, " n"]
+    lag: Float64[np.ndarray, " n"]
+    precision: Float64[np.ndarray, "c 3 3"]
+    line: Int64[np.ndarray, " c"]
+    rate_hz: float
+    run: int
+
+    @cached_property
+    def weighted(self) -> Float64[np.ndarray, "n 3"]:
+        """Precision times deviation."""
+        return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
+
+    def sums(
+        self, effects: Sequence[Effect], folds: int
+    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
+        """Normal sums of fast effects, data last, in folds of lines.
+
+        And their columns: number of the effect, number of its parameter.
+        """
+        found = [(k, self._of(effect)) for k, effect in enumerate(effects)]
+        fast = [(k, one) for k, one in found if one is not None]
+        columns = [(k, p) for k, one in fast for p in range(one.plain.shape[1])]
+        total = np.zeros((folds, len(columns) + 1, len(columns) + 1))
+        if not columns:
+            return total, columns
+        data = self.deviation_mm.reshape(-1, 1), self.weighted.reshape(-1, 1)
+        plain = np.concatenate([*(one.plain for _, one in fast), data[0]], axis=1)
+        weighted = np.concatenate([*(one.weighted for _, one in fast), data[1]], axis=1)
+        for line, first, last in self._lines:
+            mine = slice(3 * first, 3 * last)
+            total[line % folds] += plain[mine].T @ weighted[mine]
+        return total, columns
+
+    @cached_property
+    def _lines(self) -> list[tuple[int, int, int]]:
+        """Number, first sample and one past the last of each line."""
+        line = self.line[self.cell]
+        begin = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
+        end = np.append(begin[1:], len(line))
+        return [(int(line[a]), int(a), int(b)) for a, b in zip(begin, end, strict=True)]
+
+    @cached_property
+    def _known(self) -> dict[Effect, _Fast]:
+        return {}
+
+    def _of(self, effect: Effect) -> _Fast | None:
+        found = self._known.pop(effect, None) or self._build(effect)
+        if found is not None:
+            self._known[effect] = found  # the newest is last
+        if len(self._known) > _KEPT:
+            del self._known[next(iter(self._known))]
+        return found
+
+    def _build(self, effect: Effect) -> _Fast | None:
+        columns = (
+            effect.jacobian_in_time(self.time_s) if self._is_here(effect) else None
+        )
+        if columns is None:
+            return None
+        size = columns.shape[2]
+        flat = columns.reshape(len(columns), -1)
+        plain = remove_mean_and_slope(flat, self.cell, self.lag, len(self.line))
+        plain = plain.reshape(columns.shape)
+        weighted = self.precision[self.cell] @ plain
+        return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
+
+    def shows(self, effect: Effect) -> bool:
+        """True if the effect is fast and belongs to this Run."""
+        return (
+            self._is_here(effect)
+            and effect.jacobian_in_time(self.time_s[:1]) is not None
+        )
+
+    def _is_here(self, effect: Effect) -> bool:
+        return effect.own_run in (None, self.run)
+
+    def wave(
+        self, wave: Wave
+    ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
+        """Complex amplitudes of the data and weights at the wave's frequencies.
+
+        Mean and slope of each cell are removed from the wave: it keeps little in a long
+        cell.
+        """
+        arm = wave.arm[0]
+        count = np.bincount(self.cell)
+        weight = np.einsum("i,cij,j->c", arm, self.precision, arm) * count
+        x = np.pi * wave.waves * float(np.median(count)) / self.rate_hz
+        mean = np.sinc(x / np.pi)
+        slope = np.sqrt(3.0) * (mean - np.cos(x)) / np.maximum(x, 1e-9)
+        left = np.maximum(1.0 - mean**2 - slope**2, 0.0)
+        found = transform(self.time_s, self.weighted @ arm, wave.waves)
+        return found, 0.5 * left * float(weight.sum())
+
+    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Weighted squares of the deviations, by fold."""
+        square = np.einsum("ni,ni->n", self.deviation_mm, self.weighted)
+        return np.bincount(self.line[self.cell] % folds, square, folds)
+
+    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Degrees of freedom by fold: 3 (samples − 2) a cell."""
+        count = np.bincount(self.cell, minlength=len(self.line))
+        free = 3.0 * np.maximum(count - 2, 0)
+        return np.bincount(self.line % folds, free, folds)
+
+
+def compute_cell_deviations(
+    run: Run, seen: Observations, base: Linearisation
+) -> CellDeviations | None:
+    """Straight lines only; None if there are too few samples on them."""
+    valid = np.zeros(len(run.tracker), bool)
+    valid[find_valid_samples(run.tracker, run.commanded.target)] = True
+    parts: list[CellDeviations] = []
+    for number, (first, last) in enumerate(seen.lines):
+        line = int(seen.at.line[first])
+        if line < 0 or _find_bends(seen, first):
+            continue
+        each = seen.passes[line]
+        samples = each.first + np.flatnonzero(valid[each.first : each.last])
+        steady = first + np.flatnonzero(~seen.is_ramp[first:last])
+        if len(samples) > 3 * len(steady) > 0:
+            cells = slice(int(steady[0]), int(steady[-1]) + 1)
+            parts.append(_part(run, seen, base, samples, cells, number))
+    return _join(parts) if parts else None
+
+
+def _find_bends(seen: Observations, cell: int) -> bool:
+    """True for an arc, which is straight in no cell."""
+    around, machine = seen.at.recorded, seen.at.machine
+    turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
+    return around is not None and bool(around.rate[cell, turning].any())
+
+
+def _part(
+    run: Run,
+    seen: Observations,
+    base: Linearisation,
+    samples: Int64[np.ndarray, " n"],
+    cells: slice,
+    number: int,
+) -> CellDeviations:
+    time_s = run.tracker.device_time_s[samples]
+    count = cells.stop - cells.start
+    span = float(time_s[-1] - time_s[0]) + 1e-9
+    cell = ((time_s - time_s[0]) / span * count).astype(np.int64)
+    lag = measure_lag(time_s, cell, count)
+    local = run.tracker.position_mm[samples] @ base.pose.rotation
+    off = remove_mean_and_slope(local - local[0], cell, lag, count)
+    precision = _precision(seen, base, cells)
+    size = np.sqrt(np.einsum("ni,nij,nj->n", off, precision[cell], off))
+    good = size < _OUTLIER * max(1.0, float(np.median(size)))
+    lag = measure_lag(time_s[good], cell[good], count)
+    off = remove_mean_and_slope((local - local[0])[good], cell[good], lag, count)
+    line = np.full(count, number)
+    rate_hz = run.machine.tracker.rate_hz
+    return CellDeviations(
+        time_s[good], off, cell[good], lag, precision, line, rate_hz, seen.at.run
+    )
+
+
+def _join(blocks: list[CellDeviations]) -> CellDeviations:
+    begin = np.cumsum([0, *(len(b.line) for b in blocks[:-1])])
+    return CellDeviations(
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.deviation_mm for b in blocks]),
+        np.concatenate([b.cell + f for b, f in zip(blocks, begin, strict=True)]),
+        np.concatenate([b.lag for b in blocks]),
+        np.concatenate([b.precision for b in blocks]),
+        np.concatenate([b.line for b in blocks]),
+        blocks[0].rate_hz,
+        blocks[0].run,
+    )
+
+
+def measure_lag(
+    time_s: Float64[np.ndarray, " n"], cell: Int64[np.ndarray, " n"], count: int
+) -> Float64[np.ndarray, " n"]:
+    """Time from the middle of each cell, its sum of squares 1 there."""
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    origin = time_s - time_s[0]
+    lag = origin - (np.bincount(cell, origin, count) / number)[cell]
+    square = np.bincount(cell, lag**2, count)
+    return lag / np.sqrt(np.maximum(square, 1e-300))[cell]
+
+
+def remove_mean_and_slope(
+    columns: Float64[np.ndarray, "n p"],
+    cell: Int64[np.ndarray, " n"],
+    lag: Float64[np.ndarray, " n"],
+    count: int,
+) -> Float64[np.ndarray, "n p"]:
+    """Columns without mean and slope of each cell."""
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    left = np.zeros_like(columns)
+    for k, column in enumerate(columns.T):
+        if not column.any():
+            continue
+        mean = np.bincount(cell, column, count) / number
+        slope = np.bincount(cell, column * lag, count)
+        left[:, k] = column - mean[cell] - slope[cell] * lag
+    return left
+
+
+def _precision(
+    seen: Observations, base: Linearisation, cells: slice
+) -> Float64[np.ndarray, "c 3 3"]:
+    tracker_mm = seen.tracker_mm[cells]
+    distance = np.linalg.norm(tracker_mm, axis=1)
+    sigma = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]
+    beam, across = base.noise.white
+    sigma = sigma * np.array([beam, across, across])
+    frame = beam_frame(tracker_mm) @ base.pose.rotation
+    return np.einsum("nki,nk,nkj->nij", frame, sigma**-2, frame)
