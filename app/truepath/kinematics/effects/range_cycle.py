@@ -89,7 +89,7 @@ class RangeCycleFamily(SinusoidFamily):
         if np.ptp(range_mm) <= 2.0 * _SHORTEST:
             return []
         cycle = RangeCycle(20.0, float(range_mm.mean()))
-        return [self.offer(cycle, [USUAL_MM] * 2)]
+        return [self.make_candidate(cycle, [USUAL_MM] * 2)]
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
