@@ -170,7 +170,7 @@ def test_a_hold_of_the_watchdog_bears_the_name_of_what_kept_the_beats_away(
     reach = motion._reach
     monitor = running.measurement._monitor
 
-    def is_busy() -> None:
+    def is_busy(*_):
         raise DeviceBusy("exception 6")
 
     monitor.settings = monitor._machine._settings = replace(

@@ -220,7 +220,7 @@ def test_random_points_and_the_ways_between_them_keep_clear_of_boxes(mill):
     for seed in range(5):
         points = make_points(mill, VerificationKind.RANDOM_POINTS, seed, workspace)
         assert len(points) == RANDOM_POINTS
-        workspace.refuse(mill, points)
+        workspace.require_allowed(mill, points)
     full = Workspace(keep_out=(Box(tuple(low), tuple(high)),))
     with pytest.raises(PlanningError, match="leaves room for 0 of 30 random points"):
         make_points(mill, VerificationKind.RANDOM_POINTS, 1, full)

@@ -275,7 +275,7 @@ def test_only_a_usable_calibration_of_the_machine_is_a_reference(
     assert client.patch(at, json={"reference_job": calibrated[0]}).status_code == 200
     assert client.get(standing).json()["has_changed"] is False
     (service.results / calibrated[0] / "result.json").unlink()
-    service.calibrations.judge("default")
+    service.calibrations.update_status("default")
     lost = client.get(standing).json()
     assert (lost["has_changed"], lost["reference_job"]) == (None, calibrated[0])
     assert lost["change_text"].startswith("changes are not watched")
@@ -308,7 +308,7 @@ def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service,
         middle = len(exx["values_um"]) // 2
         for knot in range(middle - 3, middle + 4):
             exx["values_um"][knot] += 60.0
-    service.calibrations.judge("default")
+    service.calibrations.update_status("default")
     standing = client.get(f"{BASE}/default/standing").json()
     assert (standing["is_alarm"], standing["has_changed"]) == (True, True)
     assert (standing["reference_job"], standing["tolerance"]) == (calibrated[0], None)

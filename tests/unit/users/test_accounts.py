@@ -121,7 +121,7 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit(hand_clock):
             back_off.check("anna")
     assert waits[:4] == [1, 2, 4, 8]
     assert waits[-1] == LONGEST_WAIT_S
-    back_off.forget("anna")
+    back_off.clear("anna")
     back_off.fail("anna")
     back_off.check("anna")
 
@@ -143,15 +143,15 @@ def test_a_typo_a_day_never_makes_anybody_wait(hand_clock):
 def test_a_rate_is_a_burst_and_then_so_many_a_second(hand_clock):
     limit = RateLimit(3, 2.0)
     for _ in range(3):
-        limit.take("anna")
+        limit.count_request("anna")
     with pytest.raises(TooManyRequests) as refused:
-        limit.take("anna")
-    limit.take("ben")
+        limit.count_request("anna")
+    limit.count_request("ben")
     assert refused.value.retry_after_s == pytest.approx(0.5)
     hand_clock.time_s += 0.5
-    limit.take("anna")
+    limit.count_request("anna")
     with pytest.raises(TooManyRequests):
-        limit.take("anna")
+        limit.count_request("anna")
 
 
 @pytest.fixture

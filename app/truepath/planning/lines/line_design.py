@@ -88,7 +88,7 @@ class LineDesignState(DesignState):
         way_mm = np.linalg.norm(step_mm, axis=2).sum(axis=1)
         return enough & (way_mm >= shortest_mm)
 
-    def hold(
+    def restrict_axes(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
     ) -> Float64[np.ndarray, "n a"]:
         """Linear axes alone, rotary axes together or one, or all, in turn."""
