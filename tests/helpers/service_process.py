@@ -34,10 +34,11 @@ ROWS = [
 
 
 @contextmanager
-def process(folder, descriptors=None, **environment):
+def process(folder, descriptors=None, prepare=bool, **environment):
     """Run the service as its own process; yield it and a client of it.
 
     descriptors : it gets so many, and no more if it asks
+    prepare : what it calls before it serves
     """
     settings = {
         "TRUEPATH_DATA_DIR": str(folder / "data"),
@@ -47,7 +48,7 @@ def process(folder, descriptors=None, **environment):
         "TRUEPATH_LOG_FORMAT": "json",
         **environment,
     }
-    running = Service(settings, folder / "service.log", descriptors)
+    running = Service(settings, folder / "service.log", descriptors, prepare)
     try:
         with httpx2.Client(base_url=running.address, timeout=30.0) as client:
             yield running, client
@@ -58,9 +59,9 @@ def process(folder, descriptors=None, **environment):
 class Service:
     """A process of the service that answers; its verbs are those of a `Popen`."""
 
-    def __init__(self, settings, log, descriptors):
+    def __init__(self, settings, log, descriptors, prepare):
         heard, told = _FORKS.Pipe(duplex=False)
-        arguments = settings, str(log), told, descriptors
+        arguments = settings, str(log), told, descriptors, prepare
         self._process = _FORKS.Process(target=serve_forked, args=arguments)
         # Nothing of the program that tests is run anew in the child.
         with mock.patch.dict(sys.modules, {"__main__": ModuleType("__main__")}):

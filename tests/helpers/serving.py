@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import replace
 
-from truepath.main import serve
+from truepath import main
 from truepath.service.api.application import create_application
 from truepath.service.api.server import Server
 from truepath.service.page import pages
@@ -32,8 +32,8 @@ def serving(service, access=None, **options):
             thread.join(10)
 
 
-def serve_forked(settings, log, told, descriptors):
-    """Serve as a process of its own; the address is told."""
+def serve_forked(settings, log, told, descriptors, prepare):
+    """Serve as a process of its own; the address is told. prepare : called before"""
     os.setsid()
     if descriptors is not None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (descriptors, descriptors))
@@ -42,7 +42,25 @@ def serve_forked(settings, log, told, descriptors):
         os.dup2(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), number)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     pages.router.add_api_route("/freeze", _freeze)
-    serve(load_settings(), listening=told.send)
+    prepare()
+    main.serve(load_settings(), listening=told.send)
+
+
+def end_while_it_starts():
+    """Let SIGTERM come before the first request."""
+    run = main.Server.run
+
+    def end_at_once(server, sockets):
+        os.kill(os.getpid(), signal.SIGTERM)
+        run(server, sockets)
+
+    main.Server.run = end_at_once
+
+
+def hang_at_the_end():
+    """Let the jobs' dispatcher never close."""
+    main._END_S = 1.0
+    main.Dispatcher.close = lambda *_: time.sleep(600.0)
 
 
 def _end_with_parent():

@@ -17,6 +17,7 @@ from processes import runs
 from real_services import process, service_of, write_machine
 from scripted_cell import wait_until
 from service_process import ROWS, SPEED, arm, create, follow, moving
+from serving import end_while_it_starts, hang_at_the_end
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
 from truepath.main import open_service
@@ -161,44 +162,15 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
     assert events[-1] == "service ended"
 
 
-HANGING = """
-import time
-from truepath import main
-from truepath.settings import load_settings
-
-main._END_S = 1.0
-main.Dispatcher.close = lambda *_: time.sleep(600.0)
-if __name__ == "__main__":
-    main.serve(load_settings())
-"""
-
-EARLY = """
-import os
-import signal
-from truepath import main
-from truepath.settings import load_settings
-
-run = main.Server.run
-
-def end_at_once(server, sockets):
-    os.kill(os.getpid(), signal.SIGTERM)
-    run(server, sockets)
-
-main.Server.run = end_at_once
-if __name__ == "__main__":
-    main.serve(load_settings())
-"""
-
-
-def test_an_end_that_comes_while_it_starts_is_not_lost(tmp_path, monkeypatch):
-    monkeypatch.setattr(service_process, "PROGRAM", EARLY)
-    with service_process.process(tmp_path) as (running, _):
+def test_an_end_that_comes_while_it_starts_is_not_lost(tmp_path):
+    process = service_process.process(tmp_path, prepare=end_while_it_starts)
+    with process as (running, _):
         assert running.wait(40) == 0
 
 
-def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path, monkeypatch):
-    monkeypatch.setattr(service_process, "PROGRAM", HANGING)
-    with service_process.process(tmp_path) as (running, client):
+def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path):
+    process = service_process.process(tmp_path, prepare=hang_at_the_end)
+    with process as (running, client):
         client.get("/api/v1/system")  # it has begun to answer
         children = _children(running.pid)
         running.send_signal(signal.SIGTERM)

@@ -194,8 +194,8 @@ def test_who_is_slow_loses_the_oldest_and_is_told_how_many():
     taken = []
     for block in range(CHUNKS + 7):
         feed.publish(make_samples(block * CHUNK, CHUNK))
-        taken.append(quick.take())
+        taken.append(quick.pop_oldest())
     assert [chunk.sequence[0] // CHUNK for chunk, _ in taken] == [*range(CHUNKS + 7)]
-    chunk, dropped = slow.take()
+    chunk, dropped = slow.pop_oldest()
     assert (chunk.sequence[0], dropped) == (7 * CHUNK, 7 * CHUNK)
-    assert quick.take() == (None, 0)
+    assert quick.pop_oldest() == (None, 0)

@@ -203,7 +203,7 @@ def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_is_missing(
     offsets = np.array([t.offset_mm for t in machine.targets])
     position = np.zeros((len(offsets), len(machine.axes)))
     runs = [make_standstill(machine, position, offsets)]
-    assert not build_run_models(machine, runs).nested.whole.confounded
+    assert not build_run_models(machine, runs).nested.with_confounded.confounded
     machine = machine_from_json(content_of(MEASURED[:4]))
     drive, at_mm = Drive.of_machine(machine, 1.0), np.array([-900.0, 200.0, 100.0])
     design = start_design(PointDesignState, machine, at_mm, drive, target="T1")

@@ -160,7 +160,10 @@ class CrookedFamily(ServoMismatchFamily):
     words = {"en": ServoMismatchFamily.words["en"]}  # noqa: RUF012
 
     def propose(self, at):
-        return [self.make_candidate(Crooked(), [1.0]), self.make_candidate(Crooked(), [1.0])]
+        return [
+            self.make_candidate(Crooked(), [1.0]),
+            self.make_candidate(Crooked(), [1.0]),
+        ]
 
 
 @pytest.mark.parametrize(
