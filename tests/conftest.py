@@ -8,6 +8,7 @@ import os
 import shutil
 import socket
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from types import SimpleNamespace
@@ -27,6 +28,7 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators import scenario
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
@@ -51,8 +53,25 @@ def pytest_addoption(parser):
     )
 
 
+_PERFECT = tempfile.TemporaryDirectory()
+
+
+def use_perfect_trackers(folder):
+    """Let bundled machines have none of the errors that a tracker's maker specifies.
+
+    Their one draw would decide other claims. Services in processes of their own, and
+    tests that state a specification, have them.
+    """
+    for name in scenario.list_machines():
+        content = load_machine(name)
+        content["tracker"]["specification"] = {}
+        (folder / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+    scenario.BUNDLED = folder
+
+
 def pytest_configure(config):
     """Collect what tests measure where a file for it is named."""
+    use_perfect_trackers(FilePath(_PERFECT.name))
     file = config.getoption("--measured")
     if file is not None and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Measured(file))

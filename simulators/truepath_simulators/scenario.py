@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 from truepath_simulators.errors import SimulatorError
 
+BUNDLED: Traversable = resources.files("truepath_simulators") / "scenarios"
+
 
 def list_machines() -> tuple[str, ...]:
     """Names of the machines that are bundled with the simulators."""
-    folder = resources.files("truepath_simulators") / "scenarios"
     return tuple(
         sorted(
             entry.name.removesuffix(".json")
-            for entry in folder.iterdir()
+            for entry in BUNDLED.iterdir()
             if entry.name.endswith(".json")
         )
     )
@@ -28,8 +30,7 @@ def load_machine(name: str | Path) -> dict[str, Any]:
     Raises SimulatorError naming the file, or the bundled machines.
     """
     if str(name) in list_machines():
-        file = resources.files("truepath_simulators") / "scenarios" / f"{name}.json"
-        return json.loads(file.read_text(encoding="utf-8"))
+        return json.loads((BUNDLED / f"{name}.json").read_text(encoding="utf-8"))
     try:
         content = json.loads(Path(name).read_text(encoding="utf-8"))
     except OSError as error:
