@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -141,7 +141,15 @@ def _find_largest_mm(
     term: CandidateTerm, theta: Float64[np.ndarray, " p"], data: RunData
 ) -> float:
     at = data.observations.at
-    # What swings within a cell is more than its mean.
+    if at.recorded is not None:
+        # Within a cell and right after a reversal it is more than the cell's mean.
+        since = at.recorded.since_reversal
+        recorded = replace(
+            at.recorded,
+            span_s=0.0 * at.recorded.span_s,
+            since_reversal=np.where(np.isfinite(since), 0.0, since),
+        )
+        at = replace(at, recorded=recorded)
     begin_s = float(at.time_s[0])
     columns = term.effect.jacobian_in_time(np.linspace(begin_s, begin_s + 1.0, 2000))
     if columns is None:
@@ -169,7 +177,8 @@ class Gap:
 
     expected_um : of a complete model: noise, and the uncertainty of a fit to the other
         lines
-    usual_um : of noise alone at the tracker's specification
+    usual_um : of noise alone at the tracker's specification; beside_places_um : the
+        same with the noise between places as it was found
     """
 
     before_um: float
@@ -177,11 +186,12 @@ class Gap:
     noise_floor_um: float
     expected_um: float
     usual_um: float
+    beside_places_um: float
 
 
 def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
     """With a fast effect, the samples within cells are included."""
-    floor_um, usual_um = _compute_noise_floors_um(run_data)
+    floor_um, usual_um, beside_places_um = _compute_noise_floors_um(run_data)
     fast = any(term.is_fast for term in best.terms)
     return Gap(
         floor_um * baseline.held_out.measure_ratio(fast=fast),
@@ -189,16 +199,21 @@ def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -
         floor_um,
         floor_um * best.held_out.expect_ratio(fast=fast),
         usual_um,
+        beside_places_um,
     )
 
 
-def _compute_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
-    """Root mean square of noise alone in a cell: as found, as specified."""
-    square, usual, cells = 0.0, 0.0, 0
+def _compute_noise_floors_um(
+    run_data: Sequence[RunData],
+) -> tuple[float, float, float]:
+    """Root mean square of noise alone in a cell: as in the fields of `Gap`."""
+    square, cells = np.zeros(3), 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
-        square += len(seen) * expected_rms_mm(seen, base.noise, along) ** 2
-        usual += len(seen) * expected_rms_mm(seen, base.noise.usual, along) ** 2
+        noises = base.noise, base.noise.usual, base.noise.usual_beside_places
+        rms_mm = [expected_rms_mm(seen, noise, along) for noise in noises]
+        square += len(seen) * np.square(rms_mm)
         cells += len(seen)
-    return 1e3 * float(np.sqrt(square / cells)), 1e3 * float(np.sqrt(usual / cells))
+    floor_um, usual_um, beside_um = (1e3 * np.sqrt(square / cells)).tolist()
+    return floor_um, usual_um, beside_um

@@ -136,7 +136,7 @@ def _list_questions(
     best, fitter = found.fit, found.fitter
     named = found.tried.named
     for finding in found.possible:
-        if finding.is_imitated:
+        if found.tried.is_imitated(finding.term):
             doubting = fitter.widen_tracker_errors()
             fits = (
                 doubting.fit(terms, refine=False)

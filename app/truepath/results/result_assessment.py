@@ -23,6 +23,7 @@ from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.checks.step_kinds import RANGE, TILT
 from truepath.estimation.problem.confounded_prior import guess_full_prior
 from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.noise import compute_places_um
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.estimation.solve.known_scale import KnownScale
@@ -92,7 +93,9 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
                 max(max(runs[k].noise.white) for k in own),
                 _FIT,
             ),
-            *_judge_places([runs[k] for k in own]),
+            *_assess_places(
+                *max((max(runs[k].noise.place), runs[k].place_um) for k in own)
+            ),
             *_assess_ramps([runs[k] for k in own]),
             *_assess_drift([checked.misfits[k] for k in own]),
             *_assess_unseen(
@@ -274,6 +277,7 @@ def assess_live(check: LiveCheck, lines: int) -> Verdict:
         *_assess_excluded(settled, lines, check.used_samples),
         *_assess_setup_shifts(check.knocks),
         *_assess_noise(check.residual, check.white),
+        *_assess_places(check.place, check.place_um),
     ]
     if check.held:
         values: dict[str, Value] = {
@@ -301,10 +305,16 @@ def assess_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
         own = name if len(names) > 1 else ""
         reasons += [Reason(r.kind, r.state, r.values, own) for r in said]
     gap = found.gap
-    noise = gap.noise_floor_um / gap.usual_um
+    noise = gap.noise_floor_um / gap.beside_places_um
     left = max(gap.after_um / max(gap.expected_um, 1e-12), 1.0)
     white = max(max(run.noise.white) for run in found.baseline.runs)
     reasons += _assess_noise(noise * left, white)
+    for run in found.baseline.runs:
+        seen = run.observations
+        distance_mm = float(np.linalg.norm(seen.tracker_mm, axis=1).mean())
+        tracker = seen.at.machine.tracker
+        place_um = compute_places_um(tracker, distance_mm, run.noise)
+        reasons += _assess_places(max(run.noise.place), place_um)
     used = Verdict() if parent is None else parent.assess_use()
     sensors = assess_sensors([summarize_run(one.run) for one in found.aligned])
     return Verdict.merge([Verdict(tuple(reasons)), sensors, used])
@@ -463,11 +473,9 @@ def _assess_noise(
             yield Reason(kind, _grade(float(ratio), limits), values)
 
 
-def _judge_places(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
-    worst = max(runs, key=lambda run: max(run.noise.place))
-    ratio = max(worst.noise.place)
+def _assess_places(ratio: float, place_um: Sequence[float]) -> Iterator[Reason]:
     if ratio > _PLACES[0]:
-        distances = zip(("range", "azimuth", "elevation"), worst.place_um, strict=True)
+        distances = zip(("range", "azimuth", "elevation"), place_um, strict=True)
         values: dict[str, Value] = {f"{name}_um": um for name, um in distances}
         state = "doubtful" if ratio > _PLACES[1] else "usable"
         yield Reason("places-differ", state, values | {"ratio": ratio})

@@ -7,8 +7,10 @@ import pytest
 
 from estimating import judge_map
 from recorded import load_small, record_run
-from truepath.files.bundle.run import PointRows
+from truepath.estimation.live.live import LiveEstimator
+from truepath.files.bundle.run import PointBlock, PointRows
 from truepath.results.analysis import analyse
+from truepath.results.result_assessment import assess_live
 from truepath.results.result_json import result_json
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.hidden.tracker import TrackerRangeOffset
@@ -27,6 +29,15 @@ def stand(seed, **how):
     made["tracker"]["rate_hz"] = how.pop("rate_hz", 100.0)
     program = paths.standstill_points(parse_machine(made), seed, POINTS, dwell_s=0.4)
     return record_run(made, program, seed, "standstill", Setting(**how))
+
+
+def shoot(seed, **how):
+    """A Run at points, its recording, and one sample of each point."""
+    run, made = stand(seed, rate_hz=5.0, **how)
+    first = np.searchsorted(made.row, np.arange(len(run.commanded)), "right") - 1
+    n = np.arange(len(first))
+    at = made.time_s[first], made.position_mm[first]
+    return run, made, TrackerSamples(n, *at, np.zeros_like(n))
 
 
 def move(run, moved_mm):
@@ -116,12 +127,8 @@ def test_knots_that_are_far_apart_are_no_difference_between_places():
 
 def test_single_shots_are_as_uncertain_as_they_scatter():
     quiet = 0.3  # of the stated noise, of which shots say nothing
-    run, made = stand(3, rate_hz=5.0, noise_scale=quiet)
-    first = np.searchsorted(made.row, np.arange(len(run.commanded)), "right") - 1
-    n = np.arange(len(first))
-    shots = TrackerSamples(
-        n, made.time_s[first], made.position_mm[first], np.zeros_like(n)
-    )
+    run, made, shots = shoot(3, noise_scale=quiet)
+    n = shots.sequence
     points = PointRows(n, np.ones_like(n), np.zeros((len(n), 3, 3)))
     estimate = analyse(replace(run, tracker=shots, points=points)).estimate
     noise = estimate.runs[0].noise
@@ -138,3 +145,34 @@ def test_stated_intervals_hold_the_truth_where_places_differ():
         estimate = analyse(run).estimate
         inside.append(judge_map(estimate, made.truth.deviation_mm).inside)
     assert 0.9 < np.mean(inside) < 0.97
+
+
+def follow(run):
+    """States of a live estimate on the way, and the last."""
+    live, states = LiveEstimator(run.machine, run.commanded), []
+    for begin in range(0, len(run.tracker), 200):
+        if live.add_block(run.tracker.select(slice(begin, begin + 200))):
+            now = live.estimate()
+            states.append(assess_live(now.check, now.done).state)
+    live.finish()
+    return states, live.estimate()
+
+
+def test_a_live_estimate_names_no_knock_where_places_differ(differing):
+    states, last = follow(differing[0])
+    assert last.check.knocks == last.check.left_out == ()
+    assert "not-usable" not in states
+    verdict = assess_live(last.check, last.done)
+    assert [reason.kind for reason in verdict.reasons] == ["places-differ"]
+
+
+def test_a_live_estimate_of_single_shots_holds_none_back():
+    run, _, shots = shoot(5)
+    one, unknown = np.ones(1, np.int64), np.zeros((1, 3, 3))
+    live = LiveEstimator(run.machine, run.commanded)
+    for k in shots.sequence:
+        rows = PointRows(shots.sequence[k : k + 1], one, unknown)
+        if live.add_block(PointBlock(shots.select(slice(k, k + 1)), rows)):
+            assert live.estimate().check.held == ()
+    live.finish()
+    assert live.estimate().check.knocks == ()

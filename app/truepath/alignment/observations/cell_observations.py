@@ -56,7 +56,7 @@ def join_blocks(
     if run.mode != "standstill" or len(parts) == len(seen):
         return seen
     # Samples of a place are off together: it is one cell, however long it took.
-    return seen.join(np.searchsorted(own, np.arange(len(parts))))
+    return seen.join(np.flatnonzero(np.diff(own, prepend=-1)))
 
 
 def _collect_conditions(

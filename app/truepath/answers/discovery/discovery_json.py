@@ -147,7 +147,7 @@ def state_remedy(finding: Finding) -> str:
     if not finding.is_small:
         return finding.family.words["en"].remedy
     largest = format_number(1e3 * finding.largest_mm, 2)
-    return f"Nothing: it moves the target by {largest} µm at most."
+    return f"Nothing at what was measured: it moves the target by {largest} µm at most."
 
 
 def _encode_unnamed(family: Family, finding: Finding) -> dict[str, Any]:

@@ -36,8 +36,8 @@ class LiveCheck:
     used_samples, cells : used for the estimate
     held : rows of the newest lines, which do not fit the earlier ones; held_mm : their
         largest deviation
-    residual, white : of the fit and of a sample, relative to the tracker's
-        specification
+    residual, white, place : of the fit, of a sample and between places, relative to
+        the tracker's specification; place_um : the last in range, azimuth, elevation
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -48,6 +48,8 @@ class LiveCheck:
     held_mm: float = 0.0
     residual: float = 1.0
     white: float = 1.0
+    place: float = 0.0
+    place_um: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

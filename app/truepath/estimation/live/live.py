@@ -312,14 +312,19 @@ class LiveEstimator:
         if len(self._parts) >= _FIRST_LOOK:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
+            between_places = any(noise.place)
+            if between_places:  # before anything is called an outlier
+                noise = _refine_noise(seen, pose, noise, self._known, errors)
             prior = weaken_prior(self._prior.told, self._model.weak)
             weak = self._model.weak[-6:]
             found = check_parts(seen, known, pose, noise, prior, self._known, weak)
-            parts, noise = [*found.parts], found.estimate_noise(noise)
+            parts = [*found.parts]
+            if not between_places:  # few places: what the estimate absorbs counts
+                noise = found.estimate_noise(noise)
             if steps := list_range_steps(parts):
                 errors += steps
                 self._know(*errors)
-            if thoroughly:
+            if thoroughly or between_places:
                 main = found.parts[found.main].seen
                 own = found.find_pose(found.main)
                 noise = _refine_noise(main, own, noise, self._known, errors)

@@ -42,6 +42,7 @@ from truepath.estimation.problem.information import (
 from truepath.estimation.problem.noise import (
     NoiseModel,
     assume_typical_noise,
+    compute_places_um,
     expected_rms_mm,
 )
 from truepath.estimation.problem.prior import BendingPrior
@@ -126,12 +127,16 @@ class SegmentCheck:
         travel = np.einsum("nij,nj->ni", seen.beam_frame, turned)
         counted = misfit.off_mm[~seen.is_ramp]
         rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
-        usual_mm = expected_rms_mm(seen, noise.usual, travel)
+        usual_mm = expected_rms_mm(seen, noise.usual_beside_places, travel)
+        distance_mm = float(np.linalg.norm(seen.tracker_mm, axis=1).mean())
+        place_um = compute_places_um(seen.at.machine.tracker, distance_mm, noise)
         return LiveCheck(
             tuple(each for part in self.parts for each in part.seen.left_out),
             self._list_setup_shifts(),
             residual=max(rms_mm, expected_rms_mm(seen, noise, travel)) / usual_mm,
             white=max(noise.white),
+            place=max(noise.place),
+            place_um=tuple(place_um),
         )
 
     def start_gate(self, given: Observations) -> LineGate:

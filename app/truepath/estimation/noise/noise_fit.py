@@ -62,6 +62,7 @@ _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
+_FEWEST_PLACES = 3
 _FEW_DIFFER = 0.3  # of the variance: below, a few places cause the rest
 _OF_APART = 2.0  # least correlation time over the time between places
 _SIZES = np.log([[1e-3, 30.0]] * 3)
@@ -261,6 +262,8 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
 
     A few wrong places, or a step, would inflate it for all.
     """
+    if len(evidence.residual) < _FEWEST_PLACES:
+        return noise
     square, expected = evidence.compare_neighbours(noise)
     times = np.median(square / expected, axis=0) / _MEDIAN
     times = np.where(times < _FEW_DIFFER, times, 1.0)
@@ -390,7 +393,9 @@ def _maximise(
 ) -> NoiseModel:
     low, high = np.array(_list_bounds(noise)).T
     high[3] = min(high[3], np.log(longest_s))
-    if any(noise.place):  # what is faster than places follow differs between them
+    if (
+        any(noise.place) and len(evidence.residual) > 1
+    ):  # what is faster than places follow differs between them
         apart_s = np.median(np.diff(evidence.design.observations.at.time_s))
         low[3] = min(high[3], np.log(_OF_APART * apart_s))
     x = np.clip(_pack(noise), low, high)
@@ -449,6 +454,8 @@ def _charge(
     )
     off, variance = np.zeros(len(x)), np.zeros((len(x), len(x)))
     off[sizes], off[3] = x[sizes] - _USUAL_SIZE, x[3] - _USUAL_TIME
+    if not any(noise.white):  # single shots: between places is all their noise
+        off[sizes[3:]] = x[sizes[3:]]
     variance[np.ix_(sizes, sizes)] = _USUAL_LEVEL**2
     told = [*sizes, 3]
     variance[told, told] += _USUAL_SPREAD**2

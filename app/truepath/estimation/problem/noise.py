@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 _OF_SHOWN = 1.15
 _MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the specified noise: tests detect more
@@ -51,6 +52,11 @@ class NoiseModel:
         """Specified white and typical correlated noise, with this feed jitter."""
         ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
         return replace(self, white=(1.0, 1.0), ou=ou, place=place)
+
+    @property
+    def usual_beside_places(self) -> NoiseModel:
+        """The same, with the noise between places as it was found."""
+        return replace(self.usual, place=self.place)
 
 
 def cell_noise(
@@ -150,6 +156,14 @@ def cap_correlated_noise(noise: NoiseModel) -> NoiseModel:
         ou=(along, azimuth, elevation),
         ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S if is_usual else np.inf),
     )
+
+
+def compute_places_um(
+    tracker: TrackerNoise, distance_mm: float, noise: NoiseModel
+) -> list[float]:
+    """Noise between places in range, azimuth and elevation."""
+    sigma_mm = tracker.sigma_mm(np.array([distance_mm]))[0, [0, 1, 1]]
+    return (1e3 * sigma_mm * noise.place).tolist()
 
 
 def calm_places(noise: NoiseModel) -> NoiseModel:

@@ -10,9 +10,12 @@ from jaxtyping import Float64, Int64
 
 from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Posterior
-from truepath.estimation.problem.noise import NoiseModel, expected_rms_mm
+from truepath.estimation.problem.noise import (
+    NoiseModel,
+    compute_places_um,
+    expected_rms_mm,
+)
 from truepath.estimation.problem.runs import RunInformation
-from truepath.files.units import UM_PER_MM
 from truepath.kinematics.effects.pose_timing_seats import TargetSeat
 from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
@@ -81,8 +84,7 @@ class RunEstimate:
     @property
     def place_um(self) -> list[float]:
         """What one standstill differs from the next by: range, azimuth, elevation."""
-        sigma = self.tracker.sigma_mm(np.array([self.distance_mm]))[0, [0, 1, 1]]
-        return (UM_PER_MM * sigma * self.noise.place).tolist()
+        return compute_places_um(self.tracker, self.distance_mm, self.noise)
 
     @property
     def lines(self) -> int:
