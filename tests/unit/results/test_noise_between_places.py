@@ -7,10 +7,11 @@ import pytest
 
 from estimating import judge_map
 from recorded import load_small, record_run
+from truepath.discovery.discover import discover
 from truepath.estimation.live.live import LiveEstimator
 from truepath.files.bundle.run import PointBlock, PointRows
 from truepath.results.analysis import analyse
-from truepath.results.result_assessment import assess_live
+from truepath.results.result_assessment import assess_discovery, assess_live
 from truepath.results.result_json import result_json
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.hidden.tracker import TrackerRangeOffset
@@ -145,6 +146,14 @@ def test_stated_intervals_hold_the_truth_where_places_differ():
         estimate = analyse(run).estimate
         inside.append(judge_map(estimate, made.truth.deviation_mm).inside)
     assert 0.9 < np.mean(inside) < 0.97
+
+
+def test_a_discovery_names_nothing_for_it_and_its_model_may_be_used(differing):
+    found = discover([differing[0]])
+    assert found.findings == found.possible == ()
+    verdict = assess_discovery(found, None)
+    assert verdict.state == "doubtful"
+    assert "places-differ" in {reason.kind for reason in verdict.reasons}
 
 
 def follow(run):
