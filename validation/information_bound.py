@@ -28,8 +28,8 @@ from truepath.estimation.problem.information import (
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.coarse_model import InertialBend
 from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.effects.inertial_bend import InertialBend
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.machine.tracker_head import Air

@@ -14,15 +14,12 @@ from truepath.cli.analyse import (
     analysis_commands,
     import_command,
     planning_commands,
-    reanalyse_command,
-    temperature_command,
     trend_commands,
     verification_commands,
 )
 from truepath.cli.measure import driver_commands, machine_commands
-from truepath.cli.results import certificate_command, result_commands
+from truepath.cli.results import result_commands
 from truepath.cli.service import (
-    catalogue_commands,
     operation_commands,
     service_commands,
     user_commands,
@@ -97,10 +94,10 @@ app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
 app.command()(verification_commands.verify)
 app.command()(result_commands.export)
-app.command()(certificate_command.certificate)
+app.command()(result_commands.certificate)
 app.command()(trend_commands.trend)
-app.command()(temperature_command.temperature)
-app.command()(reanalyse_command.reanalyse)
+app.command()(trend_commands.temperature)
+app.command()(analysis_commands.reanalyse)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 app.command("import")(import_command.import_recording)
@@ -111,7 +108,7 @@ app.command()(operation_commands.support_bundle)
 app.command()(operation_commands.settings)
 app.command()(operation_commands.systemd_unit)
 app.add_typer(machine_commands.machines, name="machines")
-app.add_typer(catalogue_commands.catalogue, name="catalogue")
+app.add_typer(operation_commands.catalogue, name="catalogue")
 app.add_typer(operation_commands.tls, name="tls")
 app.add_typer(user_commands.users, name="users")
 app.add_typer(user_commands.keys, name="keys")

@@ -26,15 +26,15 @@ from truepath.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
-from truepath.kinematics.effects.inertial_bend import InertialBend
+from truepath.kinematics.effects.error_motion import find_arm
 from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_absorbed_effects,
     list_partly_determined_effects,
 )
-from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.machine.machine import LinearAxis, Machine
+from truepath.kinematics.machine.symbols import LINEAR, is_turn, list_error_motions
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.splines import CubicSpline, natural_spline
 from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
@@ -43,6 +43,9 @@ LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not 
 _KNOT_SPACING_MM = 35.0
 _USUAL_MM = 0.005  # of a slow shift
 _POINTS_PER_KNOT = 6  # of a spline of time, for measurements at points
+_UNIT_MM_S2 = 1000.0
+# At 1 m/s²: more than carriages bend, so that data alone determine the size.
+_BEND_MM, _BEND_RAD = 0.005, 1.5e-5
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,48 @@ class LineShift(Effect):
         """Sum of squares over the lines."""
         count = len(self.lines)
         return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
+
+
+@dataclass(frozen=True)
+class InertialBend(Effect):
+    """The six error motions of an axis at an acceleration of 1 m/s².
+
+    The carriage leans, with all that it carries. Only samples on ramps show it. Every
+    estimate that uses them includes it: near the ends of lines it would be taken for
+    error motions.
+    """
+
+    kind = "inertial-bend"
+    role = Role.NUISANCE
+    axis: LinearAxis
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One per error motion."""
+        return tuple(
+            Parameter(f"{self.name}-{symbol}", "rad" if is_turn(symbol) else "mm")
+            for symbol in list_error_motions(self.axis.name)
+        )
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Arms of the error motions, times the acceleration in m/s²."""
+        columns = np.zeros((len(at), 3, len(self.parameters)))
+        share = at.axis_acceleration(self.axis.name) / _UNIT_MM_S2
+        moving = np.flatnonzero(share)
+        if len(moving):
+            for k, symbol in enumerate(list_error_motions(self.axis.name)):
+                arm = find_arm(symbol, at)[moving]
+                columns[moving, :, k] = arm * share[moving, None]
+        return columns
+
+    def prior(self) -> QuadraticPrior:
+        """Typical bends of carriages, as standard deviations."""
+        sigma = [
+            _BEND_RAD if is_turn(symbol) else _BEND_MM
+            for symbol in list_error_motions(self.axis.name)
+        ]
+        form = np.diag(np.array(sigma) ** -2.0)
+        return QuadraticPrior(form, len(sigma), float(len(sigma)), is_known=True)
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
 
+from packaging.requirements import Requirement
+
+from truepath.catalogue.data_dir_lock import MOUNTS, find_file_system, is_network_share
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.store.database import Database
 from truepath.compensation.format_registry import list_formats
 from truepath.device_options import DEVICES, read_options
+from truepath.errors import TruepathError
+from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 from truepath.kinematics.effects.family import list_families
 from truepath.motion.nc_programs.programs import list_dialects
-from truepath.operation.computer import check_computer
 from truepath.operation.devices import check_devices
 from truepath.operation.finding import Finding, Grade
 from truepath.operation.running_service import check_service, find_service
-from truepath.operation.storage import check_storage
 from truepath.plugins import gather, left_out
 from truepath.settings import Settings
+
+LEAST_MEMORY_BYTES = 1 << 30
+_MADE = datetime(2026, 1, 1, tzinfo=UTC)  # a clock before that was never set
+_ASK_S = 5.0
+LEAST_FREE_BYTES = 500 << 20
+"""Below it no measurement begins."""
+AMPLE_BYTES = 5 << 30
 
 
 def examine(settings: Settings) -> Iterator[Finding]:
@@ -27,6 +46,102 @@ def examine(settings: Settings) -> Iterator[Finding]:
     yield from check_devices(settings, running)
 
 
+def check_computer() -> Iterator[Finding]:
+    """Versions, clock, memory and threads."""
+    yield check_versions()
+    yield check_clock()
+    yield check_memory(Path("/proc/meminfo"))
+    yield check_threads()
+
+
+def check_versions() -> Finding:
+    """Whether the libraries have the versions that this package requires."""
+    python = ".".join(map(str, sys.version_info[:3]))
+    ours = f"Truepath {version('truepath')}, Python {python}"
+    wrong = list(_list_wrong_versions())
+    if not wrong:
+        return Finding("versions", Grade.OK, ours)
+    text = f"{ours}; {'; '.join(wrong)}"
+    remedy = "install again with the constraints: pip install -c constraints.txt ."
+    return Finding("versions", Grade.WRONG, text, remedy)
+
+
+def _list_wrong_versions() -> Iterator[str]:
+    for line in requires("truepath") or ():
+        need = Requirement(line)
+        if need.marker is not None and not need.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            found = version(need.name)
+        except PackageNotFoundError:
+            yield f"{need.name} is missing"
+            continue
+        if not need.specifier.contains(found, prereleases=True):
+            yield f"{need.name} is {found}, not {need.specifier}"
+
+
+def check_clock(now: datetime | None = None) -> Finding:
+    """Whether the clock is set and synchronised, as far as the system reports it."""
+    now = now or datetime.now(UTC)
+    shown = f"{now:%Y-%m-%d %H:%M:%S} UTC"
+    if now < _MADE:
+        remedy = "set the date: Runs and results bear it"
+        return Finding("clock", Grade.WRONG, f"{shown} is before this version", remedy)
+    kept = _is_clock_kept()
+    if kept is None:
+        return Finding("clock", Grade.UNTOLD, f"{shown}; nobody says who keeps it")
+    if kept:
+        return Finding("clock", Grade.OK, f"{shown}, kept by the network")
+    remedy = "switch time synchronisation on (timedatectl set-ntp true), or set it"
+    return Finding("clock", Grade.WARNING, f"{shown}, kept by nobody", remedy)
+
+
+def _is_clock_kept() -> bool | None:
+    program = shutil.which("timedatectl")
+    if program is None:
+        return None
+    try:
+        told = subprocess.run(  # noqa: S603
+            [program, "show", "--property=NTPSynchronized", "--value"],
+            capture_output=True,
+            text=True,
+            timeout=_ASK_S,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"yes": True, "no": False}.get(told.stdout.strip())
+
+
+def check_memory(meminfo: Path) -> Finding:
+    """Whether there is memory for an analysis; `meminfo` as Linux writes it."""
+    try:
+        lines = meminfo.read_text(encoding="ascii").splitlines()
+        told = dict(line.split(":", 1) for line in lines)
+        free = int(told["MemAvailable"].split()[0]) << 10
+    except (OSError, KeyError, ValueError):
+        return Finding("memory", Grade.UNTOLD, "the system does not tell")
+    text = f"{free / 1e9:.1f} GB are free"
+    if free >= LEAST_MEMORY_BYTES:
+        return Finding("memory", Grade.OK, text)
+    remedy = "end other programs: an analysis of a long Run takes about 1 GB"
+    return Finding("memory", Grade.WARNING, text, remedy)
+
+
+def check_threads() -> Finding:
+    """Whether linear algebra is limited to one thread per process."""
+    several = {
+        name: value
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        if (value := os.environ.get(name, "1")) != "1"
+    }
+    if not several:
+        return Finding("threads", Grade.OK, "linear algebra: one thread a process")
+    text = ", ".join(f"{name}={value}" for name, value in several.items())
+    remedy = "leave them unset: several threads a process wait for each other"
+    return Finding("threads", Grade.WARNING, text, remedy)
+
+
 def check_plugins() -> Iterator[Finding]:
     """Each installed plug-in that cannot be used."""
     for group in DEVICES.values():
@@ -35,3 +150,84 @@ def check_plugins() -> Iterator[Finding]:
         look()
     for why in sorted(left_out):
         yield Finding("plug-ins", Grade.WARNING, *why.rsplit("; ", 1))
+
+
+def check_storage(settings: Settings) -> Iterator[Finding]:
+    """Rights, file system, room and catalogue of the data folder."""
+    folder = settings.data_dir
+    place = find_existing(folder)
+    yield check_rights(folder, place)
+    yield check_file_system(place)
+    yield check_room(place)
+    yield check_catalogue_file(settings)
+
+
+def find_existing(folder: Path) -> Path:
+    """The folder, or the nearest one above that exists."""
+    place = folder.absolute()
+    return next(p for p in (place, *place.parents) if p.exists())
+
+
+def check_rights(folder: Path, place: Path) -> Finding:
+    """Whether this account may write; `place` as `find_existing` has it."""
+    if not place.is_dir():
+        remedy = "give another data_dir"
+        return Finding("data folder", Grade.WRONG, f"{place} is no folder", remedy)
+    if not os.access(place, os.R_OK | os.W_OK | os.X_OK):
+        text = f"{place}: this account may not write there"
+        remedy = "give the folder to the account of the service, or set data_dir"
+        return Finding("data folder", Grade.WRONG, text, remedy)
+    is_new = place != folder.absolute()
+    text = f"{folder} does not exist yet; it is made" if is_new else str(folder)
+    return Finding("data folder", Grade.OK, text)
+
+
+def check_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
+    """Whether the folder is on a disk of this computer."""
+    kind = find_file_system(place.resolve(), mounts)
+    if kind is None:
+        return Finding("file system", Grade.UNTOLD, "the system does not tell")
+    if is_network_share(kind):
+        remedy = "set data_dir to a disk of this computer"
+        text = f"{place} is on a share of the network ({kind})"
+        return Finding("file system", Grade.WRONG, text, remedy)
+    return Finding("file system", Grade.OK, kind)
+
+
+def check_room(place: Path) -> Finding:
+    """Whether the disk has room for Runs."""
+    free = shutil.disk_usage(place).free
+    text = f"{free / 1e9:.1f} GB are free"
+    if free < LEAST_FREE_BYTES:
+        remedy = "free some space: below 0.5 GB no measurement begins"
+        return Finding("disk", Grade.WRONG, text, remedy)
+    if free < AMPLE_BYTES:
+        remedy = "free some space: an hour of measuring takes about 0.2 GB"
+        return Finding("disk", Grade.WARNING, text, remedy)
+    return Finding("disk", Grade.OK, text)
+
+
+def check_catalogue_file(settings: Settings) -> Finding:
+    """Whether the catalogue can be used and agrees with the Runs on disk."""
+    if not settings.database_url and not settings.data_dir.exists():
+        return Finding("catalogue", Grade.OK, "there is none yet")
+    database = Database(settings.database)
+    try:
+        found = check_against_disk(database, settings.data_dir / "runs")
+    except StorageUnavailable as error:
+        remedy = "look at the database server, or try again"
+        return Finding("catalogue", Grade.WRONG, str(error), remedy)
+    except TruepathError as error:
+        return Finding("catalogue", Grade.WRONG, str(error))
+    finally:
+        database.close()
+    if found["revision"] is None:
+        return Finding("catalogue", Grade.OK, "there is none yet")
+    text = f"schema {found['revision']}, {found['jobs']} jobs, {found['runs']} Runs"
+    gone = len(found["rows_without_file"])
+    if gone:
+        remedy = "see truepath catalogue check; bring the files back from a backup"
+        return Finding(
+            "catalogue", Grade.WARNING, f"{text}; files of {gone} have gone", remedy
+        )
+    return Finding("catalogue", Grade.OK, text)

@@ -16,7 +16,7 @@ from truepath.catalogue.errors import StorageFull, StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, JobKind, encode_job
 from truepath.catalogue.transitions import State
 from truepath.service.api.routes import events
-from truepath.service.api.topics import Topics
+from truepath.service.api.routes.events import Topics
 
 pytestmark = pytest.mark.database
 EVENTS = "/api/v1/events"

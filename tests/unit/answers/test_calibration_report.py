@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from truepath.answers.calibration.calibration_report import (
+from truepath.answers.calibration.analysis_files import (
     render_calibration_report,
     render_section,
 )

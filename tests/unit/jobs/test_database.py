@@ -17,7 +17,6 @@ from sqlalchemy.event import listen
 from sqlalchemy.exc import DBAPIError, OperationalError
 
 from truepath.catalogue import schema
-from truepath.catalogue.catalogue_file import check_catalogue
 from truepath.catalogue.errors import (
     CatalogueDamaged,
     CatalogueReadOnly,
@@ -28,7 +27,7 @@ from truepath.catalogue.errors import (
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.schema import metadata
 from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.database import Database, check_catalogue
 from truepath.catalogue.store.idempotency import IdempotencyKey
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.table_transfer import import_tables, open_export

@@ -17,8 +17,8 @@ from truepath.files.bundle.commanded_file import (
 from truepath.motion.configurations import append_part
 from truepath.motion.motion_times import row_times_s
 from truepath.motion.nc_programs.programs import write_program
-from truepath.motion.paths.circle_path import TURN_DEG, make_circle_path
 from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
+from truepath.motion.paths.verification_points import TURN_DEG, make_circle_path
 from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.travel import check_travel
 from truepath.motion.workspace.workspace import Workspace

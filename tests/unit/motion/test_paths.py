@@ -9,9 +9,9 @@ import pytest
 from paths_by_hand import path_of
 from truepath.errors import BadInput, OutOfTravel, PlanningError
 from truepath.kinematics.machine.machine import LinearAxis, MotionLimits, RotaryAxis
+from truepath.measurement.engine.path_steps import cut_by_target
 from truepath.motion.configurations import Configurations, append_part
 from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
-from truepath.motion.paths.by_target import cut_by_target
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.paths.default_points import default_points

@@ -8,14 +8,14 @@ import pytest
 
 from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.errors import BadInput
-from truepath.operation import computer, devices, storage
+from truepath.operation import devices, doctor
 from truepath.operation.finding import Grade
 from truepath.settings import load_settings
 
 
 def test_a_library_of_another_version_is_named(monkeypatch):
-    monkeypatch.setattr(computer, "requires", lambda _: ["numpy>=99", "nothere>=1"])
-    found = computer.check_versions()
+    monkeypatch.setattr(doctor, "requires", lambda _: ["numpy>=99", "nothere>=1"])
+    found = doctor.check_versions()
     assert found.grade is Grade.WRONG
     assert "numpy is" in found.text
     assert "nothere is missing" in found.text
@@ -24,7 +24,7 @@ def test_a_library_of_another_version_is_named(monkeypatch):
 
 @pytest.mark.fault_row(29)
 def test_a_clock_that_was_never_set_is_wrong():
-    found = computer.check_clock(datetime(1970, 1, 1, tzinfo=UTC))
+    found = doctor.check_clock(datetime(1970, 1, 1, tzinfo=UTC))
     assert found.grade is Grade.WRONG
 
 
@@ -32,9 +32,9 @@ def test_little_memory_and_several_threads_are_told(tmp_path, monkeypatch):
     file = tmp_path / "meminfo"
     for free_kb, grade in ((500_000, "warning"), (4 << 20, "ok")):
         file.write_text(f"MemTotal:       99 kB\nMemAvailable:   {free_kb} kB\n")
-        assert computer.check_memory(file).grade == grade
+        assert doctor.check_memory(file).grade == grade
     monkeypatch.setenv("OMP_NUM_THREADS", "8")
-    found = computer.check_threads()
+    found = doctor.check_threads()
     assert found.grade is Grade.WARNING
     assert "OMP_NUM_THREADS=8" in found.text
 
@@ -45,10 +45,10 @@ def test_a_data_folder_on_a_network_share_is_wrong_and_no_service_starts_there(
 ):
     mounts, folder = tmp_path / "mounts", tmp_path / "data"
     mounts.write_text(f"/dev/sda1 / ext4 rw 0 0\nserver:/x {folder} {kind} rw 0 0\n")
-    found = storage.check_file_system(folder, mounts)
+    found = doctor.check_file_system(folder, mounts)
     assert found.grade is Grade.WRONG
     assert kind in found.text
-    elsewhere = storage.check_file_system(Path("/"), mounts)
+    elsewhere = doctor.check_file_system(Path("/"), mounts)
     assert (elsewhere.grade, elsewhere.text) == (Grade.OK, "ext4")
     refusal = rf"data_dir.*\({kind}\).*give a disk of this comp"
     with pytest.raises(BadInput, match=refusal), hold_folder(folder, mounts):
@@ -60,19 +60,19 @@ def test_a_data_folder_on_a_network_share_is_wrong_and_no_service_starts_there(
 def test_the_room_and_the_rights_of_the_data_folder_are_graded(monkeypatch, tmp_path):
     file = tmp_path / "data"
     file.write_text("")
-    found = storage.check_rights(file, storage.find_existing(file))
+    found = doctor.check_rights(file, doctor.find_existing(file))
     assert found.grade is Grade.WRONG
     for free, grade in ((10**8, "wrong"), (2 * 10**9, "warning"), (10**11, "ok")):
         usage = SimpleNamespace(free=free)
-        monkeypatch.setattr(storage.shutil, "disk_usage", lambda _, u=usage: u)
-        assert storage.check_room(tmp_path).grade == grade
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, u=usage: u)
+        assert doctor.check_room(tmp_path).grade == grade
 
 
 @pytest.mark.fault_row(37)
 def test_a_damaged_catalogue_is_wrong_and_says_the_way_out(tmp_path):
     given = load_settings(data_dir=tmp_path)
     (tmp_path / "catalogue.sqlite").write_text("no database")
-    found = storage.check_catalogue_file(given)
+    found = doctor.check_catalogue_file(given)
     assert found.grade is Grade.WRONG
     assert "catalogue rebuild" in found.text
 

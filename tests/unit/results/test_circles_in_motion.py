@@ -17,8 +17,8 @@ from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.configurations import append_part
-from truepath.motion.paths.circle_path import make_circle_path
 from truepath.motion.paths.driven_again import drive_arcs_again
+from truepath.motion.paths.verification_points import make_circle_path
 from truepath.numerics.rigid import RigidTransform
 from truepath.service.api.models.results.verification import VerificationOut
 from truepath_simulators.hidden.dynamics import ServoMismatch

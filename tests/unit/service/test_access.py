@@ -29,7 +29,7 @@ from truepath.service.api.security.route_roles import (
     find_route,
 )
 from truepath.service.page import pages
-from truepath.users.back_off import RateLimit
+from truepath.users.access import RateLimit
 from truepath.users.roles import PERSONAL_ROLES, Role, includes
 from truepath_drivers.interfaces.records import MotionState, MotionStatus
 

@@ -9,9 +9,8 @@ from argon2 import PasswordHasher
 from truepath.catalogue.store.database import Database
 from truepath.users import passwords
 from truepath.users.accounts import Accounts
-from truepath.users.boot_clock import Moment
 from truepath.users.roles import Role
-from truepath.users.tokens import Tokens
+from truepath.users.tokens import Moment, Tokens
 
 PASSWORD = "a long sentence is easy"
 

@@ -5,9 +5,15 @@ from sqlalchemy import text
 
 from truepath.errors import BadInput, NotFound
 from truepath.users import passwords
-from truepath.users.access import FREE_TRIES, Access, AccessRules
-from truepath.users.back_off import FORGET_S, LONGEST_WAIT_S, BackOff, RateLimit
-from truepath.users.boot_clock import read_moment
+from truepath.users.access import (
+    FORGET_S,
+    FREE_TRIES,
+    LONGEST_WAIT_S,
+    Access,
+    AccessRules,
+    BackOff,
+    RateLimit,
+)
 from truepath.users.errors import (
     TooManyRequests,
     TooManyTries,
@@ -16,6 +22,7 @@ from truepath.users.errors import (
 )
 from truepath.users.passwords import is_password
 from truepath.users.roles import Actor, Role, includes
+from truepath.users.tokens import read_moment
 
 PASSWORD = "a long sentence is easy"
 

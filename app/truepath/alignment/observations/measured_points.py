@@ -2,7 +2,8 @@
 
 Nothing is recognised from motion: a sample is the mean of a whole dwell. The sequence
 of points still has to be that of the rows, so that a wrong numbering, another target or
-a reflector that moved shows as a point off its row.
+a reflector that moved shows as a point off its row. Shots without a number are assigned
+to rows by position and order.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ from jaxtyping import Float64, Int64
 from truepath.alignment.observations.cell_blocks import CellBlock
 from truepath.alignment.observations.reduction import Cells, beam_frame
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.alignment.stream.nominal_path import NominalPath
-from truepath.alignment.stream.sequence import Matching
+from truepath.alignment.stream.nominal_path import NominalPath, compute_nominal_path
+from truepath.alignment.stream.seating import find_seating
+from truepath.alignment.stream.sequence import TOLERANCE_MM, Matching, match_stops
 from truepath.alignment.stream.stops import StopSequence
+from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows, Run
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import TrackerSamples
 
 
@@ -77,3 +82,33 @@ def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
     )
     position = run.commanded.position[[row]]
     return CellBlock(cells, row, -1, np.zeros((1, 3)), position, np.zeros(1))
+
+
+def order_shots(
+    machine: Machine, points: Configurations, tracker_mm: Float64[np.ndarray, "n 3"]
+) -> Int64[np.ndarray, " n"] | None:
+    """Row of each shot, −1 off all points; None if shots do not follow them.
+
+    Consecutive shots at one position are of one point; any point may be missing.
+    """
+    if not len(tracker_mm):
+        return None
+    step_mm = np.linalg.norm(np.diff(tracker_mm, axis=0), axis=1)
+    stay = np.append(0, np.cumsum(step_mm > TOLERANCE_MM))
+    count = np.bincount(stay)
+    place_mm = np.stack(
+        [np.bincount(stay, tracker_mm[:, axis]) / count for axis in range(3)], axis=1
+    )
+    nominal = compute_nominal_path(machine, points)
+    try:
+        found = match_stops(
+            list_as_stops(place_mm),
+            nominal.place_mm,
+            ordered_by="points.csv",
+            seating=find_seating(machine, points, nominal.first),
+        )
+    except AlignmentError:
+        return None
+    row = np.full(len(place_mm), -1)
+    row[found.stop] = nominal.first[found.waypoint]
+    return row[stay]

@@ -153,6 +153,14 @@ class Frame:
             ]
         )
 
+    def draw_level(
+        self, y: Scale, value: float, colour: str, *, width: float, dash: str = ""
+    ) -> Markup:
+        """A horizontal line over the whole width."""
+        at = float(y.place(np.array([value]))[0])
+        ends = (self.left, at), (self.right, at)
+        return draw_segments(*ends, colour, width=width, dash=dash)
+
     def draw_empty(self, text: str) -> Markup:
         """A dashed frame with a text that says why it is empty."""
         edge = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, Scale, draw_panels
+from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, draw_panels
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.svg import (
     WIDTH,
@@ -83,19 +83,11 @@ def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:
     return join_shapes(
         [
             frame.draw_axes(x, y, name, SIGN[table.unit]),
-            _draw_level(frame, y, 0.0, Colour.MUTED, width=0.6),
+            frame.draw_level(y, 0.0, Colour.MUTED, width=0.6),
             fill_band(at, y.place(low), y.place(high), Colour.ACCENT, opacity=_BAND),
             draw_curve(at, y.place(table.value), Colour.ACCENT),
         ]
     )
-
-
-def _draw_level(
-    frame: Frame, y: Scale, value: float, colour: str, *, width: float, dash: str = ""
-) -> Markup:
-    at = float(y.place(np.array([value]))[0])
-    ends = (frame.left, at), (frame.right, at)
-    return draw_segments(*ends, colour, width=width, dash=dash)
 
 
 def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
@@ -114,7 +106,7 @@ def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
             frame.write_title(f"Residual by {name} (dashed: what noise alone leaves)"),
             frame.draw_axes(x, y, f"row of the {rows}", "rms, µm", upright=False),
             draw_segments(foot, top, Colour.ACCENT, width=width),
-            _draw_level(frame, y, floor, Colour.SECOND, width=1.0, dash="4 2"),
+            frame.draw_level(y, floor, Colour.SECOND, width=1.0, dash="4 2"),
         ]
     )
 

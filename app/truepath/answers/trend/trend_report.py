@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame
@@ -16,7 +15,6 @@ from truepath.answers.shown.svg import (
     Colour,
     draw_curve,
     draw_image,
-    draw_segments,
 )
 from truepath.answers.shown.templating import render_page
 from truepath.answers.trend.recalibration_forecast import (
@@ -94,9 +92,8 @@ def draw_outlook(outlook: RecalibrationForecast) -> Markup:
         draw_curve(x.place(hours), y.place(outlook.high_um), Colour.SECOND),
     ]
     if outlook.limit_um is not None:
-        height = float(y.place(np.array([outlook.limit_um]))[0])
-        ends = (frame.left, height), (frame.right, height)
-        lines.append(draw_segments(*ends, Colour.INK, width=0.8, dash="4 2"))
+        limit = frame.draw_level(y, outlook.limit_um, Colour.INK, width=0.8, dash="4 2")
+        lines.append(limit)
     legend = ((Colour.ACCENT, "median"), (Colour.SECOND, "95 % of courses below"))
     return draw_image(
         TOP + _HEIGHT + 28.0,

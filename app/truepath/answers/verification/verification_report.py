@@ -187,9 +187,10 @@ def _draw_places(found: Verification) -> Markup:
         dots = [f"M{a - 1.2:.2f} {b:.2f}h2.4" for a, b in zip(at, middle, strict=True)]
         shapes.append(draw_strokes(dots, colour, width=1.6))
     if found.tolerance_um is not None:
-        height = float(y.place(np.array([found.tolerance_um]))[0])
-        ends = (frame.left, height), (frame.right, height)
-        shapes.append(draw_segments(*ends, Colour.INK, width=0.8, dash="4 2"))
+        limit = frame.draw_level(
+            y, found.tolerance_um, Colour.INK, width=0.8, dash="4 2"
+        )
+        shapes.append(limit)
     legend = ((Colour.SECOND, "machine as it is"), (Colour.ACCENT, "less the result"))
     return draw_image(
         TOP + _HEIGHT + 28.0,

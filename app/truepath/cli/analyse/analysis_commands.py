@@ -1,13 +1,15 @@
-"""The commands on measurements: `analyse`, `discover`, and `predict` from a result."""
+"""The commands on measurements: `analyse`, `discover`, `predict`, `reanalyse`."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from truepath.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
 from truepath.cli.summary import (
     describe_effect,
     print_result,
@@ -23,6 +25,7 @@ from truepath.cli.terminal import (
     collect_garbage_rarely,
     print_files,
     print_json,
+    print_table,
     require_folder,
     say,
     show_progress,
@@ -188,6 +191,47 @@ def predict(
         print(f"{len(predicted.error_um)} points in {output}")
 
 
+def reanalyse(
+    run_ids: Annotated[
+        list[str] | None, typer.Argument(metavar="RUN...", help="Runs of the service.")
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(help="In their place: all Runs of this machine of the service."),
+    ] = None,
+    since: Annotated[
+        datetime | None, typer.Option(help="Only Runs since then, by local time.")
+    ] = None,
+    address: Address = HERE,
+    key_file: KeyFile = None,
+    ca_file: CaFile = None,
+    json: Json = False,
+) -> None:
+    """Analyse Runs again and say what has changed; Ctrl-C leaves the job running."""
+    from truepath.cli.calibration import follow_to_the_end
+
+    order: dict[str, Any] = {"kind": "reanalyse"}
+    if run_ids:
+        order["run_ids"] = run_ids
+    if machine is not None:
+        order["machine"] = machine
+    if since is not None:
+        order["since"] = since.astimezone().isoformat()
+    with open_client(address, key_file, ca_file) as client:
+        job_id = client.create_job(**order)["id"]
+        with show_progress("reanalyse") as on_progress:
+
+            def show(share: float, stage: str, _note: str = "") -> None:
+                on_progress(share, stage, f"{100 * share:.0f} % of the Runs")
+
+            follow_to_the_end(client, job_id, show)
+        summary = client.get_reanalysis(job_id)
+    if json:
+        print_json(summary)
+    else:
+        _print_reanalysis(job_id, summary)
+
+
 def _open_workers() -> AbstractContextManager[Mapper]:
     # Only trials ask who computes: settings and workers are not loaded for others.
     from truepath.jobs.workers.workers import choose_workers, open_workers
@@ -224,3 +268,33 @@ def _print_discovery(content: dict[str, Any]) -> None:
         f"gap on lines not seen: {gap['before']:.2f} to {gap['after']:.2f} µm, "
         f"noise alone {gap['noise_floor']:.2f} µm"
     )
+
+
+def _print_reanalysis(job_id: str, summary: dict[str, Any]) -> None:
+    rows = [
+        [
+            one["name"] or one["run_id"],
+            _show(one["before"], "volumetric_error_um"),
+            _show(one["after"], "volumetric_error_um"),
+            _show(one["before"], "verdict"),
+            _show(one["after"], "verdict"),
+        ]
+        for one in summary["analyses"]
+    ]
+    columns = ["Run", "before, µm", "after, µm", "verdict before", "after"]
+    print_table("mean volumetric error", columns, rows)
+    print(
+        f"job {job_id}: {summary['analysed']} of {summary['total']} Runs analysed, "
+        f"{summary['failed']} failed, {summary['unchanged']} of {summary['compared']} "
+        "unchanged"
+    )
+    for one in summary["analyses"]:
+        if one["failure"]:
+            say(f"failed: {one['name'] or one['run_id']}: {one['failure']['detail']}")
+
+
+def _show(figures: dict[str, Any] | None, name: str) -> str:
+    if figures is None or figures[name] is None:
+        return ""
+    value = figures[name]
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -1,8 +1,9 @@
-"""The commands that use a result: `compare` it with a reference, `export` it."""
+"""The commands that use a result: `compare`, `export`, `certificate`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +23,8 @@ from truepath.cli.terminal import (
     say,
 )
 from truepath.errors import ActiveTablesUnknown, BadInput, NotUsable
+
+_SUFFIXES = (".pdf", ".html")  # of certificates
 
 
 def compare(
@@ -173,6 +176,92 @@ def export(
         print_json(account)
     else:
         _print_compensation(account)
+
+
+def certificate(
+    result: ResultFile,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help=".pdf or .html to write."),
+    ],
+    as_left: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT.json", help="Measured after compensation."),
+    ] = None,
+    verification: Annotated[
+        Path | None, typer.Option(metavar="V.json", help="What `verify` wrote.")
+    ] = None,
+    compensation: Annotated[
+        Path | None,
+        typer.Option(metavar="ACCOUNT.json", help="What `export` wrote beside files."),
+    ] = None,
+    identity: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Serial numbers, operator, customer …"),
+    ] = None,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FIELD=TEXT", help="One field of the identity."),
+    ] = None,
+    language: Annotated[Literal["en", "de"], typer.Option()] = "en",
+    number: Annotated[
+        str, typer.Option(help="Of the certificate; else made from the result.")
+    ] = "",
+    issued: Annotated[
+        datetime | None,
+        typer.Option(formats=["%Y-%m-%d"], help="Date of issue; today if left out."),
+    ] = None,
+    accept_verdict: Annotated[
+        bool,
+        typer.Option(
+            "--accept-verdict",
+            help="Issue one for a result that is not to be used all the same.",
+        ),
+    ] = False,
+) -> None:
+    """A calibration certificate of a result, as PDF or HTML."""
+    collect_garbage_rarely()
+    from truepath.answers.certificate.document import render_certificate
+    from truepath.answers.certificate.issue import (
+        gather_certificate,
+        read_result_source,
+    )
+    from truepath.answers.certificate.pdf import print_pdf, require_printer
+    from truepath.documents.whole_files import replace_file
+    from truepath.files.bundle.identity_file import (
+        FIELDS,
+        read_assignments,
+        read_identity,
+    )
+
+    suffix = output.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise BadInput(f"{output}: write a name that ends in {' or '.join(_SUFFIXES)}")
+    if suffix == ".pdf":
+        require_printer()
+    found = read_result_source(result)
+    given = read_identity(identity) if identity else {}
+    stated = {**given, **read_assignments(state or [])}
+    content = gather_certificate(
+        found,
+        issued=issued.date() if issued else datetime.now().astimezone().date(),
+        left=as_left,
+        verification=verification,
+        compensation=compensation,
+        identity=stated,
+        language=language,
+        number=number,
+    )
+    try:
+        html = render_certificate(content, accept_verdict=accept_verdict)
+    except NotUsable as error:
+        remedy = "--accept-verdict issues it all the same"
+        raise BadInput(f"{error} {remedy}") from error
+    output.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(output, print_pdf(html) if suffix == ".pdf" else html.encode())
+    if missing := [name for name in FIELDS if name not in stated]:
+        say(f"not stated: {', '.join(missing)}; state them with --state FIELD=TEXT")
+    print_files([output])
 
 
 def _print_compensation(account: Mapping[str, Any]) -> None:

@@ -1,4 +1,6 @@
-"""The commands for operating the service: settings, systemd, TLS, doctor, backup."""
+"""The commands for operating the service: settings, systemd, TLS, doctor, backup,
+catalogue.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,10 @@ if TYPE_CHECKING:
 
 _MARKS = {"ok": "ok", "untold": "?", "warning": "warning", "wrong": "WRONG"}
 tls = typer.Typer(help="Certificates for listening beyond this computer.")
+catalogue = typer.Typer(
+    help="Look at the catalogue of jobs and Runs, or make it again.",
+    no_args_is_help=True,
+)
 
 
 def settings(
@@ -210,6 +216,82 @@ def restore(
     print(f"{settings.data_dir}: {_describe(kept)}")
     for name in kept.left_out:
         say(f"was left out of the backup: {name}")
+
+
+@catalogue.command()
+def check(
+    config: Config = None,
+    data_dir: DataDir = None,
+    with_hashes: Annotated[
+        bool,
+        typer.Option("--hash", help="Read every Run: was it changed since?"),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Whether the catalogue can be used, and agrees with the Runs on disk."""
+    settings = _load(config, data_dir)
+    from truepath.catalogue.store.database import Database
+    from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
+
+    database = Database(settings.database)
+    try:
+        found = check_against_disk(
+            database, settings.data_dir / "runs", with_hashes=with_hashes
+        )
+    finally:
+        database.close()
+    if json:
+        print_json({"schema": "catalogue-check/1", **found})
+        return
+    place = database.file or "catalogue"
+    if found["revision"] is None:
+        print(f"{place}: there is none yet")
+        return
+    print(
+        f"{place}: in order, schema {found['revision']}, {found['jobs']} jobs, "
+        f"{found['runs']} Runs"
+    )
+    for run_id in found["runs_without_row"]:
+        say(f"Run {run_id} is on disk and in no row; the service adds it by itself")
+    for run_id in found["rows_without_file"]:
+        say(f"Run {run_id} is in the catalogue and its file has gone")
+    for run_id in found["changed_files"] or ():
+        say(f"Run {run_id} was changed since it was catalogued: SHA-256 differs")
+
+
+@catalogue.command()
+def rebuild(
+    config: Config = None, data_dir: DataDir = None, json: Json = False
+) -> None:
+    """Set a damaged catalogue aside and make it again from Runs and results on disk.
+
+    A whole one stays and gets what it lacks. The service must not run meanwhile.
+    """
+    settings = _load(config, data_dir)
+    from dataclasses import asdict
+
+    from truepath.catalogue.data_dir_lock import hold_folder
+    from truepath.catalogue.store.database import Database
+    from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
+
+    folder = settings.data_dir
+    with hold_folder(folder):
+        database = Database(settings.database)
+        try:
+            found = rebuild_catalogue(database, folder / "runs", folder / "results")
+        finally:
+            database.close()
+    if json:
+        print_json({"schema": "catalogue-rebuild/1", **asdict(found)})
+        return
+    if found.aside is not None:
+        print(f"the damaged catalogue is kept as {found.aside}")
+    print(
+        f"added: {found.runs} Runs, {found.jobs} jobs ({found.results} with what they "
+        f"found, {found.models} models)"
+    )
+    for what, why in found.unreadable.items():
+        say(f"{what}: {why}; its file is kept")
 
 
 def _describe(kept: Kept) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +14,6 @@ from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import NO_TIMES, POINTS_ONLY, STAYS_DAMAGED
 from truepath.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.motion.configurations import Commanded
-from truepath.motion.paths.by_target import Stretch, cut_by_target
 from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
 from truepath_drivers.interfaces.arcs import find_reach
 from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
@@ -157,3 +158,32 @@ class PathSteps(MeasurementSteps):
         row = min(status.line, len(path) - 1)
         self._has_arrived = self._monitor.is_at(path.position[row])
         return self._has_arrived or status.line > self._concluded_row
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows of one target, starting at `row` of the whole path."""
+
+    row: int
+    path: Path
+
+
+def cut_by_target(path: Path) -> list[Stretch]:
+    """Each stretch begins at the row where the one before has ended."""
+    name = np.array(path.target or ("",) * len(path))
+    changes = (np.flatnonzero(name[1:] != name[:-1]) + 1).tolist()
+    bounds = [0, *changes, len(path)]
+    stretches: list[Stretch] = []
+    for first, end in pairwise(bounds):
+        begin = max(first - 1, 0)
+        rows = slice(begin, end)
+        part = replace(
+            path,
+            position=path.position[rows],
+            feed_mm_min=path.feed_mm_min[rows],
+            dwell_s=path.dwell_s[rows],
+            target=path.target[first:end][:1] * (end - begin),
+            arc=path.arc[rows],
+        )
+        stretches.append(Stretch(begin, part))
+    return stretches

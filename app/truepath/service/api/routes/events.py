@@ -3,7 +3,7 @@
 `job` events have identifiers of the catalogue; a client that returns with Last-Event-ID
 gets all later ones, in order, from the catalogue itself. Other events (`progress`,
 `live`, `estimate`, `notice`, `condition`, `tick`) are momentary: only the newest
-matters.
+matters. A stream has all events, or those of named jobs and machines.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing, suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
@@ -25,13 +26,13 @@ from starlette.requests import HTTPConnection
 
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, decode_job, format_utc_now
+from truepath.errors import BadInput, NotFound
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.base import JobId
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service, ServiceDep
 from truepath.service.api.sockets import send_until_disconnected
-from truepath.service.api.topics import Topics, parse_topics
 from truepath_drivers import host_clock
 
 TICK_S = 1.0
@@ -41,8 +42,12 @@ _ASKING = CapacityLimiter(4)  # apart from all other work, that may take long
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
+MOST_TOPICS = 32
 _OF_MACHINE = ("machine", "condition")
 _LIVE = ("job", "progress", "live", "estimate", "plan", "notice", *_OF_MACHINE)
+
+FindMachine = Callable[[str], str | None]
+"""Machine of an active job, without waiting; None where unknown."""
 
 router = APIRouter(tags=["events"])
 
@@ -174,6 +179,72 @@ class Session:
             return self._access.identify(self._token) is not None
         except StorageUnavailable:  # a disk error must not hide the present state
             return True
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """Selected events; without jobs and machines all.
+
+    jobs, machines : identifiers; a machine includes its jobs
+    """
+
+    jobs: frozenset[str] = frozenset()
+    machines: frozenset[str] = frozenset()
+
+    @property
+    def is_all(self) -> bool:
+        """Whether nothing is excluded."""
+        return not self.jobs and not self.machines
+
+    @property
+    def only_job(self) -> str | None:
+        """The job, where it is the only topic."""
+        (job_id,) = self.jobs if len(self.jobs) == 1 else (None,)
+        return None if self.machines else job_id
+
+    def includes_job(self, job: Job) -> bool:
+        """Whether a job is selected."""
+        return self.is_all or job.id in self.jobs or job.machine in self.machines
+
+    def includes_event(self, event: JobEvent, find_machine: FindMachine) -> bool:
+        """Whether an event is selected. Never waits."""
+        if self.is_all or event.job_id in self.jobs:
+            return True
+        machine = event.body.get("machine")
+        if event.job_id is not None and machine is None and self.machines:
+            machine = find_machine(event.job_id)
+        return machine in self.machines
+
+
+def parse_topics(
+    text: str,
+    require_job: Callable[[str], object],
+    require_machine: Callable[[str], object],
+) -> Topics:
+    """Topics of `job:ID,machine:ID`; all for an empty text.
+
+    require_job, require_machine : raise NotFound where there is none
+
+    Raises BadInput naming the topic.
+    """
+    named: dict[str, set[str]] = {"job": set(), "machine": set()}
+    require = {"job": require_job, "machine": require_machine}
+    topics = [topic.strip() for topic in text.split(",")] if text else []
+    if len(topics) > MOST_TOPICS:
+        raise BadInput(f"topics: {len(topics)} are named; at most {MOST_TOPICS} can be")
+    for topic in topics:
+        kind, _, identifier = topic.partition(":")
+        if kind not in named or not identifier:
+            raise BadInput(
+                f"topics: {topic[:80]!r} is unknown; name job:ID or machine:ID, "
+                "separated by commas, or leave topics out"
+            )
+        try:
+            require[kind](identifier)
+        except NotFound as error:
+            raise BadInput(f"topics: {topic[:80]!r} is unknown: {error}") from error
+        named[kind].add(identifier)
+    return Topics(frozenset(named["job"]), frozenset(named["machine"]))
 
 
 async def _subscribe(
