@@ -166,7 +166,7 @@ def verify(operator: Taps, client: httpx2.Client) -> None:
     page = operator.page
     operator.press("Verify the machine")
     page.locator("[data-kind=diagonals]").click()
-    page.locator("#verify-tolerance").fill("15")
+    page.locator("#verify-tolerance").fill("30")
     chosen = page.locator("#verify-files option:checked:not([value=''])")
     expect(chosen).to_be_attached(timeout=PATIENCE_MS)
     operator.press("Prepare the points")
