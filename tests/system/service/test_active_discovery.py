@@ -15,7 +15,7 @@ import httpx2
 import numpy as np
 import pytest
 
-from real_services import drive, service_of
+from real_services import drive, service_of, write_machine
 from service_process import (
     ENDS,
 )
@@ -45,6 +45,7 @@ def bench_that_hides(hidden: HiddenEffect, folder: Path) -> Iterator[httpx2.Clie
     settings = load_settings(
         data_dir=folder / "data",
         simulated=True,
+        machine_file=write_machine(folder.with_name("machine.json"), 500),
         simulated_speed=15.0,
         simulated_seed=MACHINE,
         simulated_hidden=(json.dumps(as_json(hidden)),),

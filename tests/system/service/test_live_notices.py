@@ -8,7 +8,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from real_services import drive, service_of
+from real_services import drive, service_of, write_machine
 from service_process import follow
 from truepath.catalogue.job import JobEvent
 from truepath.settings import load_settings
@@ -31,6 +31,7 @@ def knocked_floor(folder: Path) -> Iterator[tuple[httpx2.Client, list[JobEvent]]
     settings = load_settings(
         data_dir=folder,
         simulated=True,
+        machine_file=write_machine(folder.with_name("machine.json"), 500),
         simulated_speed=SPEED,
         simulated_faults=(f"tracker:knock@{KNOCKED_S}s*{KNOCK_MM}",),
         port=0,

@@ -13,7 +13,7 @@ from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
-from truepath.results.result_assessment import judge
+from truepath.results.result_assessment import assess
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
@@ -176,7 +176,7 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
     _, size, said = KINDS[kind]
-    (reason,) = (one for one in judge(found, ["run"]).reasons if one.kind in SAID)
+    (reason,) = (one for one in assess(found, ["run"]).reasons if one.kind in SAID)
     assert reason.kind == said
     told = reason.values["angle_urad" if kind == "tilt" else "distance_um"]
     assert told == pytest.approx(size, abs=5.0)
