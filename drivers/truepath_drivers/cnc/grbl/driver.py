@@ -1,0 +1,269 @@
+"""The driver of controllers that speak GRBL 1.1."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from truepath_drivers import host_clock
+from truepath_drivers.cnc.grbl.motion import GrblMotion
+from truepath_drivers.cnc.grbl.protocol import (
+    AXES,
+    FULL_FEED,
+    ONE_LESS,
+    TEN_LESS,
+    Settings,
+)
+from truepath_drivers.cnc.grbl.session import GrblSession
+from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.cnc.travel import (
+    arrange_path,
+    check_dwells,
+    check_feeds,
+    check_positions,
+)
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
+from truepath_drivers.transport.make_port import make_port
+
+log = logging.getLogger(__name__)
+
+_LEAST_FEED = 1.0
+_LONGEST_DWELL_S = 3600.0
+
+
+class GrblController(MotionController):
+    """GRBL 1.1 with three axes, on a serial `port`, or at `host` behind a converter.
+
+    serial_number : refuse any other machine; GRBL's own words, set by `$I=`
+    open_s : longest wait for the control that begins anew when its port is opened
+    reply_timeout_s : longest wait for a reply
+    poll_s : time between two looks of `wait`
+
+    GRBL has no watchdog. `status` and `wait` send it the next lines, a twentieth of a
+    second each: where nobody looks any more, it stands when its queue is empty, and
+    after a second without a look it is held.
+    Every verb may be called from any thread; `hold` and `abort` go before the others.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str | int,
+        host: str | None = None,
+        baudrate: int = 115_200,
+        serial_number: str = "",
+        open_s: float = 3.0,
+        reply_timeout_s: float = 0.5,
+        poll_s: float = 0.05,
+    ) -> None:
+        line = make_port(port, host, baudrate)
+        self._session = GrblSession(line, open_s, reply_timeout_s)
+        self._serial_number, self._poll_s = serial_number, poll_s
+        self._motion = GrblMotion(self._session)
+        self._lock = PriorityLock()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes; none before `connect`."""
+        return AXES if self._session.settings else ()
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest position of each axis; none before `connect`."""
+        return self._session.settings.travel if self._session.settings else ()
+
+    def connect(self) -> Identity:
+        """Open the line and read what machine it is. Nothing moves any more then."""
+        with self._lock.hold():
+            settings = self._session.settings
+            if settings is None or not self._session.is_open:
+                settings = self._session.open()
+                self._motion.forget()
+                log.info(
+                    "%s: GRBL %s answers; this driver has met a simulated one only",
+                    self._session.name,
+                    settings.version,
+                )
+            if self._serial_number not in ("", settings.words):
+                self._session.close()
+                raise WrongDevice(
+                    f"{self._session.name}: GRBL calls itself {settings.words!r}, not "
+                    f"{self._serial_number!r}"
+                )
+        return Identity(
+            "GRBL", "GRBL", settings.words, settings.version, stops_unasked=True
+        )
+
+    def status(self) -> MotionStatus:
+        """Read state and position, and send GRBL what it has room for."""
+        self._require_settings()
+        with self._lock.hold():
+            return self._motion.look()
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        """Start a straight move."""
+        self._require_settings()
+        where = np.atleast_2d(np.asarray(position, np.float64))
+        row = Path(AXES, where, np.array([feed_mm_min], np.float64), np.zeros(1))
+        self._check(row)
+        self._begin(row)
+
+    def load(self, path: Path) -> None:
+        """Keep a path; GRBL has no room for one."""
+        self._require_settings()
+        path = arrange_path(path, AXES, drives_arcs=False)
+        if not len(path):
+            raise Refused("the path has no rows")
+        self._check(path)
+        check_dwells(path.dwell_s, _LONGEST_DWELL_S)
+        aborts = self._motion.aborts
+        with self._lock.hold():
+            state = self._motion.look().state
+            if state in (MotionState.RUNNING, MotionState.HELD):
+                raise Refused(f"{self._session.name}: not in state {state}")
+            if self._motion.aborts != aborts:
+                raise Refused("aborted while the path was being loaded")
+            self._motion.take(path)
+
+    def start(self) -> None:
+        """Run the loaded path from its first row."""
+        self._require_settings()
+        if self._motion.loaded is None:
+            raise Refused("no path is loaded; load one")
+        self._begin(self._motion.loaded)
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        """Wait until the axes stand, feeding them meanwhile."""
+        deadline_s = host_clock.now_s() + timeout_s
+        while True:
+            status = self.status()
+            self._motion.require_able(status)
+            if status.state is not MotionState.RUNNING:
+                return status
+            left_s = deadline_s - host_clock.now_s()
+            if left_s <= 0:
+                raise DeviceTimeout(
+                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
+                    f"at line {status.line}"
+                )
+            host_clock.sleep_s(min(self._poll_s, left_s))
+
+    def hold(self) -> None:
+        """Feed hold. Where nothing was ever connected there is nothing to hold."""
+        if self._session.settings is None:
+            return
+        if self._motion.is_under_way:
+            self._motion.hold()
+            return
+        with self._lock.hold(urgent=True):
+            runs = self._motion.look().state is MotionState.RUNNING
+            if runs or self._motion.is_under_way:
+                self._motion.hold()
+
+    def resume(self) -> None:
+        """Go on after a hold, ours or of the operator."""
+        self._require_settings()
+        with self._lock.hold():
+            self._motion.resume()
+
+    def abort(self) -> None:
+        """Brake and forget the path; the axes keep their position."""
+        self._motion.aborts += 1
+        if self._session.settings is None:
+            return
+        if self._motion.is_under_way:
+            self._motion.brake()
+        with self._lock.hold(urgent=True):
+            self._motion.stop()
+
+    def send_heartbeat(self) -> None:
+        """GRBL has no watchdog."""
+
+    def reset(self) -> None:
+        """Clear an alarm; a machine that homes has to be homed after it."""
+        self._require_settings()
+        with self._lock.hold():
+            self._motion.reset()
+
+    def home(self, timeout_s: float) -> None:
+        """Home all axes (`$H`)."""
+        if not self._require_settings().homes:
+            raise Refused(f"{self._session.name}: homing is not enabled ($22=0)")
+        with self._lock.hold():
+            self._motion.home()
+        deadline_s = host_clock.now_s() + timeout_s
+        while not self._is_homed():
+            if host_clock.now_s() > deadline_s:
+                raise DeviceTimeout(
+                    f"{self._session.name}: not homed in {timeout_s:g} s"
+                )
+            host_clock.sleep_s(self._poll_s)
+
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override where it is above."""
+        self._require_settings()
+        with self._lock.hold():
+            self._motion.look()
+            override = self._session.override
+            if override is None or override <= largest:
+                return
+            percent = int(100.0 * largest)
+            if percent < 10:
+                raise Refused("GRBL's feed override does not go below 10 %")
+            now = round(100.0 * override)
+            if now > 100 and percent <= 100:
+                self._session.signal(FULL_FEED)
+                now = 100
+            tens, ones = divmod(now - percent, 10)
+            self._session.signal(TEN_LESS * tens + ONE_LESS * ones)
+
+    def close(self) -> None:
+        """Abort a motion that runs, release the port."""
+        try:
+            if self._session.settings and self._session.is_open:
+                self._close_motion()
+        except DeviceError as error:
+            log.warning("%s closed without an answer: %s", self._session.name, error)
+        with self._lock.hold(urgent=True):
+            self._session.close()
+
+    def _close_motion(self) -> None:
+        if self._motion.is_under_way or self.status().state is MotionState.RUNNING:
+            self.abort()
+
+    def _is_homed(self) -> bool:
+        with self._lock.hold():
+            return self._motion.wait_until_homed()
+
+    def _begin(self, path: Path) -> None:
+        aborts = self._motion.aborts
+        with self._lock.hold():
+            self._motion.begin(path, aborts)
+
+    def _check(self, path: Path) -> None:
+        settings = self._require_settings()
+        check_positions(AXES, settings.travel, path.position)
+        most = float(np.linalg.norm(settings.rate_mm_min))
+        check_feeds(path.feed_mm_min, _LEAST_FEED, most)
+
+    def _require_settings(self) -> Settings:
+        if self._session.settings is None:
+            raise ConnectionLost(
+                f"{self._session.name} is not connected; connect first"
+            )
+        return self._session.settings
