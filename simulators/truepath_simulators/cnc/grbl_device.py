@@ -1,7 +1,11 @@
 """A controller that keeps GRBL 1.1's published rules, without its wire. Time is given.
 
 128 bytes of unread lines, a queue of 15 blocks, `ok` or `error:N` once a line is read,
-characters that act at once, `G4` only at standstill, ALARM:3 for a reset in motion.
+`G4` only at standstill, ALARM:3 for a reset in motion. Characters that act at once are
+flags which the main loop looks at: of those that come together each counts once, and a
+hold goes before a resume. While it homes and after ALARM:1 and 2 it hears a reset only.
+
+Source: GRBL's documentation and its protocol.c, limits.c and motion_control.c.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ RX_BYTES, QUEUE_BLOCKS, LINE_BYTES = 128, 15, 80
 _STEP_S = 0.001
 _DWELL_STEP_S = 0.05
 _HOMING_S = 0.5
+_RESET_S = 0.003  # in which all that comes is lost
+_RESTORE_S = 0.2  # of a door, before it goes on
 _PULL_OFF_MM = 1.0
 _WORD = re.compile(rb"([A-Z])(-?\d+\.?\d*|-?\.\d+)")
 _PLAIN = {17, 21, 40, 49, 54, 61, 80, 90, 94}
@@ -33,6 +39,9 @@ class GrblDevice:
     """Takes bytes and says bytes; `update` lets time pass.
 
     drops : replies `ok` to leave out from now on, as a line does that loses bytes
+    deaf : characters that act at once to lose from now on
+    homing_fails : the alarm in which homing ends, 0 where it succeeds
+    startup : the line that it runs after a reset, `$N0`
     is_mute : takes and says nothing, as a control does that hangs; it drives on
     """
 
@@ -48,7 +57,10 @@ class GrblDevice:
         self.position = np.zeros(3)
         self.offset = np.array([-12.5, 3.0, 0.0])
         self.state = "Alarm" if homes else "Idle"
-        self.drops, self.is_mute = 0, False
+        self.drops, self.deaf, self.is_mute = 0, 0, False
+        self.homing_fails, self.startup = 0, ""
+        self._flags: set[int] = set()
+        self._restore_s = self._reset_s = 0.0
         self.executed: list[bytes] = []
         self.overflows = 0
         self._queue: deque[_Block] = deque()
@@ -71,16 +83,21 @@ class GrblDevice:
             return
         for value in data:
             byte = bytes([value])
-            if byte in _REALTIME:
-                self._act(value)
+            if byte in _REALTIME and self.deaf:
+                self.deaf -= 1
+            elif byte == b"\x18":
+                self._reset()
+            elif byte in _REALTIME:
+                self._flags.add(value)
             elif len(self._rx) < RX_BYTES:
                 self._rx += byte
             else:
                 self.overflows += 1
+        self._obey()
         self._read_lines()
 
     def take(self) -> bytes:
-        """Return what it has said."""
+        """What it has said since."""
         said, self._out = self._out, b""
         return b"" if self.is_mute else said
 
@@ -90,16 +107,19 @@ class GrblDevice:
             self._now_s = now_s
         while self._now_s + _STEP_S <= now_s:
             self._now_s += _STEP_S
-            if not (self._queue or self._rx or self._homing_s or self._dwell_s):
+            waits = self._homing_s or self._dwell_s or self._restore_s > 0.0
+            if not (self._queue or self._rx or waits or self._reset_s > 0.0):
                 self._now_s += (now_s - self._now_s) // _STEP_S * _STEP_S
             self._step()
 
     def open_door(self, is_open: bool) -> None:
         """Open the safety door, or close it."""
         self._door = is_open
-        if is_open and self.state != "Alarm":
+        if is_open and self.state == "Home":
+            self.trip(7)
+        elif is_open and self.state != "Alarm":
             self.state, self._part = "Door", 2 if self._speed else 1
-        elif self.state == "Door":
+        elif self.state == "Door" and self._part == 1:
             self._part = 0
 
     def trip(self, code: int) -> None:
@@ -107,34 +127,51 @@ class GrblDevice:
         self._drop_motion()
         self.state, self._is_critical = "Alarm", code in (1, 2)
         self._say(f"ALARM:{code}")
-        self._say("[MSG:Reset to continue]" if self._is_critical else "[MSG:Check]")
+        if self._is_critical:
+            self._say("[MSG:Reset to continue]")
+        elif code in (3, 6, 7, 8, 9):
+            self._welcome()
 
     def restart(self) -> None:
         """Begin anew, as after a power cut."""
         self._drop_motion()
         self.state = "Alarm" if self.settings[22] else "Idle"
+        self._is_critical = False
         self._welcome()
 
-    def _act(self, value: int) -> None:
-        byte = bytes([value])
-        if byte == b"?":
+    def _obey(self) -> None:
+        """Look at the flags, as the main loop does; homing does not get there."""
+        is_deaf = self._is_critical or self.state == "Home" or self._reset_s > 0.0
+        if not self._flags or is_deaf:
+            return
+        flags, self._flags = self._flags, set()
+        if ord("?") in flags:
             self._say(self._report())
-        elif byte == b"\x18":
-            self._reset()
-        elif value == 0x84:
-            self.open_door(True)
-        elif value == 0x90:
-            self._override = 100
-        elif value in _OVERRIDES:
-            self._override = min(max(self._override + _OVERRIDES[value], 10), 200)
-        elif byte == b"!" and self.state in ("Idle", "Run"):
+        if 0x84 in flags and self.state != "Alarm":
+            self.state, self._part = "Door", 2 if self._speed else int(self._door)
+        elif ord("!") in flags:
+            self._hold()
+        elif ord("~") in flags:
+            self._go_on()
+        before = self._override
+        self._override = 100 if 0x90 in flags else self._override
+        self._override += sum(_OVERRIDES[f] for f in flags if f in _OVERRIDES)
+        self._override = min(max(self._override, 10), 200)
+        if self._override != before:
+            self._untold = True
+
+    def _hold(self) -> None:
+        if self.state in ("Idle", "Run"):
             self._part = 1 if self.state == "Run" else 0
             self.state = "Hold"
-        elif byte == b"~" and self._may_go_on():
-            self.state = "Run" if self._queue else "Idle"
 
-    def _may_go_on(self) -> bool:
-        return self.state in ("Hold", "Door") and not (self._part or self._door)
+    def _go_on(self) -> None:
+        if self._part or self._door:
+            return
+        if self.state == "Hold":
+            self.state = "Run" if self._queue else "Idle"
+        elif self.state == "Door":
+            self._part, self._restore_s = 3, _RESTORE_S
 
     def _reset(self) -> None:
         moves = self._speed > 0.0 or self.state == "Home"
@@ -146,20 +183,25 @@ class GrblDevice:
         elif self.state != "Alarm":
             self.state = "Idle"
         self._is_critical = False
-        self._welcome()
+        self._reset_s = _RESET_S
 
     def _drop_motion(self) -> None:
         self._queue.clear()
         self._rx, self._speed, self._homing_s = b"", 0.0, 0.0
-        self._dwell_s = None
+        self._dwell_s, self._override = None, 100
+        self._flags.clear()
         self._part = 0
 
     def _welcome(self) -> None:
-        self._reports = 0
+        self._reports, self._untold = 0, True
         self._say("")
         self._say("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
             self._say("[MSG:'$H'|'$X' to unlock]")
+        elif self._door:
+            self.open_door(True)
+        elif self.startup:
+            self._do_block(self.startup.encode())
 
     def _report(self) -> str:
         # Offset and overrides come after a reset, then in every tenth report.
@@ -173,19 +215,21 @@ class GrblDevice:
         fields.append(f"FS:{60.0 * self._speed:.0f},0")
         if self._reports % 10 == 0:
             fields.append(f"WCO:{_join(self.offset)}")
-        elif self._reports % 10 == 1:
+        elif self._reports % 10 == 1 or self._untold:
+            self._untold = False
             fields.append(f"Ov:{self._override},100,100")
         self._reports += 1
         return f"<{'|'.join(fields)}>"
 
     def _read_lines(self) -> None:
         """Read lines while there is room, in their order."""
-        while b"\n" in self._rx and self._is_free():
-            line, self._rx = self._rx.split(b"\n", 1)
-            self._answer(line.strip())
+        while self._is_free() and (found := re.match(rb"([^\r\n]*)[\r\n]", self._rx)):
+            self._rx = self._rx[found.end() :]
+            self._answer(found[1].strip())
 
     def _is_free(self) -> bool:
         waits = self.state in ("Hold", "Home", "Door") or self._is_critical
+        waits = waits or self._reset_s > 0.0
         return not waits and self._dwell_s is None and len(self._queue) < QUEUE_BLOCKS
 
     def _answer(self, line: bytes) -> None:
@@ -218,10 +262,16 @@ class GrblDevice:
             self._say(f"[VER:1.1h.20190830:{self.words}]")
             self._say(f"[OPT:V,{QUEUE_BLOCKS},{RX_BYTES}]")
             self._finish()
+        elif line == b"$N":
+            self._say(f"$N0={self.startup}")
+            self._say("$N1=")
+            self._finish()
         elif line == b"$X":
             self.state = "Idle"
             self._say("[MSG:Caution: Unlocked]")
             self._finish()
+        elif line == b"$H" and self.settings[22] and self._door:
+            self._finish(13)
         elif line == b"$H" and self.settings[22]:
             self.state, self._homing_s = "Home", _HOMING_S
         else:
@@ -266,12 +316,24 @@ class GrblDevice:
         self._finish()
 
     def _step(self) -> None:
+        if self._reset_s > 0.0:
+            self._reset_s -= _STEP_S
+            if self._reset_s <= 0.0:
+                self._drop_motion()
+                self._welcome()
+            return
         if self.state == "Home":
             self._home()
         elif self.state in ("Run", "Hold", "Door") and self._queue:
             self._drive(brakes=self.state != "Run")
         elif self._part == 1 and self.state == "Hold":
             self._part = 0
+        elif self._part == 2 and self.state == "Door":
+            self._part = int(self._door)
+        if self._part == 3 and self.state == "Door":
+            self._restore_s -= _STEP_S
+            if self._restore_s <= 0.0:
+                self._part, self.state = 0, "Run" if self._queue else "Idle"
         if self.state == "Run" and not self._queue:
             self.state = "Idle"
         if self._dwell_s is not None and self.state == "Idle":
@@ -279,11 +341,14 @@ class GrblDevice:
             if self._dwell_s <= 0.0:
                 self._dwell_s = None
                 self._finish()
+        self._obey()
         self._read_lines()
 
     def _home(self) -> None:
         self._homing_s -= _STEP_S
-        if self._homing_s <= 0.0:
+        if self._homing_s <= 0.0 and self.homing_fails:
+            self.trip(self.homing_fails)
+        elif self._homing_s <= 0.0:
             self._homing_s, self.state = 0.0, "Idle"
             self.position = np.full(3, -_PULL_OFF_MM)
             self._finish()
@@ -297,7 +362,8 @@ class GrblDevice:
         if brakes:
             self._speed = max(self._speed - limit * _STEP_S, 0.0)
             if self._speed == 0.0:
-                self._part = int(self.state == "Door" and self._door)
+                if self._part in (1, 2):
+                    self._part = int(self.state == "Door" and self._door)
                 return
         else:
             self._speed = min(max(allowed, 0.5), self._speed + limit * _STEP_S)
@@ -314,7 +380,7 @@ class GrblDevice:
             self._speed = 0.0
 
     def _find_way_mm(self) -> float:
-        """Return how far it is to the next corner, or to the end of the queue."""
+        """Up to the next corner, or to the end of the queue."""
         here, way, before = self.position, 0.0, None
         for block in self._queue:
             step = block.end - here

@@ -9,13 +9,7 @@ import numpy as np
 
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl.motion import GrblMotion
-from truepath_drivers.cnc.grbl.protocol import (
-    AXES,
-    FULL_FEED,
-    ONE_LESS,
-    TEN_LESS,
-    Settings,
-)
+from truepath_drivers.cnc.grbl.protocol import AXES, ONE_LESS, TEN_LESS, Settings
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.cnc.priority_lock import PriorityLock
 from truepath_drivers.cnc.travel import (
@@ -28,6 +22,7 @@ from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
     DeviceTimeout,
+    MotionFault,
     Refused,
     WrongDevice,
 )
@@ -44,6 +39,7 @@ log = logging.getLogger(__name__)
 
 _LEAST_FEED = 1.0
 _LONGEST_DWELL_S = 3600.0
+_OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
 
 
 class GrblController(MotionController):
@@ -92,8 +88,8 @@ class GrblController(MotionController):
         with self._lock.hold():
             settings = self._session.settings
             if settings is None or not self._session.is_open:
-                settings = self._session.open()
                 self._motion.forget()
+                settings = self._session.open()
                 log.info(
                     "%s: GRBL %s answers; this driver has met a simulated one only",
                     self._session.name,
@@ -117,11 +113,12 @@ class GrblController(MotionController):
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move."""
-        self._require_settings()
+        stops = self._session.stops
         where = np.atleast_2d(np.asarray(position, np.float64))
         row = Path(AXES, where, np.array([feed_mm_min], np.float64), np.zeros(1))
         self._check(row)
-        self._begin(row)
+        with self._lock.hold():
+            self._motion.begin(row, stops)
 
     def load(self, path: Path) -> None:
         """Keep a path; GRBL has no room for one."""
@@ -131,21 +128,17 @@ class GrblController(MotionController):
             raise Refused("the path has no rows")
         self._check(path)
         check_dwells(path.dwell_s, _LONGEST_DWELL_S)
-        aborts = self._motion.aborts
         with self._lock.hold():
-            state = self._motion.look().state
-            if state in (MotionState.RUNNING, MotionState.HELD):
-                raise Refused(f"{self._session.name}: not in state {state}")
-            if self._motion.aborts != aborts:
-                raise Refused("aborted while the path was being loaded")
             self._motion.take(path)
 
     def start(self) -> None:
         """Run the loaded path from its first row."""
+        stops = self._session.stops
         self._require_settings()
-        if self._motion.loaded is None:
+        if (path := self._motion.loaded) is None:
             raise Refused("no path is loaded; load one")
-        self._begin(self._motion.loaded)
+        with self._lock.hold():
+            self._motion.begin(path, stops)
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, feeding them meanwhile."""
@@ -164,26 +157,28 @@ class GrblController(MotionController):
             host_clock.sleep_s(min(self._poll_s, left_s))
 
     def hold(self) -> None:
-        """Feed hold. Where nothing was ever connected there is nothing to hold."""
+        """Feed hold; a reset where it homes. Nothing is held before `connect`."""
         if self._session.settings is None:
             return
         if self._motion.is_under_way:
-            self._motion.hold()
+            self._session.brake("command")
             return
+        self._session.count_stop()
         with self._lock.hold(urgent=True):
             runs = self._motion.look().state is MotionState.RUNNING
             if runs or self._motion.is_under_way:
-                self._motion.hold()
+                self._session.brake("command")
 
     def resume(self) -> None:
-        """Go on after a hold, ours or of the operator."""
+        """Go on after a hold, ours or of the operator, but not after a later one."""
+        stops = self._session.stops
         self._require_settings()
         with self._lock.hold():
-            self._motion.resume()
+            self._motion.resume(stops)
 
     def abort(self) -> None:
         """Brake and forget the path; the axes keep their position."""
-        self._motion.aborts += 1
+        self._session.count_stop()
         if self._session.settings is None:
             return
         if self._motion.is_under_way:
@@ -202,35 +197,51 @@ class GrblController(MotionController):
 
     def home(self, timeout_s: float) -> None:
         """Home all axes (`$H`)."""
+        stops = self._session.stops
         if not self._require_settings().homes:
             raise Refused(f"{self._session.name}: homing is not enabled ($22=0)")
-        with self._lock.hold():
-            self._motion.home()
         deadline_s = host_clock.now_s() + timeout_s
-        while not self._is_homed():
-            if host_clock.now_s() > deadline_s:
-                raise DeviceTimeout(
-                    f"{self._session.name}: not homed in {timeout_s:g} s"
-                )
-            host_clock.sleep_s(self._poll_s)
+        try:
+            with self._lock.hold():
+                self._motion.home(stops)
+            while (status := self.status()).state is MotionState.RUNNING:
+                if host_clock.now_s() > deadline_s:
+                    raise DeviceTimeout(
+                        f"{self._session.name}: not homed in {timeout_s:g} s"
+                    )
+                host_clock.sleep_s(self._poll_s)
+        except BaseException:
+            if self._session.is_homing:
+                self._session.brake("command")
+            raise
+        if self._session.error:
+            raise MotionFault(f"{self._session.name}: {self._session.error}")
+        self._motion.require_able(status)
+        if status.state is not MotionState.FINISHED:
+            raise MotionFault(f"{self._session.name} does not home: {status.alarm}")
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it is above."""
+        """Lower the feed override where it is above, a step a look.
+
+        GRBL keeps these characters as flags: ten that come at once count once.
+        """
         self._require_settings()
-        with self._lock.hold():
-            self._motion.look()
-            override = self._session.override
-            if override is None or override <= largest:
-                return
-            percent = int(100.0 * largest)
-            if percent < 10:
-                raise Refused("GRBL's feed override does not go below 10 %")
-            now = round(100.0 * override)
-            if now > 100 and percent <= 100:
-                self._session.signal(FULL_FEED)
-                now = 100
-            tens, ones = divmod(now - percent, 10)
-            self._session.signal(TEN_LESS * tens + ONE_LESS * ones)
+        if largest < 0.1:
+            raise Refused("GRBL's feed override does not go below 10 %")
+        deadline_s = host_clock.now_s() + _OVERRIDE_S
+        while True:
+            with self._lock.hold():
+                for _ in range(2):  # a change is told in the second at the latest
+                    self._motion.look()
+                override = self._session.override
+                if override is not None and override <= largest:
+                    return
+                if host_clock.now_s() > deadline_s:
+                    raise Refused(f"{self._session.name} does not lower its feed")
+                if override is None:
+                    continue
+                far = override - largest >= 0.1
+                self._session.signal(TEN_LESS if far else ONE_LESS)
 
     def close(self) -> None:
         """Abort a motion that runs, release the port."""
@@ -245,15 +256,6 @@ class GrblController(MotionController):
     def _close_motion(self) -> None:
         if self._motion.is_under_way or self.status().state is MotionState.RUNNING:
             self.abort()
-
-    def _is_homed(self) -> bool:
-        with self._lock.hold():
-            return self._motion.wait_until_homed()
-
-    def _begin(self, path: Path) -> None:
-        aborts = self._motion.aborts
-        with self._lock.hold():
-            self._motion.begin(path, aborts)
 
     def _check(self, path: Path) -> None:
         settings = self._require_settings()

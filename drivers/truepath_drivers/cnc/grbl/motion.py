@@ -9,9 +9,9 @@ import numpy as np
 
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl.program import Block, write_blocks
-from truepath_drivers.cnc.grbl.protocol import HOLD, RESET, RESUME, Report
+from truepath_drivers.cnc.grbl.protocol import Report, Settings
 from truepath_drivers.cnc.grbl.session import GrblSession
-from truepath_drivers.interfaces.errors import MotionFault, Refused
+from truepath_drivers.interfaces.errors import DeviceTimeout, MotionFault, Refused
 from truepath_drivers.interfaces.records import (
     HELD_BY_PERSON,
     UNABLE,
@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 
 _SILENT_S = 1.5  # a machine that stands has answered by then
 _STOP_S = 1.0
+_DISOBEYS_S = 1.0  # in which a hold has been taken
 _UNASKED_S = 1.0  # after so long a motion does not go on by itself
-_WE = "command"
 _LOOK_S = 0.02
 _ROUNDED_MM = 2e-3  # of a report, beside a step of the motor
 
@@ -33,31 +33,27 @@ _ROUNDED_MM = 2e-3  # of a report, beside a step of the motor
 class GrblMotion:
     """The one motion that is under way, or the last one.
 
-    loaded : the path that `begin` may run
-    aborts : counts those asked for, by any thread
+    loaded : the path that `start` may run
+    is_stopping : it brakes, and is forgotten by a reset once it stands
     """
 
     def __init__(self, session: GrblSession) -> None:
         self._session = session
         self._driven: Path | None = None
-        self._ended = MotionState.IDLE
+        self._ended, self._stops_as = MotionState.IDLE, MotionState.ABORTED
         self._line, self._text = 0, ""
-        self._starts = 0
-        self._is_stopping = self.is_under_way = False
-        self._held_by = HELD_BY_PERSON
-        self._looked_s = 0.0
+        self._looked_s = self._obeyed_s = 0.0
+        self.is_under_way = self.is_stopping = False
         self.loaded: Path | None = None
-        self.aborts = 0
 
     def forget(self) -> None:
         """Know that the link was opened anew: what was under way has ended."""
-        self._starts = self._session.starts
-        self._is_stopping = False
-        if self.is_under_way:
+        if self.is_under_way or self.is_stopping:
             self._end(MotionState.ABORTED, "the connection was lost in motion")
 
     def take(self, path: Path) -> None:
         """Know that a path is loaded."""
+        self._require_still(self.look())
         self.loaded, self._ended = path, MotionState.READY
         self._line, self._text = 0, ""
 
@@ -66,22 +62,23 @@ class GrblMotion:
 
         A motion for which nobody has asked in a second is held.
         """
-        now_s, before_s = host_clock.now_s(), self._looked_s
-        if self.is_under_way and now_s - before_s > _UNASKED_S and self._held_by != _WE:
-            self._held_by = "watchdog"
-            self._session.signal(HOLD)
+        session, now_s, before_s = self._session, host_clock.now_s(), self._looked_s
         self._looked_s = now_s
-        report = self._session.look()
-        if self._session.starts != self._starts:
-            self._starts = self._session.starts
-            self._is_stopping = False
-            if self.is_under_way:
+        is_fed = self.is_under_way and not (session.is_homing or session.held_by)
+        if is_fed and now_s - before_s > _UNASKED_S:
+            session.brake("watchdog")
+        try:
+            report = session.look()
+        except DeviceTimeout:
+            if session.held_by and (self.is_under_way or self.is_stopping):
+                session.press_again()  # it may have been lost as well
+            raise
+        if session.has_begun_anew:
+            session.has_begun_anew = False
+            if self.is_under_way or self.is_stopping:
                 self._end(MotionState.ABORTED, "GRBL has begun anew in the motion")
-        was_stopping = self._is_stopping
-        if self.is_under_way or was_stopping:
-            self._follow(report)
-        if was_stopping and not self._is_stopping:
-            report = self._session.look()  # it has begun anew meanwhile
+        if self.is_under_way or self.is_stopping:
+            report = self._follow(report)
         return self._judge(report)
 
     def require_able(self, status: MotionStatus) -> None:
@@ -89,53 +86,46 @@ class GrblMotion:
         if status.state in UNABLE:
             raise MotionFault(f"{self._session.name}: {status.alarm}")
 
-    def begin(self, path: Path, aborts: int) -> None:
+    def begin(self, path: Path, stops: int) -> None:
         """Have a path begin from where the machine stands."""
-        status = self.look()
+        status, session = self.look(), self._session
         self.require_able(status)
-        self._require_standing(status)
-        settings = self._session.settings
-        if self.aborts != aborts or settings is None:
-            raise Refused("aborted before it began")
-        self._driven = path
-        self._go(write_blocks(path, status.position, settings))
-        if self.aborts != aborts:  # its hold may have come before the first line
-            self.stop()
+        blocks = write_blocks(
+            path, status.position, self._settings, lambda: session.override or 1.0
+        )
+        self._go(status, path, blocks, stops)
 
-    def home(self) -> None:
-        """Have the machine home."""
-        self._require_standing(self.look())
-        self._driven = None
-        self._go([Block(b"$H\n")], homes=True)
+    def home(self, stops: int) -> None:
+        """Have the machine home, also out of an alarm."""
+        self._require_still(self.look())
+        self._session.restart()
+        status = self.look()
+        if status.state is MotionState.DOOR:
+            self.require_able(status)
+        self._go(status, None, [Block(b"$H\n")], stops)
 
-    def _require_standing(self, status: MotionStatus) -> None:
-        if status.state in (MotionState.RUNNING, MotionState.HELD):
-            raise Refused(f"{self._session.name}: not in state {status.state}")
-
-    def _go(self, blocks: Iterable[Block], *, homes: bool = False) -> None:
-        self._line, self._text, self._held_by = 0, "", HELD_BY_PERSON
-        self.is_under_way, self._ended = True, MotionState.IDLE
-        self._session.begin(blocks, homes=homes)
-
-    def hold(self) -> None:
-        """Feed hold; without a lock where something of ours is under way."""
-        self._held_by = _WE
-        self._session.signal(HOLD)
-
-    def brake(self) -> None:
-        """Let an abort begin; without a lock as well."""
-        self._is_stopping = True
-        self._session.signal(HOLD)
-
-    def resume(self) -> None:
-        """Go on after a hold; return when it does."""
-        deadline_s = host_clock.now_s() + _STOP_S
-        while self.look().state is MotionState.HELD:
+    def resume(self, stops: int) -> None:
+        """Go on after a hold, unless it was stopped anew; wait until it does."""
+        session, deadline_s = self._session, host_clock.now_s() + _STOP_S
+        state = self.look().state
+        while not self.is_stopping and (
+            state is MotionState.HELD
+            or (state is MotionState.RUNNING and session.held_by)
+        ):
             if host_clock.now_s() > deadline_s:
-                raise MotionFault(f"{self._session.name} does not go on; try again")
-            self._held_by = HELD_BY_PERSON
-            self._session.signal(RESUME)
+                session.brake(session.held_by or "command")
+                raise MotionFault(f"{session.name} does not go on; try again")
+            if state is MotionState.HELD and not session.release(stops):
+                return
             host_clock.sleep_s(_LOOK_S)
+            state = self.look().state
+
+    def brake(self, text: str = "", ends_as: MotionState = MotionState.ABORTED) -> None:
+        """Let a stop begin; without a lock as well."""
+        self._text, self._stops_as = text, ends_as
+        self._obeyed_s = host_clock.now_s()
+        self.is_stopping = True
+        self._session.brake("command")
 
     def stop(self) -> None:
         """Brake, then drop what GRBL has; what is not over in a second goes on later.
@@ -143,124 +133,139 @@ class GrblMotion:
         A reset in motion would lose the position, so it comes at the standstill.
         """
         self.loaded = None
-        if self._session.is_homing:
-            self._session.signal(RESET)  # homing hears nothing else
+        state = self.look().state
+        moves = state in (MotionState.RUNNING, MotionState.HELD)
+        if not moves and not self.is_under_way:
             self._end(MotionState.ABORTED)
-            return
-        if not self.is_under_way and self._session.look().stands:
-            self._end(MotionState.ABORTED)
-            return
-        self.brake()
+        elif not self.is_stopping:
+            self.brake()
         deadline_s = host_clock.now_s() + _STOP_S
-        while self.look().state is MotionState.RUNNING:
-            if host_clock.now_s() > deadline_s:
-                return
+        while self.is_stopping and host_clock.now_s() <= deadline_s:
             host_clock.sleep_s(_LOOK_S)
+            self.look()
 
     def reset(self) -> None:
-        """Clear an alarm; without homing, unlock."""
-        self._require_standing(self.look())
-        self._session.halt()
+        """Clear an alarm and end what was under way; without homing, unlock."""
+        try:
+            self._require_still(self.look())
+        except DeviceTimeout as error:  # it is mute after some alarms
+            log.warning("%s", error)
+        report = self._session.restart()
         self._session.alarm = 0
-        report = self._session.look()
-        homes = self._session.settings is not None and self._session.settings.homes
-        if report.state == "Alarm" and not homes:
+        if self.is_under_way or self.is_stopping:
+            self._end(MotionState.ABORTED)
+        if report.state == "Alarm" and not self._settings.homes:
             self._session.command("$X")
 
-    def wait_until_homed(self) -> bool:
-        """Tell whether homing is over. Raises MotionFault where it has failed."""
-        status = self.look()
-        if self._session.is_homing:
-            return False
-        self.require_able(status)
-        if status.state is MotionState.ABORTED:
-            raise MotionFault(f"{self._session.name} does not home: {self._text}")
-        return True
+    @property
+    def _settings(self) -> Settings:
+        if self._session.settings is None:
+            raise Refused(f"{self._session.name} is not connected")
+        return self._session.settings
 
-    def _follow(self, report: Report) -> None:
-        session, stream = self._session, self._session.stream
+    def _require_still(self, status: MotionStatus) -> None:
+        if status.state in (MotionState.RUNNING, MotionState.HELD):
+            raise Refused(f"{self._session.name}: not in state {status.state}")
+
+    def _go(
+        self,
+        status: MotionStatus,
+        path: Path | None,
+        blocks: Iterable[Block],
+        stops: int,
+    ) -> None:
+        self._require_still(status)
+        if not self._session.is_done:
+            raise Refused(f"{self._session.name}: GRBL owes a reply; reset it")
+        self._session.begin(blocks, stops, homes=path is None)
+        self._driven, self._line, self._text = path, 0, ""
+        self.is_under_way, self._ended = True, MotionState.IDLE
+        self._session.feed()
+
+    def _follow(self, report: Report) -> Report:
+        session = self._session
         if self._driven is not None:
-            self._line = min(stream.rows, len(self._driven) - 1)
-        if session.error and not self._is_stopping:
-            self._text = session.error
-            self.brake()
-            return
-        if report.state != "Idle":
-            stream.touch()
+            self._line = min(session.rows, len(self._driven) - 1)
         if report.state == "Alarm":
-            self._end(MotionState.ABORTED)
-        elif self._is_stopping:
-            if report.state in ("Hold", "Door") and report.stands:
-                session.halt()
-                self._end(MotionState.ABORTED, self._text)
+            self._end(MotionState.ABORTED, session.error)
+        elif session.error and not self.is_stopping:
+            self.brake(session.error)
+        elif self.is_stopping or session.held_by:
+            return self._follow_stop(report)
         elif report.state != "Idle":
-            return
-        elif stream.is_done:
-            self._arrive(report)
-        elif stream.measure_silence_s() > _SILENT_S:
-            if stream.is_sent and self._is_at_goal(report):
-                log.warning("%s: a reply of GRBL was lost", session.name)
-                self._arrive(report)
-                return
-            self._text = "GRBL stands and owes replies: lines or replies were lost"
-            self.brake()
+            session.touch()
+        elif session.is_done:
+            at_goal = self._is_at_goal(report)
+            text = "" if at_goal else "GRBL stands where the motion does not end"
+            self._end(MotionState.FINISHED if at_goal else MotionState.ABORTED, text)
+        elif session.silence_s > _SILENT_S and not session.is_homing:
+            self._stop_silent(report)
+        return report
 
-    def _arrive(self, report: Report) -> None:
-        if self._driven is not None:
-            self._line = len(self._driven) - 1
-        arrived = self._is_at_goal(report)
-        text = "" if arrived else "GRBL stands where the motion does not end"
-        self._end(MotionState.FINISHED if arrived else MotionState.ABORTED, text)
+    def _follow_stop(self, report: Report) -> Report:
+        """Press until it brakes; once it stands, forget what a stop was for."""
+        session = self._session
+        session.touch()
+        if report.brakes:
+            self._obeyed_s = host_clock.now_s()
+        elif not session.is_homing:
+            session.press_again()
+        late = host_clock.now_s() - self._obeyed_s > _DISOBEYS_S
+        stands = report.stands and report.state != "Idle"
+        if not self.is_stopping or not (stands or late):
+            return report
+        report = session.restart()
+        self._end(self._stops_as, self._text)
+        return report
+
+    def _stop_silent(self, report: Report) -> None:
+        """Replies were lost, or lines: only a reset makes the count right again."""
+        if self._session.is_sent and self._is_at_goal(report):
+            log.warning("%s: a reply of GRBL was lost", self._session.name)
+            self.brake(ends_as=MotionState.FINISHED)
+        else:
+            self.brake("GRBL stands and owes replies: lines or replies were lost")
 
     def _is_at_goal(self, report: Report) -> bool:
-        settings = self._session.settings
-        if self._driven is None or settings is None:
+        if self._driven is None:
             return True
-        off = np.abs(self._driven.position[-1] - self._session.position(report))
-        return bool((off <= settings.step_mm + _ROUNDED_MM).all())
+        off = np.abs(self._driven.position[-1] - report.position)
+        return bool((off <= self._settings.step_mm + _ROUNDED_MM).all())
 
     def _end(self, state: MotionState, text: str = "") -> None:
-        self.is_under_way = self._is_stopping = False
+        self.is_under_way = self.is_stopping = self._session.is_homing = False
         self._ended, self._text = state, text
 
     def _judge(self, report: Report) -> MotionStatus:
         state, text, reason = self._ended, self._text, ""
-        if report.state in ("Alarm", "Sleep", "Check") or (
-            report.state == "Door" and report.part
-        ):
-            state, text = self._find_hindrance(report)
-        elif self._is_stopping or not report.stands:
+        if self.is_stopping or not report.stands:
             state = MotionState.RUNNING
-        elif report.state in ("Hold", "Door"):
+        elif report.state in ("Alarm", "Sleep", "Check", "Door:1"):
+            state, text = self._find_hindrance(report)
+        elif report.state in ("Hold:0", "Door:0"):
             state = MotionState.HELD
-            reason = "door" if report.state == "Door" else self._held_by
+            reason = self._session.held_by or HELD_BY_PERSON
         elif self.is_under_way:
             state = MotionState.RUNNING
+        homes, homed = self._settings.homes, self._session.is_homed
         return MotionStatus(
             state,
-            self._session.position(report),
+            report.position,
             self._line,
             text,
             reason,
             self._session.override,
-            self._tell_referenced(state),
+            homed if homes and state is not MotionState.UNHOMED else False,
             compensation=False,
         )
 
     def _find_hindrance(self, report: Report) -> tuple[MotionState, str]:
         if report.state == "Alarm" and self._session.alarm:
             return MotionState.ALARM, self._session.explain_alarm()
-        settings = self._session.settings
         if report.state == "Alarm":
-            homes = settings is not None and settings.homes
+            homes = self._settings.homes
             state = MotionState.UNHOMED if homes else MotionState.ALARM
         else:
-            door = report.state == "Door"
-            state = MotionState.DOOR if door else MotionState.NOT_READY
+            is_door = report.state == "Door:1"
+            state = MotionState.DOOR if is_door else MotionState.NOT_READY
         return state, str(UNABLE[state])
-
-    def _tell_referenced(self, state: MotionState) -> bool | None:
-        settings = self._session.settings
-        if state is MotionState.UNHOMED or (settings and not settings.homes):
-            return False
-        return self._session.is_homed

@@ -6,7 +6,7 @@ the exact stop that GRBL has no word for; its reply says that the row is done.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,61 +16,59 @@ from truepath_drivers.cnc.grbl.protocol import AXES, Settings
 from truepath_drivers.interfaces.records import Path
 
 START = b"G21G90G94G17G40G49G80\n"
-DECIMALS = 4
-_PIECE_S = 0.06
-_AHEAD = 12  # pieces in which a motion can come to a stand; GRBL plans 15
+_AHEAD_S = 0.9  # of motion in GRBL's queue, which is what it drives unasked
+_BRAKING = 0.8  # share of the queue in which a motion can come to a stand
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
     """A line, and what its reply means.
 
+    is_barrier : nothing is sent behind it before its reply
     ends_row : the row has been driven, the dwell is over
     wait_s : longest that GRBL may be idle over it
     """
 
     text: bytes
+    is_barrier: bool = False
     ends_row: bool = False
     wait_s: float = 0.0
 
 
 def write_blocks(
-    path: Path, begin: Sequence[float], settings: Settings
+    path: Path,
+    begin: Sequence[float],
+    settings: Settings,
+    find_override: Callable[[], float],
 ) -> Iterator[Block]:
     """Write a path from where the machine stands, as it is asked for."""
-    yield Block(START)
+    yield Block(START, is_barrier=True)
     here = np.asarray(begin, np.float64)
     for row, there in enumerate(path.position):
-        feed = float(path.feed_mm_min[row])
-        count = _count_pieces(there - here, feed, settings)
-        for piece in range(1, count + 1):
-            at = there if piece == count else here + (there - here) * (piece / count)
-            words = "".join(
-                f"{axis}{value:.{DECIMALS}f}"
-                for axis, value in zip(AXES, at, strict=True)
-            )
-            speed = f"F{feed:.2f}" if piece == 1 else ""
-            yield Block(f"G53G1{words}{speed}\n".encode())
+        feed, step, done = float(path.feed_mm_min[row]), there - here, 0.0
+        while done < 1.0:
+            done += _find_piece(step, feed * find_override(), settings)
+            at = there if done >= 1.0 else here + step * done
+            ends = (f"{axis}{value:.4f}" for axis, value in zip(AXES, at, strict=True))
+            yield Block(f"G53G1{''.join(ends)}F{feed:.2f}\n".encode())
         dwell_s = float(path.dwell_s[row])
-        yield Block(f"G4P{dwell_s:.3f}\n".encode(), True, dwell_s)
+        yield Block(f"G4P{dwell_s:.3f}\n".encode(), True, True, dwell_s)
         here = there
 
 
-def _count_pieces(
+def _find_piece(
     step: NDArray[np.float64], feed_mm_min: float, settings: Settings
-) -> int:
-    """Return in how many pieces a row is sent.
+) -> float:
+    """Share of a row that is sent as one line.
 
     Pieces are short, so that little is left to drive when nobody asks any more, and
     long enough for GRBL to plan the way to a stand at full feed.
     """
     length = float(np.linalg.norm(step))
     if length == 0.0:
-        return 1
-    share = np.abs(step) / length
-    moves = share > 0.0
-    rate = float((settings.rate_mm_min[moves] / share[moves]).min())
-    limit = float((settings.acceleration_mm_s2[moves] / share[moves]).min())
-    speed = min(feed_mm_min, rate) / 60.0
-    piece_s = max(_PIECE_S, speed / (2.0 * limit * _AHEAD))
-    return max(1, int(np.ceil(length / (speed * piece_s))))
+        return 1.0
+    share = np.maximum(np.abs(step) / length, 1e-9)
+    limit = float((settings.acceleration_mm_s2 / share).min())
+    speed = min(feed_mm_min, float((settings.rate_mm_min / share).min())) / 60.0
+    brake_s = speed / (2.0 * limit * _BRAKING)
+    return speed * max(_AHEAD_S, brake_s) / settings.queue / length

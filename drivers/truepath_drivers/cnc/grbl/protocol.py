@@ -6,7 +6,6 @@ Source: GRBL's own interface, commands and code lists (github.com/gnea/grbl, doc
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +13,11 @@ from numpy.typing import NDArray
 
 from truepath_drivers.interfaces.errors import ConnectionLost
 
-HOLD, RESUME, ASK, RESET = b"!", b"~", b"?", b"\x18"
-FULL_FEED, TEN_LESS, ONE_LESS = b"\x90", b"\x92", b"\x94"
+HOLD, RESUME, ASK, RESET, DOOR = b"!", b"~", b"?", b"\x18", b"\x84"
+TEN_LESS, ONE_LESS = b"\x92", b"\x94"
 AXES = ("X", "Y", "Z")
-ALARMS: Mapping[int, str] = {
+MUTE_ALARMS = (1, 2)  # no `?` is answered before a reset
+ALARMS = {
     1: "a limit switch was hit; the position is likely lost",
     2: "the target is beyond the soft limits",
     3: "reset in motion; the position is likely lost",
@@ -29,83 +29,68 @@ ALARMS: Mapping[int, str] = {
     9: "homing found no switch",
     10: "homing found no second switch of an axis",
 }
-ERRORS: Mapping[int, str] = {
-    2: "a number is damaged",
-    3: "an unknown setting or command",
+ERRORS = {
     5: "homing is not enabled ($22=0)",
     8: "not while it runs or holds",
     9: "locked by an alarm",
-    11: "the line is too long",
     13: "a door is open",
     20: "an unknown G-code",
-    22: "no feed is set",
-    33: "the target is not valid",
 }
-_REPORT = re.compile(r"<([A-Za-z]+)(?::(\d))?((?:\|[^|<>]+)*)>")
+_STANDS = {"Idle", "Hold:0", "Door:0", "Door:1", "Alarm", "Check", "Sleep"}
+_BRAKES = {"Hold:0", "Hold:1", "Door:0", "Door:1", "Door:2"}
+_NUMBER = rb"(-?\d+\.\d+)"
+_REPORT = re.compile(
+    rb"<(\w+(?::\d)?)\|MPos:%b,%b,%b(?:\|[^|<>]+)*>" % ((_NUMBER,) * 3)
+)
+_OVERRIDE = re.compile(rb"\|Ov:(\d+),")
 _SETTING = re.compile(rb"\$(\d+)=(-?[\d.]+)")
-
-
-_BRAKING = (("Hold", 1), ("Door", 2), ("Door", 3))
+_BUILD = re.compile(rb"\[VER:([^:]*):(.*)\]")
+_OPTION = re.compile(rb"\[OPT:(\w*),(\d+),(\d+).*\]")
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
     """An answer to `?`.
 
-    state : "Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep"
-    part : behind the colon: of Hold 0 is standstill, of Door 0 is a door closed again
-    position : of the machine or, if `is_work`, less the offset
-    offset, override : None where this report leaves them out
+    state : with what is behind its colon: "Hold:1" brakes, "Hold:0" stands
+    override : None where this report leaves it out
     """
 
     state: str
-    part: int
     position: tuple[float, ...]
-    is_work: bool
-    offset: tuple[float, ...] | None = None
     override: float | None = None
 
     @property
     def stands(self) -> bool:
-        """Whether nothing moves."""
-        moves = self.state in ("Run", "Jog", "Home")
-        return not moves and (self.state, self.part) not in _BRAKING
+        """Whether nothing moves for certain: a state that is not known may."""
+        return self.state in _STANDS
+
+    @property
+    def brakes(self) -> bool:
+        """Whether a hold has been taken: only a resume lets it move again."""
+        return self.state in _BRAKES
 
 
 def parse_report(line: bytes) -> Report | None:
-    """Return the report in a line; None where it is damaged."""
-    found = _REPORT.fullmatch(line.decode("ascii", "replace").strip())
+    """The report in a line; None where it is damaged or tells no machine position."""
+    found = _REPORT.fullmatch(line)
     if found is None:
         return None
-    fields = _pairs(found[3].split("|"))
-    is_work = "MPos" not in fields
-    try:
-        position = _numbers(fields["WPos" if is_work else "MPos"])
-        offset = _numbers(fields["WCO"]) if "WCO" in fields else None
-        override = _numbers(fields["Ov"])[0] / 100.0 if "Ov" in fields else None
-    except (KeyError, ValueError):
-        return None
-    if len(position) != len(AXES) or (offset and len(offset) != len(AXES)):
-        return None
-    part = int(found[2] or 0)
-    return Report(found[1], part, position, is_work, offset, override)
-
-
-def _pairs(texts: Iterable[str]) -> dict[str, str]:
-    parts = (text.partition(":") for text in texts)
-    return {name: value for name, _, value in parts}
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(word) for word in text.split(","))
+    override = _OVERRIDE.search(line)
+    return Report(
+        found[1].decode(),
+        (float(found[2]), float(found[3]), float(found[4])),
+        int(override[1]) / 100.0 if override else None,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What `$$` and `$I` tell of a machine.
 
-    step_mm : of each axis, as are rate_mm_min and acceleration_mm_s2
-    buffer_bytes : that GRBL keeps of lines it has not read yet
+    step_mm, rate_mm_min, acceleration_mm_s2 : of each axis
+    queue : lines that it plans ahead
+    buffer_bytes : that it keeps of lines it has not read yet
     """
 
     step_mm: NDArray[np.float64]
@@ -113,45 +98,45 @@ class Settings:
     acceleration_mm_s2: NDArray[np.float64]
     travel: tuple[tuple[float, float], ...]
     homes: bool
-    tells_inches: bool
+    tells_machine_mm: bool
     version: str
     words: str
+    queue: int
     buffer_bytes: int
 
 
 def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
-    """Return the settings of a machine. Raises ConnectionLost where some are lost."""
+    """The settings of a machine. Raises ConnectionLost where some are lost."""
     told = {int(m[1]): float(m[2]) for line in lines if (m := _SETTING.fullmatch(line))}
-    info = _pairs(line.decode("ascii", "replace").strip("[]") for line in build)
-    version, _, words = info.get("VER", "").rpartition(":")
-    option = info.get("OPT", "").split(",")
+    version = next((m for line in build if (m := _BUILD.fullmatch(line))), None)
+    option = next((m for line in build if (m := _OPTION.fullmatch(line))), None)
     try:
         steps, rate, acceleration, length = (
             np.array([told[base + axis] for axis in range(len(AXES))])
             for base in (100, 110, 120, 130)
         )
-        inverted, homes, inches = int(told[23]), told[22] != 0.0, told[13] != 0.0
+        shown, inches, inverted = int(told[10]), told[13] != 0.0, int(told[23])
+        homes = told[22] != 0.0
     except KeyError as error:
         raise ConnectionLost(
             f"GRBL's setting ${error} did not come; check baud rate and cable"
         ) from error
     # Machine positions are negative, unless homing sets the origin (letter Z).
-    upwards = [
-        "Z" in option[0] and bool(inverted >> axis & 1) for axis in range(len(AXES))
-    ]
-    travel = tuple(
-        (0.0, float(size)) if up else (-float(size), 0.0)
-        for size, up in zip(length, upwards, strict=True)
-    )
-    buffer_bytes = int(option[2]) if len(option) > 2 else 128
+    sets_origin = option is not None and b"Z" in option[1]
     return Settings(
         1.0 / steps,
         rate,
         acceleration,
-        travel,
+        tuple(
+            (0.0, float(size))
+            if sets_origin and inverted >> axis & 1
+            else (-float(size), 0.0)
+            for axis, size in enumerate(length)
+        ),
         homes,
-        inches,
-        version,
-        words,
-        buffer_bytes,
+        bool(shown & 1) and not inches,
+        version[1].decode() if version else "",
+        version[2].decode("ascii", "replace") if version else "",
+        int(option[2]) if option else 15,
+        min(int(option[3]), 128) if option else 128,
     )

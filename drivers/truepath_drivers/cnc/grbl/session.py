@@ -1,9 +1,12 @@
-"""A GRBL that is connected: its one line, both ways. The caller locks."""
+"""A GRBL that is connected: its one line, both ways. The caller locks, save to stop."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+import re
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from truepath_drivers import host_clock
@@ -11,54 +14,50 @@ from truepath_drivers.cnc.grbl.program import Block
 from truepath_drivers.cnc.grbl.protocol import (
     ALARMS,
     ASK,
+    DOOR,
     ERRORS,
     HOLD,
+    MUTE_ALARMS,
     RESET,
+    RESUME,
     Report,
     Settings,
     parse_report,
     parse_settings,
 )
-from truepath_drivers.cnc.grbl.stream import Stream
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceTimeout,
-    Refused,
-    WrongDevice,
-)
+from truepath_drivers.interfaces.errors import DeviceTimeout, Refused, WrongDevice
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.line_link import LineLink
 
 log = logging.getLogger(__name__)
 
 _ASK_AGAIN_S = 0.2
-_GLANCE_S = 0.005  # for what has come already
+_LOOK_S = 0.02
+_GLANCE_S = 0.002  # for what has come already
+_MOST_LATE = 9  # answers that are discarded before one is believed
 _ROUNDS = 30  # in which a queue of 15 lines has been filled
-_OFFSET_LOOKS = 40  # GRBL tells the offset in every thirtieth report
-_BUSY = 8
 
 
 class GrblSession:
     """Lines that GRBL reads in their order, and characters that it obeys at once.
 
+    stops : counts the holds and aborts asked for; none begins or resumes past a new one
+    held_by : why no line is sent and what drives is held; empty where none holds it
+    is_homing : it answers nothing, and hears a reset only
     alarm : code of the last one, 0 where there is none
-    error : what GRBL said of a line that it did not take
-    starts : how often it began anew, unasked
+    error : why no further line is sent
+    rows : that are done
+    has_begun_anew : unasked, since this was set back
     is_homed : None where nobody here has seen it
     """
 
     def __init__(self, port: BytePort, open_s: float, reply_s: float) -> None:
         self._link = LineLink(port)
         self._open_s, self._reply_s = open_s, reply_s
-        self._told: list[bytes] = []
-        self._report: Report | None = None
-        self._offset: tuple[float, ...] | None = None
-        self.override: float | None = None
+        self._wire = threading.Lock()  # the order of the wire is that of the verbs
         self.settings: Settings | None = None
-        self.stream = Stream()
-        self.alarm, self.error, self.starts = 0, "", 0
-        self.is_homed: bool | None = None
-        self.is_homing = False
+        self.stops, self.held_by = 0, ""
+        self._forget()
 
     @property
     def name(self) -> str:
@@ -70,6 +69,23 @@ class GrblSession:
         """Whether it was opened and not lost since."""
         return self._link.is_open
 
+    @property
+    def is_done(self) -> bool:
+        """Whether every line was sent and answered."""
+        return self._next is None and not self._owed
+
+    @property
+    def is_sent(self) -> bool:
+        """Whether every line was sent."""
+        return self._next is None
+
+    @property
+    def silence_s(self) -> float:
+        """How much longer than it may a reply has stayed away from an idle GRBL."""
+        if not self._owed:
+            return 0.0
+        return host_clock.now_s() - self._changed_s - self._owed[0].wait_s
+
     def open(self) -> Settings:
         """Connect, end what is left of an earlier motion, and read what machine it is.
 
@@ -78,18 +94,25 @@ class GrblSession:
         self.close()
         self._link.open()
         try:
-            report = self._find()
-            if report.state in ("Run", "Jog", "Hold"):
-                self._end_left_over(report)
-            settings = parse_settings(self.command("$$"), self._read_build())
-            if settings.version and not settings.version.startswith("1.1"):
+            self._bring_to_stand()
+            if self.restart().state.startswith("Door"):
+                raise Refused(f"{self.name}: a door is open; close it, connect again")
+            settings = parse_settings(self.command("$$"), self.command("$I"))
+            if not settings.version.startswith("1.1"):
                 raise WrongDevice(
                     f"{self.name}: GRBL {settings.version} answers; this driver "
                     "speaks with 1.1"
                 )
-            if settings.tells_inches:
-                raise Refused(f"{self.name}: GRBL tells inches; set $13=0")
-            self._learn_offset()
+            if not settings.tells_machine_mm:
+                raise Refused(
+                    f"{self.name}: GRBL tells inches or no machine position; set $13=0 "
+                    "and $10=1"
+                )
+            if lines := [x for x in self.command("$N") if re.match(rb"\$N\d=.", x)]:
+                raise Refused(
+                    f"{self.name}: GRBL runs {lines[0].decode('ascii', 'replace')} "
+                    "after each reset; take it out"
+                )
         except BaseException:
             self.close()
             raise
@@ -98,95 +121,164 @@ class GrblSession:
 
     def close(self) -> None:
         """Release the port. Idempotent."""
-        self.settings = self._report = self._offset = self.override = None
-        self.stream, self.is_homing, self.is_homed = Stream(), False, None
-        self.alarm, self.error = 0, ""
+        self.settings = None
+        self._forget()
         self._link.close()
 
     def signal(self, character: bytes) -> None:
         """Send a character that acts at once, from any thread, without a lock."""
         self._link.send(character, end=b"")
 
-    def begin(self, blocks: Iterable[Block], *, homes: bool = False) -> None:
-        """Have lines sent, from now on and whenever the machine is looked at."""
-        size = self.settings.buffer_bytes if self.settings else 0
-        self.stream, self.error, self.is_homing = Stream(blocks, size), "", homes
-        self._link.send(self.stream.take(), end=b"")
+    def count_stop(self) -> None:
+        """Let nothing begin or go on that was asked for before."""
+        with self._wire:
+            self.stops += 1
+
+    def brake(self, why: str) -> None:
+        """Hold what drives and send no more lines, from any thread, without a lock."""
+        with self._wire:
+            self.stops += 1
+            self.held_by = why
+            self._press()
+
+    def press_again(self) -> None:
+        """Hold once more what has not obeyed, or was released by somebody else."""
+        with self._wire:
+            self._press()
+
+    def release(self, stops: int) -> bool:
+        """Let it go on, unless it was stopped anew since `stops` were counted."""
+        with self._wire:
+            if self.stops != stops:
+                return False
+            self.held_by = ""
+            self.signal(RESUME)
+            return True
+
+    def begin(self, blocks: Iterable[Block], stops: int, *, homes: bool) -> None:
+        """Have lines sent whenever there is room; raises Refused after a stop."""
+        with self._wire:
+            if self.stops != stops:
+                raise Refused(f"{self.name}: held or aborted before it began")
+            self._load(blocks)
+            self.held_by, self.error, self.is_homing = "", "", homes
 
     def look(self) -> Report:
         """Ask for the state, take the replies that have come, send what fits now.
 
-        GRBL answers no question while it homes: then the last position is told.
+        GRBL answers no question while it homes, nor after an alarm of a limit: then the
+        last position is told.
         """
+        self._take_until(host_clock.now_s() + _GLANCE_S)
+        if self.is_homing and not self.held_by:
+            self._report = replace(self._report, state="Home")
+            return self._report
         if self.is_homing:
-            self._take_until(host_clock.now_s() + _GLANCE_S)
-            if self.is_homing and self._report is not None:
-                return replace(self._report, state="Home", part=0)
+            self._await_begin(self._reply_s)  # a `?` in a reset is lost
         report = self._ask()
         for _ in range(_ROUNDS):
-            if not self._feed():
+            if report.state not in ("Idle", "Run") or not self.feed():
                 break
             report = self._ask()
         return report
 
-    def position(self, report: Report) -> tuple[float, ...]:
-        """Return where the axes are, in the machine's own coordinates."""
-        if not report.is_work:
-            return report.position
-        offset = self._offset or (0.0,) * len(report.position)
-        return tuple(a + b for a, b in zip(report.position, offset, strict=True))
+    def feed(self) -> bool:
+        """Send what fits, never a line twice; tell whether there was any."""
+        with self._wire:
+            lines = b""
+            while (block := self._next) and len(block.text) <= self._free:
+                is_closed = self._owed and self._owed[-1].is_barrier
+                if self.held_by or self.error or self._is_mute or is_closed:
+                    break
+                self._owed.append(block)
+                self._free -= len(block.text)
+                lines += block.text
+                self._next = next(self._blocks, None)
+            if lines:
+                self.touch()
+                self.error = "a line was cut off on its way"
+                self._link.send(lines, end=b"")
+                self.error = ""
+            return bool(lines)
+
+    def touch(self) -> None:
+        """Begin the patience anew: it moves, or is held."""
+        self._changed_s = host_clock.now_s()
 
     def command(self, text: str) -> list[bytes]:
-        """Have one line done; return what GRBL says to it. Raises Refused."""
-        self._told, self.error = [], ""
-        self.stream = Stream([Block(f"{text}\n".encode())], 128)
-        self._link.send(self.stream.take(), end=b"")
+        """Have one line done; what GRBL says to it. Raises Refused."""
+        self._told.clear()
+        self._load([Block(f"{text}\n".encode())])
+        self.held_by = self.error = ""
+        self.feed()
         deadline_s = host_clock.now_s() + self._reply_s
-        while not self.stream.is_done:
+        while self._owed:
             if not self._take_one(deadline_s):
-                self.stream = Stream()
                 raise DeviceTimeout(f"{self.name}: no answer to {text}")
         if self.error:
-            raise Refused(f"{self.name}: {self.error}", _code_of(self.error))
-        return self._told
+            raise Refused(f"{self.name}: {self.error}")
+        return list(self._told)
 
-    def halt(self) -> None:
+    def restart(self) -> Report:
         """Begin anew what stands: what GRBL had of a motion is gone."""
-        self._restart()
-        self.is_homing = False
+        homed, self.has_begun_anew = self.is_homed, False
+        self.signal(RESET)
+        self._await_begin(self._open_s)
+        report, self.has_begun_anew = self._ask(), False
+        self.is_homed = None if report.state == "Alarm" else homed
+        return report
 
     def explain_alarm(self) -> str:
-        """Return the alarm by its code and name."""
+        """The alarm by its code and name."""
         return f"ALARM:{self.alarm}, {ALARMS.get(self.alarm, 'unknown to GRBL 1.1')}"
 
-    def _restart(self) -> None:
-        starts, homed = self.starts, self.is_homed
-        self.stream = Stream()
-        self.signal(RESET)
-        deadline_s = host_clock.now_s() + self._open_s
-        while self.starts == starts:
+    def _forget(self) -> None:
+        self._told: deque[bytes] = deque(maxlen=200)
+        self._report, self._is_new = Report("", (0.0, 0.0, 0.0)), False
+        self._late, self._is_mute = 0, False
+        self.is_homing = self.has_begun_anew = False
+        self.override: float | None = None
+        self.is_homed: bool | None = None
+        self.alarm, self.error = 0, ""
+        self._load(())
+
+    def _load(self, blocks: Iterable[Block]) -> None:
+        self._blocks: Iterator[Block] = iter(blocks)
+        self._next = next(self._blocks, None)
+        self._owed: deque[Block] = deque()
+        self._free = self.settings.buffer_bytes if self.settings else 128
+        self._changed_s = host_clock.now_s()
+        self.rows = 0
+
+    def _await_begin(self, within_s: float) -> None:
+        deadline_s = host_clock.now_s() + within_s
+        while not self.has_begun_anew:
             if not self._take_one(deadline_s):
                 raise DeviceTimeout(f"{self.name}: does not come back after a reset")
-        self.starts = starts
-        self.is_homed = None if self.alarm else homed
 
-    def _feed(self) -> bool:
-        lines = b"" if self.error or self.alarm else self.stream.take()
-        if lines:
-            self._link.send(lines, end=b"")
-        return bool(lines)
+    def _press(self) -> None:
+        if self.is_homing:
+            self.signal(RESET)
+        else:  # on its way back from a door GRBL hears no `!`
+            is_at_door = self._report.state.startswith("Door")
+            self.signal(HOLD + DOOR if is_at_door else HOLD)
 
     def _ask(self) -> Report:
-        self._take_until(host_clock.now_s() + _GLANCE_S)  # replies of before
-        self._report = None
-        self.signal(ASK)
-        deadline_s = host_clock.now_s() + self._reply_s
-        while self._report is None:
-            if not self._take_one(deadline_s):
-                raise DeviceTimeout(
-                    f"{self.name}: GRBL does not answer; it drives what it has, a "
-                    "second or so, and stands then. Is the cable plugged in?"
-                )
+        for _ in range(1 + self._late):  # the first may be those of before
+            self._is_new = False
+            if not self._is_mute:
+                self.signal(ASK)
+            deadline_s = host_clock.now_s() + self._reply_s
+            while not self._is_new and not self._is_mute:
+                if not self._take_one(deadline_s):
+                    self._late = min(self._late + 1, _MOST_LATE)
+                    raise DeviceTimeout(
+                        f"{self.name}: GRBL does not answer; it drives what it has, a "
+                        "second or so, and stands then. Is the cable plugged in?"
+                    )
+        self._late = 0
+        if self._is_mute:
+            self._report = replace(self._report, state="Alarm")
         return self._report
 
     def _take_until(self, deadline_s: float) -> None:
@@ -197,86 +289,72 @@ class GrblSession:
         line = self._link.receive(deadline_s)
         if line is None:
             return False
-        if line == b"ok":
-            self._take_answer()
-        elif line.startswith(b"error:"):
-            code = _number(line)
-            block = self.stream.answer()
-            text = block.text.decode().strip() if block else "a line"
-            self.error = f"error:{code} at {text}, {ERRORS.get(code, 'not taken')}"
+        if line == b"ok" or line.startswith(b"error:"):
+            self._take_answer(line)
         elif line.startswith(b"ALARM:"):
-            self.alarm, self.is_homing, self.is_homed = _number(line), False, None
-        elif line.startswith(b"Grbl "):
-            self.starts += 1
-            self.stream, self.is_homing, self.is_homed = Stream(), False, None
-        elif line.startswith(b"<"):
-            self._take_report(parse_report(line))
+            self.alarm, self.is_homed = _number(line), None
+            if self.alarm in MUTE_ALARMS:
+                self._is_mute, self.is_homing = True, False
+        elif line.startswith(b"Grbl"):
+            self.has_begun_anew = True
+            self.is_homing = self._is_mute = False
+            self.is_homed = self.override = None
+            self._load(())
+        elif report := parse_report(line):
+            self._report, self._is_new = report, True
+            if report.override is not None:
+                self.override = report.override
+            if report.state != "Alarm":
+                self.alarm = 0
         else:
             self._told.append(line)
         return True
 
-    def _take_answer(self) -> None:
-        if self.stream.answer() is None:
+    def _take_answer(self, line: bytes) -> None:
+        if not self._owed:
             log.warning("%s: GRBL answers what was not asked", self.name)
-        elif self.is_homing:
-            self.is_homing, self.is_homed = False, True
-
-    def _take_report(self, report: Report | None) -> None:
-        if report is None:
             return
-        self._report = report
-        self._offset = report.offset or self._offset
-        self.override = self.override if report.override is None else report.override
-        if report.state != "Alarm":
-            self.alarm = 0
+        block = self._owed.popleft()
+        self._free += len(block.text)
+        self.touch()
+        if line == b"ok":
+            self.rows += block.ends_row
+            self.is_homed = True if self.is_homing else self.is_homed
+        else:
+            code, text = _number(line), block.text.decode().strip()
+            self.error = f"error:{code} at {text}, {ERRORS.get(code, 'not taken')}"
+        self.is_homing = False
 
-    def _find(self) -> Report:
-        deadline_s = host_clock.now_s() + self._open_s
-        while host_clock.now_s() < deadline_s:
+    def _bring_to_stand(self) -> None:
+        """The port is ours alone: what runs is left of somebody who has gone."""
+        begin_s = host_clock.now_s()
+        while (now_s := host_clock.now_s()) < begin_s + self._open_s:
+            self._is_new = False
             self.signal(ASK)
-            again_s = host_clock.now_s() + _ASK_AGAIN_S
-            while self._take_one(again_s):
-                if self._report is not None:
-                    return self._report
-        if self._link.has_received:
+            while not self._is_new and self._take_one(now_s + _ASK_AGAIN_S):
+                pass
+            if self._is_new and self._report.stands and self._report.state != "Idle":
+                return
+            if self._is_new:
+                self.signal(HOLD)  # an idle one may dwell, with lines behind it
+                host_clock.sleep_s(_LOOK_S)
+            elif self._is_mute or now_s > begin_s + self._open_s / 2:
+                self.signal(RESET)  # it homes, or a limit has stopped it
+                host_clock.sleep_s(_ASK_AGAIN_S)
+        if self._report.state:
+            log.warning("%s: GRBL does not obey a hold; it is reset", self.name)
+        elif self._link.has_received:
             raise WrongDevice(
                 f"{self.name}: something answers, but not as GRBL 1.1 does; check "
-                "baudrate and port"
+                "baudrate and port, and whether $10=1"
             )
-        raise DeviceTimeout(
-            f"{self.name}: nothing answers; check port, cable and power of the control"
-        )
-
-    def _end_left_over(self, report: Report) -> None:
-        """The port is ours alone: what runs is left of somebody who has gone."""
-        log.warning("%s: GRBL is in %s; it is ended", self.name, report.state)
-        self.signal(HOLD)
-        deadline_s = host_clock.now_s() + self._open_s
-        while not (report.state == "Hold" and report.stands):
-            if report.state == "Idle" or host_clock.now_s() > deadline_s:
-                break
-            report = self._ask()
-        self._restart()
-
-    def _read_build(self) -> list[bytes]:
-        try:
-            return self.command("$I")
-        except Refused as refused:
-            if refused.code == _BUSY:  # at an open door
-                return []
-            raise
-
-    def _learn_offset(self) -> None:
-        for _ in range(_OFFSET_LOOKS):
-            if not self._ask().is_work or self._offset is not None:
-                return
-        raise ConnectionLost(f"{self.name}: GRBL does not tell its offset; set $10=1")
+        else:
+            raise DeviceTimeout(
+                f"{self.name}: nothing answers; check port, cable and power of the "
+                "control"
+            )
 
 
 def _number(line: bytes) -> int:
     digits = line.partition(b":")[2].strip()
     return int(digits) if digits.isdigit() else 0
-
-
-def _code_of(error: str) -> int:
-    return _number(error.split(" ", 1)[0].encode())

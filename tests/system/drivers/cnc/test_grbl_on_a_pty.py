@@ -73,7 +73,7 @@ def test_door_alarm_and_silence_are_told(control):
         time.sleep(0.3)
         process.tell("door close")
         time.sleep(0.05)
-        assert grbl.status().hold_reason == "door"
+        assert grbl.status().hold_reason == "operator"
         grbl.resume()
         process.tell("mute")
         with pytest.raises(DeviceTimeout):

@@ -1,6 +1,7 @@
 """The driver of GRBL against its published rules, without a port and in no time."""
 
-import itertools
+import contextlib
+import threading
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl import driver, motion
 from truepath_drivers.cnc.grbl.program import Block, write_blocks
 from truepath_drivers.cnc.grbl.protocol import parse_report, parse_settings
-from truepath_drivers.cnc.grbl.stream import Stream
 from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceError,
     DeviceTimeout,
     MotionFault,
     OutOfTravel,
@@ -50,6 +51,10 @@ def path_to(*rows, feed=1200.0, dwell_s=0.0):
     n = len(rows)
     position = np.array(rows, float)
     return Path(AXES, position, np.full(n, feed), np.full(n, dwell_s))
+
+
+def write(path, settings, override=1.0):
+    return list(write_blocks(path, (0.0, 0.0, 0.0), settings, lambda: override))
 
 
 def look_for(grbl, seconds, each_s=0.05):
@@ -95,10 +100,12 @@ def test_never_more_than_128_bytes_are_unread_and_every_line_is_sent_once(grbl, 
 
 
 def test_it_keeps_to_the_feed_while_it_is_asked_three_times_a_second(grbl, device):
-    here = device.position.copy()
+    here, begin_s = device.position.copy(), host_clock.now_s()
     grbl.move_to([-101.0, -1.0, -1.0], 3000.0)
     look_for(grbl, 1.5, each_s=0.33)
-    assert here[0] - device.position[0] == pytest.approx(75.0, abs=8.0)
+    grbl.status()
+    driven_s = host_clock.now_s() - begin_s
+    assert here[0] - device.position[0] == pytest.approx(50.0 * driven_s, abs=4.0)
 
 
 def test_it_stands_soon_after_nobody_asks_any_more(grbl, port, device):
@@ -191,17 +198,21 @@ def test_a_door_stops_and_waits_for_resume_when_it_is_closed(grbl, device):
     look_for(grbl, 0.5)
     device.open_door(False)
     status = grbl.status()
-    assert (status.state, status.hold_reason) == (MotionState.HELD, "door")
+    assert (status.state, status.hold_reason) == (MotionState.HELD, "operator")
     grbl.resume()
     assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
-def test_a_lost_reply_costs_a_moment_and_no_line_is_sent_twice(grbl, device):
-    grbl.load(path_to([-20.0, -20.0, -20.0], [-60.0, -20.0, -20.0]))
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_lost_reply_ends_the_motion_and_no_line_is_sent_twice(grbl, device, rows):
+    grbl.load(path_to(*[[-20.0, -20.0, -20.0], [-60.0, -20.0, -20.0]][:rows]))
     grbl.start()
     look_for(grbl, 0.3)
     device.drops = 1
-    assert grbl.wait(60.0).state is MotionState.FINISHED
+    status = grbl.wait(60.0)
+    assert status.position == pytest.approx((-20.0, -20.0, -20.0))
+    ended = MotionState.FINISHED if rows == 1 else MotionState.ABORTED
+    assert (status.state, status.referenced) == (ended, True)
     lines = [line for line in device.executed if b"X" in line]
     assert len(set(lines)) == len(lines)
 
@@ -220,7 +231,7 @@ def test_a_line_that_is_refused_ends_the_motion_with_its_number(
     grbl, port, monkeypatch
 ):
     lines = [Block(b"G21\n"), Block(b"G61.1\n"), Block(b"G4P9\n")]
-    monkeypatch.setattr(motion, "write_blocks", lambda *_: lines)
+    monkeypatch.setattr(motion, "write_blocks", lambda *_: iter(lines))
     grbl.move_to([-20.0, -20.0, -20.0], 600.0)
     status = grbl.wait(5.0)
     assert status.state is MotionState.ABORTED
@@ -273,28 +284,37 @@ def test_what_a_dead_process_has_left_running_is_ended_at_connect(grbl, port, de
 
 
 def test_homing_is_told_as_motion_and_can_be_aborted(grbl, device):
-    device.settings[22] = 1
-    grbl._motion.home()
+    grbl._motion.home(grbl._session.stops)
     assert grbl.status().state is MotionState.RUNNING
     grbl.abort()
-    host_clock.sleep_s(0.1)
     assert grbl.status().alarm == "ALARM:6, homing was reset"
+    assert device.state == "Alarm"
 
 
-def test_work_coordinates_are_told_as_those_of_the_machine(port, device):
+def test_work_coordinates_are_not_taken_for_those_of_the_machine(grbl, device):
+    grbl.move_to([-50.0, -1.0, -1.0], 600.0)
     device.settings[10] = 0
-    with driver.GrblController(port="") as grbl:
-        grbl.home(10.0)
-        assert grbl.status().position == pytest.approx((-1.0, -1.0, -1.0))
+    with pytest.raises(DeviceTimeout):
+        grbl.status()
+    with pytest.raises(WrongDevice, match=r"\$10=1"):
+        driver.GrblController(port="").connect()
+    host_clock.sleep_s(2.0)
+    device.update(host_clock.now_s())
+    assert device.state in ("Hold", "Idle")
 
 
 def test_the_override_is_lowered_and_told(grbl, device):
-    device.receive(b"\x91\x91\x91")
+    for _ in range(3):
+        device.receive(b"\x91")
     look_for(grbl, 1.0)
     assert grbl.status().override == pytest.approx(1.3)
     grbl.limit_override(0.87)
-    look_for(grbl, 1.0)
     assert grbl.status().override == pytest.approx(0.87)
+    device.receive(b"\x92" * 10)  # flags: they count once
+    look_for(grbl, 1.0)
+    assert grbl.status().override == pytest.approx(0.77)
+    with pytest.raises(Refused, match="10 %"):
+        grbl.limit_override(0.05)
 
 
 def test_what_is_not_the_machine_is_refused(port, device):
@@ -324,10 +344,15 @@ def test_beyond_the_travel_nothing_is_sent(grbl, port):
     ("line", "state", "stands"),
     [
         (b"<Idle|MPos:0.000,1.000,2.000|FS:0,0>", "Idle", True),
-        (b"<Hold:1|MPos:0.000,1.000,2.000>", "Hold", False),
-        (b"<Hold:0|MPos:0.000,1.000,2.000|Bf:15,128|Pn:P>", "Hold", True),
-        (b"<Door:2|WPos:0.000,1.000,2.000|WCO:1.0,1.0,1.0>", "Door", False),
+        (b"<Hold:1|MPos:0.000,1.000,2.000>", "Hold:1", False),
+        (b"<Hold:0|MPos:0.000,1.000,2.000|Bf:15,128|Pn:P>", "Hold:0", True),
+        (b"<Hold|MPos:0.000,1.000,2.000>", "Hold", False),
+        (b"<Door:1|MPos:0.000,1.000,2.000|WCO:1.0,1.0,1.0>", "Door:1", True),
+        (b"<Door:2|MPos:0.000,1.000,2.000>", "Door:2", False),
+        (b"<Door:3|MPos:0.000,1.000,2.000>", "Door:3", False),
         (b"<Run|MPos:0.000,1.000,2.000|FS:500,0|Ov:100,100,100>", "Run", False),
+        (b"<Jog|MPos:0.000,1.000,2.000>", "Jog", False),
+        (b"<Tool|MPos:0.000,1.000,2.000>", "Tool", False),
     ],
 )
 def test_reports_are_read(line, state, stands):
@@ -339,7 +364,14 @@ def test_reports_are_read(line, state, stands):
 
 @pytest.mark.parametrize(
     "line",
-    [b"<Idle|MPos:0.000,1.000|FS:0,0>", b"<Idle|MP", b"<Run|MPos:0.0,1.0,x>", b"<>"],
+    [
+        b"<Idle|MPos:0.000,1.000|FS:0,0>",
+        b"<Idle|MP",
+        b"<Run|MPos:0.0,1.0,x>",
+        b"<Hold:|MPos:0.000,1.000,2.000>",
+        b"<Idle|WPos:0.000,1.000,2.000|FS:0,0>",
+        b"<>",
+    ],
 )
 def test_damaged_reports_are_none(line):
     assert parse_report(line) is None
@@ -351,7 +383,7 @@ def test_an_origin_set_by_homing_turns_the_travel_over():
     assert usual.travel == ((-300.0, 0.0), (-200.0, 0.0), (-100.0, 0.0))
     origin = parse_settings(lines, [b"[OPT:VZ,15,254]"])
     assert origin.travel[0] == (0.0, 300.0)
-    assert origin.buffer_bytes == 254
+    assert (origin.queue, origin.buffer_bytes) == (15, 128)
 
 
 def test_settings_that_are_lost_are_not_guessed():
@@ -363,20 +395,539 @@ def test_pieces_are_long_enough_to_come_to_a_stand_in():
     slow = parse_settings([*SETTINGS, b"$120=10", b"$121=10", b"$122=10"], [])
     fast = parse_settings(SETTINGS, [])
     path = path_to([-200.0, 0.0, 0.0], feed=3000.0)
-    count = [len(list(write_blocks(path, (0.0, 0.0, 0.0), s))) for s in (slow, fast)]
+    count = [len(write(path, s)) for s in (slow, fast)]
     assert count[0] < count[1] / 2
     # GRBL's queue at 50 mm/s and 10 mm/s2 holds the 125 mm of the brake.
     assert 15 * 200.0 / (count[0] - 2) >= 125.0
 
 
-def test_a_stream_counts_characters(clock):
-    blocks = write_blocks(
-        path_to([-10.0, -10.0, -10.0]), (0.0, 0.0, 0.0), parse_settings(SETTINGS, [])
+def test_pieces_last_as_long_at_any_override_and_in_any_queue():
+    usual = parse_settings(SETTINGS, [b"[OPT:V,15,128]"])
+    long = parse_settings(SETTINGS, [b"[OPT:V,35,1024]"])
+    path = path_to([-100.0, 0.0, 0.0])
+    assert len(write(path, usual, 0.1)) == pytest.approx(
+        10 * len(write(path, usual)), abs=30
     )
-    stream = Stream(itertools.islice(blocks, 10), 128)
-    taken = stream.take()
-    assert 80 < len(taken) <= 128
-    assert stream.take() == b""
-    first = stream.answer()
-    assert first is not None
-    assert len(stream.take()) <= 128 - len(taken) + len(first.text)
+    assert len(write(path, long)) == pytest.approx(
+        len(write(path, usual)) * 35 / 15, abs=5
+    )
+
+
+# What moved unasked, or did not stop.
+
+
+def stands(device, seconds=5.0):
+    """Whether it stays where it is while nobody asks."""
+    device.update(host_clock.now_s())
+    before = device.position.copy()
+    host_clock.sleep_s(seconds)
+    device.update(host_clock.now_s())
+    return bool((device.position == before).all())
+
+
+def when_asked(port, happen):
+    """Have something happen once, when the driver asks next."""
+    write = port.write
+
+    def ask(data):
+        if data == b"?" and happenings:
+            happenings.pop()()
+        write(data)
+
+    happenings = [happen]
+    port.write = ask
+
+
+def in_a_thread(grbl, verb):
+    """Run a stop in a thread of its own, up to where it waits for its turn."""
+    stops = grbl._session.stops
+    thread = threading.Thread(target=verb)
+
+    def run():
+        thread.start()
+        while grbl._session.stops == stops:
+            pass
+
+    return run, thread
+
+
+@pytest.fixture
+def driving(grbl):
+    grbl.move_to([-200.0, -1.0, -1.0], 1200.0)
+    look_for(grbl, 0.5)
+    return grbl
+
+
+@pytest.mark.parametrize("deaf", [0, 1])
+def test_a_hold_that_is_lost_is_sent_again_and_nothing_is_fed_meanwhile(
+    driving, port, device, deaf
+):
+    device.deaf = deaf
+    port.sent = b""
+    driving.hold()
+    assert driving.wait(5.0).hold_reason == "command"
+    assert stands(device)
+    assert driving.status().state is MotionState.HELD
+    assert set(port.sent) <= set(b"!?")
+
+
+def test_a_hold_that_is_lost_with_the_question_is_sent_again(driving, port, device):
+    device.deaf = 2
+    driving.hold()
+    with pytest.raises(DeviceTimeout):
+        driving.status()
+    assert port.sent.endswith(b"!")
+    host_clock.sleep_s(0.1)
+    assert stands(device)
+    assert driving.wait(5.0).hold_reason == "command"
+
+
+def test_a_dry_queue_is_not_fed_after_a_hold(driving, device):
+    device.deaf = 1
+    driving.hold()
+    host_clock.sleep_s(3.0)
+    assert driving.wait(5.0).hold_reason == "command"
+    assert stands(device)
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_a_resume_does_not_override_a_later_hold(driving, port, device):
+    driving.hold()
+    driving.wait(5.0)
+    when_asked(port, driving.hold)
+    port.sent = b""
+    driving.resume()
+    assert b"~" not in port.sent
+    assert stands(device)
+    assert driving.status().state is MotionState.HELD
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_a_resume_does_not_override_an_abort(driving, port, device):
+    driving.hold()
+    driving.wait(5.0)
+    abort, thread = in_a_thread(driving, driving.abort)
+    when_asked(port, abort)
+    driving.resume()
+    host_clock.join(thread, 10.0)
+    assert stands(device)
+    assert driving.status().state is MotionState.ABORTED
+
+
+def test_a_resume_waits_until_it_stands_and_is_sent_again_where_it_is_lost(
+    driving, device
+):
+    driving.hold()
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_whoever_releases_our_hold_is_held_again(driving, device):
+    driving.hold()
+    driving.wait(5.0)
+    device.receive(b"~")
+    assert driving.wait(5.0).hold_reason == "command"
+    assert stands(device)
+
+
+@pytest.mark.parametrize("verb", ["hold", "abort"])
+@pytest.mark.parametrize("begin", ["move_to", "start", "home"])
+def test_nothing_begins_after_a_stop_that_came_before_it(
+    grbl, port, device, begin, verb
+):
+    grbl.load(path_to([-50.0, -50.0, -50.0]))
+    stop, thread = in_a_thread(grbl, getattr(grbl, verb))
+    when_asked(port, stop)
+    arguments = {"move_to": ([-50.0, -1.0, -1.0], 600.0), "start": (), "home": (9.0,)}
+    port.sent = b""
+    with pytest.raises(Refused, match="before it began"):
+        getattr(grbl, begin)(*arguments[begin])
+    host_clock.join(thread, 10.0)
+    look_for(grbl, 1.0)
+    assert stands(device)
+    assert not {*b"GH"} & {*port.sent}
+
+
+@pytest.mark.parametrize("code", [1, 2])
+def test_an_alarm_of_a_limit_is_mute_and_told_until_its_reset(grbl, port, device, code):
+    grbl.move_to([-50.0, -1.0, -1.0], 600.0)
+    look_for(grbl, 0.3)
+    device.trip(code)
+    for _ in range(3):
+        status = grbl.status()
+        assert status.state is MotionState.ALARM
+        assert f"ALARM:{code}" in status.alarm
+    device.receive(b"?")
+    assert device.take() == b""
+    grbl.abort()
+    other = driver.GrblController(port="")
+    other.connect()
+    assert other.status().state is MotionState.UNHOMED
+    other.home(10.0)
+    assert other.status().referenced is True
+
+
+@pytest.mark.parametrize("code", range(1, 10))
+def test_every_alarm_ends_the_motion_and_homing_ends_it(driving, device, code):
+    device.trip(code)
+    with pytest.raises(MotionFault, match=f"ALARM:{code}"):
+        driving.wait(5.0)
+    assert stands(device)
+    with pytest.raises(MotionFault):
+        driving.move_to([-50.0, -1.0, -1.0], 600.0)
+    driving.home(10.0)
+    assert driving.status().referenced is True
+
+
+LINES_BEHIND = b"G4P3\nG53G1X-50F600\n"
+
+
+def test_connect_drops_the_lines_behind_a_dwell(grbl, device):
+    device.receive(LINES_BEHIND)
+    other = driver.GrblController(port="")
+    other.connect()
+    assert stands(device, 10.0)
+    assert other.status().state is MotionState.IDLE
+
+
+def test_connect_drops_the_lines_behind_a_door(grbl, device):
+    device.receive(LINES_BEHIND)
+    device.open_door(True)
+    other = driver.GrblController(port="")
+    with pytest.raises(Refused, match="door"):
+        other.connect()
+    device.open_door(False)
+    other.connect()
+    assert other.status().state is MotionState.IDLE
+    other.resume()
+    assert stands(device, 10.0)
+
+
+def test_connect_stops_a_homing(grbl, device):
+    device.receive(b"$H\n")
+    device._homing_s = 60.0
+    other = driver.GrblController(port="")
+    other.connect()
+    assert device.state == "Alarm"
+
+
+def test_a_control_that_moves_after_each_reset_is_refused(port, device):
+    device.startup = "G0X0"
+    with pytest.raises(Refused, match=r"\$N0=G0X0"):
+        driver.GrblController(port="").connect()
+
+
+def test_a_hold_in_homing_is_a_reset(grbl, port, device):
+    begin = grbl._motion.home
+
+    def home(*stops):
+        port.sent = b""
+        begin(*stops)
+        device._homing_s = 60.0
+        grbl.hold()
+
+    grbl._motion.home = home
+    with pytest.raises(MotionFault, match="homing was reset"):
+        grbl.home(100.0)
+    assert device.state == "Alarm"
+    assert port.sent.partition(b"$H\n")[2].startswith(b"\x18")
+    assert not grbl._session.is_homing
+
+
+def test_homing_that_takes_too_long_is_reset(grbl, port, device):
+    begin = grbl._motion.home
+
+    def home(*stops):
+        begin(*stops)
+        device._homing_s = 60.0
+
+    grbl._motion.home = home
+    with pytest.raises(DeviceTimeout, match="not homed"):
+        grbl.home(1.0)
+    host_clock.sleep_s(0.1)
+    assert port.sent.endswith(b"\x18")
+    assert device.state == "Alarm"
+    assert grbl.status().state is MotionState.ALARM
+    grbl._motion.home = begin
+    grbl.home(10.0)
+    assert grbl.status().state is MotionState.FINISHED
+
+
+def test_homing_that_is_refused_or_fails_is_over(grbl, device):
+    device.settings[22] = 0.0
+    with pytest.raises(MotionFault, match=r"error:5 at \$H"):
+        grbl.home(10.0)
+    assert grbl.status().state is MotionState.ABORTED
+    device.settings[22], device.homing_fails = 1.0, 9
+    with pytest.raises(MotionFault, match="ALARM:9, homing found no switch"):
+        grbl.home(10.0)
+    grbl.hold()
+    device.homing_fails = 0
+    grbl.home(10.0)
+    grbl.move_to([-5.0, -1.0, -1.0], 600.0)
+    assert grbl.wait(60.0).state is MotionState.FINISHED
+
+
+def test_at_a_door_it_moves_until_it_stands_and_on_its_way_back(driving, device):
+    device.update(host_clock.now_s())
+    device.open_door(True)
+    assert device._part == 2
+    assert driving.status().state is MotionState.RUNNING
+    with pytest.raises(Refused):
+        driving.reset()
+    with pytest.raises(MotionFault, match="door"):
+        driving.wait(5.0)
+    device.open_door(False)
+    assert driving.status().state is MotionState.HELD
+    driving.resume()
+    assert device._part == 3
+    assert driving.status().state is MotionState.RUNNING
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_hold_on_the_way_back_from_a_door_holds(driving, port, device, at_once):
+    device.open_door(True)
+    look_for(driving, 0.5)
+    device.open_door(False)
+    driving.status()
+    thread, write = threading.Thread(target=driving.hold), port.write
+
+    def press(data):
+        write(data)
+        if data == b"~" and at_once and not thread.ident:
+            thread.start()
+
+    port.write = press
+    driving.resume()
+    if not at_once:
+        driving.status()
+        driving.hold()
+    assert stands(device)
+    assert driving.wait(5.0).hold_reason == "command"
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_a_reset_ends_the_motion_that_was_under_way(driving, device):
+    device.open_door(True)
+    look_for(driving, 0.5)
+    assert driving.status().state is MotionState.DOOR
+    driving.reset()
+    assert not driving._motion.is_under_way
+    device.open_door(False)
+    driving.resume()
+    assert stands(device)
+    assert driving.status().state is MotionState.ABORTED
+
+
+def test_nothing_moves_before_the_units_are_acknowledged(grbl, port, device):
+    port.sent, device.drops = b"", 1
+    grbl.move_to([-50.0, -1.0, -1.0], 600.0)
+    assert grbl.wait(10.0).state is MotionState.ABORTED
+    assert b"G53" not in port.sent
+    assert stands(device)
+
+
+def test_a_hold_in_a_dwell_holds_and_nothing_waits_behind_it(grbl, device):
+    grbl.load(path_to([-5.0, -1.0, -1.0], [-9.0, -1.0, -1.0], dwell_s=5.0))
+    grbl.start()
+    look_for(grbl, 2.0)
+    assert device.state == "Idle"
+    assert device._rx == b""
+    grbl.hold()
+    assert grbl.wait(5.0).state is MotionState.HELD
+    assert stands(device, 20.0)
+    grbl.resume()
+    assert grbl.wait(60.0).state is MotionState.FINISHED
+
+
+def test_who_dies_in_a_dwell_leaves_no_motion_behind(grbl, device):
+    grbl.load(path_to([-5.0, -1.0, -1.0], [-9.0, -1.0, -1.0], dwell_s=5.0))
+    grbl.start()
+    look_for(grbl, 2.0)
+    assert stands(device, 20.0)
+
+
+def test_a_low_override_does_not_make_it_drive_on_unasked(grbl, device):
+    for _ in range(9):
+        device.receive(b"\x92")
+    look_for(grbl, 1.0)
+    grbl.move_to([-200.0, -1.0, -1.0], 3000.0)
+    look_for(grbl, 3.0)
+    assert device.state == "Run"
+    host_clock.sleep_s(1.5)
+    assert stands(device)
+
+
+def test_a_report_that_comes_late_is_not_taken_for_the_next(driving, device):
+    take, said = device.take, []
+    device.take = lambda: said.append(take()) or b""
+    for _ in range(2):
+        with pytest.raises(DeviceTimeout):
+            driving.status()
+    late = [line for line in b"".join(said).splitlines(True) if b"<Run|" in line]
+    assert len(late) == 2
+    host_clock.sleep_s(3.0)
+
+    def take_late():
+        if b"<" not in (now := take()):
+            return now
+        late.append(now)
+        return late.pop(0)
+
+    device.take = take_late
+    device.update(host_clock.now_s())
+    status = driving.status()
+    assert status.position == pytest.approx(device.position, abs=1e-3)
+
+
+def test_replies_that_come_in_halves_are_whole(driving, device):
+    take, rest = device.take, bytearray()
+
+    def halves():
+        rest.extend(take())
+        half = bytes(rest[: (len(rest) + 1) // 2])
+        del rest[: len(half)]
+        return half
+
+    device.take = halves
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+@pytest.mark.parametrize("homes", [1.0, 0.0])
+def test_a_board_that_begins_anew_gets_no_further_line(driving, port, device, homes):
+    device.settings[22] = homes
+    device.restart()
+    port.sent = b""
+    look_for(driving, 3.0)
+    assert b"G" not in port.sent
+    assert stands(device)
+    driving.resume()
+    assert stands(device)
+
+
+@pytest.mark.parametrize("deaf", [0, 1, 1000])
+def test_an_abort_ends_also_what_does_not_obey_a_hold(driving, device, deaf):
+    device.deaf = deaf
+    if deaf == 1000:
+        device._hold = lambda: None
+        device.deaf = 0
+    driving.abort()
+    look_for(driving, 2.0)
+    status = driving.status()
+    assert stands(device)
+    assert status.state is (MotionState.ALARM if deaf == 1000 else MotionState.ABORTED)
+
+
+def test_lines_that_are_cut_off_are_the_end_of_the_motion(driving, port, device):
+    write = port.write
+
+    def cut(data):
+        if b"G53" in data:
+            port.write = write
+            write(data[:20])
+            raise DeviceTimeout("takes no bytes")
+        write(data)
+
+    port.write = cut
+    with pytest.raises(DeviceTimeout):
+        look_for(driving, 5.0)
+    status = driving.wait(10.0)
+    assert status.state is MotionState.ABORTED
+    assert "cut off" in status.alarm
+    assert stands(device)
+
+
+def test_a_hold_at_standstill_does_not_keep_the_next_motion_from_going(grbl, device):
+    grbl.hold()
+    assert grbl.status().state is MotionState.FINISHED
+    grbl.move_to([-5.0, -1.0, -1.0], 600.0)
+    assert grbl.wait(60.0).state is MotionState.FINISHED
+
+
+def test_two_questions_in_one_look_have_one_answer(grbl, device):
+    device.take()
+    device.receive(b"??")
+    assert device.take().count(b"<") == 1
+    assert grbl.status().state is MotionState.FINISHED
+
+
+def test_windows_line_ends_are_two_lines_to_grbl(device):
+    device.take()
+    device.receive(b"$N\r\n")
+    assert device.take().count(b"ok") == 2
+
+
+HAPPENINGS = {
+    "lost replies": lambda port: setattr(port.device, "drops", 2),
+    "lost characters": lambda port: setattr(port.device, "deaf", 2),
+    "a door": lambda port: port.device.open_door(True),
+    "a closed door": lambda port: port.device.open_door(False),
+    "a limit": lambda port: port.device.trip(1),
+    "a new begin": lambda port: port.device.restart(),
+    "an operator's hold": lambda port: port.device.receive(b"!"),
+    "a lower override": lambda port: port.device.receive(b"\x92"),
+    "no cable": lambda port: setattr(port, "is_gone", True),
+    "silence": lambda port: host_clock.sleep_s(2.0),
+    "nothing": lambda port: None,
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("verb", ["hold", "abort"])
+def test_after_a_stop_nothing_moves_whatever_happened(grbl, port, device, verb, seed):
+    random = np.random.default_rng(seed)
+    for _ in range(6):
+        grbl.move_to([*random.uniform(-90.0, -10.0, 3)], 3000.0)
+        for happening in random.choice(list(HAPPENINGS), 2):
+            device.update(host_clock.now_s())
+            HAPPENINGS[happening](port)
+            for stop in (grbl.status, getattr(grbl, verb), grbl.status):
+                with contextlib.suppress(DeviceError):
+                    stop()
+            for _ in range(20):
+                with contextlib.suppress(DeviceError):
+                    grbl.status()
+                host_clock.sleep_s(0.06)
+            port.is_gone = False
+            assert stands(device, 2.0)
+            grbl.connect()
+            assert stands(device, 2.0)
+        device.open_door(False)
+        device.drops = device.deaf = 0
+        grbl.close()
+        grbl.connect()
+        grbl.home(10.0)
+
+
+def test_homing_whose_line_was_sent_with_an_error_is_reset(grbl, port, device):
+    write = port.write
+
+    def hang(data):
+        write(data)
+        if data == b"$H\n":
+            raise DeviceTimeout("takes no bytes")
+
+    port.write = hang
+    with pytest.raises(DeviceTimeout):
+        grbl.home(10.0)
+    host_clock.sleep_s(0.1)
+    device.update(host_clock.now_s())
+    assert device.state == "Alarm"
+    assert grbl.status().state is MotionState.ALARM
+
+
+def test_a_reply_that_is_owed_is_never_taken_for_that_of_the_next_motion(port, device):
+    device.settings[22], device.state = 0.0, "Idle"
+    with driver.GrblController(port="") as grbl:
+        device.trip(3)
+        device.drops = 1
+        with pytest.raises(DeviceTimeout, match=r"\$X"):
+            grbl.reset()
+        with pytest.raises(Refused, match="owes a reply"):
+            grbl.move_to([-5.0, -1.0, -1.0], 600.0)
+        grbl.reset()
+        grbl.move_to([-5.0, -1.0, -1.0], 600.0)
+        assert grbl.wait(60.0).state is MotionState.FINISHED
