@@ -9,7 +9,7 @@ import numpy as np
 
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl.motion import GrblMotion
-from truepath_drivers.cnc.grbl.protocol import AXES, ONE_LESS, TEN_LESS, Settings
+from truepath_drivers.cnc.grbl.protocol import AXES, Settings
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.cnc.priority_lock import PriorityLock
 from truepath_drivers.cnc.travel import (
@@ -38,7 +38,8 @@ from truepath_drivers.transport.make_port import make_port
 log = logging.getLogger(__name__)
 
 _LEAST_FEED = 1.0
-_LONGEST_DWELL_S = 3600.0
+_LONGEST_DWELL_S = 3000.0  # GRBL counts 65 535 steps of 0.05 s
+_TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any more
 _OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
 
 
@@ -67,7 +68,7 @@ class GrblController(MotionController):
         reply_timeout_s: float = 0.5,
         poll_s: float = 0.05,
     ) -> None:
-        line = make_port(port, host, baudrate)
+        line = make_port(port, host, baudrate, _TCP_SILENT_S)
         self._session = GrblSession(line, open_s, reply_timeout_s)
         self._serial_number, self._poll_s = serial_number, poll_s
         self._motion = GrblMotion(self._session)
@@ -181,8 +182,6 @@ class GrblController(MotionController):
         self._session.count_stop()
         if self._session.settings is None:
             return
-        if self._motion.is_under_way:
-            self._motion.brake()
         with self._lock.hold(urgent=True):
             self._motion.stop()
 
@@ -233,29 +232,21 @@ class GrblController(MotionController):
             with self._lock.hold():
                 for _ in range(2):  # a change is told in the second at the latest
                     self._motion.look()
-                override = self._session.override
-                if override is not None and override <= largest:
+                if self._session.lower(largest):
                     return
                 if host_clock.now_s() > deadline_s:
                     raise Refused(f"{self._session.name} does not lower its feed")
-                if override is None:
-                    continue
-                far = override - largest >= 0.1
-                self._session.signal(TEN_LESS if far else ONE_LESS)
 
     def close(self) -> None:
         """Abort a motion that runs, release the port."""
-        try:
-            if self._session.settings and self._session.is_open:
-                self._close_motion()
-        except DeviceError as error:
-            log.warning("%s closed without an answer: %s", self._session.name, error)
-        with self._lock.hold(urgent=True):
-            self._session.close()
-
-    def _close_motion(self) -> None:
-        if self._motion.is_under_way or self.status().state is MotionState.RUNNING:
-            self.abort()
+        with self._lock.hold(urgent=True):  # all of it: nothing begins in between
+            try:
+                if self._session.settings and self._session.is_open:
+                    self._motion.leave()
+            except DeviceError as error:
+                log.warning("%s closed unanswered: %s", self._session.name, error)
+            finally:
+                self._session.close()
 
     def _check(self, path: Path) -> None:
         settings = self._require_settings()

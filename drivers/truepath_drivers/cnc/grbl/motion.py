@@ -23,7 +23,7 @@ from truepath_drivers.interfaces.records import (
 log = logging.getLogger(__name__)
 
 _SILENT_S = 1.5  # a machine that stands has answered by then
-_STOP_S = 1.0
+_STOP_S = 2.0  # of a brake; the pieces of a path let none take longer
 _DISOBEYS_S = 1.0  # in which a hold has been taken
 _UNASKED_S = 1.0  # after so long a motion does not go on by itself
 _LOOK_S = 0.02
@@ -121,18 +121,20 @@ class GrblMotion:
             state = self.look().state
 
     def brake(self, text: str = "", ends_as: MotionState = MotionState.ABORTED) -> None:
-        """Let a stop begin; without a lock as well."""
+        """Let a stop begin."""
         self._text, self._stops_as = text, ends_as
         self._obeyed_s = host_clock.now_s()
         self.is_stopping = True
         self._session.brake("command")
 
     def stop(self) -> None:
-        """Brake, then drop what GRBL has; what is not over in a second goes on later.
+        """Brake, then drop what GRBL has; what is not over in 2 s goes on later.
 
         A reset in motion would lose the position, so it comes at the standstill.
         """
         self.loaded = None
+        if self.is_under_way and not self.is_stopping:
+            self.brake()
         state = self.look().state
         moves = state in (MotionState.RUNNING, MotionState.HELD)
         if not moves and not self.is_under_way:
@@ -143,6 +145,12 @@ class GrblMotion:
         while self.is_stopping and host_clock.now_s() <= deadline_s:
             host_clock.sleep_s(_LOOK_S)
             self.look()
+
+    def leave(self) -> None:
+        """Stop what moves or is ours; a hold of the operator stays."""
+        self._session.count_stop()
+        if self.is_under_way or self.look().state is MotionState.RUNNING:
+            self.stop()
 
     def reset(self) -> None:
         """Clear an alarm and end what was under way; without homing, unlock."""
@@ -198,6 +206,8 @@ class GrblMotion:
             at_goal = self._is_at_goal(report)
             text = "" if at_goal else "GRBL stands where the motion does not end"
             self._end(MotionState.FINISHED if at_goal else MotionState.ABORTED, text)
+        elif session.dry > 1:
+            session.brake("watchdog")
         elif session.silence_s > _SILENT_S and not session.is_homing:
             self._stop_silent(report)
         return report
@@ -235,6 +245,7 @@ class GrblMotion:
     def _end(self, state: MotionState, text: str = "") -> None:
         self.is_under_way = self.is_stopping = self._session.is_homing = False
         self._ended, self._text = state, text
+        self._session.unload()
 
     def _judge(self, report: Report) -> MotionStatus:
         state, text, reason = self._ended, self._text, ""

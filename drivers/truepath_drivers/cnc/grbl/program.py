@@ -18,6 +18,7 @@ from truepath_drivers.interfaces.records import Path
 START = b"G21G90G94G17G40G49G80\n"
 _AHEAD_S = 0.9  # of motion in GRBL's queue, which is what it drives unasked
 _BRAKING = 0.8  # share of the queue in which a motion can come to a stand
+_DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,22 +48,23 @@ def write_blocks(
     for row, there in enumerate(path.position):
         feed, step, done = float(path.feed_mm_min[row]), there - here, 0.0
         while done < 1.0:
-            done += _find_piece(step, feed * find_override(), settings)
+            done += _find_piece(step, done, feed * find_override(), settings)
             at = there if done >= 1.0 else here + step * done
             ends = (f"{axis}{value:.4f}" for axis, value in zip(AXES, at, strict=True))
             yield Block(f"G53G1{''.join(ends)}F{feed:.2f}\n".encode())
         dwell_s = float(path.dwell_s[row])
-        yield Block(f"G4P{dwell_s:.3f}\n".encode(), True, True, dwell_s)
+        yield Block(f"G4P{dwell_s:.3f}\n".encode(), True, True, _DWELL_SHARE * dwell_s)
         here = there
 
 
 def _find_piece(
-    step: NDArray[np.float64], feed_mm_min: float, settings: Settings
+    step: NDArray[np.float64], done: float, feed_mm_min: float, settings: Settings
 ) -> float:
-    """Share of a row that is sent as one line.
+    """Share of a row that is sent as one line, behind the share `done`.
 
-    Pieces are short, so that little is left to drive when nobody asks any more, and
-    long enough for GRBL to plan the way to a stand at full feed.
+    It takes as long as any other at the speed that the axes have come to by then, so
+    that little is left to drive when nobody asks any more. What they cannot stand from
+    within the queue, GRBL does not reach.
     """
     length = float(np.linalg.norm(step))
     if length == 0.0:
@@ -70,5 +72,7 @@ def _find_piece(
     share = np.maximum(np.abs(step) / length, 1e-9)
     limit = float((settings.acceleration_mm_s2 / share).min())
     speed = min(feed_mm_min, float((settings.rate_mm_min / share).min())) / 60.0
-    brake_s = speed / (2.0 * limit * _BRAKING)
-    return speed * max(_AHEAD_S, brake_s) / settings.queue / length
+    piece_s = _AHEAD_S / settings.queue
+    come_to = max(np.sqrt(2.0 * limit * done * length), limit * piece_s)
+    speed = min(speed, come_to, 2.0 * _BRAKING * _AHEAD_S * limit)
+    return speed * piece_s / length

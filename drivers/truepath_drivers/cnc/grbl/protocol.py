@@ -45,7 +45,7 @@ _REPORT = re.compile(
 _OVERRIDE = re.compile(rb"\|Ov:(\d+),")
 _SETTING = re.compile(rb"\$(\d+)=(-?[\d.]+)")
 _BUILD = re.compile(rb"\[VER:([^:]*):(.*)\]")
-_OPTION = re.compile(rb"\[OPT:(\w*),(\d+),(\d+).*\]")
+_OPTION = re.compile(rb"\[OPT:([^,\]]*),(\d+),(\d+).*\]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,7 @@ class Settings:
     """What `$$` and `$I` tell of a machine.
 
     step_mm, rate_mm_min, acceleration_mm_s2 : of each axis
+    options : letters of what it was built with
     queue : lines that it plans ahead
     buffer_bytes : that it keeps of lines it has not read yet
     """
@@ -98,9 +99,11 @@ class Settings:
     acceleration_mm_s2: NDArray[np.float64]
     travel: tuple[tuple[float, float], ...]
     homes: bool
+    has_soft_limits: bool
     tells_machine_mm: bool
     version: str
     words: str
+    options: str
     queue: int
     buffer_bytes: int
 
@@ -116,13 +119,15 @@ def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
             for base in (100, 110, 120, 130)
         )
         shown, inches, inverted = int(told[10]), told[13] != 0.0, int(told[23])
-        homes = told[22] != 0.0
+        homes, has_soft_limits = told[22] != 0.0, told[20] != 0.0
     except KeyError as error:
         raise ConnectionLost(
             f"GRBL's setting ${error} did not come; check baud rate and cable"
         ) from error
+    if option is None:
+        raise ConnectionLost("GRBL's options ([OPT:) did not come; check the cable")
     # Machine positions are negative, unless homing sets the origin (letter Z).
-    sets_origin = option is not None and b"Z" in option[1]
+    sets_origin = b"Z" in option[1]
     return Settings(
         1.0 / steps,
         rate,
@@ -134,9 +139,11 @@ def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
             for axis, size in enumerate(length)
         ),
         homes,
+        has_soft_limits,
         bool(shown & 1) and not inches,
         version[1].decode() if version else "",
         version[2].decode("ascii", "replace") if version else "",
-        int(option[2]) if option else 15,
-        min(int(option[3]), 128) if option else 128,
+        option[1].decode("ascii", "replace"),
+        int(option[2]),
+        min(int(option[3]), 128),
     )

@@ -18,8 +18,10 @@ from truepath_drivers.cnc.grbl.protocol import (
     ERRORS,
     HOLD,
     MUTE_ALARMS,
+    ONE_LESS,
     RESET,
     RESUME,
+    TEN_LESS,
     Report,
     Settings,
     parse_report,
@@ -35,7 +37,8 @@ _ASK_AGAIN_S = 0.2
 _LOOK_S = 0.02
 _GLANCE_S = 0.002  # for what has come already
 _MOST_LATE = 9  # answers that are discarded before one is believed
-_ROUNDS = 30  # in which a queue of 15 lines has been filled
+_FEEDS_S = 0.3  # after which a look sends nothing more: its caller may have gone
+_STEPS_DOWN = 20  # in which an override has been lowered by all that there is
 
 
 class GrblSession:
@@ -49,6 +52,7 @@ class GrblSession:
     rows : that are done
     has_begun_anew : unasked, since this was set back
     is_homed : None where nobody here has seen it
+    dry : looks, one after the other, that saw it idle for want of lines
     """
 
     def __init__(self, port: BytePort, open_s: float, reply_s: float) -> None:
@@ -56,7 +60,7 @@ class GrblSession:
         self._open_s, self._reply_s = open_s, reply_s
         self._wire = threading.Lock()  # the order of the wire is that of the verbs
         self.settings: Settings | None = None
-        self.stops, self.held_by = 0, ""
+        self.stops = 0
         self._forget()
 
     @property
@@ -103,6 +107,11 @@ class GrblSession:
                     f"{self.name}: GRBL {settings.version} answers; this driver "
                     "speaks with 1.1"
                 )
+            if not settings.has_soft_limits or "L" in settings.options:
+                raise Refused(
+                    f"{self.name}: GRBL drives beyond its travel or moves after an "
+                    "alarm; set $20=1, and build it with HOMING_INIT_LOCK"
+                )
             if not settings.tells_machine_mm:
                 raise Refused(
                     f"{self.name}: GRBL tells inches or no machine position; set $13=0 "
@@ -121,8 +130,10 @@ class GrblSession:
 
     def close(self) -> None:
         """Release the port. Idempotent."""
-        self.settings = None
-        self._forget()
+        with self._wire:
+            self.stops += 1
+            self.settings = None
+            self._forget()
         self._link.close()
 
     def signal(self, character: bytes) -> None:
@@ -130,9 +141,12 @@ class GrblSession:
         self._link.send(character, end=b"")
 
     def count_stop(self) -> None:
-        """Let nothing begin or go on that was asked for before."""
+        """Let nothing begin or go on that was asked for before; hold what has begun."""
         with self._wire:
             self.stops += 1
+            if self.settings and not self.is_done:
+                self.held_by = "command"
+                self._press()
 
     def brake(self, why: str) -> None:
         """Hold what drives and send no more lines, from any thread, without a lock."""
@@ -151,7 +165,7 @@ class GrblSession:
         with self._wire:
             if self.stops != stops:
                 return False
-            self.held_by = ""
+            self.held_by, self._may_be_idle = "", True
             self.signal(RESUME)
             return True
 
@@ -161,14 +175,21 @@ class GrblSession:
             if self.stops != stops:
                 raise Refused(f"{self.name}: held or aborted before it began")
             self._load(blocks)
-            self.held_by, self.error, self.is_homing = "", "", homes
+            self.error, self.is_homing = "", homes
+
+    def unload(self) -> None:
+        """Send no more of a motion that has ended; what GRBL owes, it owes still."""
+        with self._wire:
+            self._blocks, self._next, self.held_by = iter(()), None, ""
 
     def look(self) -> Report:
         """Ask for the state, take the replies that have come, send what fits now.
 
         GRBL answers no question while it homes, nor after an alarm of a limit: then the
-        last position is told.
+        last position is told. Where lines are left and it stands idle, it has run dry,
+        or begun anew unheard: then nothing is sent.
         """
+        until_s = host_clock.now_s() + _FEEDS_S
         self._take_until(host_clock.now_s() + _GLANCE_S)
         if self.is_homing and not self.held_by:
             self._report = replace(self._report, state="Home")
@@ -176,10 +197,15 @@ class GrblSession:
         if self.is_homing:
             self._await_begin(self._reply_s)  # a `?` in a reset is lost
         report = self._ask()
-        for _ in range(_ROUNDS):
-            if report.state not in ("Idle", "Run") or not self.feed():
+        is_dry = not (self.is_sent or self._owed or self._may_be_idle)
+        self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
+        while report.state in ("Idle", "Run") and not self.dry:
+            if host_clock.now_s() > until_s:
                 break
+            is_fed, owed = self.feed(), len(self._owed)
             report = self._ask()
+            if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
+                break
         return report
 
     def feed(self) -> bool:
@@ -191,6 +217,7 @@ class GrblSession:
                 if self.held_by or self.error or self._is_mute or is_closed:
                     break
                 self._owed.append(block)
+                self._may_be_idle = block.is_barrier
                 self._free -= len(block.text)
                 lines += block.text
                 self._next = next(self._blocks, None)
@@ -209,7 +236,7 @@ class GrblSession:
         """Have one line done; what GRBL says to it. Raises Refused."""
         self._told.clear()
         self._load([Block(f"{text}\n".encode())])
-        self.held_by = self.error = ""
+        self.error = ""
         self.feed()
         deadline_s = host_clock.now_s() + self._reply_s
         while self._owed:
@@ -220,13 +247,33 @@ class GrblSession:
         return list(self._told)
 
     def restart(self) -> Report:
-        """Begin anew what stands: what GRBL had of a motion is gone."""
-        homed, self.has_begun_anew = self.is_homed, False
+        """Begin anew what stands: what GRBL had of a motion is gone.
+
+        It forgets the override as well, which a person may have lowered: lowered again.
+        """
+        homed, override = self.is_homed, self.override
+        self.has_begun_anew = False
         self.signal(RESET)
         self._await_begin(self._open_s)
         report, self.has_begun_anew = self._ask(), False
         self.is_homed = None if report.state == "Alarm" else homed
+        if override is not None:
+            for _ in range(_STEPS_DOWN):
+                self._ask()
+                self._ask()
+                if self.lower(override):
+                    break
         return report
+
+    def lower(self, most: float) -> bool:
+        """Lower the override by a step where it is above; tell whether it is not.
+
+        A change is told in the second report at the latest.
+        """
+        if self.override is None or self.override <= most:
+            return self.override is not None
+        self.signal(TEN_LESS if self.override - most >= 0.1 else ONE_LESS)
+        return False
 
     def explain_alarm(self) -> str:
         """The alarm by its code and name."""
@@ -248,7 +295,8 @@ class GrblSession:
         self._owed: deque[Block] = deque()
         self._free = self.settings.buffer_bytes if self.settings else 128
         self._changed_s = host_clock.now_s()
-        self.rows = 0
+        self.held_by, self._may_be_idle = "", True
+        self.rows = self.dry = 0
 
     def _await_begin(self, within_s: float) -> None:
         deadline_s = host_clock.now_s() + within_s
@@ -264,11 +312,11 @@ class GrblSession:
             self.signal(HOLD + DOOR if is_at_door else HOLD)
 
     def _ask(self) -> Report:
-        for _ in range(1 + self._late):  # the first may be those of before
+        deadline_s = host_clock.now_s() + self._reply_s
+        while True:
             self._is_new = False
             if not self._is_mute:
                 self.signal(ASK)
-            deadline_s = host_clock.now_s() + self._reply_s
             while not self._is_new and not self._is_mute:
                 if not self._take_one(deadline_s):
                     self._late = min(self._late + 1, _MOST_LATE)
@@ -276,6 +324,9 @@ class GrblSession:
                         f"{self.name}: GRBL does not answer; it drives what it has, a "
                         "second or so, and stands then. Is the cable plugged in?"
                     )
+            if self._is_mute or not self._late:
+                break
+            self._late -= 1  # this one may be of before
         self._late = 0
         if self._is_mute:
             self._report = replace(self._report, state="Alarm")

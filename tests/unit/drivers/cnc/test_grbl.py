@@ -1,6 +1,7 @@
 """The driver of GRBL against its published rules, without a port and in no time."""
 
 import contextlib
+import socket
 import threading
 
 import numpy as np
@@ -22,10 +23,12 @@ from truepath_drivers.interfaces.errors import (
     WrongDevice,
 )
 from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.cnc.grbl_device import GrblDevice
 
 AXES = ("X", "Y", "Z")
 SETTINGS = [f"${n}={v}".encode() for n, v in GrblDevice().settings.items()]
+BUILD = [b"[OPT:V,15,128]"]
 
 
 @pytest.fixture
@@ -387,18 +390,49 @@ def test_an_origin_set_by_homing_turns_the_travel_over():
 
 
 def test_settings_that_are_lost_are_not_guessed():
-    with pytest.raises(ConnectionLost, match="130"):
-        parse_settings([s for s in SETTINGS if b"$130" not in s], [])
+    for number in (20, 130):
+        with pytest.raises(ConnectionLost, match=rf"\${number} did not"):
+            parse_settings([s for s in SETTINGS if b"$%d=" % number not in s], BUILD)
+    with pytest.raises(ConnectionLost, match="OPT"):
+        parse_settings(SETTINGS, [b"[VER:1.1h.20190830:]"])
 
 
-def test_pieces_are_long_enough_to_come_to_a_stand_in():
-    slow = parse_settings([*SETTINGS, b"$120=10", b"$121=10", b"$122=10"], [])
-    fast = parse_settings(SETTINGS, [])
-    path = path_to([-200.0, 0.0, 0.0], feed=3000.0)
-    count = [len(write(path, s)) for s in (slow, fast)]
-    assert count[0] < count[1] / 2
-    # GRBL's queue at 50 mm/s and 10 mm/s2 holds the 125 mm of the brake.
-    assert 15 * 200.0 / (count[0] - 2) >= 125.0
+@pytest.mark.parametrize("letters", [b"", b"Z", b"VZ+", b"V*$#Z"])
+def test_options_of_any_letters_are_read(letters):
+    settings = parse_settings([*SETTINGS, b"$23=1"], [b"[OPT:%b,35,255]" % letters])
+    assert (settings.queue, settings.options.encode()) == (35, letters)
+    assert settings.travel[0] == ((0.0, 300.0) if b"Z" in letters else (-300.0, 0.0))
+
+
+@pytest.mark.parametrize(("soft_limits", "letters"), [(0, "V"), (1, "VL")])
+def test_a_control_that_does_not_refuse_what_it_should_is_refused(
+    port, device, soft_limits, letters
+):
+    def do_system(line):
+        if line == b"$I":
+            device._say(f"[OPT:{letters},15,128]")
+        usual(line)
+
+    usual, device._do_system = device._do_system, do_system
+    device.settings[20] = soft_limits
+    with pytest.raises(Refused, match=r"\$20=1"):
+        driver.GrblController(port="").connect()
+
+
+@pytest.mark.parametrize("driven_s", [0.5, 6.0])
+@pytest.mark.parametrize("acceleration", [10.0, 12.5, 50.0, 500.0])
+def test_slow_axes_stand_soon_as_well(grbl, port, device, acceleration, driven_s):
+    device.settings |= dict.fromkeys((120, 121, 122), acceleration)
+    grbl.close()
+    grbl.connect()
+    grbl.move_to([-290.0, -1.0, -1.0], 3000.0)
+    look_for(grbl, min(driven_s, 4.0 if acceleration > 20.0 else 6.0))
+    assert device.state == "Run"
+    host_clock.sleep_s(2.0)
+    port.pass_time()
+    assert stands(device)
+    if acceleration == 10.0:  # faster than it could brake from on 0.9 s of lines
+        assert device.position[0] > -1.0 - 16.5 * (driven_s + 2.0)
 
 
 def test_pieces_last_as_long_at_any_override_and_in_any_queue():
@@ -931,3 +965,187 @@ def test_a_reply_that_is_owed_is_never_taken_for_that_of_the_next_motion(port, d
         grbl.reset()
         grbl.move_to([-5.0, -1.0, -1.0], 600.0)
         assert grbl.wait(60.0).state is MotionState.FINISHED
+
+
+# What moved unasked, or was lost, the second time.
+
+
+def test_what_ran_dry_while_the_computer_slept_is_held(driving, port, device):
+    port.pass_time = lambda: device.update(host_clock.now_s() + 3600.0)
+    port.pass_time()
+    dry_at = device.position.copy()
+    look_for(driving, 0.5)
+    status = driving.status()
+    assert (status.state, status.hold_reason) == (MotionState.HELD, "watchdog")
+    assert device.position == pytest.approx(dry_at)
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_a_board_that_begins_anew_unheard_is_not_fed(driving, port, device):
+    host_clock.sleep_s(0.3)
+    port.pass_time()
+    device._drop_motion()
+    device.state, device.position = "Idle", np.zeros(3)
+    look_for(driving, 2.0)
+    assert driving.status().hold_reason == "watchdog"
+    assert device.position == pytest.approx(np.zeros(3))
+
+
+@pytest.mark.parametrize("verb", ["hold", "abort"])
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_stop_that_falls_into_a_begin_holds(grbl, port, device, verb, hangs):
+    begin, feed = grbl._session.begin, grbl._session.feed
+
+    def stop():
+        with contextlib.suppress(DeviceTimeout):
+            getattr(grbl, verb)()
+
+    run, thread = in_a_thread(grbl, stop)
+
+    def begin_then_stop(*arguments, **options):
+        begin(*arguments, **options)
+        run()
+
+    def feed_then_hang():
+        grbl._session.feed = feed
+        feed()
+        device.is_mute = hangs
+
+    grbl._session.begin, grbl._session.feed = begin_then_stop, feed_then_hang
+    port.sent = b""
+    grbl.move_to([-200.0, -1.0, -1.0], 3000.0)
+    host_clock.join(thread, 10.0)
+    device.is_mute = False
+    with contextlib.suppress(DeviceTimeout):
+        grbl.status()
+    look_for(grbl, 2.0)
+    assert b"G53" not in port.sent
+    ended = MotionState.HELD if verb == "hold" else MotionState.ABORTED
+    assert grbl.status().state is ended
+
+
+def answer_late(device, late_s):
+    """Have what the control says come later, piece by piece."""
+    take, said = device.take, []
+
+    def take_late():
+        if now := take():
+            said.append((host_clock.now_s() + late_s, now))
+        return said.pop(0)[1] if said and said[0][0] <= host_clock.now_s() else b""
+
+    device.take = take_late
+
+
+@pytest.mark.parametrize(("late_s", "before"), [(0.2, 0), (0.45, 0), (0.45, 9)])
+def test_one_look_is_short_and_feeds_little(driving, port, device, late_s, before):
+    driving._session._late = before
+    answer_late(device, late_s)
+    begin_s, here = host_clock.now_s(), device.position.copy()
+    with contextlib.suppress(DeviceTimeout):
+        driving.status()
+    assert host_clock.now_s() - begin_s < 0.85
+    host_clock.sleep_s(5.0)
+    port.pass_time()
+    assert here[0] - device.position[0] < 20.0 * 1.7
+
+
+def test_a_control_that_answers_late_after_timeouts_is_heard_again(driving, device):
+    driving._session._late = 9
+    answer_late(device, 0.1)
+    for _ in range(3):
+        with contextlib.suppress(DeviceTimeout):
+            driving.status()
+    assert driving.status().state is MotionState.RUNNING
+
+
+def test_nothing_begins_while_it_closes(grbl, port, device, monkeypatch):
+    def begin():
+        with contextlib.suppress(DeviceError):
+            grbl.move_to([-200.0, -1.0, -1.0], 3000.0)
+            look_for(grbl, 0.2)
+
+    def hold_late(*, urgent=False):
+        if urgent:
+            host_clock.sleep_s(0.3)  # who waits for the lock gets it before
+        return hold(urgent=urgent)
+
+    thread, hold = threading.Thread(target=begin), grbl._lock.hold
+    monkeypatch.setattr(grbl._lock, "hold", hold_late)
+    when_asked(port, thread.start)
+    grbl.close()
+    host_clock.join(thread, 10.0)
+    port.pass_time()
+    assert stands(device)
+
+
+def test_a_begin_of_before_a_close_is_refused_after_it(grbl):
+    stops = grbl._session.stops
+    grbl.close()
+    grbl.connect()
+    with pytest.raises(Refused, match="before it began"):
+        grbl._motion.begin(path_to([-50.0, -1.0, -1.0]), stops)
+
+
+@pytest.mark.parametrize("verb", ["hold", "abort"])
+def test_an_operators_hold_after_a_motion_of_ours_is_his(driving, device, verb):
+    getattr(driving, verb)()
+    driving.wait(5.0)
+    driving.abort()
+    device.receive(b"!")
+    assert driving.status().hold_reason == "operator"
+
+
+def test_the_rest_of_an_ended_motion_is_never_sent(driving, port, device):
+    device._drop_motion()
+    device.state = "Alarm"
+    device._say("ALARM:5")
+    assert driving.status().state is MotionState.ALARM
+    device.receive(b"$X\n")
+    port.sent = b""
+    look_for(driving, 2.0)
+    assert stands(device)
+    assert b"G" not in port.sent
+
+
+def test_a_dwell_may_last_longer_on_a_slow_board_and_has_a_limit(grbl, device):
+    def do_slowly(line):
+        do_block(line)
+        if device._dwell_s:
+            device._dwell_s *= 1.02
+
+    do_block, device._do_block = device._do_block, do_slowly
+    grbl.load(path_to([-5.0, -1.0, -1.0], [-9.0, -1.0, -1.0], dwell_s=200.0))
+    grbl.start()
+    assert grbl.wait(900.0).state is MotionState.FINISHED
+    with pytest.raises(Refused):
+        grbl.load(path_to([-5.0, -1.0, -1.0], dwell_s=3001.0))
+
+
+@pytest.mark.parametrize("reset", ["abort", "lost reply", "home"])
+def test_a_lowered_override_outlasts_our_reset(grbl, device, reset):
+    for character in [b"\x92"] * 6 + [b"\x94"] * 3:
+        device.receive(character)
+    look_for(grbl, 1.0)
+    if reset == "home":
+        grbl.home(10.0)
+    else:
+        grbl.move_to([-5.0, -1.0, -1.0], 600.0)
+        look_for(grbl, 0.5)
+        device.drops = int(reset != "abort")
+        grbl.abort() if reset == "abort" else grbl.wait(60.0)
+    assert device._override == 37
+    assert grbl.status().override == pytest.approx(0.37)
+
+
+def test_a_network_keeps_no_lines_for_later():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        host, port = server.getsockname()
+        grbl = driver.GrblController(port=port, host=host)
+        line = grbl._session._link._port
+        assert isinstance(line, TcpPort)
+        line.open()
+        assert line._socket is not None
+        option = socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT
+        assert line._socket.getsockopt(*option) == 1000
+        line.close()
