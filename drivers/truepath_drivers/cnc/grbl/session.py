@@ -199,7 +199,7 @@ class GrblSession:
         report = self._ask()
         is_dry = not (self.is_sent or self._owed or self._may_be_idle)
         self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
-        while report.state in ("Idle", "Run") and not self.dry:
+        while report.state in ("Idle", "Run") and not (self.dry or self.is_done):
             if host_clock.now_s() > until_s:
                 break
             is_fed, owed = self.feed(), len(self._owed)

@@ -1005,6 +1005,7 @@ def test_a_stop_that_falls_into_a_begin_holds(grbl, port, device, verb, hangs):
 
     def begin_then_stop(*arguments, **options):
         begin(*arguments, **options)
+        grbl._session.feed = feed_then_hang
         run()
 
     def feed_then_hang():
@@ -1012,7 +1013,7 @@ def test_a_stop_that_falls_into_a_begin_holds(grbl, port, device, verb, hangs):
         feed()
         device.is_mute = hangs
 
-    grbl._session.begin, grbl._session.feed = begin_then_stop, feed_then_hang
+    grbl._session.begin = begin_then_stop
     port.sent = b""
     grbl.move_to([-200.0, -1.0, -1.0], 3000.0)
     host_clock.join(thread, 10.0)
