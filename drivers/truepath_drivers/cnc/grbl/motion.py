@@ -79,7 +79,7 @@ class GrblMotion:
                 self._end(MotionState.ABORTED, "GRBL has begun anew in the motion")
         if self.is_under_way or self.is_stopping:
             report = self._follow(report)
-        return self._judge(report)
+        return self._assess(report)
 
     def require_able(self, status: MotionStatus) -> None:
         """Raise MotionFault where the machine cannot be driven."""
@@ -247,7 +247,7 @@ class GrblMotion:
         self._ended, self._text = state, text
         self._session.unload()
 
-    def _judge(self, report: Report) -> MotionStatus:
+    def _assess(self, report: Report) -> MotionStatus:
         state, text, reason = self._ended, self._text, ""
         if self.is_stopping or not report.stands:
             state = MotionState.RUNNING

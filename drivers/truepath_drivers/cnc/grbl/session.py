@@ -61,7 +61,7 @@ class GrblSession:
         self._wire = threading.Lock()  # the order of the wire is that of the verbs
         self.settings: Settings | None = None
         self.stops = 0
-        self._forget()
+        self._discard_old()
 
     @property
     def name(self) -> str:
@@ -133,7 +133,7 @@ class GrblSession:
         with self._wire:
             self.stops += 1
             self.settings = None
-            self._forget()
+            self._discard_old()
         self._link.close()
 
     def signal(self, character: bytes) -> None:
@@ -279,7 +279,7 @@ class GrblSession:
         """The alarm by its code and name."""
         return f"ALARM:{self.alarm}, {ALARMS.get(self.alarm, 'unknown to GRBL 1.1')}"
 
-    def _forget(self) -> None:
+    def _discard_old(self) -> None:
         self._told: deque[bytes] = deque(maxlen=200)
         self._report, self._is_new = Report("", (0.0, 0.0, 0.0)), False
         self._late, self._is_mute = 0, False

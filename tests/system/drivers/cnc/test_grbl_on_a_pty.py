@@ -46,7 +46,7 @@ def control() -> Iterator[tuple[DeviceProcess, dict]]:
 def test_it_conforms(control, check):
     process, options = control
     check(lambda: GrblController(**options))
-    assert process.ask_state()["overflows"] == 0
+    assert process.query_state()["overflows"] == 0
 
 
 def test_a_machine_whose_host_dies_stands_soon(control):
@@ -54,9 +54,9 @@ def test_a_machine_whose_host_dies_stands_soon(control):
     run = [sys.executable, "-c", DRIVE_AND_DIE, options["port"]]
     assert subprocess.run(run, check=False, timeout=30).returncode == -9
     time.sleep(2.0)
-    first = process.ask_state()
+    first = process.query_state()
     time.sleep(0.3)
-    assert process.ask_state() == first
+    assert process.query_state() == first
     assert first["state"] == "Idle"
     assert first["position"][0] > -280.0
     with GrblController(**options) as grbl:
