@@ -24,7 +24,6 @@ ELSEWHERE = {"text-line"}  # behind a relay, in tracker/test_text_line.py
 CONTROLLER_PEERS = {
     "modbus": ["motion_options", "motion_options_rtu"],
     "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
-    "grbl": [],  # a process of its own, in test_grbl_on_a_pty.py
 }
 ABSENT = {
     "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
@@ -33,7 +32,6 @@ ABSENT = {
     "t2sa": {"host": "127.0.0.1", "port": 9},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
     "linuxcnc": {"host": "127.0.0.1", "port": 9},
-    "grbl": {"port": "/dev/truepath-no-such-port"},
 }
 
 
