@@ -124,7 +124,8 @@ def check_what_is_decided(
     assert abs(said["value"] - getattr(hidden, parameter)) < 3.0 * said["uncertainty"]
     gap = found["gap"]
     assert gap["after"] < gap["before"]
-    assert gap["after"] < 1.3 * gap["noise_floor"]
+    # So few lines do not fix all parameters: a complete model leaves that much.
+    assert gap["after"] < 1.1 * gap["expected"]
 
 
 @pytest.mark.parametrize(
