@@ -341,6 +341,9 @@ class CommandChannel:
     def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
         """One repeat, more while the device reports that it is busy. None where a hold
         is waiting, or a gateway reports that it cannot reach the device.
+
+        The library waits anew after each reply that is not ours: on a slow link a
+        repeated request gets a valid reply whose age exceeds what a status may have.
         """
         patience_s = self._timeout_s if limit_s is None else limit_s
         deadline_s = host_clock.now_s() + patience_s
@@ -348,7 +351,13 @@ class CommandChannel:
         while True:
             try:
                 self._reopen()
-                return request()
+                asked_s = host_clock.now_s()
+                reply = request()
+                if has_failed and host_clock.now_s() - asked_s > TIMEOUT_S:
+                    raise DeviceTimeout(
+                        f"{self.name}: replies come later than {TIMEOUT_S:g} s"
+                    )
+                return reply
             except DeviceBusy:
                 if host_clock.now_s() >= deadline_s:
                     raise

@@ -319,6 +319,23 @@ def test_a_reply_to_an_older_transaction_is_not_taken(
     measured(f"{len(stale) - 1} late replies before the right one, none taken")
 
 
+@pytest.mark.fault_row(44)
+def test_a_reply_that_comes_late_to_the_repeated_request_as_well_is_not_taken(
+    tcp_peer, tcp_controller
+):
+    """A status is younger than the two requests that it may take."""
+    delays_s = iter((0.3, 0.15))
+
+    def late(reply):
+        time.sleep(next(delays_s, 0.0))
+        return reply
+
+    tcp_peer.mangle = late
+    with pytest.raises(DeviceTimeout, match=r"later than 0\.2 s"):
+        tcp_controller.status()
+    assert tcp_controller.status().state is MotionState.IDLE
+
+
 @pytest.mark.parametrize(
     ("code", "family", "text"),
     [
