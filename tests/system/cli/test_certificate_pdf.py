@@ -34,9 +34,7 @@ def read_pages(file, *texts):
 
 
 @pytest.mark.long
-def test_a_result_not_to_be_used_is_printed_alike_each_time(
-    command, words, judged, tmp_path
-):
+def test_a_result_not_to_be_used_is_printed_alike(command, words, judged, tmp_path):
     file, one, other = judged("not-usable"), tmp_path / "a.pdf", tmp_path / "b.pdf"
     for name in (one.name, other.name):
         command.run(*words(file, name, "--accept-verdict"))
@@ -60,9 +58,7 @@ def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_documen
 
 
 @pytest.mark.parametrize("level", [logging.WARNING, logging.CRITICAL])
-def test_a_letter_that_no_font_has_is_in_html_and_not_in_pdf(
-    command, words, analysed, caplog, level
-):
+def test_a_letter_of_no_font_is_in_html_alone(command, words, analysed, caplog, level):
     caplog.set_level(level)
     result, customer = analysed / "result.json", "customer=Werk \U0010fffd"
     said = command.refuse(*words(result, "c.pdf", "--state", customer))

@@ -15,10 +15,8 @@ from truepath_drivers.interfaces.records import Path
 from truepath_simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence()
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
-]
+NEEDED = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")
+pytestmark = [pytest.mark.long, NEEDED]
 
 # Three rows on one line: what runs through them is no exact stop.
 ROWS = [(10, 10, -10), (60, 10, -10), (110, 10, -10)]
@@ -79,9 +77,7 @@ def test_the_controller_dwells_as_the_path_says(driven):
         assert stands[near].max() == pytest.approx(dwell_s, abs=0.1)
 
 
-def test_the_motor_is_sent_against_the_error_in_the_direction_it_comes_from(
-    driven, source
-):
+def test_the_motor_is_sent_against_the_error_in_its_direction(driven, source):
     commanded, motor, tables = driven
     for column, axis in enumerate(TRAVEL):
         table = np.array([line.split() for line in tables[axis].splitlines()], float)

@@ -42,8 +42,13 @@ def test_rebuilding_says_what_came_back_and_where_the_old_one_is(
     assert str(aside) in said
     assert "added: 0 Runs, 0 jobs" in said
     assert "in order, schema" in command.run(*words("check")).out
-    assert command.json(*words("rebuild"))["schema"] == "catalogue-rebuild/1"
     assert command.json(*words("check"))["jobs"] == 0
+    (folder / "runs" / "left.sqlite").write_bytes(b"no Run")
+    said = command.run(*words("check")).err
+    assert "Run left is on disk and in no row" in said
+    told = command.json(*words("rebuild"))
+    assert told["schema"] == "catalogue-rebuild/1"
+    assert "left.sqlite: is not a Run file" in told["unreadable"]["run left"]
 
 
 def test_a_folder_without_a_catalogue_has_none_yet(command, words, tmp_path):
@@ -55,12 +60,3 @@ def test_nothing_is_rebuilt_under_a_running_service(folder, command, words):
     with hold_folder(folder):
         said = command.refuse(*words("rebuild"), status=1)
     assert "another instance works on" in said
-
-
-def test_runs_that_do_not_fit_the_catalogue_are_told(folder, command, words):
-    command.run(*words("rebuild"))
-    (folder / "runs" / "left.sqlite").write_bytes(b"no Run")
-    said = command.run(*words("check")).err
-    assert "Run left is on disk and in no row" in said
-    unreadable = command.json(*words("rebuild"))["unreadable"]
-    assert "left.sqlite: is not a Run file" in unreadable["run left"]

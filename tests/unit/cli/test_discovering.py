@@ -14,16 +14,15 @@ def discovered(recorded, tmp_path_factory):
     return folder
 
 
-def test_the_files_of_the_contract_are_written(discovered):
+def test_the_files_of_the_contract_are_written_and_points_predicted_from_the_model(
+    command, discovered, points, tmp_path
+):
     names = {path.name for path in discovered.iterdir() if path.is_file()}
     assert names == {"discovery.json", "model.json", "report.html"}
     content = json.loads((discovered / "discovery.json").read_text())
     assert content["schema"] == "discovery/1"
     assert content["effects"] == []
     assert content["unnamed"] == []
-
-
-def test_points_are_predicted_from_the_model(command, discovered, points, tmp_path):
     out, model = tmp_path / "predicted.csv", discovered / "model.json"
     command.run("predict", model, "--points", points, "-o", out)
     header, *rows = out.read_text().splitlines()

@@ -44,10 +44,8 @@ def test_tables_and_their_account_are_two_files_where_both_are_json(
 
 def test_formats_are_listed_with_what_each_carries(command):
     said = command.run("formats").out
-    assert (
-        "siemens-lec: Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
-        in said
-    )
+    title = "Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
+    assert f"siemens-lec: {title}" in said
     assert "isg-csv: ISG kernel, Beckhoff TF5280, 1000 rows; the sign is to be" in said
     assert "carries      positioning of each axis, forward and reverse" in said
     listed = [one["name"] for one in command.json("formats")["formats"]]
@@ -79,19 +77,12 @@ def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(command, words):
         ("heidenhain", "Fräse.com", [], "letters A to Z"),
     ],
 )
-def test_what_cannot_be_written_says_why(
-    command, words, names, name, output, more, said
-):
+def test_what_is_not_written_says_why(command, words, names, name, output, more, said):
     assert said in command.refuse(*words(name, output, *more))
     assert not names()
 
 
-def test_a_file_that_is_no_result_is_refused(command, words, keep):
-    said = command.refuse(*words("linuxcnc", "comp", result=keep({})))
-    assert "schema" in said
-
-
-def test_lost_motion_that_the_result_states_is_in_both_directions(
+def test_stated_lost_motion_is_in_both_directions(
     command, words, result, keep, tmp_path
 ):
     table = {"position_mm": [0.0, 500.0], "value_um": [3.0, 5.0]}
@@ -123,9 +114,7 @@ def test_the_result_itself_is_never_written_over(command, words, result, keep, n
         assert file.read_bytes() == before
 
 
-def test_an_account_replaces_an_account_and_no_other_file(
-    command, words, names, tmp_path
-):
+def test_an_account_replaces_nothing_but_accounts(command, words, names, tmp_path):
     for _ in range(2):
         command.run(*words("siemens-lec", "axes.ini"))
     machine = tmp_path / "machine.json"

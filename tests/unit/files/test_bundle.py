@@ -109,12 +109,9 @@ def test_a_csv_stream_is_read_like_a_parquet_stream(bundle, run):
 
 
 def test_a_stream_of_single_precision_and_integers_is_read(bundle):
-    columns = {
-        "t_s": pa.array([0, 1, 2], pa.int64()),
-        "x_mm": pa.array([1.5, 2.5, 3.5], pa.float32()),
-        "y_mm": pa.array([1, 2, 3], pa.int32()),
-        "z_mm": pa.array([0.0] * 3),
-    }
+    columns = {"t_s": pa.array([0, 1, 2], pa.int64()), "z_mm": pa.array([0.0] * 3)}
+    columns["x_mm"] = pa.array([1.5, 2.5, 3.5], pa.float32())
+    columns["y_mm"] = pa.array([1, 2, 3], pa.int32())
     pq.write_table(pa.table(columns), bundle / "tracker.parquet")
     tracker = read_bundle(bundle).tracker
     places = [[1.5, 1, 0], [2.5, 2, 0], [3.5, 3, 0]]
@@ -130,8 +127,8 @@ def test_cells_with_blanks_around_numbers_are_read(bundle, run):
     assert_same(read_bundle(bundle), run)
 
 
-def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run):
-    keep = np.r_[0:100, 250:400]
+@pytest.mark.parametrize("keep", [np.r_[0:100, 250:400], np.r_[0:1]])
+def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run, keep):
     write_bundle(replace(run, tracker=run.tracker.select(keep)), bundle)
     np.testing.assert_array_equal(read_bundle(bundle).tracker.sequence, keep)
 
@@ -142,11 +139,6 @@ def test_a_frame_that_came_twice_counts_once(bundle, run):
     keep = np.sort(np.concatenate([np.arange(len(whole)), twice]))
     write_bundle(replace(run, tracker=whole.select(keep)), bundle)
     assert_same(read_bundle(bundle), run)
-
-
-def test_a_stream_of_one_sample_has_a_counter(bundle, run):
-    write_bundle(replace(run, tracker=run.tracker.select(slice(9, 10))), bundle)
-    assert read_bundle(bundle).tracker.sequence.tolist() == [0]
 
 
 def test_a_bundle_says_where_it_came_from(bundle):
@@ -178,19 +170,16 @@ def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatc
     assert list((tmp_path / "out").iterdir()) == []
 
 
+OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b")
+
+
 @pytest.mark.parametrize(
     ("members", "said"),
     [
-        (["../machine.json"], "points out of the archive"),
-        (["/etc/machine.json"], "points out of the archive"),
-        (["C:/machine.json"], "points out of the archive"),
-        (["a\\..\\b"], "points out of the archive"),
+        *(([name], "points out of the archive") for name in OUTSIDE),
         (["1.txt", "2.txt", "3.txt", "4.txt"], r"odd\.zip: holds more than 3 files"),
         (["a/machine.json", "b/path.csv"], "spreads a bundle over a, b"),
-        (
-            ["a/machine.json", "b/machine.json"],
-            r"machine\.json: is in the archive twice",
-        ),
+        (["a/machine.json", "b/machine.json"], r"machine\.json: is in the archive tw"),
     ],
 )
 def test_an_archive_of_odd_members_is_refused(tmp_path, monkeypatch, members, said):
@@ -220,33 +209,32 @@ def test_what_is_no_archive_is_refused(tmp_path, content):
         check_archive(file, 1 << 20)
 
 
-def test_a_truncated_archive_is_refused(run, tmp_path):
-    file = tmp_path / "cut.zip"
-    file.write_bytes(zip_bundle(run)[:-100])
-    with pytest.raises(BundleError, match=r"cut\.zip: is truncated or not a zip"):
+def damage(data):
+    at = data.index(b"PAR1") + 500
+    data[at : at + 10] = bytes(10)
+
+
+def encrypt(data):
+    for mark, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(mark) + flags] |= 1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda data: data.__delitem__(slice(-100, None)), "is truncated or not a zip"),
+        (damage, r"tracker\.parquet: is damaged in the arch"),
+        (encrypt, "without a password"),
+    ],
+)
+def test_an_archive_that_cannot_be_unpacked_is_refused(run, tmp_path, spoil, said):
+    file, data = tmp_path / "odd.zip", bytearray(zip_bundle(run))
+    spoil(data)
+    file.write_bytes(data)
+    with pytest.raises(BundleError, match=rf"odd\.zip.*{said}"):
         read_bundle(file)
     with pytest.raises(BundleError, match=r"nowhere: no such folder or file"):
         read_bundle(tmp_path / "nowhere")
-
-
-def test_a_damaged_member_is_refused(run, tmp_path):
-    file = tmp_path / "damaged.zip"
-    data = bytearray(zip_bundle(run))
-    at = data.index(b"PAR1") + 500
-    data[at : at + 10] = bytes(10)
-    file.write_bytes(data)
-    with pytest.raises(BundleError, match=r"tracker\.parquet: is damaged in the arch"):
-        read_bundle(file)
-
-
-def test_an_encrypted_archive_is_refused(run, tmp_path):
-    file = tmp_path / "secret.zip"
-    data = bytearray(zip_bundle(run))
-    for mark, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        data[data.index(mark) + flags] |= 1
-    file.write_bytes(data)
-    with pytest.raises(BundleError, match="without a password"):
-        read_bundle(file)
 
 
 @pytest.mark.parametrize("odd", [np.nan, np.inf, -1e300])

@@ -19,6 +19,7 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 HEADER = "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm"
 ROW = "1000,0,0,3000.02,0,0,2000.01,0.001"
+WARM = ",temperature_degC,expansion_um_per_m_K"
 
 
 def decode(row=ROW, more=""):
@@ -35,7 +36,7 @@ def test_the_ends_of_a_length_say_what_the_tracker_made_of_it():
 
 
 def test_a_bar_is_as_long_as_it_is_warm():
-    (one,) = decode(f"{ROW},22.0,11.5", ",temperature_degC,expansion_um_per_m_K")
+    (one,) = decode(f"{ROW},22.0,11.5", WARM)
     assert one.length_mm == pytest.approx(2000.01 * (1.0 + 2.0 * 11.5e-6))
     assert one.sigma_mm == pytest.approx(np.hypot(0.001, 2000.01 * 0.5 * 11.5e-6))
 
@@ -50,12 +51,8 @@ def test_a_bar_is_as_long_as_it_is_warm():
         ("0,0,0,2000.02,0,0,2000.01,0.001", "", "x1_mm"),
         (f"{ROW},2009", ",measured_mm", "measured_mm"),
         (f"{ROW},295", ",temperature_degC", "expansion_um_per_m_K"),
-        (
-            f"{ROW},295,11.5",
-            ",temperature_degC,expansion_um_per_m_K",
-            "temperature_degC",
-        ),
-        (f"{ROW},22,1150", ",temperature_degC,expansion_um_per_m_K", "expansion"),
+        (f"{ROW},295,11.5", WARM, "temperature_degC"),
+        (f"{ROW},22,1150", WARM, "expansion"),
     ],
 )
 def test_a_row_that_cannot_be_is_one_error_with_its_place_and_remedy(row, more, column):
@@ -82,10 +79,7 @@ def test_a_length_is_corrected_for_the_air_as_the_samples_are(run):
 
 
 def test_a_short_bar_that_was_cold_is_read_again_as_it_was_written():
-    cold = decode(
-        "1000,0,0,1099.998,0,0,100,0.001,18,11.5",
-        ",temperature_degC,expansion_um_per_m_K",
-    )
+    cold = decode("1000,0,0,1099.998,0,0,100,0.001,18,11.5", WARM)
     assert decode_known_lengths(encode_known_lengths(cold)) == cold
 
 

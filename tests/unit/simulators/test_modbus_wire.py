@@ -17,16 +17,16 @@ from truepath_simulators.cnc.modbus_wire import (
 class Drawer(Registers):
     """Registers 0x6B … with the values of the specification's examples."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.words = {0x6B: 0x022B, 0x6C: 0x0000, 0x6D: 0x0064, 1: 0, 2: 0}
 
-    def read(self, address: int, count: int) -> list[int]:
+    def read(self, address, count):
         try:
             return [self.words[a] for a in range(address, address + count)]
         except KeyError:
             raise ModbusError(2) from None
 
-    def write(self, address: int, values: list[int]) -> None:
+    def write(self, address, values):
         self.words |= dict(enumerate(values, address))
 
 
