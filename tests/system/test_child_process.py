@@ -1,7 +1,5 @@
 """Children in real processes. Their bodies live in a module that they can import."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging
@@ -107,9 +105,7 @@ def test_lines_of_a_child_and_its_child_are_in_the_log_by_name(bodies, service_l
         ({"OMP_NUM_THREADS": "4", "OPENBLAS_NUM_THREADS": "2"}, "2"),
     ],
 )
-def test_a_child_computes_on_one_thread_or_on_as_many_as_the_user_has_set(
-    bodies, monkeypatch, limits, threads
-):
+def test_a_child_computes_on_one_thread_or_as_set(bodies, monkeypatch, limits, threads):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     for name, number in limits.items():

@@ -103,9 +103,7 @@ def until_it_stands(cnc):
             assert time.monotonic() < deadline_s
 
 
-def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
-    bench, files, recording, volume, rigid_free
-):
+def test_a_cnc_without_link_is_calibrated(bench, files, recording, volume, rigid_free):
     motion = read_program((files / "path.h").read_text(), "heidenhain")
     process = recording("--json")
     until_it_records(process)

@@ -87,9 +87,7 @@ def test_perpendicular_only_knows_less_and_is_told(command, result, recorded, tm
     assert np.mean(across["uncertainty_um"]) > np.mean(both["uncertainty_um"])
 
 
-def test_trials_are_told_in_the_summary_and_to_a_person(
-    command, small_run, tmp_path, monkeypatch, capsys
-):
+def test_trials_are_in_the_summaries(command, small_run, tmp_path, monkeypatch, capsys):
     few = partial(adaptive_trials.TrialPlan, most_blocks=2)
     monkeypatch.setattr(adaptive_trials, "TrialPlan", few)
     out, order = tmp_path / "out", ["--seed", "5", "--interval", "shortest"]

@@ -30,7 +30,7 @@ def no_settings_of_this_computer(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "content", "said"),
+    ("words", "text", "said"),
     [
         (["--config", "nowhere.toml"], None, "nowhere.toml: no such settings"),
         (["--config", "file"], "port = ", "settings (file): "),
@@ -43,12 +43,10 @@ def no_settings_of_this_computer(monkeypatch, tmp_path):
         (["--simulated", "--hide", "poltergeist"], None, "no effect 'poltergeist'"),
     ],
 )
-def test_bad_settings_are_one_line(
-    words, content, said, command, tmp_path, monkeypatch
-):
+def test_bad_settings_are_one_line(words, text, said, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if content is not None:
-        Path("file").write_text(content)
+    if text is not None:
+        Path("file").write_text(text)
     assert said in command.refuse("serve", "--data-dir", "data", *words)
 
 

@@ -49,7 +49,7 @@ def speed_mm_s(position_mm):
     return 1e3 * np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
 
 
-def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed(driven):
+def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed_and_dwells(driven):
     commanded, _, _ = driven
     speed = speed_mm_s(commanded)
     begin = 0
@@ -64,11 +64,7 @@ def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed(driven):
             assert fastest == pytest.approx(min(feed / 60, fastest), rel=1e-3)
         begin = at
     assert speed.max() == pytest.approx(100.0, rel=1e-3)
-
-
-def test_the_controller_dwells_as_the_path_says(driven):
-    commanded, _, _ = driven
-    still = np.concatenate([[False], speed_mm_s(commanded) < 1e-6, [False]])
+    still = np.concatenate([[False], speed < 1e-6, [False]])
     edges = np.flatnonzero(np.diff(still.astype(int)))
     stands = (edges[1::2] - edges[::2]) * 1e-3
     places = commanded[edges[::2]]

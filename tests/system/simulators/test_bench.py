@@ -105,7 +105,8 @@ def test_a_fast_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
     np.testing.assert_allclose(off, [-0.1, -0.05, 0.0], atol=6e-3)
 
 
-def test_tcp_and_serial_masters_see_one_machine(fast):
+@pytest.mark.fault_row(21)
+def test_masters_see_one_machine_and_drive_only_what_they_loaded_last(fast):
     _, tcp, rtu = fast
     assert tcp.connect() == rtu.connect()
     tcp.load(LINE)
@@ -114,11 +115,6 @@ def test_tcp_and_serial_masters_see_one_machine(fast):
         rtu.start()  # it does not know the path
     assert drive(tcp).state is MotionState.FINISHED
     assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
-
-
-@pytest.mark.fault_row(21)
-def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(fast):
-    _, tcp, rtu = fast
     here = tcp.status().position
     tcp.load(LINE)
     rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))

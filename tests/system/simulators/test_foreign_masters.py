@@ -115,13 +115,6 @@ def test_a_hold_by_hand_holds_and_the_driver_goes_on(poll, bench):
         assert controller.wait(5.0).state is MotionState.ABORTED
 
 
-def test_what_is_not_there_is_an_exception(bench):
-    where = f"-p {bench.motion_options['port']} -0 -t 4 -r 900 -1 127.0.0.1"
-    words = ["mbpoll", "-m", "tcp", *where.split()]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=10)
-    assert "Illegal data address" in done.stdout + done.stderr
-
-
 ABSENT = explain_absence() or ("" if shutil.which("mb2hal") else "mb2hal is absent")
 FINISHED = 4
 READS = "fnct_03_read_holding_registers"

@@ -88,9 +88,7 @@ def test_an_instrument_that_is_asked_point_by_point_follows_the_machine(polled):
 
 
 @pytest.mark.long
-def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigterm(
-    polled, lines, capsys
-):
+def test_another_rig_leaves_the_lines_of_the_first_until_sigterm(polled, lines, capsys):
     process, where = polled
     assert where["tracker"]["port"] == str(lines / "tracker")
     assert main(["--rtu", "--links", str(lines)]) == 2

@@ -53,7 +53,7 @@ def to_direction(place_mm):
     return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
 
 
-def test_it_measures_the_target_that_was_selected_and_stays_at_it(tracker):
+def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tracker):
     tracker.select_target("T1")
     first = read_valid(tracker).mean(axis=0)
     tracker.select_target("T2")
@@ -63,6 +63,8 @@ def test_it_measures_the_target_that_was_selected_and_stays_at_it(tracker):
         tracker.select_target("T9")
     after = read_valid(tracker).mean(axis=0)
     assert np.linalg.norm(after - second) < 0.1
+    tracker.push_air(Air(21.5, 990.0, 40.0))
+    assert tracker.read_air() == Air(21.5, 990.0, 40.0)
 
 
 def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
@@ -77,11 +79,6 @@ def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
     with pytest.raises(BeamLost, match="no target near the beam"):
         tracker.search()
     tracker.select_target("T1")
-
-
-def test_the_air_that_is_pushed_is_the_air_in_use(tracker):
-    tracker.push_air(Air(21.5, 990.0, 40.0))
-    assert tracker.read_air() == Air(21.5, 990.0, 40.0)
 
 
 def test_one_that_is_not_initialised_measures_once_it_is_homed(bench, tracker):

@@ -6,9 +6,7 @@ from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.cli.command import run
 
 
-@pytest.fixture(autouse=True)
-def logged_plainly(plain_log):
-    """The command sets the log up; it is put back."""
+pytestmark = pytest.mark.usefixtures("plain_log")  # the command sets the log up
 
 
 @pytest.fixture
@@ -34,9 +32,7 @@ def test_a_damaged_catalogue_is_one_line_with_the_way_out(command, folder, capsy
     assert (folder / "catalogue.sqlite").read_bytes() == b"garbage " * 99
 
 
-def test_rebuilding_says_what_came_back_and_where_the_old_one_is(
-    folder, command, words
-):
+def test_rebuilding_says_what_came_back_and_where_the_old_is(folder, command, words):
     said = command.run(*words("rebuild")).out
     (aside,) = folder.glob("catalogue.aside-*.sqlite")
     assert str(aside) in said

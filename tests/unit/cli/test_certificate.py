@@ -5,7 +5,7 @@ import json
 import math
 import re
 from itertools import zip_longest
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import pytest
 import tinyhtml5
@@ -18,14 +18,8 @@ ISSUED = ("--issued", "2026-11-24")
 ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
 
 
-class Page(NamedTuple):
-    """The text of a certificate, and the cells of its tables by their section."""
-
-    text: str
-    tables: dict[str, list[list[list[str]]]]
-
-
 def read_page(file):
+    """The text of a certificate, and the cells of its tables by their section."""
     tree = tinyhtml5.parse(file, namespace_html_elements=False)
     tables = {
         section.get("id"): [
@@ -34,7 +28,7 @@ def read_page(file):
         ]
         for section in tree.iter("section")
     }
-    return Page("".join(tree.itertext()), tables)
+    return SimpleNamespace(text="".join(tree.itertext()), tables=tables)
 
 
 def numbers(text):
@@ -158,15 +152,16 @@ def test_the_reversal_value_is_twice_the_half_difference_stated(issue, result, k
     assert rows["Y"][1] == f"{own['from_mm']:.0f}\u00a0… {own['to_mm']:.0f}\u00a0mm"
 
 
-@pytest.mark.parametrize(
-    ("language", "operator", "serial", "unknown"),
-    [
-        ("en", "Operator", "Serial number of the tracker", "not stated"),
-        ("de", "Bediener", "Seriennummer des Trackers", "nicht angegeben"),
-    ],
-)
-def test_what_nobody_stated_is_not_stated(issued, language, operator, serial, unknown):
+UNKNOWN = {
+    "en": ("Operator", "Serial number of the tracker", "not stated"),
+    "de": ("Bediener", "Seriennummer des Trackers", "nicht angegeben"),
+}
+
+
+@pytest.mark.parametrize("language", UNKNOWN)
+def test_what_nobody_stated_is_not_stated(issued, language):
     identity = dict(read_page(issued / f"{language}.html").tables["identity"][0])
+    operator, serial, unknown = UNKNOWN[language]
     assert identity[operator] == "Jörg Weiß"
     assert identity[serial] == unknown
 
@@ -177,9 +172,7 @@ def test_the_html_fetches_nothing_and_has_no_script(issued):
     assert html.splitlines()[0] == "<!DOCTYPE html>"
 
 
-def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
-    issue, refuse, result, keep
-):
+def test_a_bad_result_gives_no_certificate_unless_accepted(issue, refuse, result, keep):
     verdict = {"state": "not-usable", "reasons": ["The table shook."]}
     file = keep({**result, "verdict": verdict})
     assert "--accept-verdict" in refuse("c.html", result=file)
@@ -188,9 +181,7 @@ def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
     assert "The table shook." in page.text
 
 
-def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_remedy(
-    command, words, refuse, monkeypatch
-):
+def test_without_a_printer_html_alone_is_made(command, words, refuse, monkeypatch):
     def is_missing():
         raise pdf.PdfUnavailable(f"no PDF can be made here (…): {pdf.REMEDY}")
 
@@ -199,9 +190,7 @@ def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_reme
     assert "not stated: machine_maker" in command.run(*words("c.html")).err
 
 
-def test_files_beside_the_result_are_stated_and_held_against_it(
-    issue, account, result, verified, measure_again
-):
+def test_files_beside_it_are_checked(issue, account, result, verified, measure_again):
     other = {"result": {"input_sha256": "f" * 64}}
     check = {"provenance": other, "statements": ["It fails."]}
     measured = {"conformity": "outside", "tolerance_um": 3.25}

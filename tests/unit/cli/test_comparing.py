@@ -109,9 +109,7 @@ def test_both_methods_agree_within_their_stated_uncertainties(content):
     assert alone < stated < 1.6 * alone
 
 
-def test_motions_that_one_target_cannot_tell_are_merged_before_comparing(
-    content, compare, truth_measured
-):
+def test_motions_that_cannot_be_told_apart_are_merged(content, compare, truth_measured):
     merged = content["errors"]["EXZ"]
     assert merged["merged"] == ["EBZ", "ECZ"]
     lone = [m for m in truth_measured if m.error not in ("EAZ", "EBZ", "ECZ")]
@@ -187,9 +185,7 @@ def test_a_file_in_the_way_of_the_folder_is_refused(command, words, tmp_path):
     assert "name a folder" in command.refuse(*words("EXX,1,+,1,um"))
 
 
-def test_another_scale_of_lengths_is_no_disagreement_beyond_what_is_stated(
-    compare, truth_measured, result
-):
+def test_another_scale_as_stated_is_no_disagreement(compare, truth_measured, result):
     longer = [
         replace(one, value=one.value + 0.02 * one.position_mm * (one.error == "EXX"))
         for one in truth_measured

@@ -88,33 +88,26 @@ def words(tmp_path):
     return spell
 
 
-def test_files_that_undo_the_active_tables_are_refused(command, words, left, tmp_path):
+def test_active_tables_are_kept_or_a_difference_is_said(command, words, left, tmp_path):
     said = command.refuse(*words(left[0]))
     assert "the control compensated while this was measured" in said
     assert "--active FILE" in said
     assert not (tmp_path / "t").exists()
-
-
-def test_combined_files_take_the_true_errors_away_in_place_of_the_active_ones(
-    left, active, combined, volume, rigid_free
-):
-    account = json.loads((combined / "t.json").read_text())
-    assert account["basis"]["holds"] == "combined"
-    assert any(line.startswith("holds combined") for line in account["stamp"])
-    q = volume(machine_from_json(CONTENT))
-    bare, before, after = (
-        find_left_um(left[1], files, q, rigid_free)
-        for files in ([], active, list_files(combined))
-    )
-    assert after < 1.1 * before < 0.2 * bare
-    assert after < 1.5 * account["volumetric_error_um"]["after"]["mean"] + 0.3
-
-
-def test_the_difference_is_said_to_be_one(command, words, left, tmp_path):
     basis = command.json(*words(left[0], "--difference"))["basis"]
     assert basis["holds"] == "difference"
     assert "to be added to these" in basis["text"]
     assert "holds difference" in (tmp_path / "t" / "t-lec.ini").read_text()
+
+
+def test_combined_files_take_errors_away(left, active, combined, volume, rigid_free):
+    account = json.loads((combined / "t.json").read_text())
+    assert account["basis"]["holds"] == "combined"
+    assert any(line.startswith("holds combined") for line in account["stamp"])
+    q = volume(machine_from_json(CONTENT))
+    each = ([], active, list_files(combined))
+    bare, before, after = (find_left_um(left[1], f, q, rigid_free) for f in each)
+    assert after < 1.1 * before < 0.2 * bare
+    assert after < 1.5 * account["volumetric_error_um"]["after"]["mean"] + 0.3
 
 
 @pytest.mark.parametrize(

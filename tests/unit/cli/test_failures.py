@@ -64,6 +64,7 @@ def test_success_is_zero_and_any_other_status_a_one(answer, status):
         (["serve", "--port", "70000"], "--port"),
         (["demo", "--speed", "0"], "--speed"),
         (["demo", "--everything"], "--everything"),
+        (["demo", "-o", "out", "--fault", "cnc:boredom"], "'cnc:boredom': unknown"),
     ],
 )
 def test_a_wrong_command_line_is_bad_input_in_one_line(arguments, said, capsys):

@@ -39,10 +39,3 @@ def test_rows_without_a_feed_are_standstill_points(command, files, tmp_path):
 def test_half_a_place_is_refused(command, files, place):
     said = command.refuse("grade", *files, f"--tracker={place}")
     assert f"--tracker {place}: not a place; write X,Y,Z in mm" in said
-
-
-def test_a_row_out_of_travel_is_named(command, files, tmp_path):
-    path = tmp_path / "far.csv"
-    path.write_text("x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n0,0,0,900,0\n9999,0,0,900,0\n")
-    said = command.refuse("grade", files[0], path)
-    assert "far.csv, row 3, column x_mm: is out of travel" in said

@@ -119,21 +119,13 @@ def beside(data, head, cell):
 
 AMBIGUOUS = {
     "an unusual unit": (lambda w: w(0.1, head="t_s,x,y,z", d=6), "--unit", "--unit cm"),
-    "wrong unit": (
-        lambda w: w(head="t_s,x_m,y_m,z_m"),
-        "; 0.001 times as much fits: they look like mm",
-        "--unit mm",
-    ),
+    "metres": (lambda w: w(head="t_s,x_m,y_m,z_m"), "they look like mm", "--unit mm"),
     "more decimals without names than x, y, z": (
         lambda w: w(head="").replace(b"\n", b",0.5\n"),
         "--column x=NUMBER",
         "--column time=1 --column x=2 --column y=3 --column z=4",
     ),
-    "two columns of x": (
-        lambda w: beside(w(), b"x measured", b"4.0"),
-        "'x measured' (5)",
-        "--column x=2",
-    ),
+    "x twice": (lambda w: beside(w(), b"x m", b"4.0"), "'x m' (5)", "--column x=2"),
     "left-handed": (lambda w: w((1, -1, 1)), "--axes", "--axes x,-y,z"),
     "midnight": (
         lambda w: w(
@@ -218,9 +210,7 @@ def test_a_gap_and_a_position_that_stays_are_noted_with_rows(command, words, wri
     assert "rows 802 to 901 repeat one position" in said
 
 
-def test_all_that_is_wrong_is_told_at_once_with_what_settles_it_to_programs_too(
-    command, words, written, tmp_path
-):
+def test_all_that_is_wrong_is_told_to_all_at_once(command, words, written, tmp_path):
     data = beside(written((1, -1, 1), head="t,x,y,z"), b"Status", b"4")
     data = data.replace(b"\n", b"\nnot a row\n", 3)
     told = command.list_problems(*words(data))

@@ -14,6 +14,7 @@ from truepath_simulators.scenario import load_machine
 LINUXCNC = ("--control", "linuxcnc")
 STAND = {"position_mm": [200.0, -1200.0, 0.0]}
 BLIND = {"direction": [0, 0, 0], "half_angle_deg": 30}
+BOX = {"min_mm": [150, 120, 90], "max_mm": [500, 400, 300]}
 FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
 
 pytestmark = pytest.mark.usefixtures("little_search")
@@ -25,16 +26,9 @@ def machine(machine_file):
 
 
 @pytest.fixture(scope="module")
-def box(machine):
-    low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
-    return 0.7 * low + 0.3 * high, high
-
-
-@pytest.fixture(scope="module")
-def planned(little_search, machine_file, box, tmp_path_factory):
+def planned(little_search, machine_file, tmp_path_factory):
     folder = tmp_path_factory.mktemp("planned")
-    low, high = (place.tolist() for place in box)
-    content = {"keep_out": [{"min_mm": low, "max_mm": high}], "tracker": STAND}
+    content = {"keep_out": [BOX], "tracker": STAND}
     workspace = folder / "workspace.json"
     workspace.write_text(json.dumps(content))
     options = ["-o", str(folder / "out"), "--minutes", "1", "--seed", "5"]
@@ -92,12 +86,12 @@ def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, mach
         assert len(motion.path) == document["rows"]
 
 
-def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, document, box, machine):
+def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, document, machine):
     assert not document["tracker"]["assumed"]
     path = read_rows(planned / "path.csv", machine)
     share = np.linspace(0.0, 1.0, 300)[:, None, None]
     swept = path.position[:-1] + share * np.diff(path.position, axis=0)
-    inside = (swept > box[0]) & (swept < box[1])
+    inside = (swept > BOX["min_mm"]) & (swept < BOX["max_mm"])
     assert not inside.all(axis=-1).any()
 
 
@@ -169,10 +163,7 @@ def box_to(*place):
         ({"blocks_sight": [box_to(1, 1, 1)]}, "state tracker.position_mm"),
         ({"tracker": {"nearest_mm": 300}}, "tracker.position_mm is missing"),
         ({"tracker": {"areas": [box_to(1, -1, 0)]}}, "areas[0].max_mm lies below min"),
-        (
-            {"tracker": {"areas": [FLOOR]}, "reflector": BLIND},
-            "direction has no length",
-        ),
+        ({"tracker": {"areas": [FLOOR]}, "reflector": BLIND}, "direction has no len"),
     ],
 )
 def test_a_bad_workspace_is_named(command, machine_file, tmp_path, keep, content, said):
@@ -227,9 +218,7 @@ def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
 VERIFY = ("--verify", "diagonals", "--verify", "random-points")
 
 
-def test_a_verification_has_a_program_for_every_control_or_the_one_that_is_named(
-    command, machine_file, machine, tmp_path
-):
+def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp_path):
     order = ["plan", machine_file, "-o", tmp_path / "out", *VERIFY]
     said = command.json(*order)
     points = read_rows(tmp_path / "out" / "points.csv", machine)

@@ -71,9 +71,7 @@ def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
     assert account["verdict"] == verdict_json(VERDICTS["not-usable"])
 
 
-def test_a_doubtful_result_is_exported_with_a_warning_and_a_usable_one_without(
-    few_places, command, words, judged, read
-):
+def test_a_doubtful_result_alone_is_warned_of(few_places, command, words, judged, read):
     said = command.run(*words(judged("doubtful")))
     assert f"warning: the result is doubtful: {OPEN}" in said.err
     text, account = read()
@@ -153,9 +151,7 @@ def test_a_bad_model_of_the_same_run_is_taken(command, judged, recorded, tmp_pat
     assert content["verdict"]["state"] == "usable"
 
 
-def test_the_terminal_begins_with_the_worst_and_many_reasons_do_not_hide_the_tables(
-    result, tmp_path, capsys
-):
+def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, capsys):
     print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "*** NOT TO BE USED ***"
@@ -180,9 +176,7 @@ def test_analyse_warns_aside_and_succeeds(command, recorded, tmp_path, monkeypat
     assert verdict == verdict_json(VERDICTS["not-usable"])
 
 
-def test_the_last_lines_state_the_error_what_compensation_leaves_and_the_next_step(
-    result, tmp_path, capsys
-):
+def test_the_last_lines_state_error_rest_and_next_step(result, tmp_path, capsys):
     print_result(result | {"verdict": verdict_json(VERDICTS["doubtful"])}, tmp_path)
     verdict, before, after, following = capsys.readouterr().out.splitlines()[-4:]
     assert verdict == "verdict: doubtful"

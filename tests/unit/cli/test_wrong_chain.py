@@ -22,11 +22,6 @@ def recorded_on(name):
     return random_path(name, rate_hz=100)[0]
 
 
-def change(bundle, edit):
-    with edited(bundle / "machine.json") as content:
-        edit(content)
-
-
 def edit_rows(bundle, rows):
     """Leave these rows of the path, in the order that they are taken in."""
     file = bundle / "path.csv"
@@ -59,7 +54,8 @@ def chain(declared):
 def test_another_chain_or_sense_of_turns_is_named(command, tmp_path, name, edit, fits):
     bundle = tmp_path / "bundle"
     write_bundle(recorded_on(name), bundle)
-    change(bundle, edit)
+    with edited(bundle / "machine.json") as content:
+        edit(content)
     said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
     assert "the data fit chain" in said
     assert fits in said
@@ -81,7 +77,8 @@ def test_another_order_of_linear_axes_is_no_wrong_home_distance(command, tmp_pat
     program = paths.chord_path(parse_machine(content), 1, 40, 10_000.0)
     made, _ = record_run(content, program, 1)
     write_bundle(made, tmp_path / "bundle")
-    change(tmp_path / "bundle", chain("w-b-Z-Y-X-t"))
+    with edited(tmp_path / "bundle" / "machine.json") as other:
+        other["kinematic_chain"] = "w-b-Z-Y-X-t"
     out = tmp_path / "out"
     said = command.run("analyse", tmp_path / "bundle", "-o", out).err
     verdict = json.loads((out / "result.json").read_text())["verdict"]

@@ -12,12 +12,7 @@ import pytest
 from truepath.documents import whole_files
 from truepath.errors import BundleError
 from truepath.files.bundle import bundle as bundle_file
-from truepath.files.bundle.bundle import (
-    check_archive,
-    read_bundle,
-    write_bundle,
-    zip_bundle,
-)
+from truepath.files.bundle.bundle import read_bundle, write_bundle, zip_bundle
 from truepath.kinematics.machine.machine import RotaryAxis, Target
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path
@@ -148,14 +143,11 @@ def test_a_bundle_says_where_it_came_from(bundle):
     assert len(read.provenance["tracker.parquet sha256"]) == 64
 
 
-def test_writing_twice_replaces_the_files(run, bundle):
+def test_writing_twice_replaces_the_files_and_mixes_no_other_bundle_in(run, bundle):
     write_bundle(replace(run, name="again"), bundle)
     assert_same(read_bundle(bundle), run)
     names = "environment.csv machine.json path.csv reference.csv tracker.parquet"
     assert sorted(p.name for p in bundle.iterdir()) == names.split()
-
-
-def test_a_bundle_is_not_mixed_with_another_one(run, bundle):
     with pytest.raises(BundleError, match=r"path\.csv: of another bundle"):
         write_bundle(standstill(run), bundle)
 
@@ -196,9 +188,9 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     assert file.stat().st_size < 10_000
     with pytest.raises(BundleError, match=r"machine\.json: is larger than 1 MiB"):
         read_bundle(file)
-    check_archive(file, 6 << 20)
+    bundle_file.check_archive(file, 6 << 20)
     with pytest.raises(BundleError, match="unpacks to 5 MiB, more than 2 MiB"):
-        check_archive(file, 2 << 20)
+        bundle_file.check_archive(file, 2 << 20)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no archive"])
@@ -206,7 +198,7 @@ def test_what_is_no_archive_is_refused(tmp_path, content):
     file = tmp_path / "bundle.zip"
     file.write_bytes(content)
     with pytest.raises(BundleError, match="not a zip archive"):
-        check_archive(file, 1 << 20)
+        bundle_file.check_archive(file, 1 << 20)
 
 
 def damage(data):

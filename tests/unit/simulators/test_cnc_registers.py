@@ -181,11 +181,6 @@ def test_a_move_to_the_ends_of_the_travel_keeps_the_committed_path(master):
     assert master.command(Command.START) is Result.DONE
 
 
-def test_a_running_machine_takes_no_other_motion(moving):
-    for verb in (Command.MOVE_TO, Command.PUT_ROWS, Command.COMMIT, Command.START):
-        assert moving.command(verb) is Result.WRONG_STATE
-
-
 def test_orders_that_mean_nothing_or_were_heard_already_do_nothing(master):
     for verb in (Command.HOLD, Command.RESUME):  # nothing runs
         assert master.command(verb) is Result.DONE
@@ -232,24 +227,19 @@ def test_an_alarm_stops_is_told_and_stays(moving):
     assert moving.value("path_rows") == 0
 
 
-def test_an_override_changes_the_feed_under_way(moving):
-    moving.controller.override(0.5, moving.now_s)
-    moving.wait(0.5)
-    assert moving.value("feed") / regmap.FEED_COUNTS == pytest.approx(3000.0, abs=0.01)
-    assert moving.wait_still() is MotionState.FINISHED
-    np.testing.assert_allclose(moving.position, LINE[-1])
-
-
 @pytest.mark.parametrize("begin", ["moving", "held", "at 0 %"])
-def test_at_an_override_of_nothing_it_runs_or_holds_and_stands(moving, begin):
+def test_an_override_changes_the_feed_and_at_none_it_runs_and_stands(moving, begin):
     if begin == "at 0 %":
         moving.command(Command.ABORT)
         moving.wait_still()
         moving.controller.override(0.0, moving.now_s)
         moving.move_to(LINE[-1])
     else:
-        moving.controller.override(0.0, moving.now_s)
-        moving.wait(1.0)
+        for share in (0.5, 0.0):
+            moving.controller.override(share, moving.now_s)
+            moving.wait(1.0)
+            feed = moving.value("feed") / regmap.FEED_COUNTS
+            assert feed == pytest.approx(share * 6000.0, abs=0.01)
     if begin == "held":
         moving.command(Command.HOLD)
         assert moving.wait_still() is MotionState.HELD
@@ -264,8 +254,10 @@ def test_at_an_override_of_nothing_it_runs_or_holds_and_stands(moving, begin):
     np.testing.assert_allclose(moving.position, LINE[-1])
 
 
-def test_no_change_reaches_into_what_was_already_seen(moving):
+def test_no_other_motion_is_taken_and_no_change_reaches_into_what_was_seen(moving):
     """Whoever took the timeline before a change has seen nothing that was not so."""
+    for verb in (Command.MOVE_TO, Command.PUT_ROWS, Command.COMMIT, Command.START):
+        assert moving.command(verb) is Result.WRONG_STATE
     moving.command(Command.HOLD)
     moving.wait(0.5)
     moving.command(Command.RESUME)

@@ -145,10 +145,8 @@ def fanuc(values, first, reference, words="", magnification=1):
         for k, value in enumerate(values)
     )
     numbers = {3620: reference, 3621: first, 3622: last}
-    parameters = "".join(
-        f"N0{number}A1P{value}A2P{100 + value}A3P{200 + value}\n"
-        for number, value in numbers.items()
-    )
+    rows = (f"N0{n}A1P{v}A2P{100 + v}A3P{200 + v}" for n, v in numbers.items())
+    parameters = "\n".join([*rows, ""])
     parameters += f"N03623A1P{magnification}A2P1A3P1\nN03624A1P50.A2P50.A3P50.\n{words}"
     return {"c-pitch.txt": f"%\n{data}\n%\n", "c-parameters.txt": f"%\n{parameters}%\n"}
 

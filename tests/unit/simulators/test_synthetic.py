@@ -114,7 +114,7 @@ def test_lost_and_doubled_frames_silence_and_a_late_start_are_in_the_times(clean
     assert late.row[0] > 0 or np.any(np.diff(late.commanded_mm[:5], axis=0))
 
 
-def test_a_broken_beam_is_told_by_the_status_and_spikes_are_valid(clean):
+def test_a_broken_beam_is_told_spikes_are_valid_and_a_hold_stands_in_mid_line(clean):
     broken = recorded(defects=Defects(beam_breaks=((3.0, 0.5),)))
     assert abs(np.count_nonzero(broken.status) - 250) <= 1
     spiky = recorded(defects=Defects(spikes=7, spike_mm=0.8))
@@ -122,9 +122,6 @@ def test_a_broken_beam_is_told_by_the_status_and_spikes_are_valid(clean):
     assert np.count_nonzero(off > 1e-9) == 7
     np.testing.assert_allclose(off[off > 1e-9], 0.8)
     assert not spiky.status.any()
-
-
-def test_a_hold_stands_in_mid_line(clean):
     recording = recorded(defects=Defects(holds=((4.0, 3.0),)))
     assert len(recording) - len(clean) == pytest.approx(3.0 * 500, rel=0.1)
     still = np.linalg.norm(np.diff(recording.commanded_mm, axis=0), axis=1) == 0.0
