@@ -164,7 +164,7 @@ def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, ca
     assert "- and 28 more" in lines
 
 
-def test_analyse_warns_aside_and_succeeds(command, recorded, tmp_path, monkeypatch):
+def test_analyse_warns_on_stderr_and_succeeds(command, recorded, tmp_path, monkeypatch):
     found = analysis.analyse(read_bundle(recorded))
     judged = replace(found, verdict=VERDICTS["not-usable"])
     monkeypatch.setattr(analysis, "analyse", lambda *runs, **options: judged)
