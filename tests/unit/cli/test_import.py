@@ -221,6 +221,7 @@ def test_all_that_is_wrong_is_told_to_all_at_once(command, words, written, tmp_p
     assert len(found["problems"]) == 3
     assert all(map(str.count, found["problems"], remedies))
     assert found["unit"] == "mm"
+    assert found["rows"] == str(len(written().splitlines()) - 1)
     assert not (tmp_path / "bundle").exists()
 
 
