@@ -16,7 +16,7 @@ MACHINE = {
     },
     "tool_offset_mm": [20.0, 30.0, -150.0],
 }
-TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
+TRACKER_NOISE = {"rate_hz": 500}
 TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
 
 
@@ -33,8 +33,7 @@ GRADE = {
     "thresholds": {"good": 0.25, "usable": 1.0},
     "text": "0.86, usable: …",
     "expected_uncertainty_um": 6.5,
-    "sample_sigma_um": 7.6,
-    "tracker": {"position_mm": [270, 1430, 0], "assumed": True, "best_number": 0.69},
+    "tracker": {"position_mm": [270, 1430, 0]},
     "improved_number": 0.34,
     "weakest": [
         {
@@ -44,7 +43,6 @@ GRADE = {
             "remedy": "add a line along Y at the low end of X and the middle of Z",
         }
     ],
-    "weak_shapes": [],
     "unobservable": [],
 }
 
@@ -215,7 +213,6 @@ def plan_curve(rows=23):
         "plan_id": "plan-1",
         "points": points,
         "tracker_mm": TRACKER_STANDS_MM.tolist(),
-        "tracker_is_assumed": True,
         "unobservable": [
             "ECZ (roll of Z) cannot be told; a second target separates it"
         ],
@@ -256,7 +253,6 @@ def result():
             "B0Z": {"value": -11.8, "uncertainty": 1.1},
             "A0Z": {"value": 5.2, "uncertainty": 1.2},
         },
-        "alignment": {},
         "residuals": {"rms_um": 4.3},
         "observability": {
             "rank": 161,
@@ -265,7 +261,6 @@ def result():
                 "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
             ],
         },
-        "provenance": {},
     }
 
 
@@ -554,7 +549,6 @@ def circles_in_motion():
         "driven_feed_mm_min": {"counterclockwise": 2999.2, "clockwise": 3000.6},
         "row": {"counterclockwise": 2, "clockwise": 3},
         "samples": {"counterclockwise": 9600, "clockwise": 9600},
-        "sector_deg": 3.0,
         "angle_deg": angle_deg.tolist(),
         "radial_um": both(shift_um + oval_um + half_um, shift_um + oval_um - half_um),
         "predicted_radial_um": both(oval_um, oval_um),

@@ -16,6 +16,7 @@ from starlette.testclient import TestClient
 import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
+from jobs_fixtures import logged_plainly  # noqa: F401
 from serving import serving
 from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
@@ -49,11 +50,6 @@ from truepath_simulators.scenario import load_machine
 LOOPBACK = "127.0.0.1"
 MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def logged_plainly(plain_log):
-    """The fancy traces of the default take seconds each."""
 
 
 @pytest.fixture(autouse=True)

@@ -12,9 +12,13 @@ The frame is left-handed: x forward, y right, z up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
 
 MAX_LINE = 200
+KEPT_BYTES = 1 << 22
+
+Sample = tuple[int, float, tuple[float, float, float], int]
+"""In Truepath's terms: whole number, device seconds, right-handed place, status."""
 
 
 def seal(text: str) -> bytes:
@@ -24,51 +28,64 @@ def seal(text: str) -> bytes:
 
 def check(line: bytes) -> str | None:
     """Return the text of a line, None if its sum does not match."""
-    text, star, _ = line.rpartition(b"*")
-    if not star or seal(text.decode("ascii", "replace")) != line + b"\n":
-        return None
-    return text.decode("ascii", "replace")
+    text = line.rpartition(b"*")[0].decode("ascii", "replace")
+    return text if seal(text) == line + b"\n" else None
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """A sample in Truepath's terms: whole number, device seconds, right-handed."""
+class Inbox:
+    """Samples and replies among the bytes that come.
 
-    number: int
-    time_s: float
-    position_mm: tuple[float, float, float]
-    status: int
-
-
-class Continuation:
-    """Makes numbers and times whole that begin anew with every GO.
-
+    Numbers and times, which begin anew with every GO, are made to go on.
     lost : samples that the device took and that never came
     """
 
     def __init__(self) -> None:
-        self.lost = 0
+        self.samples: list[Sample] = []
+        self.replies: deque[str] = deque()
+        self.link_bytes = bytearray()
+        self.good_lines = self.bad_lines = self.bad_bytes = self.lost = 0
+        self._rest = b""
         self._first = self._next = 0  # of this stream; of the next sample
         self._clock_ms = 0.0
 
-    def begin(self, clock_ms: float) -> None:
-        """A stream begins."""
-        self._first, self._clock_ms = self._next, clock_ms
+    def take(self, data: bytes) -> None:
+        """Sort the next bytes."""
+        self.link_bytes += data
+        del self.link_bytes[:-KEPT_BYTES]
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[-MAX_LINE:]
+        for line in lines:
+            text = check(line)
+            if text is None or not self._sort(text):
+                self.bad_lines += 1
+                self.bad_bytes += len(line)
+            else:
+                self.good_lines += 1
 
-    def end(self, count: int) -> None:
-        """A stream has ended after so many samples: what is missing now is lost."""
-        self._miss_until(self._first + count)
+    def _sort(self, text: str) -> bool:
+        kind, *fields = text.split(" ")
+        try:
+            if kind == "S":
+                return self._take_sample(fields)
+            if kind == "GO":
+                self._first, self._clock_ms = self._next, float(fields[1])
+            elif kind == "HALT":
+                self._miss_until(self._first + int(fields[0]))
+        except (ValueError, IndexError):
+            return False
+        self.replies.append(text)
+        return True
 
-    def take(self, fields: list[str]) -> Sample:
-        """Return the sample that a line tells. Raises ValueError if it is none."""
+    def _take_sample(self, fields: list[str]) -> bool:
         n, ms, x, y, z, good = map(float, fields)
         number = self._first + int(n)
         if number < self._next:
-            raise ValueError(f"sample {int(n)} came twice")
+            return False  # it came twice
         self._miss_until(number)
         self._next = number + 1
         time_s = 1e-3 * (self._clock_ms + ms)
-        return Sample(number, time_s, (x, -y, z), 0 if good == 1.0 else 1)
+        self.samples.append((number, time_s, (x, -y, z), 0 if good == 1.0 else 1))
+        return True
 
     def _miss_until(self, number: int) -> None:
         self.lost += max(number - self._next, 0)
