@@ -35,6 +35,7 @@ from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent / "helpers"))
+from paths_by_hand import path_of
 from postgres_server import PostgresServer
 
 
@@ -251,8 +252,7 @@ def mill():
 def square():
     """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
-    dwell_s = np.array([0.1, 0.2, 0.1, 0.3])
-    return Path(("X", "Y", "Z"), np.array(rows, float), np.full(4, 6000.0), dwell_s)
+    return path_of(*rows, dwell_s=(0.1, 0.2, 0.1, 0.3))
 
 
 @pytest.fixture(scope="session")

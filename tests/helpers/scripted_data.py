@@ -5,14 +5,14 @@ import math
 
 import numpy as np
 
+TRAVEL = {"X": (0.0, 500.0), "Y": (0.0, 400.0), "Z": (-300.0, 0.0)}
 MACHINE = {
     "schema": "machine/1",
     "name": "VMC 500",
     "kinematic_chain": "w-X-b-Y-Z-t",
     "axes": {
-        "X": {"type": "linear", "min_mm": 0.0, "max_mm": 500.0},
-        "Y": {"type": "linear", "min_mm": 0.0, "max_mm": 400.0},
-        "Z": {"type": "linear", "min_mm": -300.0, "max_mm": 0.0},
+        name: {"type": "linear", "min_mm": low, "max_mm": high}
+        for name, (low, high) in TRAVEL.items()
     },
     "tool_offset_mm": [20.0, 30.0, -150.0],
 }
@@ -51,9 +51,8 @@ ARMING = {
     "machine_name": "VMC 500",
     "targets": [{"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}],
     "envelope": [
-        {"axis": "X", "unit": "mm", "low": 12.5, "high": 487.5},
-        {"axis": "Y", "unit": "mm", "low": 10.0, "high": 390.0},
-        {"axis": "Z", "unit": "mm", "low": -290.0, "high": -10.0},
+        {"axis": axis, "unit": "mm", "low": low, "high": high}
+        for axis, low, high in (("X", 12.5, 487.5), ("Y", 10, 390), ("Z", -290, -10))
     ],
     "max_feed_mm_min": 6000.0,
     "duration_s": 125.0,
@@ -82,6 +81,10 @@ VERSIONS = [
     ),
     version(1),
 ]
+
+
+def told(value, uncertainty):
+    return {"value": value, "uncertainty": uncertainty}
 
 
 def lines_off(lines=22):
@@ -120,8 +123,8 @@ DISCOVERY = {
         {
             "name": "setup-step",
             "parameters": {
-                "t_s": {"value": 40.02, "uncertainty": 0.03},
-                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1] * 3},
+                "t_s": told(40.02, 0.03),
+                "step_um": told([4.0, -3.0, 0.1], [0.1] * 3),
             },
             "evidence": {"log_bayes_factor": 80.0, "share_of_gap": 0.066},
             "indistinguishable_from": [],
@@ -138,8 +141,8 @@ DISCOVERY = {
             "rms_um": 0.8,
             "direction": "Z",
             "parameters": {
-                "period_s": {"value": 31.04, "uncertainty": 0.06},
-                "amplitude_um": {"value": 1.13, "uncertainty": 0.05},
+                "period_s": told(31.04, 0.06),
+                "amplitude_um": told(1.13, 0.05),
             },
             "evidence": {"log_bayes_factor": 31.4, "share_of_gap": 0.02},
             "indistinguishable_from": [],
@@ -154,12 +157,8 @@ DISCOVERY = {
     },
     "explained_by": {
         "before": {
-            "line": 0.45,
-            "direction of Y": 0.36,
-            "region of X and Y": 0.12,
-            "temperature of X": 0.05,
-            "moving axis": 0.04,
-            "time": 0.03,
+            **{"line": 0.45, "direction of Y": 0.36, "region of X and Y": 0.12},
+            **{"temperature of X": 0.05, "moving axis": 0.04, "time": 0.03},
             "beam": 0.001,
         },
         "after": {"line": 0.14, "direction of Y": 0.01, "time": 0.02},
@@ -213,18 +212,15 @@ def plan_curve(rows=23):
         "plan_id": "plan-1",
         "points": points,
         "tracker_mm": TRACKER_STANDS_MM.tolist(),
-        "unobservable": [
-            "ECZ (roll of Z) cannot be told; a second target separates it"
-        ],
+        "unobservable": ["ECZ (roll of Z) cannot be told; a second target shows it"],
     }
 
 
 def result():
     rng = np.random.default_rng(11)
     tables = {}
-    for axis in "XYZ":
-        travel = MACHINE["axes"][axis]
-        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
+    for axis, travel in TRAVEL.items():
+        position = np.linspace(*travel, 21)
         s = np.linspace(0.0, 1.0, len(position))
         for motion in "XYZABC":
             unit = "um" if motion in "XYZ" else "urad"
@@ -243,41 +239,32 @@ def result():
                 f"uncertainty_{unit}": u.round(3).tolist(),
             }
     del tables["ECZ"]
+    blind = "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+    squareness = {"C0Y": told(23.4, 0.9), "B0Z": told(-11.8, 1.1)}
+    squareness["A0Z"] = told(5.2, 1.2)
     return {
         "schema": "result/1",
         "machine": MACHINE,
         "mode": "otf",
         "error_tables": tables,
-        "squareness_urad": {
-            "C0Y": {"value": 23.4, "uncertainty": 0.9},
-            "B0Z": {"value": -11.8, "uncertainty": 1.1},
-            "A0Z": {"value": 5.2, "uncertainty": 1.2},
-        },
+        "squareness_urad": squareness,
         "residuals": {"rms_um": 4.3},
-        "observability": {
-            "rank": 161,
-            "parameters": 165,
-            "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
-            ],
-        },
+        "observability": {"rank": 161, "parameters": 165, "unobservable": [blind]},
     }
 
 
 def residuals(lines=6, cells=20):
     """Return residuals along lines of a path; the fourth row stands out."""
     rng = np.random.default_rng(3)
-    along = []
+    along, rows = [], []
     for row in range(1, lines + 1):
-        parts = (3.0 if row == 4 else 1.0) * rng.standard_normal((3, cells))
+        rms_um = 3.0 if row == 4 else 1.0
+        parts = rms_um * rng.standard_normal((3, cells))
         names = ("beam_um", "azimuth_um", "elevation_um")
         line = dict(zip(names, parts.tolist(), strict=True))
         way = np.linspace(0.0, 400.0, cells).tolist()
         along.append({"row": row, "along_mm": way, **line})
-    rows = [
-        {"run": 0, "row": row, "cells": cells, "rms_um": 3.0 if row == 4 else 1.0}
-        for row in range(1, lines + 1)
-    ]
+        rows.append({"run": 0, "row": row, "cells": cells, "rms_um": rms_um})
     return {"by_line": rows, "noise_floor_um": 1.1, "along_lines": along}
 
 
@@ -305,7 +292,7 @@ def estimate(done, total=22):
         "verdict": {"state": "usable", "reasons": [], "details": []},
         "error_tables": tables,
         "squareness_urad": {
-            symbol: {"value": s["value"], "uncertainty": wider * s["uncertainty"]}
+            symbol: told(s["value"], wider * s["uncertainty"])
             for symbol, s in final["squareness_urad"].items()
         },
         "volumetric_uncertainty_um": round(0.5 * wider, 4),
@@ -357,8 +344,7 @@ def volumetric_error():
 
 def volumetric_map(state, compensation):
     """Return a map of five points an axis, its ends of X beyond what was measured."""
-    travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
-    levels = [np.linspace(low, high, 5) for low, high in travel]
+    levels = [np.linspace(low, high, 5) for low, high in TRAVEL.values()]
     position = np.stack([g.ravel() for g in np.meshgrid(*levels, indexing="ij")], 1)
     size = {"before": 1.0, "after": 0.0}[state] if compensation is None else 0.4
     share = (position - [0.0, 0.0, -300.0]) / [500.0, 400.0, 300.0]

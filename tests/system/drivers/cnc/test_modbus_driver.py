@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from paths_by_hand import path_of, two_turns
-from register_peers import ABORT, COMMIT, HOLD, MOVE_TO, PUT_ROWS, START
+from register_peers import (
+    ABORT,
+    COMMIT,
+    HOLD,
+    MOVE_TO,
+    PUT_ROWS,
+    START,
+    RtuPeer,
+    TcpPeer,
+)
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
@@ -23,6 +32,18 @@ from truepath_drivers.interfaces.errors import (
 )
 from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
+
+
+@pytest.fixture(params=[TcpPeer, RtuPeer], ids=["tcp", "rtu"])
+def peer(request):
+    with request.param() as peer:
+        yield peer
+
+
+@pytest.fixture
+def tcp_peer():
+    with TcpPeer() as peer:
+        yield peer
 
 
 @pytest.fixture
@@ -279,8 +300,8 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 
 @pytest.mark.fault_row(14)
-def test_a_damaged_or_short_reply_is_never_taken(rtu_peer, tcp_peer, tcp_controller):
-    with ModbusController(**rtu_peer.options) as controller:
+def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
+    with RtuPeer() as rtu_peer, ModbusController(**rtu_peer.options) as controller:
         rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
         with pytest.raises(DeviceTimeout):
             controller.status()
@@ -566,17 +587,6 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     assert controller.wait(5.0).state is MotionState.FINISHED
 
 
-@pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
-def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
-    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
-        tcp_peer.model.words[107] = 1200
-        tcp_peer.exceptions = exceptions
-        with pytest.raises(Refused, match="at the machine only"):
-            controller.limit_override(1.0)
-        tcp_peer.model.words[107] = 800
-        controller.limit_override(1.0)
-
-
 def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
     assert bench_controller.connect().drives_arcs
     low, high = bench_controller.travel[1]
@@ -593,16 +603,24 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_cont
 
 
 @pytest.mark.fault_row(20)
-def test_an_override_is_lowered_never_raised(bench, bench_controller, tcp_peer, until):
+def test_an_override_is_lowered_never_raised_and_one_that_stays_above_refused(
+    bench, bench_controller, tcp_peer, until
+):
     assert bench_controller.status().override == 1.0
     bench.inject("cnc:override+6s*0")
     until(lambda: bench_controller.status().override == 0.0)
     until(lambda: bench_controller.status().override == 1.0)
-    with ModbusController(**tcp_peer.options) as controller:
+    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
         tcp_peer.model.words[107] = 0
         assert controller.status().override is None
         tcp_peer.model.words[107] = 500
         assert controller.status().override == 0.5
+        for exceptions in ([], [0, 2]):  # it keeps it, or has it not
+            tcp_peer.model.words[107], tcp_peer.exceptions = 1200, exceptions
+            with pytest.raises(Refused, match="at the machine only"):
+                controller.limit_override(1.0)
+            tcp_peer.model.words[107] = 800
+            controller.limit_override(1.0)
     bench.inject("cnc:override*1.2")
     until(lambda: bench_controller.status().override == 1.2)
     for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):

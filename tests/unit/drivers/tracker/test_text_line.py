@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ports_by_hand import HandPort
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused
 from truepath_drivers.interfaces.tracker_records import Clock
 from truepath_drivers.tracker.text_line import driver
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
+from wires import HandPort
 
 
 class SentText(HandPort):
