@@ -211,7 +211,7 @@ def forget_what_waits(self):
 
 
 def move_unasked(self):
-    self.here = self.here + [1.0, 1.0, -1.0]
+    self.here = np.add(self.here, [1.0, 1.0, -1.0])
 
 
 def always(value):

@@ -23,13 +23,7 @@ PERIOD_US = 2000
 FORMATS = [gst.Format.MEAS64, gst.Format.MEAS]
 
 
-def stream(
-    number: np.ndarray,
-    *,
-    measured: gst.Format = gst.Format.MEAS64,
-    first_clock_us: int = 5_000_000,
-    status: int = 0,
-) -> list[bytes]:
+def stream(number, *, measured=gst.Format.MEAS64, first_clock_us=5000000, status=0):
     """Return one frame for each whole sample number; its position tells the number."""
     number = np.asarray(number, np.int64)
     clock_us, place_mm = first_clock_us + number * PERIOD_US, positions(number)
@@ -38,21 +32,21 @@ def stream(
     return [b"\0" + frame + b"\0" for frame in frames]
 
 
-def positions(number: np.ndarray) -> np.ndarray:
+def positions(number):
     return np.stack([1000 + 0.5 * number, -200 + 0.25 * number, number % 97], axis=1)
 
 
-def started(sequence: int = 0, clock_us: int = 4_999_000, rate_hz: float = 500.0):
+def started(sequence=0, clock_us=4999000, rate_hz=500.0):
     info = gst.StreamInfo(rate_hz, sequence, clock_us)
     return encode_message(gst.Ack(1, gst.Type.START, info))
 
 
-def decoded(pieces: list[bytes]) -> tuple[TrackerSamples, StreamDecoder]:
+def decoded(pieces):
     decoder = StreamDecoder()
     return decoder.feed(b"".join(pieces)).samples, decoder
 
 
-def assert_every_sample_is_the_one_sent(samples: TrackerSamples, offset: int = 0):
+def assert_every_sample_is_the_one_sent(samples, offset=0):
     number = samples.sequence + offset
     np.testing.assert_allclose(samples.position_mm, positions(number), atol=1e-6)
     clock = 5.0 + number * PERIOD_US * 1e-6

@@ -117,11 +117,10 @@ def test_a_stream_that_begins_anew_is_told():
 
 
 def test_lines_without_a_stamp_need_the_word_of_the_user():
+    options = {"host": "h", "columns": "x,y,z", "rate_hz": 500.0}
     with pytest.raises(Refused, match="arrival_times"):
-        TextLineTracker(1, host="h", columns="x,y,z", rate_hz=500.0)
-    tracker = TextLineTracker(
-        1, host="h", columns="x,y,z", rate_hz=500.0, arrival_times=True
-    )
+        TextLineTracker(1, **options)
+    tracker = TextLineTracker(1, **options, arrival_times=True)
     assert tracker.capabilities.clock is Clock.HOST
 
 
