@@ -31,7 +31,7 @@ from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.long
-HERE = Path(__file__).parent
+EXAMPLE = Path(__file__).parents[3] / "docs" / "example-driver"
 NAME = "othermake-lt50"
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 ENDS = (20, 20, 20), (480, 380, 20), (20, 380, 280), (480, 20, 280), (20, 20, 20)
@@ -42,7 +42,7 @@ CORNERS = path_of(*ENDS, feed=12_000.0, dwell_s=1.0)
 def site(tmp_path_factory):
     """A folder into which the distribution is installed, as anybody installs it."""
     folder = tmp_path_factory.mktemp("site")
-    source = shutil.copytree(HERE / "third_party", folder / "source")
+    source = shutil.copytree(EXAMPLE, folder / "source")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
     command += ["--no-index", "--no-build-isolation", "--target", str(folder / "site")]
     subprocess.run([*command, str(source)], check=True, capture_output=True)
@@ -63,7 +63,12 @@ def rig():
 @contextmanager
 def imitate(rig, share=0.0):
     """Start an instrument that looks at the rig's machine; yield where it listens."""
-    command = [sys.executable, HERE / "imitate_othermake.py", rig.control, str(share)]
+    command = [
+        sys.executable,
+        EXAMPLE / "imitate_othermake.py",
+        rig.control,
+        str(share),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield {"host": "127.0.0.1", "port": int(process.stdout.readline())}
         process.kill()

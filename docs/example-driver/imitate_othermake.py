@@ -19,16 +19,20 @@ NOISE_MM = 0.002
 
 
 def line(text: str) -> bytes:
+    """Return a line with its sum, as it goes over the wire."""
     return f"{text}*{sum(text.encode()) % 256:02X}\n".encode()
 
 
 class Instrument:
+    """Streams where the target is, as seen from its own place, by its own clock."""
+
     def __init__(self, rig: Rig, share: float) -> None:
         self.rig, self.share = rig, share
         self.rng = np.random.default_rng(5)
         self.rate_hz, self.begin_s, self.taken = 0.0, 0.0, 0
 
     def obey(self, order: str) -> bytes:
+        """Return the reply to an order."""
         verb, _, rate = order.rpartition("*")[0].partition(" ")
         if line(order.rpartition("*")[0]) != f"{order}\n".encode():
             return line("NO wrong sum")
@@ -46,6 +50,7 @@ class Instrument:
         return line(f"NO {verb}")
 
     def due(self) -> bytes:
+        """Return the lines of samples that are due by now."""
         if not self.rate_hz:
             return b""
         now_s = self.rig.read_position()["time_s"][0]
@@ -67,6 +72,7 @@ class Instrument:
         )
 
     def wear(self, text: bytes) -> bytes:
+        """Damage a share of the lines."""
         if self.rng.random() >= self.share:
             return text
         at = int(self.rng.integers(len(text) - 1))
@@ -74,6 +80,7 @@ class Instrument:
 
 
 def main() -> None:
+    """Serve one host after the other."""
     instrument = Instrument(Rig(sys.argv[1]), float([*sys.argv, 0.0][2]))
     port, rest = TcpPort("127.0.0.1", 0), b""
     print(port.address["port"], flush=True)
