@@ -368,12 +368,9 @@ TREND = {
     "schema": "trend/1",
     "machine": {"name": "demo"},
     "verdict": verdict_json(Verdict()),
-    "runs": [],
-    "later": [],
     "states": {},
-    "sensors": [],
     "outlook": {"state": "not-known", "sentence": "Too few Runs."},
-    "not_told": [],
+    **dict.fromkeys(("runs", "later", "sensors", "not_told"), ()),
 }
 
 

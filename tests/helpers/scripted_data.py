@@ -333,11 +333,8 @@ def turntable_estimate(done):
 
 def volumetric_error():
     def spread(mean, u):
-        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
-        return {
-            name: {"value_um": factor * mean, "uncertainty_um": factor * u}
-            for name, factor in sizes.items()
-        }
+        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}.items()
+        return {n: {"value_um": k * mean, "uncertainty_um": k * u} for n, k in sizes}
 
     return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
 
@@ -380,11 +377,10 @@ FORMATS = [
 
 
 def compensation(job_id, name, unmeasured):
-    settled = name == "linuxcnc"
-    address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
+    settled, own_id = name == "linuxcnc", f"{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
     return {
-        "id": f"{name}-10-{unmeasured}",
+        "id": own_id,
         "format": name,
         "control": {f["name"]: f["control"] for f in FORMATS}[name],
         "not_carried": "straightness, angular errors, squareness",
@@ -396,7 +392,7 @@ def compensation(job_id, name, unmeasured):
             "after_where_measured": {**after, "mean": 2.9},
         },
         "note": "name each file as COMP_FILE of its [JOINT_n]",
-        "links": {"archive": f"{address}/archive"},
+        "links": {"archive": f"/api/v1/jobs/{job_id}/compensations/{own_id}/archive"},
     }
 
 
@@ -464,13 +460,9 @@ def machine_history(machine_id, *measured):
         "entries": [{"label": one, "position": None} for one in labels],
         "calibrations": [
             {
-                "job_id": f"job-{number}",
-                "measured": when,
-                "verdict": "usable",
-                "value": [15.3, 26.0, 32.1],
-                "uncertainty": [0.1, 0.2, 0.4],
+                **{"job_id": f"job-{number}", "measured": when, "verdict": "usable"},
+                **told([15.3, 26.0, 32.1], [0.1, 0.2, 0.4]),
                 "expected_after": [0.7, 1.2, 1.5],
-                "expected_after_uncertainty": [0.05, 0.1, 0.1],
             }
             for number, when in enumerate(measured, 1)
         ],
@@ -491,10 +483,8 @@ def verification(result_id, conformity="within"):
         "asked": {"result_id": result_id},
         "statements": ["Measurement and result agree."],
         "agreement": {
-            "consistent": True,
-            "chance": 0.42,
-            "share_within_expanded": 0.96,
-            "chance_of_any_machine": 0.5,
+            **{"consistent": True, "share_within_expanded": 0.96},
+            **{"chance": 0.42, "chance_of_any_machine": 0.5},
         },
         "conformity": {} if conformity is None else {"measured": decision},
         "volumetric_error_um": {
@@ -578,7 +568,7 @@ def temperature_dependence():
             {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
         ],
         "expansion": {"X": {**growth, "is_significant": True}},
-        "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
+        "volumetric_um_per_K": told(3.2, 0.1),
         "coefficients": {
             "EXX": {
                 "position_mm": [0.0, 500.0],

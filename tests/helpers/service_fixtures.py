@@ -16,7 +16,6 @@ from starlette.testclient import TestClient
 import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
-from jobs_fixtures import logged_plainly  # noqa: F401
 from serving import serving
 from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
@@ -59,16 +58,6 @@ def no_thread_is_left_over():
     # The client's portal and the loop's workers end with their client.
     left = {t.name for t in threading.enumerate() if t not in before and not t.daemon}
     assert not [name for name in left if name.startswith(("job-", "cell-"))]
-
-
-@pytest.fixture
-def make_cell():
-    return scripted_cell.CellMaker()
-
-
-@pytest.fixture
-def science():
-    return scripted_cell.Science()
 
 
 @pytest.fixture

@@ -263,11 +263,7 @@ FAULTY_CONTROLLERS = [
     (motion.a_path_of_other_axes_is_refused, "load", does()),
     (motion.hold_and_resume_are_absolute, "hold", does()),
     (motion.resume_of_nothing_does_nothing, "resume", move_unasked),
-    (
-        motion.resume_of_nothing_does_nothing,
-        "resume",
-        lambda self: None if self.loaded is None else self.start(),
-    ),
+    (motion.resume_of_nothing_does_nothing, "resume", lambda m: m.loaded and m.start()),
     (motion.abort_from_another_thread_ends_the_motion, "abort", does()),
     (motion.wait_ends_in_time, "wait", does(STANDS)),
     (motion.hold_means_standstill, "brakes", 0.2),
@@ -366,13 +362,10 @@ def test_a_controller_that_is_faulty_in_trouble_is_caught(clock, check, name, fa
         in_trouble(check, with_fault(GoodController, name, fault))
 
 
-@pytest.mark.parametrize("ends", [True, False])
-def test_a_motion_that_goes_on_unasked_is_caught(clock, ends):
+def test_a_motion_that_goes_on_unasked_is_caught(clock):
     kind = type("Fed", (GoodController,), {"feeds": True, "watches": False})
-    make = share_machine(with_fault(kind, "ends", ends))
-    if ends:
-        motion.a_motion_that_nobody_asks_for_ends(make)
-        return
+    motion.a_motion_that_nobody_asks_for_ends(share_machine(kind))
+    make = share_machine(with_fault(kind, "ends", False))
     with pytest.raises(NotConforming, match="nobody asked"):
         motion.a_motion_that_nobody_asks_for_ends(make)
 

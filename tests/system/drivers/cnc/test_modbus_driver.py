@@ -273,18 +273,20 @@ def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_contro
     assert tcp_peer.model.executed == [HOLD]
 
 
-@pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
+MANGLED = {
+    "nothing": lambda reply: b"",
+    "half": lambda reply: reply[: len(reply) // 2],
+    "noise": lambda reply: np.random.default_rng(2).bytes(40),
+    "cut": lambda reply: reply[:-1],
+}
+
+
+@pytest.mark.parametrize("mangled", MANGLED)
 @pytest.mark.fault_row(14)
 def test_bad_replies_are_a_timeout_within_half_a_second(
     peer, controller, mangled, measured
 ):
-    noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
-    peer.mangle = {
-        "nothing": lambda reply: b"",
-        "half": lambda reply: reply[: len(reply) // 2],
-        "noise": lambda reply: noise,
-        "cut": lambda reply: reply[:-1],
-    }[mangled]
+    peer.mangle = MANGLED[mangled]
     took_s = []
     for _ in range(3):  # on a busy computer one of them may take longer
         begin = time.monotonic()
@@ -436,15 +438,10 @@ def test_another_unit_does_not_answer(peer):
 @pytest.mark.fault_row(16)
 def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     tcp_peer.model.words[104] = 1
-    for _ in range(3):
+    verbs = tcp_controller.send_heartbeat, tcp_controller.status, tcp_controller.hold
+    for verb in (*verbs * 3, tcp_controller.start):
         tcp_peer.drop()
-        tcp_controller.send_heartbeat()
-        tcp_peer.drop()
-        assert tcp_controller.status().state is MotionState.IDLE
-        tcp_peer.drop()
-        tcp_controller.hold()
-    tcp_peer.drop()
-    tcp_controller.start()
+        verb()
     assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
 
 

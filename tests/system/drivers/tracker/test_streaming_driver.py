@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ import pytest
 from tracker_peers import AnsweringPeer, LoopbackTracker, ScriptedPeer
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
-    DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
@@ -70,13 +70,6 @@ def read_for(tracker: StreamingTracker, count: int) -> TrackerSamples:
         assert time.monotonic() < deadline
         blocks.append(tracker.read(0.5))
     return TrackerSamples.join(blocks)
-
-
-def failing(text: str, error: type[DeviceError] = ConnectionLost):
-    def fail(*_):
-        raise error(text)
-
-    return fail
 
 
 def test_connect_start_read_stop_in_bytes(wire):
@@ -312,18 +305,17 @@ def test_a_port_that_is_none_says_what_to_do(free_port):
         StreamingTracker(4711)
 
 
-def test_the_driver_connects_again_after_a_loss(peer, wire, monkeypatch):
-    with StreamingTracker(**peer.options) as tracker:
-        tracker.start(500.0)
-        read_for(tracker, 10)
-        with monkeypatch.context() as patch:
-            patch.setattr(type(tracker._port), "read", failing("pulled"))
-            with pytest.raises(ConnectionLost, match="pulled"):
-                read_for(tracker, 10_000)
-        tracker.connect()
-        assert tracker.health.lost_samples == 0
-        tracker.start(500.0)
-        assert read_for(tracker, 10).sequence[0] == 0
+def test_the_driver_connects_again_after_a_loss(running, monkeypatch):
+    read_for(running, 10)
+    with monkeypatch.context() as patch:
+        pulled = Mock(side_effect=ConnectionLost("pulled"))
+        patch.setattr(type(running._port), "read", pulled)
+        with pytest.raises(ConnectionLost, match="pulled"):
+            read_for(running, 10_000)
+    running.connect()
+    assert running.health.lost_samples == 0
+    running.start(500.0)
+    assert read_for(running, 10).sequence[0] == 0
 
 
 def test_a_link_that_takes_no_bytes_ends_neither_reading_nor_stop_nor_close(
@@ -331,12 +323,13 @@ def test_a_link_that_takes_no_bytes_ends_neither_reading_nor_stop_nor_close(
 ):
     with monkeypatch.context() as patch:
         patch.setattr(receiver, "PING_PERIOD_S", 0.02)
-        stuck = failing("takes no bytes", DeviceTimeout)
+        stuck = Mock(side_effect=DeviceTimeout("takes no bytes"))
         patch.setattr(running._port, "write", stuck)
         until(lambda: "keep-alive not sent" in caplog.text)
         assert len(read_for(running, 20)) >= 20
     with monkeypatch.context() as patch:
-        patch.setattr(running._port, "write", failing("it hung up"))
+        hung_up = Mock(side_effect=ConnectionLost("it hung up"))
+        patch.setattr(running._port, "write", hung_up)
         running.stop()
     assert "stop not sent: it hung up" in caplog.text
     peer.silent = True

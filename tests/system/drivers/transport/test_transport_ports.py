@@ -5,6 +5,7 @@ import socket
 import termios
 import time
 from contextlib import contextmanager
+from unittest.mock import Mock
 
 import pytest
 import serial
@@ -120,15 +121,13 @@ def test_a_serial_port_is_for_one_program(pty_port):
 def test_a_path_that_is_no_tty_is_named_and_one_without_permission_names_the_group(
     tmp_path, monkeypatch
 ):
-    def refuse(*_, **__):
-        raise serial.SerialException("could not open port")
-
     path = tmp_path / "file"
     path.touch()
     port = SerialPort(str(path), 921_600)
     with pytest.raises(ConnectionLost, match="cannot be opened at 921600 baud"):
         port.open()
-    monkeypatch.setattr(serial, "Serial", refuse)
+    refused = Mock(side_effect=serial.SerialException("could not open port"))
+    monkeypatch.setattr(serial, "Serial", refused)
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(ConnectionLost, match="dialout"):
         port.open()

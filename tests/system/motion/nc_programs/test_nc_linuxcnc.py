@@ -44,18 +44,6 @@ def rs274(tmp_path):
     return interpret
 
 
-def test_the_interpreter_drives_arcs_whatever_offset_is_set(rs274, mill):
-    path = make_circle_path(mill)
-    program = write_path(path, ())
-    calls = rs274(program.text, G54 | G92)
-    arcs = [numbers(arguments) for name, arguments in calls if name == "ARC_FEED"]
-    turned = [np.sign(arc.turn_deg) * 3 for arc in path.arc if arc is not None]
-    assert [arc[4] for arc in arcs] == turned
-    position, feed, _, _ = driven(calls)
-    np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
-    np.testing.assert_allclose(feed, path.feed_mm_min)
-
-
 def numbers(arguments):
     return [float(word) for word in arguments.split(",")]
 
@@ -123,7 +111,7 @@ def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
     assert sum("TARGET W" in text for text in asked) == 1
 
 
-def test_work_offsets_that_are_set_do_not_move_the_path(rs274, mill):
+def test_work_offsets_that_are_set_move_neither_lines_nor_arcs(rs274, mill):
     path, offsets = default_path(mill, 2500.0, lines=3), {**G54, 5210: 1, **G92}
     text = write_program(path, mill, "linuxcnc")
     position = driven(rs274(text, offsets))[0][4:]
@@ -132,3 +120,11 @@ def test_work_offsets_that_are_set_do_not_move_the_path(rs274, mill):
     shift = position[:, :3] - path.position
     np.testing.assert_allclose(shift, np.tile(shift[0], (4, 1)), atol=2e-4)
     assert np.abs(shift).min() > 8.0
+    path = make_circle_path(mill)
+    calls = rs274(write_path(path, ()).text, G54 | G92)
+    arcs = [numbers(arguments) for name, arguments in calls if name == "ARC_FEED"]
+    turned = [np.sign(arc.turn_deg) * 3 for arc in path.arc if arc is not None]
+    assert [arc[4] for arc in arcs] == turned
+    position, feed, _, _ = driven(calls)
+    np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
+    np.testing.assert_allclose(feed, path.feed_mm_min)

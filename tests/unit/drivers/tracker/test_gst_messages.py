@@ -61,13 +61,10 @@ def page_frames() -> dict[str, bytes]:
     return {name: bytes.fromhex(digits) for name, digits in rows}
 
 
+WHO = gst.DeviceInfo("Truepath", "GST simulator", "SIM-0001", "1.0", 5000.0)
 EXAMPLES = [
     gst.Hello(1),
-    gst.Ack(
-        1,
-        gst.Type.HELLO,
-        gst.DeviceInfo("Truepath", "GST simulator", "SIM-0001", "1.0", 5000.0),
-    ),
+    gst.Ack(1, gst.Type.HELLO, WHO),
     gst.Start(2, 500.0),
     gst.Ack(2, gst.Type.START, gst.StreamInfo(500.0, 258, 1_000_000)),
     one_sample(gst.Format.MEAS64, 258, 1_002_000, (2.5, 0.5, -0.25), 0, 200),

@@ -217,10 +217,10 @@ def test_the_strength_of_the_return_is_the_quality_of_a_sample():
     number, signal = np.arange(3), np.array([255, 51, 0])
     place_mm = positions(number)
     raw = raw_samples(gst.Format.MEAS64, number, 2000 * number, place_mm, 0, signal)
-    told = StreamDecoder().feed(encode_measurements(raw)).samples.quality
+    told = decoded([encode_measurements(raw)])[0].quality
     np.testing.assert_allclose(told, [1.0, 0.2, np.nan], rtol=1e-6)
     silent = replace(raw, signal=np.zeros(3, np.int64))
-    samples = StreamDecoder().feed(encode_measurements(silent)).samples
+    samples, _ = decoded([encode_measurements(silent)])
     assert samples.quality is None
     joined = TrackerSamples.join([samples, replace(samples, quality=told)])
     np.testing.assert_array_equal(joined.quality, [*[np.nan] * 3, *told])
