@@ -1,12 +1,12 @@
 """A service over a scripted cell, its catalogue on either database."""
 
-import threading
 from dataclasses import replace
 
 import pytest
 
 from arming import arm_at_once
 from job_builders import OTF, write_bundle_zip
+from measurement_fixtures import no_thread_is_left_over  # noqa: F401
 from resumption_doubles import Closer, Resumer
 from scripted_cell import CellMaker, Inline, ReaderHere, Science, wait_until
 from simulated_clock import simulated_clock
@@ -51,14 +51,6 @@ def event_bus():
 @pytest.fixture(autouse=True, scope="module")
 def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
-
-
-@pytest.fixture(autouse=True)
-def no_thread_is_left_over():
-    before = set(threading.enumerate())
-    yield
-    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
-    assert not left
 
 
 @pytest.fixture

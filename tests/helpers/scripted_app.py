@@ -59,17 +59,14 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     return app
 
 
-def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
+def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
+    """What is only read."""
     tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
 
     def system() -> dict[str, Any]:
         cell = {"state": "ready" if service.connected else "idle"}
-        return {
-            "version": "0",
-            "simulated": True,
-            "machine": data.MACHINE,
-            "cell": cell,
-        }
+        known = {"version": "0", "simulated": True, "machine": data.MACHINE}
+        return {**known, "cell": cell}
 
     def current() -> dict[str, Any]:
         known = service.connected
@@ -78,28 +75,53 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
         noise = {"tracker_noise": data.TRACKER_NOISE}
         return service.machine | noise | {"connected": known} | shown
 
-    def conditions() -> dict[str, Any]:
-        return {"items": service.conditions}
+    def volume(state: str, compensation: str | None = None) -> Any:
+        return data.volumetric_map(state, compensation)
+
+    def history(machine_id: str) -> Any:
+        return service.histories.get(machine_id, {"entries": [], "calibrations": []})
+
+    def certificates(job_id: str) -> Any:
+        items = service.certificates.get(job_id, [])
+        return {"items": items, "identity": service.identity}
 
     return {
         "system": system,
         "machines/current": current,
-        "machines/current/conditions": conditions,
-        "machines/{machine_id}/conditions": conditions,
+        "machines/{machine_id}/conditions": lambda: {"items": service.conditions},
+        "machines/{machine_id}/history": history,
         "machines": lambda: {"items": service.machines},
         "drivers": lambda: {"items": data.DRIVERS},
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
         "compensation-formats": lambda: {"items": data.FORMATS},
         "nc-dialects": lambda: {"items": [tnc]},
+        "jobs/{job_id}/nc-program": lambda dialect: download(f"{dialect}.h"),
         "jobs/{job_id}/plan": lambda: service.plan,
         "jobs/{job_id}/plan/grade": lambda: service.grade,
         "jobs/{job_id}/result": lambda: service.result,
+        "jobs/{job_id}/result/volumetric-map": volume,
         "jobs/{job_id}/discovery": lambda: service.discovery,
         "jobs/{job_id}/trend": lambda: service.trend,
+        "jobs/{job_id}/verification": lambda job_id: service.verifications[job_id],
+        "jobs/{job_id}/compensations": lambda job_id: {
+            "items": service.compensations.get(job_id, [])
+        },
+        "jobs/{job_id}/compensations/{name}/archive": lambda name: download(
+            f"{name}.zip"
+        ),
+        "jobs/{job_id}/certificates": certificates,
+        "jobs/{job_id}/certificates/{number}.html": lambda number: HTMLResponse(
+            f"<h1>Calibration certificate {number}</h1>"
+        ),
         "models/{model_id}/versions": lambda: data.VERSIONS,
         "runs": lambda: {"items": service.runs, "next": None},
     }
+
+
+def download(name: str) -> Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return Response("0 BEGIN PGM\n", headers=headers, media_type="text/plain")
 
 
 def add_session(app: FastAPI, service: ScriptedService) -> None:
@@ -154,10 +176,6 @@ def add_jobs(app: FastAPI, service: ScriptedService) -> None:
             return problem(404, "not-found", "No such job", job_id, "")
         return service.jobs[job_id]
 
-    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
-    def nc_program(job_id: str, dialect: str) -> Response:
-        return download("0 BEGIN PGM\n", f"{dialect}.h", "text/plain")
-
     @app.get(f"{API}/jobs/{{job_id}}/estimate")
     def job_estimate(job_id: str) -> Any:
         if job_id not in service.estimates:
@@ -168,11 +186,6 @@ def add_jobs(app: FastAPI, service: ScriptedService) -> None:
     async def upload(bundle: UploadFile) -> Any:
         service.requests.append(("POST", "/runs", bundle.filename))
         return service.add_run("run-uploaded")
-
-
-def download(content: str, name: str, media_type: str) -> Response:
-    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return Response(content, media_type=media_type, headers=headers)
 
 
 def add_results(app: FastAPI, service: ScriptedService) -> None:
@@ -189,19 +202,6 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         service.compensations.setdefault(job_id, []).append(made)
         return made
 
-    @app.get(f"{API}/jobs/{{job_id}}/compensations")
-    def compensations(job_id: str) -> Any:
-        return {"items": service.compensations.get(job_id, [])}
-
-    @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
-    def archive(job_id: str, name: str) -> Response:
-        return download("PK", f"{name}.zip", "application/zip")
-
-    @app.get(f"{API}/jobs/{{job_id}}/certificates")
-    def certificates(job_id: str) -> Any:
-        items = service.certificates.get(job_id, [])
-        return {"items": items, "identity": service.identity}
-
     @app.post(f"{API}/jobs/{{job_id}}/certificates", status_code=201)
     async def issue(job_id: str, request: Request) -> Any:
         order = await service.note(request)
@@ -209,22 +209,10 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         kept.append(data.certificate(job_id, len(kept) + 1, order["language"]))
         return kept[-1]
 
-    @app.get(f"{API}/jobs/{{job_id}}/certificates/{{number}}.html")
-    def certificate_page(job_id: str, number: str) -> HTMLResponse:
-        return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
-
-    @app.get(f"{API}/jobs/{{job_id}}/verification")
-    def verification(job_id: str) -> Any:
-        return service.verifications[job_id]
-
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float | None = None) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))
         return {"tolerance_um": tolerance_um, **service.conformity}
-
-    @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
-    def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
-        return data.volumetric_map(state, compensation)
 
     @app.put(f"{API}/runs/{{run_id}}/known-lengths")
     def store_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
@@ -321,11 +309,6 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
             return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
         return {"connected": True, "tracker": data.TRACKER, "motion": data.MOTION}
-
-    @app.get(f"{API}/machines/{{machine_id}}/history")
-    def history(machine_id: str) -> Any:
-        none = {"entries": [], "calibrations": []}
-        return service.histories.get(machine_id, none)
 
     @app.get(f"{API}/machines/{{machine_id}}/standing")
     def standing(machine_id: str) -> Any:

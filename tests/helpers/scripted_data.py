@@ -5,18 +5,18 @@ import math
 
 import numpy as np
 
+TRAVEL = {"X": (0.0, 500.0), "Y": (0.0, 400.0), "Z": (-300.0, 0.0)}
 MACHINE = {
     "schema": "machine/1",
     "name": "VMC 500",
     "kinematic_chain": "w-X-b-Y-Z-t",
     "axes": {
-        "X": {"type": "linear", "min_mm": 0.0, "max_mm": 500.0},
-        "Y": {"type": "linear", "min_mm": 0.0, "max_mm": 400.0},
-        "Z": {"type": "linear", "min_mm": -300.0, "max_mm": 0.0},
+        name: {"type": "linear", "min_mm": low, "max_mm": high}
+        for name, (low, high) in TRAVEL.items()
     },
     "tool_offset_mm": [20.0, 30.0, -150.0],
 }
-TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
+TRACKER_NOISE = {"rate_hz": 500}
 TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
 
 
@@ -33,8 +33,7 @@ GRADE = {
     "thresholds": {"good": 0.25, "usable": 1.0},
     "text": "0.86, usable: …",
     "expected_uncertainty_um": 6.5,
-    "sample_sigma_um": 7.6,
-    "tracker": {"position_mm": [270, 1430, 0], "assumed": True, "best_number": 0.69},
+    "tracker": {"position_mm": [270, 1430, 0]},
     "improved_number": 0.34,
     "weakest": [
         {
@@ -44,7 +43,6 @@ GRADE = {
             "remedy": "add a line along Y at the low end of X and the middle of Z",
         }
     ],
-    "weak_shapes": [],
     "unobservable": [],
 }
 
@@ -53,9 +51,8 @@ ARMING = {
     "machine_name": "VMC 500",
     "targets": [{"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}],
     "envelope": [
-        {"axis": "X", "unit": "mm", "low": 12.5, "high": 487.5},
-        {"axis": "Y", "unit": "mm", "low": 10.0, "high": 390.0},
-        {"axis": "Z", "unit": "mm", "low": -290.0, "high": -10.0},
+        {"axis": axis, "unit": "mm", "low": low, "high": high}
+        for axis, low, high in (("X", 12.5, 487.5), ("Y", 10, 390), ("Z", -290, -10))
     ],
     "max_feed_mm_min": 6000.0,
     "duration_s": 125.0,
@@ -84,6 +81,10 @@ VERSIONS = [
     ),
     version(1),
 ]
+
+
+def told(value, uncertainty):
+    return {"value": value, "uncertainty": uncertainty}
 
 
 def lines_off(lines=22):
@@ -122,8 +123,8 @@ DISCOVERY = {
         {
             "name": "setup-step",
             "parameters": {
-                "t_s": {"value": 40.02, "uncertainty": 0.03},
-                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1] * 3},
+                "t_s": told(40.02, 0.03),
+                "step_um": told([4.0, -3.0, 0.1], [0.1] * 3),
             },
             "evidence": {"log_bayes_factor": 80.0, "share_of_gap": 0.066},
             "indistinguishable_from": [],
@@ -140,8 +141,8 @@ DISCOVERY = {
             "rms_um": 0.8,
             "direction": "Z",
             "parameters": {
-                "period_s": {"value": 31.04, "uncertainty": 0.06},
-                "amplitude_um": {"value": 1.13, "uncertainty": 0.05},
+                "period_s": told(31.04, 0.06),
+                "amplitude_um": told(1.13, 0.05),
             },
             "evidence": {"log_bayes_factor": 31.4, "share_of_gap": 0.02},
             "indistinguishable_from": [],
@@ -156,12 +157,8 @@ DISCOVERY = {
     },
     "explained_by": {
         "before": {
-            "line": 0.45,
-            "direction of Y": 0.36,
-            "region of X and Y": 0.12,
-            "temperature of X": 0.05,
-            "moving axis": 0.04,
-            "time": 0.03,
+            **{"line": 0.45, "direction of Y": 0.36, "region of X and Y": 0.12},
+            **{"temperature of X": 0.05, "moving axis": 0.04, "time": 0.03},
             "beam": 0.001,
         },
         "after": {"line": 0.14, "direction of Y": 0.01, "time": 0.02},
@@ -215,19 +212,15 @@ def plan_curve(rows=23):
         "plan_id": "plan-1",
         "points": points,
         "tracker_mm": TRACKER_STANDS_MM.tolist(),
-        "tracker_is_assumed": True,
-        "unobservable": [
-            "ECZ (roll of Z) cannot be told; a second target separates it"
-        ],
+        "unobservable": ["ECZ (roll of Z) cannot be told; a second target shows it"],
     }
 
 
 def result():
     rng = np.random.default_rng(11)
     tables = {}
-    for axis in "XYZ":
-        travel = MACHINE["axes"][axis]
-        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
+    for axis, travel in TRAVEL.items():
+        position = np.linspace(*travel, 21)
         s = np.linspace(0.0, 1.0, len(position))
         for motion in "XYZABC":
             unit = "um" if motion in "XYZ" else "urad"
@@ -246,43 +239,32 @@ def result():
                 f"uncertainty_{unit}": u.round(3).tolist(),
             }
     del tables["ECZ"]
+    blind = "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+    squareness = {"C0Y": told(23.4, 0.9), "B0Z": told(-11.8, 1.1)}
+    squareness["A0Z"] = told(5.2, 1.2)
     return {
         "schema": "result/1",
         "machine": MACHINE,
         "mode": "otf",
         "error_tables": tables,
-        "squareness_urad": {
-            "C0Y": {"value": 23.4, "uncertainty": 0.9},
-            "B0Z": {"value": -11.8, "uncertainty": 1.1},
-            "A0Z": {"value": 5.2, "uncertainty": 1.2},
-        },
-        "alignment": {},
+        "squareness_urad": squareness,
         "residuals": {"rms_um": 4.3},
-        "observability": {
-            "rank": 161,
-            "parameters": 165,
-            "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
-            ],
-        },
-        "provenance": {},
+        "observability": {"rank": 161, "parameters": 165, "unobservable": [blind]},
     }
 
 
 def residuals(lines=6, cells=20):
     """Return residuals along lines of a path; the fourth row stands out."""
     rng = np.random.default_rng(3)
-    along = []
+    along, rows = [], []
     for row in range(1, lines + 1):
-        parts = (3.0 if row == 4 else 1.0) * rng.standard_normal((3, cells))
+        rms_um = 3.0 if row == 4 else 1.0
+        parts = rms_um * rng.standard_normal((3, cells))
         names = ("beam_um", "azimuth_um", "elevation_um")
         line = dict(zip(names, parts.tolist(), strict=True))
         way = np.linspace(0.0, 400.0, cells).tolist()
         along.append({"row": row, "along_mm": way, **line})
-    rows = [
-        {"run": 0, "row": row, "cells": cells, "rms_um": 3.0 if row == 4 else 1.0}
-        for row in range(1, lines + 1)
-    ]
+        rows.append({"run": 0, "row": row, "cells": cells, "rms_um": rms_um})
     return {"by_line": rows, "noise_floor_um": 1.1, "along_lines": along}
 
 
@@ -310,7 +292,7 @@ def estimate(done, total=22):
         "verdict": {"state": "usable", "reasons": [], "details": []},
         "error_tables": tables,
         "squareness_urad": {
-            symbol: {"value": s["value"], "uncertainty": wider * s["uncertainty"]}
+            symbol: told(s["value"], wider * s["uncertainty"])
             for symbol, s in final["squareness_urad"].items()
         },
         "volumetric_uncertainty_um": round(0.5 * wider, 4),
@@ -351,19 +333,15 @@ def turntable_estimate(done):
 
 def volumetric_error():
     def spread(mean, u):
-        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
-        return {
-            name: {"value_um": factor * mean, "uncertainty_um": factor * u}
-            for name, factor in sizes.items()
-        }
+        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}.items()
+        return {n: {"value_um": k * mean, "uncertainty_um": k * u} for n, k in sizes}
 
     return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
 
 
 def volumetric_map(state, compensation):
     """Return a map of five points an axis, its ends of X beyond what was measured."""
-    travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
-    levels = [np.linspace(low, high, 5) for low, high in travel]
+    levels = [np.linspace(low, high, 5) for low, high in TRAVEL.values()]
     position = np.stack([g.ravel() for g in np.meshgrid(*levels, indexing="ij")], 1)
     size = {"before": 1.0, "after": 0.0}[state] if compensation is None else 0.4
     share = (position - [0.0, 0.0, -300.0]) / [500.0, 400.0, 300.0]
@@ -399,11 +377,10 @@ FORMATS = [
 
 
 def compensation(job_id, name, unmeasured):
-    settled = name == "linuxcnc"
-    address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
+    settled, own_id = name == "linuxcnc", f"{name}-10-{unmeasured}"
     after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
     return {
-        "id": f"{name}-10-{unmeasured}",
+        "id": own_id,
         "format": name,
         "control": {f["name"]: f["control"] for f in FORMATS}[name],
         "not_carried": "straightness, angular errors, squareness",
@@ -415,7 +392,7 @@ def compensation(job_id, name, unmeasured):
             "after_where_measured": {**after, "mean": 2.9},
         },
         "note": "name each file as COMP_FILE of its [JOINT_n]",
-        "links": {"archive": f"{address}/archive"},
+        "links": {"archive": f"/api/v1/jobs/{job_id}/compensations/{own_id}/archive"},
     }
 
 
@@ -483,13 +460,9 @@ def machine_history(machine_id, *measured):
         "entries": [{"label": one, "position": None} for one in labels],
         "calibrations": [
             {
-                "job_id": f"job-{number}",
-                "measured": when,
-                "verdict": "usable",
-                "value": [15.3, 26.0, 32.1],
-                "uncertainty": [0.1, 0.2, 0.4],
+                **{"job_id": f"job-{number}", "measured": when, "verdict": "usable"},
+                **told([15.3, 26.0, 32.1], [0.1, 0.2, 0.4]),
                 "expected_after": [0.7, 1.2, 1.5],
-                "expected_after_uncertainty": [0.05, 0.1, 0.1],
             }
             for number, when in enumerate(measured, 1)
         ],
@@ -510,10 +483,8 @@ def verification(result_id, conformity="within"):
         "asked": {"result_id": result_id},
         "statements": ["Measurement and result agree."],
         "agreement": {
-            "consistent": True,
-            "chance": 0.42,
-            "share_within_expanded": 0.96,
-            "chance_of_any_machine": 0.5,
+            **{"consistent": True, "share_within_expanded": 0.96},
+            **{"chance": 0.42, "chance_of_any_machine": 0.5},
         },
         "conformity": {} if conformity is None else {"measured": decision},
         "volumetric_error_um": {
@@ -554,7 +525,6 @@ def circles_in_motion():
         "driven_feed_mm_min": {"counterclockwise": 2999.2, "clockwise": 3000.6},
         "row": {"counterclockwise": 2, "clockwise": 3},
         "samples": {"counterclockwise": 9600, "clockwise": 9600},
-        "sector_deg": 3.0,
         "angle_deg": angle_deg.tolist(),
         "radial_um": both(shift_um + oval_um + half_um, shift_um + oval_um - half_um),
         "predicted_radial_um": both(oval_um, oval_um),
@@ -598,7 +568,7 @@ def temperature_dependence():
             {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
         ],
         "expansion": {"X": {**growth, "is_significant": True}},
-        "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
+        "volumetric_um_per_K": told(3.2, 0.1),
         "coefficients": {
             "EXX": {
                 "position_mm": [0.0, 500.0],

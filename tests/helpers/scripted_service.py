@@ -64,12 +64,9 @@ class ScriptedService:
     def new_job(self, kind, **more):
         number = next(self._numbers)
         job = {
-            "id": f"job-{number}",
-            "kind": kind,
-            "machine": "default",
+            **{"id": f"job-{number}", "kind": kind, "machine": "default", "version": 1},
             "state": "running" if kind in _STAGES else "preparing",
             "desired_state": "ready",
-            "version": 1,
             "stage": _STAGES.get(kind, "planning"),
             "progress": {"done": 0, "total": 0, "unit": "", "eta_s": None},
             "health": dict.fromkeys(COUNTS, 0),

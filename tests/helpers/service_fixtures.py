@@ -51,11 +51,6 @@ MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def logged_plainly(plain_log):
-    """The fancy traces of the default take seconds each."""
-
-
 @pytest.fixture(autouse=True)
 def no_thread_is_left_over():
     before = set(threading.enumerate())
@@ -63,16 +58,6 @@ def no_thread_is_left_over():
     # The client's portal and the loop's workers end with their client.
     left = {t.name for t in threading.enumerate() if t not in before and not t.daemon}
     assert not [name for name in left if name.startswith(("job-", "cell-"))]
-
-
-@pytest.fixture
-def make_cell():
-    return scripted_cell.CellMaker()
-
-
-@pytest.fixture
-def science():
-    return scripted_cell.Science()
 
 
 @pytest.fixture
