@@ -59,24 +59,20 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     return app
 
 
-def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
+def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
     tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
 
     def system() -> dict[str, Any]:
         cell = {"state": "ready" if service.connected else "idle"}
-        return {
-            "version": "0",
-            "simulated": True,
-            "machine": data.MACHINE,
-            "cell": cell,
-        }
+        known = {"machine": data.MACHINE, "simulated": True, "cell": cell}
+        return data.EXAMPLES["get_system"] | known
 
     def current() -> dict[str, Any]:
-        known = service.connected
-        devices = {"tracker": data.TRACKER, "motion": data.MOTION}
-        shown = devices if known else dict.fromkeys(devices)
-        noise = {"tracker_noise": data.TRACKER_NOISE}
-        return service.machine | noise | {"connected": known} | shown
+        nothing = {"connected": False, "tracker": None, "motion": None}
+        noise = {"tracker_noise": {"rate_hz": 500}}
+        return (
+            service.machine | noise | (data.DEVICES if service.connected else nothing)
+        )
 
     def conditions() -> dict[str, Any]:
         return {"items": service.conditions}
@@ -90,13 +86,25 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
         "drivers": lambda: {"items": data.DRIVERS},
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
-        "compensation-formats": lambda: {"items": data.FORMATS},
+        "compensation-formats": lambda: {"items": [*data.FORMATS.values()]},
         "nc-dialects": lambda: {"items": [tnc]},
         "jobs/{job_id}/plan": lambda: service.plan,
         "jobs/{job_id}/plan/grade": lambda: service.grade,
         "jobs/{job_id}/result": lambda: service.result,
         "jobs/{job_id}/discovery": lambda: service.discovery,
         "jobs/{job_id}/trend": lambda: service.trend,
+        "jobs/{job_id}/verification": lambda job_id: service.verifications[job_id],
+        "jobs/{job_id}/compensations": lambda job_id: {
+            "items": service.compensations.get(job_id, [])
+        },
+        "jobs/{job_id}/certificates": lambda job_id: {
+            "items": service.certificates.get(job_id, []),
+            "identity": service.identity,
+        },
+        "jobs/{job_id}/result/volumetric-map": data.volumetric_map,
+        "machines/{machine_id}/history": lambda machine_id: service.histories.get(
+            machine_id, {"entries": [], "calibrations": []}
+        ),
         "models/{model_id}/versions": lambda: data.VERSIONS,
         "runs": lambda: {"items": service.runs, "next": None},
     }
@@ -189,18 +197,9 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         service.compensations.setdefault(job_id, []).append(made)
         return made
 
-    @app.get(f"{API}/jobs/{{job_id}}/compensations")
-    def compensations(job_id: str) -> Any:
-        return {"items": service.compensations.get(job_id, [])}
-
     @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
     def archive(job_id: str, name: str) -> Response:
         return download("PK", f"{name}.zip", "application/zip")
-
-    @app.get(f"{API}/jobs/{{job_id}}/certificates")
-    def certificates(job_id: str) -> Any:
-        items = service.certificates.get(job_id, [])
-        return {"items": items, "identity": service.identity}
 
     @app.post(f"{API}/jobs/{{job_id}}/certificates", status_code=201)
     async def issue(job_id: str, request: Request) -> Any:
@@ -213,18 +212,10 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
     def certificate_page(job_id: str, number: str) -> HTMLResponse:
         return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
 
-    @app.get(f"{API}/jobs/{{job_id}}/verification")
-    def verification(job_id: str) -> Any:
-        return service.verifications[job_id]
-
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float | None = None) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))
         return {"tolerance_um": tolerance_um, **service.conformity}
-
-    @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
-    def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
-        return data.volumetric_map(state, compensation)
 
     @app.put(f"{API}/runs/{{run_id}}/known-lengths")
     def store_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
@@ -320,12 +311,7 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
             remedy = "Check the cable, then connect again."
             return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
-        return {"connected": True, "tracker": data.TRACKER, "motion": data.MOTION}
-
-    @app.get(f"{API}/machines/{{machine_id}}/history")
-    def history(machine_id: str) -> Any:
-        none = {"entries": [], "calibrations": []}
-        return service.histories.get(machine_id, none)
+        return data.DEVICES
 
     @app.get(f"{API}/machines/{{machine_id}}/standing")
     def standing(machine_id: str) -> Any:
@@ -359,7 +345,8 @@ def add_motion(app: FastAPI, service: ScriptedService) -> None:
     def prepare_arming(job_id: str) -> Any:
         if service.controller:
             return refuse()
-        return data.ARMING | {"job": job_id, "token": f"for {job_id}"}
+        known = {"job": job_id, "token": f"for {job_id}"}
+        return data.EXAMPLES["prepare_arming"] | known
 
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     async def act(job_id: str, verb: str, request: Request) -> Any:

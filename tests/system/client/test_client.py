@@ -200,13 +200,15 @@ def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
         next(client.events("7"))
 
 
-def test_a_list_is_read_page_after_page():
+def test_a_list_is_read_page_after_page_and_an_estimate_not_there_yet_is_none():
     pages = [{"items": [job("ready")], "next": "abc"}, {"items": [], "next": None}]
     script = Script(*[answer(200, page) for page in pages])
     with script.open() as client:
         assert [j["id"] for j in client.list_jobs(state=["ready"])] == ["7"]
     queries = [dict(r.url.params) for r in script.requests]
     assert queries == [{"state": "ready"}, {"state": "ready", "after": "abc"}]
+    with Script(httpx2.Response(204)).open() as client:
+        assert client.get_estimate("7") is None
 
 
 def test_a_token_goes_with_every_request_after_the_log_in():
@@ -218,11 +220,6 @@ def test_a_token_goes_with_every_request_after_the_log_in():
         client.log_out()
     sent = [r.headers.get("Authorization") for r in script.requests]
     assert sent == [None, "Bearer secret", "Bearer secret"]
-
-
-def test_an_estimate_that_is_not_there_yet_is_none():
-    with Script(httpx2.Response(204)).open() as client:
-        assert client.get_estimate("7") is None
 
 
 SCHEMA_OF = {

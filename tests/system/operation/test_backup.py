@@ -7,9 +7,9 @@ from contextlib import closing
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from starlette.testclient import TestClient
 from tests.system.operation.conftest import ANALYSED
 
+from real_services import service_of
 from service_process import ROWS, arm, create, follow, moving
 from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.errors import InUse
@@ -17,10 +17,8 @@ from truepath.catalogue.store.database import Database
 from truepath.cli.command import run
 from truepath.errors import BadInput
 from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
-from truepath.main import open_service
 from truepath.operation.archive import check_name
 from truepath.operation.backup import make_backup, restore_backup
-from truepath.service.api.application import create_application
 from truepath.settings import load_settings
 
 
@@ -47,11 +45,7 @@ def test_what_was_kept_under_a_running_measurement_comes_back_whole(
         found = json.loads(capsys.readouterr().out)
         assert (found["jobs"], found["runs"]) == (4, 2)
         assert found["runs_without_row"] == found["rows_without_file"] == []
-    settings = load_settings(data_dir=target, port=0)
-    with (
-        open_service(settings) as service,
-        TestClient(create_application(service), base_url="http://localhost") as client,
-    ):
+    with service_of(load_settings(data_dir=target, port=0)) as (service, client):
         jobs = {job["id"]: job for job in client.get("/api/v1/jobs").json()["items"]}
         assert jobs[ANALYSED]["state"] == "succeeded"
         assert jobs[measuring]["state"] == "interrupted"
@@ -153,10 +147,7 @@ def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_pat
     settings = load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_speed=4.0, port=0
     )
-    with (
-        open_service(settings) as service,
-        TestClient(create_application(service), base_url="http://localhost") as client,
-    ):
+    with service_of(settings) as (_, client):
         client.post("/api/v1/machines/current:connect")
         job = create(client, path=ROWS)
         arm(client, job)

@@ -2,6 +2,7 @@
 
 import json
 import socket
+from functools import partial
 
 import pytest
 
@@ -22,21 +23,11 @@ NONE = RunningService(is_there=False)
 
 
 @pytest.fixture
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
-
-
-@pytest.fixture
 def settings(tmp_path, free_port):
-    def make(**given):
-        return load_settings(None, data_dir=tmp_path / "data", port=free_port, **given)
-
-    return make
+    return partial(load_settings, data_dir=tmp_path / "data", port=free_port)
 
 
-def test_an_installation_in_order_is_found_in_order(settings, capsys, tmp_path):
-    settings()
+def test_an_installation_in_order_is_found_in_order(capsys, tmp_path):
     status = run(["doctor", "--data-dir", str(tmp_path / "data"), "--json"])
     told = json.loads(capsys.readouterr().out)
     grades = {one["subject"]: one["grade"] for one in told["findings"]}
@@ -53,12 +44,8 @@ def test_a_port_that_somebody_has_taken_is_wrong_unless_a_service_answers(settin
     assert found.grade is Grade.WRONG
     assert str(given.port) in found.text
     assert check_service(given, find_service(given)).grade is Grade.OK
-    named = RunningService(True, True, {"version": "7.1"})
-    for running, words in (
-        (named, "version 7.1"),
-        (RunningService(True, True), "log-in"),
-    ):
-        found = check_service(given, running)
+    for told, words in (({"version": "7.1"}, "version 7.1"), (None, "log-in")):
+        found = check_service(given, RunningService(True, True, told))
         assert found.grade is Grade.OK
         assert words in found.text
 

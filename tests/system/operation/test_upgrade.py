@@ -7,16 +7,14 @@ from contextlib import closing
 
 import pytest
 from alembic.script import ScriptDirectory
-from starlette.testclient import TestClient
 from tests.system.operation.conftest import unpack
 
+from real_services import service_of
 from truepath.catalogue.errors import SchemaTooOld
 from truepath.catalogue.store import database as database_module
 from truepath.catalogue.store.database import Database
 from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
-from truepath.main import open_service
 from truepath.operation.backup import make_backup, restore_backup
-from truepath.service.api.application import create_application
 from truepath.settings import load_settings
 from truepath.users.roles import Role
 
@@ -77,11 +75,7 @@ def read_revision(file):
 
 def require_all(folder):
     """Read everything that the folder holds over REST."""
-    settings = load_settings(data_dir=folder, port=0)
-    with (
-        open_service(settings) as service,
-        TestClient(create_application(service), base_url="http://localhost") as client,
-    ):
+    with service_of(load_settings(data_dir=folder, port=0)) as (service, client):
         items = client.get("/api/v1/jobs").json()["items"]
         jobs = {job["kind"]: job for job in items}
         ends = {

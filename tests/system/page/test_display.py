@@ -10,6 +10,7 @@ from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
 from page_steps import NO_EVENTS, PHONE, choose, go, prepare
+from scripted_data import EXAMPLES
 
 SIZES = [(390, 844), (800, 1280), (1280, 800), (1920, 1080)]  # the narrowest first
 STALE_S = 2.5
@@ -26,14 +27,6 @@ SMALL = """(least) => [...document.querySelectorAll("button, main a, input")]
     .filter((e) => e.checkVisibility())
     .filter((e) => e.getBoundingClientRect().height < least)
     .map((e) => e.outerHTML)"""
-CLOSED = {
-    "type": "machine-ready",
-    "level": "true",
-    "is_required": True,
-    "reason": "",
-    "message": "",
-    "since": "2026-03-14T08:00:00Z",
-}
 # Of a number in the page: one that is drawn anew at this moment has no look.
 LOOK = """() => {
   const look = getComputedStyle(document.querySelector(".readout output"));
@@ -81,7 +74,7 @@ def look_in(page: Page, theme: Literal["dark", "light"]) -> list[str]:
 def test_stale_conditions_bear_their_age(panel, service, witness):
     witness.expect("net::ERR_FAILED")
     service.connected = True
-    service.conditions = [CLOSED]
+    service.conditions = EXAMPLES["list_conditions"]["items"][:1]
     page = panel.open("#/connect")
     shown = page.locator(".conditions [data-level=true]")
     expect(shown).to_be_visible()

@@ -6,16 +6,15 @@ import pytest
 from playwright.sync_api import expect
 
 from page_steps import SLOW_MS, choose, go
-from scripted_data import machine_entry, machine_history, temperature_dependence
+from scripted_data import (
+    EXAMPLES,
+    machine_entry,
+    machine_history,
+    temperature_dependence,
+)
 
-STANDING = {
-    "machine": "default",
-    "calibration": "job-2",
-    "is_alarm": False,
-    "tolerance": None,
-    "has_changed": None,
-    "reference_job": None,
-}
+UNJUDGED = dict.fromkeys(("tolerance", "has_changed", "reference_job"))
+STANDING = EXAMPLES["get_machine_standing"] | UNJUDGED | {"calibration": "job-2"}
 DATES = ("2026-03-01T08:00:00.000Z", "2026-04-02T08:00:00.000Z")
 
 

@@ -20,7 +20,13 @@ from page_steps import (
     job_of,
     prepare,
 )
-from scripted_data import MACHINE, machine_entry, machine_history, verification
+from scripted_data import (
+    EXAMPLES,
+    MACHINE,
+    machine_entry,
+    machine_history,
+    verification,
+)
 from scripted_service import ScriptedService
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
@@ -30,7 +36,7 @@ TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 def measure(taps: Taps, service) -> str:
     page = taps.page
     taps.press("Connect devices")
-    expect(page.locator("#answered")).to_contain_text("Simulated tracker T-0001")
+    expect(page.locator("#answered")).to_contain_text("Simulated tracker SIM-000001")
     taps.press("Prepare the run")
     expect(page.locator("#reason")).to_contain_text("preparing the path")
     expect(page.locator(NEXT)).to_be_disabled()
@@ -117,7 +123,7 @@ def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificat
 def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
     panel, service, monkeypatch
 ):
-    monkeypatch.setitem(scripted_data.MOTION, "has_watchdog", False)
+    monkeypatch.setitem(scripted_data.DEVICES["motion"], "has_watchdog", False)
     page = panel.open("#/connect")
     follow(page, "Connect devices")
     expect(page.locator(NEXT)).to_have_text("Plan the run")
@@ -304,13 +310,8 @@ def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
 ):
     service.machines = [machine_entry("mill-3"), machine_entry("mill-4", name="Five")]
     service.histories["mill-3"] = machine_history("mill-3", "2026-03-01T08:00:00.000Z")
-    service.standings["mill-3"] = {
-        "machine": "mill-3",
-        "calibration": "job-1",
-        "is_alarm": True,
-        "tolerance": "over",
-        "has_changed": True,
-    }
+    alarm = {"is_alarm": True, "tolerance": "over", "reference_job": None}
+    service.standings["mill-3"] = EXAMPLES["get_machine_standing"] | alarm
     page = panel.open("#/machine")
     mill = page.locator("[data-machine=mill-3]")
     expect(mill).to_contain_text("Mar 1, 2026")
@@ -416,7 +417,7 @@ def test_a_phone_shows_where_one_is_and_what_comes_next(panel, service):
     page.wait_for_url(f"**/#/verify/{result}")
 
 
-def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looked_at(
+def test_who_is_no_metrologist_looks_at_results_files_and_certificates_only(
     panel, service
 ):
     result = service.measured()
@@ -424,6 +425,9 @@ def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looke
     page = panel.open(f"#/export/{result}")
     expect(page.locator("[data-card=export]")).to_be_hidden()
     expect(page.locator("#main")).to_contain_text("Only a metrologist does this")
+    go(page, f"#/result/{result}")
+    expect(page.locator("[data-card=map]")).to_be_visible()
+    expect(page.locator("[data-card=reference]")).to_be_hidden()
     go(page, f"#/certificate/{result}")
     expect(page.locator("#reason")).to_contain_text("Only a metrologist does this")
     expect(page.locator(NEXT)).to_have_count(0)

@@ -41,12 +41,19 @@ def test_who_logs_in_is_named_in_the_bar(panel, closed):
     expect(wrong).to_contain_text("do not belong together")
 
 
-def test_a_viewer_is_not_offered_what_moves_the_machine(panel, closed):
+def test_a_viewer_is_not_offered_what_moves_the_machine_and_nobody_asked_in_vain(
+    panel, closed
+):
     closed.user = "viewer", "viewer"
     page = panel.open()
     expect(page.locator("#reason")).to_contain_text("A viewer only looks on")
     expect(page.locator("#next button")).to_have_count(0)
     expect(page.locator("#abort")).to_be_visible()
+    closed.log_in_required, closed.user = False, None
+    page.reload()
+    expect(page.locator(NEXT)).to_be_visible()
+    expect(page.locator(".log-in")).to_have_count(0)
+    expect(page.locator("#user")).to_be_hidden()
 
 
 def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
@@ -69,9 +76,3 @@ def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
     with page.expect_response("**/api/v1/stop") as stopped:
         page.locator("#abort").click()
     assert stopped.value.status == 202
-
-
-def test_where_nobody_logs_in_nobody_is_asked(panel, service):
-    page = panel.open()
-    expect(page.locator(".log-in")).to_have_count(0)
-    expect(page.locator("#user")).to_be_hidden()

@@ -42,12 +42,20 @@ def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
     assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
 
 
-def test_who_has_no_control_sees_who_has_it_and_takes_it(panel, service, witness):
+def test_who_has_no_control_sees_who_has_it_and_takes_it_before_and_amid_the_motion(
+    panel, service, witness
+):
     witness.expect("409")
     service.controller = "berta"
-    job = service.measuring()
-    service.change(job, state="paused")
-    page = panel.open()
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    moves = page.locator(".card", has_text="What will move")
+    expect(moves).to_contain_text("berta")
+    moves.get_by_role("button", name="Take control").click()
+    expect(moves).to_contain_text("10.0 to 490.0 mm")
+    service.controller = "berta"
+    service.change(job, state="paused", stage="measuring")
+    page.wait_for_url(f"**/#/run/{job}")
     with held(page, page.locator("#resume")):
         expect(page.locator("#problems")).to_contain_text("berta has this job")
     page.get_by_role("button", name="Take control").click()

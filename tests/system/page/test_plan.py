@@ -9,19 +9,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from page_steps import NEXT, choose, follow, go, prepare
+from scripted_data import EXAMPLES
 from scripted_service import ScriptedService
 
-WARM = {
-    "type": "temperature-steady",
-    "level": "false",
-    "reason": "temperature-drifts",
-    "message": "X has changed by 1.4 °C in 10 min; let it warm up",
-    "is_required": False,
-    "since": "2026-01-01T10:00:00.000Z",
-    "temperatures": [
-        {"channel": "X_degC", "value_degC": 22.4, "change_degC": 1.4, "over_s": 600.0}
-    ],
-}
+WARM = EXAMPLES["list_conditions"]["items"][-1]
 
 
 @contextmanager

@@ -1,19 +1,14 @@
 """A machine over time: which Runs, how far it is off, when to calibrate again."""
 
 import copy
-import json
 import re
-from importlib import resources
 from typing import Any
 
 from playwright.sync_api import expect
 
 from page_steps import NEXT, choose, go, job_of
+from scripted_data import EXAMPLES
 from truepath.service.api.models.results.trend import TrendOut
-
-EXAMPLES = json.loads(
-    resources.files("truepath.service.api").joinpath("examples.json").read_text()
-)
 
 
 def trend_of(state: str, **outlook: Any) -> dict[str, Any]:

@@ -32,7 +32,9 @@ def turn_to(page: Page, service: ScriptedService, *reasons: Reason) -> Locator:
     return page.locator(".verdict-band")
 
 
-def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
+def test_a_result_that_is_not_to_be_used_is_loud_says_why_and_offers_no_files(
+    panel, service
+):
     page = panel.open("#/records")
     band = turn_to(page, service, LEFT_OUT, OPEN, BEYOND)
     heading = band.get_by_role("heading")
@@ -57,6 +59,9 @@ def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
     go(page, f"#/run/{job}")
     fault = page.locator(".notice.is-fault").first
     expect(fault).to_contain_text("Not to be used")
+    go(page, f"#/export/{job}")
+    expect(page.locator(".notice.is-fault")).to_contain_text("No files are made")
+    expect(page.locator("[data-card=export]")).to_have_count(0)
     go(page, "#/records")
     expect(page.locator(".records").first).to_contain_text("Not to be used")
     turn_to(page, service, LEFT_OUT, OPEN, SHIFTED, AIR, BEYOND)

@@ -42,7 +42,7 @@ def test_a_verification_of_this_result_stands_last_in_the_first_line(panel, serv
     page = show(panel, service)  # the third job
     values = page.locator(".headline-value")
     expect(values).to_have_count(3)
-    expect(values.nth(2)).to_contain_text("0.9µm± 0.2 µm")
+    expect(values.nth(2)).to_contain_text("0.9µm± 0.1 µm")
     expect(values.nth(2)).to_contain_text("as left")
     expect(values.nth(2)).to_contain_text("every place within 5.0 µm")
 

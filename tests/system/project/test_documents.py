@@ -3,6 +3,7 @@
 import re
 import shlex
 import subprocess
+import sys
 from importlib.util import find_spec
 
 import pytest
@@ -14,6 +15,7 @@ PARTS = {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs"}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
+OF_DEVICES = (*range(1, 24), 30, 31)  # rows of reliability.md
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +188,15 @@ def test_every_route_of_the_documents_exists_and_none_is_left_out(root):
     assert not left_out
 
 
-@pytest.mark.parametrize("kind", sorted(set(SENTENCES) - {STATED}))
-def test_every_reason_of_a_verdict_is_explained_to_the_operator(kind, root):
-    assert f"| `{kind}` |" in (root / "docs" / "verdict.md").read_text()
+def test_every_reason_of_a_verdict_is_explained_to_the_operator(root):
+    page = (root / "docs" / "verdict.md").read_text()
+    assert not [kind for kind in {*SENTENCES} - {STATED} if f"| `{kind}` |" not in page]
+
+
+def test_the_page_of_faults_is_that_of_the_marks_and_all_of_devices_have_tests(root):
+    script = root / "docs" / "write_reliability.py"
+    checked = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert checked.returncode == 0, "python docs/write_reliability.py writes it"
+    page = (root / "docs" / "reliability.md").read_text(encoding="utf-8")
+    for number in OF_DEVICES:
+        assert re.search(rf"^\| {number} \| .*::test_", page, re.MULTILINE), number

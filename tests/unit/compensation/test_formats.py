@@ -3,26 +3,22 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 from pyLSV2 import NCTable
 
-from known_machines import tabulate
+from known_machines import along, tabulate
 from plugin_site import NAME, install
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.formats.etalon_exchange import EtalonExchange
 from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
-from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.model import MachineModel, restore_effect
-from truepath_simulators.scenario import load_machine
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
@@ -75,22 +71,6 @@ def losing(source):
         return map_errors(replace(result, half_difference_um=half_um))
 
     return make
-
-
-@pytest.fixture(scope="module")
-def sagging():
-    """A machine that does nothing but sag: X under Y."""
-    machine = machine_from_json(load_machine("demo"), file="machine.json")
-    keys = {"axis": "X", "by": "Y", "direction": "Z"}
-    effect = restore_effect(ElasticSagFamily(), machine, keys, {})
-    model = MachineModel(machine, (effect,))
-    return map_errors(CalibrationResult(model, np.array([0.02]), 1e-12 * np.eye(1)))
-
-
-def along(source, axis, at):
-    place = np.tile(source.middle_mm, (len(at), 1))
-    place[:, source.machine.axis_names.index(axis)] = at
-    return place
 
 
 def flat(values):
@@ -169,16 +149,6 @@ def test_a_small_control_gets_no_more_tables_and_points_than_it_has(source, cont
     assert max(abs(float(line.partition("=")[2])) for line in factors) <= 0.1
 
 
-def test_sag_is_a_product_of_two_cross_tables_and_left_by_an_etalon_file(sagging):
-    account = export_result(sagging, "siemens-cec", "c").account
-    (effect,) = account["effects"]
-    assert effect["name"] == "elastic-sag"
-    assert effect["rms_um"]["after"] < 0.02 * effect["rms_um"]["before"]
-    with pytest.raises(BadInput, match="choose another format"):
-        export_result(sagging, "etalon-exchange", "c")
-    assert "sag" in EtalonExchange.not_carried
-
-
 def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(source):
     def refused(said, name="siemens", **choices):
         with pytest.raises(BadInput, match=said):
@@ -189,6 +159,11 @@ def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(sou
     refused("no choice of control; it has nothing", "linuxcnc", control="828d")
     refused("control of siemens: 'X=828d' is none", control="X=828d")
     refused("no axis A; it has X, Y, Z", measuring_system="A=2")
+    for word in ("3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"):
+        refused("1, 2", measuring_system=word)
+    for name, word in product(("siemens", "siemens-lec"), ("2", "X=1,Y=2")):
+        small = {"control": "808d", "measuring_system": word}
+        refused("the 808D has 1 alone, not 2", name, **small)
     tiny = replace(source.result, theta=2e-3 * source.result.theta)
     with pytest.raises(BadInput, match="below what it resolves"):
         export_result(map_errors(tiny), "fanuc", "comp")
@@ -322,22 +297,6 @@ def test_leadscrew_tables_are_of_the_measuring_system_of_each_axis(
     usual = load_format(name).read(export(name).files, source.machine)
     chosen = made.kind.read(files, source.machine)
     np.testing.assert_array_equal(chosen(place, 1.0), usual(place, 1.0))
-
-
-@pytest.mark.parametrize(
-    "word", ["3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"]
-)
-def test_a_measuring_system_that_is_none_is_refused(word):
-    with pytest.raises(BadInput, match="1, 2"):
-        load_format("siemens", {"measuring_system": word})
-
-
-@pytest.mark.parametrize("word", ["2", "X=1,Y=2"])
-@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
-def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, word):
-    choices = {"control": "808d", "measuring_system": word}
-    with pytest.raises(BadInput, match="the 808D has 1 alone, not 2"):
-        load_format(name, choices)
 
 
 def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):

@@ -82,8 +82,8 @@ def test_a_file_of_old_or_of_another_hand_is_read_as_it_was_stated(found, conten
     assert np.isfinite(predict(loaded, middle).uncertainty_um).all()
 
 
-def test_rows_that_left_no_data_are_named_and_points_count_from_the_first(
-    estimate, provenance, with_residuals
+def test_rows_that_left_no_data_are_named_points_count_from_the_first_no_noise_is_null(
+    estimate, provenance, with_residuals, across_only
 ):
     left = estimate.runs[0].measured_rows - {4}
     thinned = with_residuals(estimate, estimate.runs[0].residuals, measured_rows=left)
@@ -96,6 +96,11 @@ def test_rows_that_left_no_data_are_named_and_points_count_from_the_first(
     assert content["mode"] == "standstill"
     assert content["alignment"]["rows_without_data"] == [0]
     assert content["provenance"]["feed_mm_min"] is None
+    # Without data along the travel their noise is not known.
+    content = result_json(state_findings(across_only, provenance))
+    assert content["noise"]["along_travel_um"] is None
+    assert content["provenance"]["options"] == {"perpendicular_only": True}
+    json.dumps(content, allow_nan=False)
 
 
 def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, estimate):
@@ -114,13 +119,6 @@ def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, est
     square = sum(r["cells"] * r["rms_um"] ** 2 for r in rows)
     whole = np.sqrt(square / sum(r["cells"] for r in rows))
     assert whole == pytest.approx(content["residuals"]["rms_um"])
-
-
-def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance):
-    content = result_json(state_findings(across_only, provenance))
-    assert content["noise"]["along_travel_um"] is None
-    assert content["provenance"]["options"] == {"perpendicular_only": True}
-    json.dumps(content, allow_nan=False)
 
 
 def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
