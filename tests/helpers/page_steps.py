@@ -12,18 +12,20 @@ NEXT = "#next button"
 DESK, PHONE = (1280, 800), (390, 844)
 SLOW_MS = 60_000.0  # a picture in space without a graphics card
 HOLD_S = 1.4
-# As behind a proxy that lets no stream of events through: each is closed at once.
-NO_EVENTS = """
+STREAM = """
 const Real = WebSocket;
 window.WebSocket = class extends EventTarget {
   constructor(url) {
     super();
     if (!url.includes("/events")) return new Real(url);
     this.close = () => {};
-    setTimeout(() => this.dispatchEvent(new Event("close")));
+    %s
   }
 };
 """
+"""A stream of events that does what it is told."""
+# As behind a proxy that lets none through: each is closed at once.
+NO_EVENTS = STREAM % 'setTimeout(() => this.dispatchEvent(new Event("close")));'
 
 
 def follow(page: Page, label: str) -> None:
@@ -57,6 +59,12 @@ def choose(page: Page, *names: str) -> None:
         expect(pressed).to_be_visible()
     page.keyboard.press("Escape")
     expect(page.locator("#settings")).to_be_hidden()
+
+
+def expect_texts(place: Locator, *texts: str) -> None:
+    """Wait until all of these are in the text of an element."""
+    for text in texts:
+        expect(place).to_contain_text(text)
 
 
 @contextmanager

@@ -60,8 +60,6 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
 
 def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
-    tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
-
     def system() -> dict[str, Any]:
         cell = {"state": "ready" if service.connected else "idle"}
         known = {"machine": data.MACHINE, "simulated": True, "cell": cell}
@@ -87,7 +85,7 @@ def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
         "compensation-formats": lambda: {"items": [*data.FORMATS.values()]},
-        "nc-dialects": lambda: {"items": [tnc]},
+        "nc-dialects": lambda: data.EXAMPLES["list_nc_dialects"],
         "jobs/{job_id}/plan": lambda: service.plan,
         "jobs/{job_id}/plan/grade": lambda: service.grade,
         "jobs/{job_id}/result": lambda: service.result,
@@ -300,8 +298,7 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
 
     @app.post(f"{API}/machines/{{machine_id}}/devices:try")
     def try_devices() -> Any:
-        tried = {"samples": 42, "usable": 42, "lost_samples": 0}
-        return tried | {"text": "42 samples", "distance_mm": 1234.0}
+        return data.EXAMPLES["try_machine_devices"]
 
     @app.post(f"{API}/machines/{{machine_id}}:connect")
     def connect(machine_id: str) -> Any:

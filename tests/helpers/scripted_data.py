@@ -151,25 +151,15 @@ def plan_curve(rows=23):
 
 
 def result():
-    rng = np.random.default_rng(11)
-    tables = {}
-    for axis in "XYZ":
-        travel = MACHINE["axes"][axis]
-        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
-        s = np.linspace(0.0, 1.0, len(position))
-        for motion in "XYZABC":
-            unit = "um" if motion in "XYZ" else "urad"
-            size = 6.0 if unit == "um" else 14.0
-            waves = sum(
-                rng.normal(scale=1.0 / k) * np.sin(k * math.pi * s + rng.uniform(0, 6))
-                for k in (1, 2, 3)
-            )
-            waves = size * (waves - waves[0])
-            if unit == "um" and motion != axis:
-                waves = waves - s * waves[-1]
-            u = (0.25 if unit == "um" else 0.8) * (1 + 1.6 * (2 * s - 1) ** 2)
+    tables, s = {}, np.linspace(0.0, 1.0, 21)
+    for axis, travel in MACHINE["axes"].items():
+        low, high = travel["min_mm"], travel["max_mm"]
+        for number, motion in enumerate("XYZABC", 1):
+            unit, size = ("um", 0.25) if motion in "XYZ" else ("urad", 0.8)
+            waves = 12.0 * size * np.sin(number * math.pi * s) * (1.0 + s)
+            u = size * (1 + 1.6 * (2 * s - 1) ** 2)
             tables[f"E{motion}{axis}"] = {
-                "position_mm": position.round(3).tolist(),
+                "position_mm": (low + (high - low) * s).round(3).tolist(),
                 f"value_{unit}": waves.round(3).tolist(),
                 f"uncertainty_{unit}": u.round(3).tolist(),
             }

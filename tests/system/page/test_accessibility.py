@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
-from tests.system.page.test_trend import trend_of
+from tests.system.page.test_history import trend_of
 
 from page_steps import DESK, NEXT, PHONE, go
 from scripted_data import (

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from page_steps import DESK, NEXT, PHONE, choose, follow, go, held
+from page_steps import DESK, NEXT, PHONE, choose, expect_texts, follow, go, held
 from scripted_data import EXAMPLES
 
 SHORT_PX = 420
@@ -209,10 +209,9 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     service.ready()
     page = panel.open()
     card = page.locator(".card", has_text="Grade of the set-up")
-    expect(card).to_contain_text("1.47: poor")
-    expect(card).to_contain_text("22.6 µm")
-    expect(card).to_contain_text("add a line along Y at the high end of X")
-    expect(card).to_contain_text("0.84")
+    expect_texts(
+        card, "1.47: poor", "22.6 µm", "add a line along Y at the high end of X", "0.84"
+    )
     with page.expect_download() as download:
         page.get_by_role("link", name="Heidenhain TNC").click()
     assert download.value.suggested_filename == "heidenhain.h"
@@ -220,9 +219,7 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM")
     choose(page, "Deutsch")
     moves = page.locator(".card", has_text="Was sich bewegen wird")
-    expect(moves).to_contain_text("10,0 bis 490,0 mm")
-    expect(moves).to_contain_text("6.000 mm/min")
-    expect(moves).to_contain_text("2:11 min")
+    expect_texts(moves, "10,0 bis 490,0 mm", "6.000 mm/min", "2:11 min")
 
 
 def test_a_bundle_that_is_dropped_or_chosen_is_analysed(panel, service, tmp_path: Path):
@@ -318,8 +315,7 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     service.finish(trying)
     page.wait_for_url(f"**/#/result/{trying}")
     card = page.locator(".card", has_text="Uncertainty held against trials")
-    expect(card).to_contain_text("470,000 trials validate")
-    expect(card).to_contain_text("323 of 334")
+    expect_texts(card, "470,000 trials validate", "323 of 334")
     report = card.get_by_role("link", name="Report")
     expect(report).to_have_attribute(
         "href", re.compile(f"/api/v1/jobs/{trying}/result/report.html$")
@@ -391,8 +387,7 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     page = panel.open("#/connect")
     card = page.locator("[data-card=sensors]")
     told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
-    for words in (*told, "20.53 · likely"):
-        expect(card).to_contain_text(words)
+    expect_texts(card, *told, "20.53 · likely")
 
 
 OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}

@@ -14,6 +14,7 @@ from page_steps import (
     Taps,
     assert_fits,
     choose,
+    expect_texts,
     follow,
     go,
     held,
@@ -249,8 +250,7 @@ def test_a_compensation_that_is_not_what_it_is_taken_for_is_said(panel, service)
     for cause, words in CAUSES.items():
         scale = {"value": 1.98, "uncertainty": 0.02, "cause": cause}
         said = show_proof(page, service, map_scale=scale).locator(".scale-cause")
-        expect(said).to_contain_text(words)
-        expect(said).to_contain_text("1,98")
+        expect_texts(said, words, "1,98")
     # One that explains all sends nobody to the tracker.
     scale = {"value": 0.07, "uncertainty": 0.02, "cause": "active"}
     hopeless = {"consistent": False, "chance_of_any_machine": 0.0}
@@ -377,8 +377,7 @@ def test_a_machine_is_removed_once_its_button_was_held_and_a_refusal_is_said(
     page.locator("[data-machine=mill-5] button").click()
     card = page.locator("[data-card=remove]")
     card.locator("summary").click()
-    expect(card).to_contain_text("Kalibrierscheine und ihr Verlauf bleiben")
-    expect(card).to_contain_text("mill-5")
+    expect_texts(card, "Kalibrierscheine und ihr Verlauf bleiben", "mill-5")
     assert_fits(page)
     button = card.locator("#machine-remove")
     button.click()  # a touch is not enough
@@ -494,7 +493,7 @@ def test_drivers_are_chosen_and_tried_without_a_text_editor(panel, service):
     card.get_by_role("button", name="Save the drivers").click()
     card.get_by_role("button", name="Try the tracker").click()
     expect(card.get_by_role("status")).to_contain_text(
-        "42 samples, 0 lost, target 1.2 m away"
+        "6,233 samples, 0 lost, target 0.5 m away"
     )
     (devices,) = [body for method, _, body in service.requests if method == "PUT"]
     assert devices == {
@@ -513,4 +512,4 @@ def test_drivers_of_the_settings_are_only_tried(panel, service):
     expect(card).to_contain_text("in den Einstellungen des Dienstes")
     expect(card.locator("form")).to_have_count(0)
     card.get_by_role("button", name="Tracker erproben").click()
-    expect(card).to_contain_text("Reflektor in 1,2 m Abstand")
+    expect(card).to_contain_text("Reflektor in 0,5 m Abstand")

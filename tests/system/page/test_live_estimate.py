@@ -8,7 +8,7 @@ import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
-from page_steps import assert_fits, choose, go
+from page_steps import STREAM, assert_fits, choose, go
 from scripted_data import TURNTABLE, estimate, turntable_estimate
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
@@ -67,26 +67,14 @@ def test_numbers_that_do_not_count_or_are_left_out_say_so(panel, service):
     expect(notice).to_have_count(0)
 
 
-LATE_STREAM = """
-const Real = WebSocket;
-window.WebSocket = class extends EventTarget {
-  constructor(url) {
-    super();
-    if (!url.includes("/events")) return new Real(url);
-    this.close = () => {};
-    window.openStream = () => {
-      const source = new Real(url);
-      source.addEventListener("open", () => this.dispatchEvent(new Event("open")));
-    };
-  }
-};
-"""
+OPENED = """window.openStream = () => new Real(url).addEventListener("open", () =>
+  this.dispatchEvent(new Event("open")));"""
 
 
 def test_what_was_told_before_the_stream_opens_is_shown(panel, service):
     job = service.measuring(started=STARTED)
     service.estimate(job, 12)
-    page = panel.open(before=LATE_STREAM, hears=False)
+    page = panel.open(before=STREAM % OPENED, hears=False)
     page.get_by_role("button", name="Error tables").click()
     age = page.locator(".estimate-age")
     expect(age).to_contain_text("From 12 of 22 lines")

@@ -5,7 +5,7 @@ import re
 import numpy as np
 from playwright.sync_api import Locator, expect
 
-from page_steps import choose, follow, held
+from page_steps import choose, expect_texts, follow, held
 from scripted_data import estimate
 
 
@@ -35,8 +35,7 @@ def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
     expect(page.locator("#state")).to_have_text("Läuft")
     service.change(job, state="faulted", error=failure("cell-died"), links=ways)
     said = page.locator(".notice.is-held")
-    expect(said).to_contain_text("Diese Messung kann weitergehen")
-    expect(said).to_contain_text("Schlussprüfung")
+    expect_texts(said, "Diese Messung kann weitergehen", "Schlussprüfung")
     follow(page, "Quittieren")
     page.wait_for_url(f"**/#/check/{job}")
     assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
@@ -159,8 +158,7 @@ def test_what_the_tracker_has_lost_is_said_and_lines_are_planned_anew(panel, ser
     counts = page.locator(".stream .is-counts")
     expect(counts.locator("dd")).to_have_text(["900", "17", "2", "3"])
     expect(counts.locator("[data-tone=fault]")).to_have_count(3)
-    expect(page.locator(".notice")).to_contain_text("Verlorene Geraden sind neu")
-    expect(page.locator(".notice")).to_contain_text("bis jetzt 1")
+    expect_texts(page.locator(".notice"), "Verlorene Geraden sind neu", "bis jetzt 1")
     # So is a lost beam, and that it is back.
     service.advance(job, 2.5)
     service.change(job, state="paused", error=failure("beam-lost"))

@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from page_steps import SLOW_MS, go, prepare
+from page_steps import SLOW_MS, expect_texts, go, prepare
 from scripted_data import plan_curve, planned_path
 from scripted_service import ScriptedService
 
@@ -44,12 +44,10 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
     _, card = show(panel, service)
     handle = card.get_by_role("slider", name="Time and uncertainty")
     expect(handle).to_have_attribute("aria-valuetext", "1:55 min, U 1.04 µm")
-    expect(card).to_contain_text("0.07: good")
-    expect(card).to_contain_text("EXX (Positioning of X), U 1.00 µm")
+    expect_texts(card, "0.07: good", "EXX (Positioning of X), U 1.00 µm")
     handle.press("Home")
     expect(handle).to_have_attribute("aria-valuetext", "0:15 min, U 8.00 µm")
-    expect(card).to_contain_text("0.50: usable")
-    expect(card).to_contain_text("ECX (Tilt of X about Z), U 1.00 µm")
+    expect_texts(card, "0.50: usable", "ECX (Tilt of X about Z), U 1.00 µm")
     handle.press("ArrowRight")
     expect(handle).to_have_attribute("aria-valuenow", "2")
     assert plans(service) == [6]

@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Page, expect
 
-from page_steps import DESK, PHONE, SLOW_MS, choose, go
+from page_steps import DESK, PHONE, SLOW_MS, choose, expect_texts, go
 from scripted_data import verification, volumetric_error
 from scripted_service import ScriptedService
 
@@ -42,9 +42,7 @@ def test_a_verification_of_this_result_stands_last_in_the_first_line(panel, serv
     page = show(panel, service)  # the third job
     values = page.locator(".headline-value")
     expect(values).to_have_count(3)
-    expect(values.nth(2)).to_contain_text("0.9µm± 0.1 µm")
-    expect(values.nth(2)).to_contain_text("as left")
-    expect(values.nth(2)).to_contain_text("every place within 5.0 µm")
+    expect_texts(values.nth(2), "0.9µm± 0.1 µm", "as left", "every place within 5.0 µm")
 
 
 def test_the_tolerance_of_the_machine_is_decided_without_asking(panel, service):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from results_fixtures import THREE_TARGETS
 from truepath.answers.verification.places.positioning_figures import (
     HalfDifference,
     compute_positioning_figures,
@@ -99,7 +100,7 @@ def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
 
 
 def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
-    estimate, tables, construct, three_targets
+    estimate, tables, construct
 ):
     known = {t.symbol for t in tables.tables}
     assert len(known) == 14
@@ -108,10 +109,10 @@ def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
     named = {s.split()[0] for s in estimate.observability.unobservable}
     assert known.isdisjoint(named)
     assert len(known | named) == 18
-    every = build_error_tables(construct(three_targets))
+    every = build_error_tables(construct(THREE_TARGETS))
     assert len(every.tables) == 18
     assert every.any_tool
-    assert every.targets == three_targets
+    assert every.targets == THREE_TARGETS
 
 
 def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):

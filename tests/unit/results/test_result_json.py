@@ -3,10 +3,12 @@
 import json
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from results_fixtures import THREE_TARGETS, as_loaded, change_run
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.covariance_file import pack_symmetric
@@ -83,10 +85,10 @@ def test_a_file_of_old_or_of_another_hand_is_read_as_it_was_stated(found, conten
 
 
 def test_rows_that_left_no_data_are_named_points_count_from_the_first_no_noise_is_null(
-    estimate, provenance, with_residuals, across_only
+    estimate, provenance, across_only
 ):
     left = estimate.runs[0].measured_rows - {4}
-    thinned = with_residuals(estimate, estimate.runs[0].residuals, measured_rows=left)
+    thinned = change_run(estimate, measured_rows=left)
     alignment = result_json(state_findings(thinned, provenance))["alignment"]
     assert alignment["rows_without_data"] == [4]
     assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
@@ -122,11 +124,11 @@ def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, est
 
 
 def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
-    construct, load, provenance, travel_points, three_targets
+    construct, provenance, travel_points
 ):
-    found = state_findings(construct(three_targets), provenance)
+    found = state_findings(construct(THREE_TARGETS), provenance)
     read = result_from_json(json.loads(json.dumps(result_json(found))))
-    expected = predict(load(found.estimate), travel_points)
+    expected = predict(as_loaded(found.estimate), travel_points)
     got = predict(read, travel_points)
     assert got.error_um == pytest.approx(expected.error_um, abs=1e-9)
     assert got.uncertainty_um == pytest.approx(expected.uncertainty_um, rel=1e-9)
@@ -151,22 +153,19 @@ def test_parameters_and_tables_come_back_whatever_basis_the_gauge_had(
     assert read.covariance / scale == pytest.approx(covariance / scale, abs=1e-9)
 
 
-def without(*path):
-    def spoil(content):
-        for key in path[:-1]:
-            content = content[key]
-        del content[path[-1]]
-
-    return spoil
-
-
 def with_value(value, *path):
     def spoil(content):
         for key in path[:-1]:
             content = content[key]
         content[path[-1]] = value
+        if value is NOTHING:
+            del content[path[-1]]
 
     return spoil
+
+
+NOTHING = object()
+without = partial(with_value, NOTHING)
 
 
 def repeated(content):
