@@ -1,4 +1,4 @@
-"""The map from a result, what it must not depend on, how sure it is, what it sums to."""
+"""The map from a result: what it must not depend on, how sure it is, its figures."""
 
 import csv
 import io
