@@ -37,10 +37,6 @@ THREE_TARGETS = (
 LINES, CELLS = 12, 240
 
 
-def machine_with(targets):
-    return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
-
-
 def of_a_run(residuals):
     return RunEstimate(
         NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
@@ -59,7 +55,7 @@ def of_a_run(residuals):
 
 def build_model_of(targets):
     """Return a machine's model, what merges in it, and sizes of its parameters."""
-    machine = machine_with(targets)
+    machine = Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
     offsets = np.array([t.offset_mm for t in targets])
     model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)
     # Millimetres and radians differ in size as they do in a machine.

@@ -75,6 +75,7 @@ def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
     def conditions() -> dict[str, Any]:
         return {"items": service.conditions}
 
+    nowhere = problem(404, "not-found", "Not there", "Nothing is known", "")
     return {
         "system": system,
         "machines/current": current,
@@ -100,6 +101,22 @@ def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
             "identity": service.identity,
         },
         "jobs/{job_id}/result/volumetric-map": data.volumetric_map,
+        "jobs/{job_id}": lambda job_id: service.jobs.get(job_id) or nowhere,
+        "jobs/{job_id}/nc-program": lambda dialect: download(
+            "0 BEGIN PGM\n", f"{dialect}.h", "text/plain"
+        ),
+        "jobs/{job_id}/estimate": lambda job_id: (
+            service.estimates.get(job_id) or Response(status_code=204)
+        ),
+        "jobs/{job_id}/compensations/{name}/archive": lambda name: download(
+            "PK", f"{name}.zip", "application/zip"
+        ),
+        "jobs/{job_id}/certificates/{number}.html": lambda number: HTMLResponse(
+            f"<h1>Calibration certificate {number}</h1>"
+        ),
+        "machines/{machine_id}/standing": lambda machine_id: (
+            service.standings.get(machine_id) or nowhere
+        ),
         "machines/{machine_id}/history": lambda machine_id: service.histories.get(
             machine_id, {"entries": [], "calibrations": []}
         ),
@@ -154,22 +171,6 @@ def add_jobs(app: FastAPI, service: ScriptedService) -> None:
         service.jobs[job_id].update(await request.json())
         return service.jobs[job_id]
 
-    @app.get(f"{API}/jobs/{{job_id}}")
-    def job(job_id: str) -> Any:
-        if job_id not in service.jobs:
-            return problem(404, "not-found", "No such job", job_id, "")
-        return service.jobs[job_id]
-
-    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
-    def nc_program(job_id: str, dialect: str) -> Response:
-        return download("0 BEGIN PGM\n", f"{dialect}.h", "text/plain")
-
-    @app.get(f"{API}/jobs/{{job_id}}/estimate")
-    def job_estimate(job_id: str) -> Any:
-        if job_id not in service.estimates:
-            return Response(status_code=204)
-        return service.estimates[job_id]
-
     @app.post(f"{API}/runs", status_code=201)
     async def upload(bundle: UploadFile) -> Any:
         service.requests.append(("POST", "/runs", bundle.filename))
@@ -195,20 +196,12 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         service.compensations.setdefault(job_id, []).append(made)
         return made
 
-    @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
-    def archive(job_id: str, name: str) -> Response:
-        return download("PK", f"{name}.zip", "application/zip")
-
     @app.post(f"{API}/jobs/{{job_id}}/certificates", status_code=201)
     async def issue(job_id: str, request: Request) -> Any:
         order = await service.note(request)
         kept = service.certificates.setdefault(job_id, [])
         kept.append(data.certificate(job_id, len(kept) + 1, order["language"]))
         return kept[-1]
-
-    @app.get(f"{API}/jobs/{{job_id}}/certificates/{{number}}.html")
-    def certificate_page(job_id: str, number: str) -> HTMLResponse:
-        return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
 
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float | None = None) -> Any:
@@ -309,12 +302,6 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
             return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
         return data.DEVICES
-
-    @app.get(f"{API}/machines/{{machine_id}}/standing")
-    def standing(machine_id: str) -> Any:
-        if machine_id not in service.standings:
-            return problem(404, "not-found", "Nothing is known", machine_id, "")
-        return service.standings[machine_id]
 
     @app.get(f"{API}/machines/{{machine_id}}/changes")
     def changes(machine_id: str, since: str, until: str) -> Any:

@@ -17,7 +17,10 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
     return page, page.locator("[data-card=export]")
 
 
-def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
+def test_what_tables_leave_their_sign_and_unmeasured_ranges_are_seen_before_taking(
+    panel, service, witness
+):
+    witness.expect("status of 422")
     service.result["volumetric_error"] = volumetric_error()
     page, card = show(panel, service)
     expect(card.get_by_role("radio")).to_have_count(2)
@@ -33,6 +36,17 @@ def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
     assert taken.value.suggested_filename == "linuxcnc-10-hold.zip"
     # Files of a machine of straight axes say nothing of rotary ones.
     expect(card.locator("[data-rotary]")).to_have_count(0)
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card.locator(".notice")).to_contain_text("sign is not settled")
+    expect(card).to_contain_text("Z not measured from 0 to 10 and 532.058 to 542.058")
+    expect(card).to_contain_text("13.40 µm ± 0.07 µm (k = 2)")
+    card.get_by_role("button", name="Fade to 0").click()
+    expect(card.get_by_role("link")).to_have_attribute(
+        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
+    )
+    card.get_by_role("button", name="Refuse").click()
+    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
+    expect(card.get_by_role("link")).to_have_count(0)
 
 
 def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
@@ -61,24 +75,6 @@ def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
         assert_fits(page)
         for value in account.locator("dd").all():
             assert value.evaluate("e => e.scrollWidth <= e.clientWidth + 1")
-
-
-def test_an_unsettled_sign_and_ranges_without_measurement_are_said(
-    panel, service, witness
-):
-    witness.expect("status of 422")
-    _, card = show(panel, service)
-    card.get_by_text("Heidenhain TNC").click()
-    expect(card.locator(".notice")).to_contain_text("sign is not settled")
-    expect(card).to_contain_text("Z not measured from 0 to 10 and 532.058 to 542.058")
-    expect(card).to_contain_text("13.40 µm ± 0.07 µm (k = 2)")
-    card.get_by_role("button", name="Fade to 0").click()
-    expect(card.get_by_role("link")).to_have_attribute(
-        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
-    )
-    card.get_by_role("button", name="Refuse").click()
-    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
-    expect(card.get_by_role("link")).to_have_count(0)
 
 
 def test_of_two_choices_in_haste_the_last_one_stands(panel, service):

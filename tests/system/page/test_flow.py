@@ -351,7 +351,10 @@ WORDS = {"reason": "door", "message": "a door is open; close it"}
 DOOR = SHUT | WORDS | {"level": "false"}
 
 
-def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
+OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
+
+
+def test_motion_waits_for_a_condition_that_is_wrong_and_its_event_shows_a_change(
     panel, service
 ):
     service.conditions = [DOOR]
@@ -364,9 +367,28 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
         choose(page, language)
         expect(row).to_contain_text(words)
         expect(page.locator("#reason")).to_contain_text(words)
-    service.conditions = [SHUT]
+    choose(page, "English")
+    service.conditions = [SHUT, OFF]
     expect(page.locator(NEXT)).to_be_enabled()
     expect(row).to_have_attribute("data-level", "true")
+    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
+        "It is off."
+    )
+    # What is asked for still says the door is shut: only the event tells.
+    page.evaluate(
+        """() => {
+          const row = document.querySelector('[data-type="controller-able"]');
+          window.levels = [row.dataset.level];
+          new MutationObserver(() => {
+            const now = document.querySelector('[data-type="controller-able"]');
+            if (now) window.levels.push(now.dataset.level);
+          }).observe(document.body, { childList: true, subtree: true });
+        }"""
+    )
+    service.tell("condition", {"machine": "another", **DOOR})
+    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
+    service.tell("condition", {"machine": "default", **DOOR})
+    page.wait_for_function("() => window.levels.includes('false')")
 
 
 @pytest.mark.fault_row(43)
@@ -388,32 +410,3 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     card = page.locator("[data-card=sensors]")
     told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
     expect_texts(card, *told, "20.53 · likely")
-
-
-OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
-
-
-def test_a_change_of_a_condition_is_shown_by_its_event(panel, service):
-    """What is asked for still says the door is open: only the event tells."""
-    service.conditions = [SHUT, OFF]
-    job = service.ready()
-    page = panel.open(f"#/check/{job}")
-    row = page.locator('[data-type="controller-able"]')
-    expect(row).to_have_attribute("data-level", "true")
-    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
-        "It is off."
-    )
-    page.evaluate(
-        """() => {
-          const row = document.querySelector('[data-type="controller-able"]');
-          window.levels = [row.dataset.level];
-          new MutationObserver(() => {
-            const now = document.querySelector('[data-type="controller-able"]');
-            if (now) window.levels.push(now.dataset.level);
-          }).observe(document.body, { childList: true, subtree: true });
-        }"""
-    )
-    service.tell("condition", {"machine": "another", **DOOR})
-    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
-    service.tell("condition", {"machine": "default", **DOOR})
-    page.wait_for_function("() => window.levels.includes('false')")

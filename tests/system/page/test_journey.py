@@ -129,7 +129,7 @@ def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
     follow(page, "Connect devices")
     expect(page.locator(NEXT)).to_have_text("Plan the run")
     expect(page.locator("main")).to_contain_text("No watchdog: the machine moves on")
-    expect(page.locator("[data-connected]")).to_have_count(2)
+    expect(page.locator("[data-connected]")).to_have_count(3)
     expect(page.locator(".pairs > *", has_text="500 Hz")).to_be_visible()
 
 

@@ -34,7 +34,7 @@ def page(panel, service) -> Page:
     return panel.open("#/plan")
 
 
-def test_the_order_carries_what_was_chosen(page, service):
+def test_the_order_carries_what_was_chosen_and_nothing_without_a_wish(page, service):
     page.get_by_role("radio", name="At standstill").click()
     expect(page.locator("#feed")).to_be_hidden()
     page.get_by_role("checkbox").click()
@@ -52,9 +52,6 @@ def test_the_order_carries_what_was_chosen(page, service):
         assert order["kind"] == "measure-adaptive"
         assert order["planning"]["minutes"] == 8
         assert service.orders("/plans") == []
-
-
-def test_the_order_says_what_is_wanted_and_nothing_without_a_wish(page, service):
     wanted = []
     for name in (None, "Off", "On", "No wish"):
         if name:

@@ -118,7 +118,9 @@ def calibrate(content, tmp_path):
     return keep
 
 
-def test_history_states_each_entry_as_the_results_do(calibrate, content):
+def test_history_states_entries_and_figures_as_the_results_do_and_refuses_others(
+    calibrate, content
+):
     made = [calibrate("mill", 1), calibrate("mill", 2)]
     history = documents.history_json("mill", made, "EXX", None)
     table = content["error_tables"]["EXX"]
@@ -128,11 +130,6 @@ def test_history_states_each_entry_as_the_results_do(calibrate, content):
         assert point["uncertainty"] == table["uncertainty_um"]
     one = documents.history_json("mill", made, "EXX", table["position_mm"][2])
     assert one["calibrations"][0]["value"] == [table["value_um"][2]]
-
-
-def test_history_of_the_volume_has_its_three_figures_and_what_is_none_is_refused(
-    calibrate,
-):
     made = [calibrate("mill", 1, p95=9.0)]
     history = documents.history_json("mill", made, "volumetric", None)
     assert [e["label"] for e in history["entries"]] == ["mean", "p95", "largest"]

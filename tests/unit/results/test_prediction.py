@@ -220,7 +220,9 @@ def seen(estimate):
     return compute_volumetric_error(estimate)
 
 
-def test_the_map_of_the_travel_is_that_of_predictions(estimate, seen, loaded):
+def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave_open(
+    estimate, seen, loaded
+):
     axes = estimate.model.machine.linear_axes
     assert len(seen.position_mm) == 729
     assert seen.position_mm.min(axis=0).tolist() == [a.low for a in axes]
@@ -232,10 +234,7 @@ def test_the_map_of_the_travel_is_that_of_predictions(estimate, seen, loaded):
     assert seen.before.mean.value_um == pytest.approx(length.mean())
     assert seen.before.p95.value_um == pytest.approx(np.quantile(length, 0.95))
     assert seen.before.largest.value_um == pytest.approx(length.max())
-
-
-def test_after_is_what_the_stated_uncertainty_leaves(estimate, seen):
-    """The mean square length is the mean trace of the covariance at the points."""
+    # After: the mean square length is the mean trace of the covariance at the points.
     expected = np.mean(np.sum(seen.uncertainty_um**2, axis=1))
     quantiles = seen.after_lengths_um
     middle = 0.5 * (quantiles[1:] + quantiles[:-1])
