@@ -1,4 +1,4 @@
-"""A data folder is kept while the service measures, restored, and opened by the next."""
+"""A data folder is kept while the service measures, restored, opened by a later one."""
 
 import hashlib
 import json

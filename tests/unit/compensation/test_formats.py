@@ -414,62 +414,42 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
         Heidenhain().read(cut, source.machine)
 
 
-FORMATS = """
+BROKEN = """
     import math
     from truepath.compensation.formats.generic import GenericCsv
-    from truepath.compensation.formats.linuxcnc import LinuxCnc
 
-    class Climbing(LinuxCnc):
-        def write(self, content):
-            return {"../" + name: text for name, text in super().write(content).items()}
-
-    class Hollow(GenericCsv):
-        def write(self, content):
-            files = super().write(content)
-            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
-
-    class Raising(GenericCsv):
-        def write(self, content):
-            raise ZeroDivisionError("no axis")
-
-    class Nothing(GenericCsv):
-        def write(self, content):
-            return None
-
-    class Blind(GenericCsv):
-        def read(self, files, machine):
-            return lambda position, direction: math.nan * position[:, :3]
-
-    class Unread(GenericCsv):
-        def read(self, files, machine):
-            raise KeyError("X")
+    class Broken(GenericCsv):
+        def {verb}(self, *given):
+            return {answer}
 """
+TEXTS = "for name, text in super().write(*given).items()"
 
 
-def export_into(folder, loaded, name):
-    made = export_result(map_errors(loaded), name, "c", spacing_mm=50.0)
+def export_broken(folder, loaded):
+    made = export_result(map_errors(loaded), "broken", "c", spacing_mm=50.0)
     place, source = folder / "deep" / "out" / "c", folder / "result.json"
     write_output(made.files, made.account, place, "c", source=source)
 
 
 @pytest.mark.fault_row(49)
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("verb", "answer", "said"),
     [
-        ("climbing", "no plain file name"),
-        ("hollow", "nan"),
-        ("raising", "no axis"),
-        ("nothing", r"write\(\)"),
-        ("blind", "finite"),
-        ("unread", r"read\(\)"),
+        ("write", f'{{"../" + name: text {TEXTS}}}', "no plain file name"),
+        ("write", f'{{name: text.replace("0.0", "nan", 1) {TEXTS}}}', "nan"),
+        ("write", "1 / 0", "division"),
+        ("write", "None", r"write\(\)"),
+        ("read", "lambda position, direction: math.nan * position[:, :3]", "finite"),
+        ("read", '{}["X"]', r"read\(\)"),
     ],
+    ids=["climbing", "hollow", "raising", "nothing", "blind", "unread"],
 )
 def test_a_format_that_breaks_writes_nothing_and_is_named(
-    loaded, tmp_path, monkeypatch, name, said
+    loaded, tmp_path, monkeypatch, verb, answer, said
 ):
-    points = {"compensation_formats": {name: f"formats_here:{name.capitalize()}"}}
-    site = install(tmp_path / "site", points, formats_here=FORMATS)
-    monkeypatch.syspath_prepend(site)
-    with pytest.raises(BadInput, match=rf"{name}. of {NAME}.*{said}"):
-        export_into(tmp_path, loaded, name)
-    assert not [*tmp_path.rglob("*.csv"), *tmp_path.rglob("*.tbl")]
+    points = {"compensation_formats": {"broken": "formats_here:Broken"}}
+    code = BROKEN.format(verb=verb, answer=answer)
+    monkeypatch.syspath_prepend(install(tmp_path / "site", points, formats_here=code))
+    with pytest.raises(BadInput, match=rf"broken. of {NAME}.*{said}"):
+        export_broken(tmp_path, loaded)
+    assert not [*tmp_path.rglob("*.csv")]
