@@ -89,6 +89,40 @@ def assert_fits(page: Page) -> None:
     )
 
 
+def small_targets(page: Page, where: str, least_px: int) -> list[str]:
+    """What is to be touched and is lower than that."""
+    found = page.evaluate(
+        """([selector, least]) => [...document.querySelectorAll(selector)]
+            .map((e) => [e.getBoundingClientRect().height, e])
+            .filter(([height, e]) => e.checkVisibility() && height < least - 0.5)
+            .map(([height, e]) => `${height} px ${e.outerHTML.slice(0, 120)}`)""",
+        ["button, main a, select, summary, input:not([type=file])", least_px],
+    )
+    return [f"{where}: {one}" for one in found]
+
+
+def overlapping(page: Page, selector: str, frame: str = "html") -> list[str]:
+    """Pairs of what is seen that lie over each other, and what is not in the frame."""
+    return page.evaluate(
+        """([selector, frame]) => {
+          const boxOf = (e) => e.getBoundingClientRect();
+          const whole = boxOf(document.querySelector(frame));
+          const found = [...document.querySelectorAll(selector)]
+            .filter((e) => e.checkVisibility() && boxOf(e).width);
+          const over = (p, q) => p.left < q.right - 1 && q.left < p.right - 1
+              && p.top < q.bottom - 1 && q.top < p.bottom - 1;
+          const isCut = (p) => p.left < whole.left || p.right > whole.right
+              || p.bottom > whole.bottom;
+          return found.flatMap((a, i) => [...(isCut(boxOf(a)) ? [frame] : []),
+            ...found.slice(i + 1).filter((b) =>
+              !a.contains(b) && !b.contains(a) && over(boxOf(a), boxOf(b)))
+              .map((b) => `${b.className} ${b.textContent}`)]
+            .map((other) => `${a.className} ${a.textContent} / ${other}`));
+        }""",
+        [selector, frame],
+    )
+
+
 class Taps:
     """What an operator presses at one page, counted."""
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
-from page_steps import NO_EVENTS, PHONE, choose, go, prepare
+from page_steps import NO_EVENTS, PHONE, choose, go, prepare, small_targets
 from scripted_data import EXAMPLES
 
 SIZES = [(390, 844), (800, 1280), (1280, 800), (1920, 1080)]  # the narrowest first
@@ -23,10 +23,6 @@ HEIGHTS = "all => all.map((e) => e.offsetHeight)"
 # How many rows the parts of each stepper that is seen take.
 TOPS = """all => all.filter((e) => e.checkVisibility()).map((e) => new Set(
     [...e.querySelectorAll("button, input")].map((part) => part.offsetTop)).size)"""
-SMALL = """(least) => [...document.querySelectorAll("button, main a, input")]
-    .filter((e) => e.checkVisibility())
-    .filter((e) => e.getBoundingClientRect().height < least)
-    .map((e) => e.outerHTML)"""
 # Of a number in the page: one that is drawn anew at this moment has no look.
 LOOK = """() => {
   const look = getComputedStyle(document.querySelector(".readout output"));
@@ -111,7 +107,7 @@ def test_german_words_fit_at_every_size(panel, service):
             tops = page.locator(".stepper").evaluate_all(TOPS)
             assert all(number == 1 for number in tops), view
             if view == "plan":
-                assert page.evaluate(SMALL, TOUCH_PX) == [], width
+                assert small_targets(page, f"{width} px wide", TOUCH_PX) == []
 
 
 def test_the_state_stays_clear_of_what_is_beside_it_on_a_german_phone(panel, service):

@@ -125,22 +125,18 @@ def test_what_is_left_comes_by_its_reasons(source):
     assert len(unknown) == 1
 
 
-def test_beyond_the_measured_range_the_last_value_holds(half_measured, source):
-    inside, beyond = (along(source, "X", np.array([x])) for x in (50.0, 275.0))
-    held = read_back(half_measured, "linuxcnc")
-    assert held(beyond, 1.0) == pytest.approx(held(inside, 1.0), abs=1e-6)
-    free = read_back(source, "linuxcnc")
-    assert abs(free(beyond, 1.0) - free(inside, 1.0)).max() > 1e-3
-
-
 @pytest.mark.parametrize("name", FORMATS)
-def test_or_it_fades_to_nothing_at_the_end_of_the_travel(half_measured, name):
+def test_beyond_the_measured_range_the_last_value_holds_or_fades_to_nothing(
+    half_measured, source, name
+):
     faded = read_back(half_measured, name, unmeasured=Unmeasured.FADE)
-    held = read_back(half_measured, name)
+    held, free = read_back(half_measured, name), read_back(source, name)
     at = along(half_measured, "X", np.array([50.0, 175.0, 300.0]))
     whole, part = held(at, 1.0)[:, 0], faded(at, 1.0)[:, 0]
     if name == "linuxcnc":  # the volume's other axes add nothing in X
         assert part == pytest.approx(whole * [1.0, 0.5, 0.0], abs=2e-6)
+        assert np.ptp(held(at, 1.0), axis=0) == pytest.approx(0.0, abs=1e-6)
+        assert np.ptp(free(at, 1.0), axis=0).max() > 1e-3
     assert part[0] == pytest.approx(whole[0], abs=1e-6)
     assert abs(part[2] - whole[2]) > 1e-3
 

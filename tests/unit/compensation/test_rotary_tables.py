@@ -3,9 +3,10 @@
 import itertools
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -262,17 +263,13 @@ HALF_URAD, HALF_U_URAD = 12.0, 1.0
 FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 
-@dataclass(frozen=True)
-class KnownMachine:
-    """A machine, and a result of it that is wrong by what it says.
-
-    lost_urad : true half of the lost motion of each rotary axis
-    """
+class KnownMachine(NamedTuple):
+    """A machine, and a result of it that is wrong by what it says."""
 
     name: str
     truth: ErrorMap
     found: ErrorMap
-    lost_urad: float
+    lost_urad: float  # true half of the lost motion of each rotary axis
 
 
 def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
