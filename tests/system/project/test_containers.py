@@ -137,16 +137,15 @@ def test_secrets_come_from_files_that_git_does_not_keep(compose, root):
     assert "PASSWORD:" not in (root / "docker" / "compose.yaml").read_text()
 
 
-def test_what_depends_on_a_service_shares_its_profile(compose):
+def test_services_share_the_profile_of_what_they_need_and_are_of_this_version(
+    compose, root
+):
     services = compose["services"]
     for name, service in services.items():
         for other in service.get("depends_on", {}):
             theirs = set(services[other].get("profiles", []))
             assert not theirs or theirs & set(service.get("profiles", [])), name
-
-
-def test_the_image_is_of_this_version(compose, root):
     pyproject = tomllib.loads((root / "pyproject.toml").read_text())
     version = pyproject["project"]["version"]
-    ours = [s for s in compose["services"].values() if "build" in s]
+    ours = [s for s in services.values() if "build" in s]
     assert {service["image"] for service in ours} == {f"truepath:{version}"}
