@@ -298,8 +298,7 @@ def test_a_tab_that_nobody_sees_lets_go_of_its_stream(client, page):
         )
 
     def streams():
-        told = client.get("/metrics").text
-        return f"truepath_event_streams {1.0}" in told
+        return "truepath_event_streams 1.0" in client.get("/metrics").text
 
     turn(True)
     wait_for(lambda: not streams(), "the end of the stream", 10.0)

@@ -126,7 +126,9 @@ def turn_to(page: Page, service, **change) -> str:
     return job
 
 
-def test_a_discovery_that_is_not_to_be_used_says_so_first(panel, service):
+def test_what_is_found_is_told_by_what_is_known_of_it_and_first_if_it_is_to_be_used(
+    panel, service
+):
     values = {"ratio": 6.0, "limit_ratio": 1.6}
     reason = Reason("fit-beyond-noise", "not-usable", values)
     service.discovery = DISCOVERY | {"verdict": verdict_json(Verdict((reason,)))}
@@ -137,10 +139,6 @@ def test_a_discovery_that_is_not_to_be_used_says_so_first(panel, service):
     expect(band.locator("li")).to_contain_text("6.00 times that of noise")
     link = page.locator("a[download]")
     expect(link).to_have_attribute("download", "not-to-be-used-model.json")
-
-
-def test_what_is_found_is_told_by_what_is_known_of_it(panel, service):
-    page = panel.open("#/records")
     turn_to(page, service, effects=[], unnamed=[])
     expect(page.locator(".notice")).to_contain_text("Nothing is missing")
     expect(page.locator("[data-effect]")).to_have_count(0)

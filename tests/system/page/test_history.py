@@ -38,7 +38,15 @@ def test_a_machine_is_marked_well_only_where_something_judges_it(panel, service)
         expect(standing).to_have_count(0)
 
 
-def test_each_machine_says_what_it_is_doing_as_it_changes(panel, service):
+def test_each_machine_says_what_it_is_doing_as_it_changes_and_how_far_it_has_drifted(
+    panel, service
+):
+    service.histories["default"] = machine_history("default", *DATES)
+    service.standings["default"] = STANDING | {"reference_job": "job-1"}
+    service.changes = {
+        "since": {"measured": DATES[0]},
+        "volumetric": {"difference_um": 4.2, "by_chance_um": 0.9},
+    }
     idle = machine_entry("idle", name="Idle", connected=False)
     bare = machine_entry("bare", name="Bare", cell="none", origin="catalogue")
     service.machines = [machine_entry(), idle, bare]
@@ -53,16 +61,6 @@ def test_each_machine_says_what_it_is_doing_as_it_changes(panel, service):
     job = service.new_job("measure-otf", state="ready", machine="default")["id"]
     service.change(job, state="ready")
     expect(state).to_have_text("Ready to start")
-
-
-def test_a_machine_says_how_far_it_has_drifted(panel, service):
-    service.histories["default"] = machine_history("default", *DATES)
-    service.standings["default"] = STANDING | {"reference_job": "job-1"}
-    service.changes = {
-        "since": {"measured": DATES[0]},
-        "volumetric": {"difference_um": 4.2, "by_chance_um": 0.9},
-    }
-    page = panel.open("#/machine")
     entry = page.locator("[data-machine=default]")
     choose(page, "Deutsch")
     expect_texts(entry, "Änderung seit 01.03.2026", "4,2 µm", "durch Zufall bis 0,9 µm")

@@ -1,11 +1,13 @@
-"""What may be asked of a measurement under way, and what is said of it."""
+"""What may be asked of a measurement under way and by whom, and what is said of it."""
 
 import re
+from contextlib import suppress
 
 import numpy as np
-from playwright.sync_api import Locator, expect
+import pytest
+from playwright.sync_api import Error, Locator, expect
 
-from page_steps import choose, expect_texts, follow, held
+from page_steps import NEXT, choose, expect_texts, follow, held
 from scripted_data import estimate
 
 
@@ -190,7 +192,9 @@ def notice(**more) -> dict:
     return {**usual, **more}
 
 
-def test_a_notice_is_told_gets_its_name_and_stays_once_it_is_over(panel, service):
+def test_a_notice_is_told_gets_its_name_stays_once_it_is_over_and_may_ask(
+    panel, service
+):
     job = service.measuring()
     page = panel.open()
     said = page.locator(".notice")
@@ -203,17 +207,83 @@ def test_a_notice_is_told_gets_its_name_and_stays_once_it_is_over(panel, service
         for text in words:
             expect(said).to_contain_text(text)
         expect(page.locator("#then-check")).to_have_count(0)
-
-
-def test_who_is_asked_holds_a_button_and_lines_are_measured_again(panel, service):
-    job = service.measuring()
-    page = panel.open()
+    # Who is asked holds a button, and lines are measured again.
     asked = notice(kind="lost-motion-changed", axis="Y", grade="likely", action="pause")
     service.change(job, state="paused", notices=[asked])
-    expect(page.locator(".notice")).to_contain_text("lost motion of Y has changed")
+    expect(said).to_contain_text("lost motion of Y has changed")
     version = service.jobs[job]["version"]
     with held(page, page.locator("#then-check")):
         expect(page.locator("#state")).to_have_text("Running")
     sent = ("POST", f"/jobs/{job}/resume?then=check", f'"{version}"')
     assert sent in service.requests
     expect(page.locator("#then-check")).to_have_count(0)
+
+
+@pytest.fixture
+def closed(service, witness):
+    service.log_in_required = True
+    witness.expect("401")
+    return service
+
+
+def log_in(page, name, password="right"):
+    page.locator("#user-name").fill(name)
+    page.locator("#user-password").fill(password)
+    page.locator(".log-in button").click()
+
+
+def test_who_logs_in_is_named_in_the_bar(panel, closed):
+    page = panel.open(language="de", hears=False)
+    title = page.locator(".log-in h1")
+    expect(title).to_have_text("Anmelden")
+    expect(page.locator("#abort")).to_be_visible()
+    log_in(page, "operator", "wrong")
+    wrong = page.locator(".log-in .field-error")
+    expect(wrong).to_contain_text("gehören nicht zusammen")
+    log_in(page, "operator")
+    expect(page.locator("#user")).to_contain_text("operator ·")
+    expect(page.locator(NEXT)).to_be_visible()
+    choose(page, "English")
+    page.locator("#open-settings").click()
+    page.get_by_role("button", name="Log out").click()
+    expect(title).to_have_text("Log in")
+    assert closed.user is None
+    log_in(page, "operator", "wrong")
+    expect(wrong).to_contain_text("do not belong together")
+
+
+def test_a_viewer_is_not_offered_what_moves_the_machine_and_nobody_asked_in_vain(
+    panel, closed
+):
+    closed.user = "viewer", "viewer"
+    page = panel.open()
+    expect(page.locator("#reason")).to_contain_text("A viewer only looks on")
+    expect(page.locator("#next button")).to_have_count(0)
+    expect(page.locator("#abort")).to_be_visible()
+    closed.log_in_required, closed.user = False, None
+    page.reload()
+    expect(page.locator(NEXT)).to_be_visible()
+    expect(page.locator(".log-in")).to_have_count(0)
+    expect(page.locator("#user")).to_be_hidden()
+
+
+def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
+    panel, closed
+):
+    closed.user = "operator", "operator"
+    closed.new_job("measure-otf", state="running", stage="measuring")
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    closed.user = None
+    page.locator("#abort").click()
+    title = page.locator("#abort-title")
+    expect(title).to_contain_text("NOT CONFIRMED")
+    closed.stopped = "true"
+    expect(title).to_have_text("Motion stopped")
+    page.locator("#abort-close").click()
+    with suppress(Error):  # it turns to the log-in at that very moment
+        page.evaluate("document.querySelector('#next button')?.click()")
+    expect(page.locator(".log-in h1")).to_be_visible()
+    with page.expect_response("**/api/v1/stop") as stopped:
+        page.locator("#abort").click()
+    assert stopped.value.status == 202

@@ -78,7 +78,7 @@ def test_every_file_and_folder_that_documents_name_exists(documents, root):
     assert not missing, "\n".join(missing)
 
 
-def test_the_way_of_a_sample_names_its_files(root):
+def test_the_way_of_a_sample_and_what_is_below_the_service_name_files_that_exist(root):
     """The table in architecture.md names a file in each row, and files beside it."""
     text = (root / "docs" / "architecture.md").read_text()
     section = text.partition("## One tracker sample")[2].partition("\n## ")[0]
@@ -91,16 +91,12 @@ def test_the_way_of_a_sample_names_its_files(root):
             folder = root if "/" in name else (root / first).parent
             assert (folder / name).is_file(), name
 
-
-@pytest.mark.parametrize("heading", ["A job, an analysis", "Where logic lives"])
-def test_what_is_named_below_the_service_is_there(heading, root):
-    text = (root / "docs" / "architecture.md").read_text()
-    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
-    named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
-    assert len(named) > 10
-    near = (root / "app" / "truepath", root)
-    missing = [n for n in named if not any((place / n).exists() for place in near)]
-    assert not missing
+    for heading in ("A job, an analysis", "Where logic lives"):  # below the service
+        section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
+        named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
+        assert len(named) > 10
+        near = (root / "app" / "truepath", root)
+        assert not [n for n in named if not any((place / n).exists() for place in near)]
 
 
 def test_the_tree_of_rooms_is_the_one_on_disk(root):

@@ -92,14 +92,6 @@ def check_tables(job, client):
     assert zipfile.is_zipfile(io.BytesIO(bundle))
 
 
-@pytest.fixture
-def postgres_server():
-    """With a password, reached over TCP as in the compose file."""
-    server = PostgresServer("pass/word")
-    yield server
-    server.close()
-
-
 def test_the_image_is_small(image, root):
     with image.container() as name:
         folder = image.buildah("mount", name)
@@ -144,9 +136,10 @@ def test_the_service_measures_simulators_of_another_container(
             check_tables(ended, client)
 
 
-def test_the_service_keeps_its_catalogue_in_postgresql(
-    serve, postgres_server, tmp_path
-):
+def test_the_service_keeps_its_catalogue_in_postgresql(serve, tmp_path, request):
+    # With a password, reached over TCP as in the compose file.
+    postgres_server = PostgresServer("pass/word")
+    request.addfinalizer(postgres_server.close)
     secret = tmp_path / "database_password"
     secret.write_text(postgres_server.password)
     secret.chmod(0o444)

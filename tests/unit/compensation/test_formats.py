@@ -323,13 +323,13 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
     assert "N03605A1P00000000" in mean.write(with_backlash)["c-parameters.txt"]
 
 
-def find_fanuc_points(files):
-    """Point numbers of the increments, and of the reference points."""
-    data = re.findall(r"N(1\d{4})P", files["c-pitch.txt"])
-    words = files["c-parameters.txt"].split()
-    reference = next(word for word in words if word.startswith("N03620"))
-    zero = [int(n) for n in re.findall(r"A\dP(\d+)", reference)]
-    return [int(n) - 10_000 for n in data], zero
+def read_fanuc(files):
+    """Points with their increments, and what each parameter is for each axis."""
+    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
+    words = files["c-parameters.txt"].split()[1:-1]
+    values = (map(float, re.findall(r"A\dP([\d.-]+)", word)) for word in words)
+    numbers = (int(word[1:6]) for word in words)
+    return np.array(data, int), dict(zip(numbers, map(list, values), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -342,9 +342,10 @@ def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
     errors = losing(length_mm)
     made = tabulate(errors, "fanuc", spacing_mm, directions=directions)
     files = made.write(errors)
-    points, zero = find_fanuc_points(files)
+    steps, words = read_fanuc(files)
+    points = steps[:, 0]
     assert len(set(points)) == len(points) > 850  # no number twice, most in use
-    assert min(zero) >= 0
+    assert min(words[3620]) >= 0
     assert max(points) <= 1023
     correction = Fanuc().read(files, errors.machine)
     middle = along(errors, "Z", np.linspace(-1.0, 1.0, 9) * length_mm / 4)
@@ -359,10 +360,8 @@ def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
 ):
     errors = losing(400.0, middle_mm)
     files = tabulate(errors, "fanuc", 10.0).write(errors)
-    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
-    steps = {int(number): int(step) for number, step in data}
-    rows = files["c-parameters.txt"].split()[1:-1]
-    words = {int(row[1:6]): float(re.findall(r"A1P([\d.-]+)", row)[0]) for row in rows}
+    data, words = read_fanuc(files)
+    steps, words = dict(data), {number: of[0] for number, of in words.items()}
     # The section of a point ends at it, and comes out in its middle.
     numbers = np.arange(int(words[3621]), int(words[3622]) + 1)
     middles = (numbers - words[3620] - 0.5) * words[3624]

@@ -159,12 +159,6 @@ def test_a_circle_that_was_driven_again_whole_is_not_missing(
     assert "H" in first.measured.value_um
 
 
-def _noise():
-    time_s = 0.16 * np.arange(figures.SECTORS)
-    shared = correlate_means(time_s, np.full(figures.SECTORS, 0.16), 0.6)
-    return 1e-6 * (0.25 * np.eye(figures.SECTORS) + 0.36 * shared)
-
-
 @pytest.mark.parametrize(
     ("there_um", "back_um"),
     [
@@ -184,7 +178,9 @@ def _noise():
 def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
     true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
     exact = figures.compute_figures({name: one[:, None] for name, one in true.items()})
-    covariance = _noise()
+    time_s = 0.16 * np.arange(figures.SECTORS)
+    shared = correlate_means(time_s, np.full(figures.SECTORS, 0.16), 0.6)
+    covariance = 1e-6 * (0.25 * np.eye(figures.SECTORS) + 0.36 * shared)
     factor = np.linalg.cholesky(covariance)
     inside, trials = 0, 12
     for _ in range(trials):

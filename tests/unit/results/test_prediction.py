@@ -28,9 +28,8 @@ from truepath.results.volumetric_error import (
 )
 
 
-@pytest.fixture
 def free_gauge(loaded):
-    """The same machine with splines that no gauge holds, and θ to match."""
+    """Return a machine with splines that no gauge holds, and θ to match."""
     model = loaded.model
     effects, theta = [], []
     for effect in model.effects:
@@ -63,21 +62,21 @@ def rigid_motion(model, shift_mm, turn_rad):
 
 
 def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
-    free_gauge, travel_points, rng
+    loaded, travel_points, rng
 ):
     # So small that motions add up.
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
-    moved_by = rigid_motion(free_gauge.model, shift_mm, turn_rad)
-    at = make_standstill(free_gauge.machine, travel_points)
-    assert np.abs(free_gauge.model.jacobian(at) @ moved_by).max() > 0.5e-3
-    plain = predict(free_gauge, travel_points)
-    elsewhere = replace(free_gauge, theta=free_gauge.theta + moved_by)
-    moved = predict(elsewhere, travel_points)
+    free = free_gauge(loaded)
+    moved_by = rigid_motion(free.model, shift_mm, turn_rad)
+    at = make_standstill(free.machine, travel_points)
+    assert np.abs(free.model.jacobian(at) @ moved_by).max() > 0.5e-3
+    plain = predict(free, travel_points)
+    moved = predict(replace(free, theta=free.theta + moved_by), travel_points)
     assert moved.error_um == pytest.approx(plain.error_um, abs=1e-6)
-    blind = [rigid_motion(free_gauge.model, e, 0 * e) for e in np.eye(3)]
-    blind += [rigid_motion(free_gauge.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
+    blind = [rigid_motion(free.model, e, 0 * e) for e in np.eye(3)]
+    blind += [rigid_motion(free.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
     covariance = np.sum([np.outer(b, b) for b in blind], axis=0)
-    predicted = predict(replace(free_gauge, covariance=covariance), travel_points)
+    predicted = predict(replace(free, covariance=covariance), travel_points)
     assert predicted.uncertainty_um.max() < 1e-3
 
 

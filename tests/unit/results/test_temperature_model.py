@@ -6,62 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from temperature_world import SHIFTED, World
 from truepath.answers.temperature.combined_results import combine_results
 from truepath.answers.temperature.temperature_json import temperature_json
 from truepath.answers.temperature.temperature_model import (
-    ResultAtTemperature,
     study_temperature,
 )
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.temperature_file import temperature_model_from_json
-from truepath.results.error_tables import choose_table_positions
-
-DEGC = (18.0, 25.0, 20.0, 22.0)
-SMALL = 1e-3  # of the constructed covariance: U of a coefficient is then what matters
-SHIFTED = "EXX"
-
-
-class World:
-    """A machine with a true line, and results drawn about it."""
-
-    def __init__(self, estimate):
-        self.estimate = estimate
-        self.model = estimate.model
-        self.covariance = SMALL * estimate.covariance
-        self.root = np.linalg.cholesky(self.covariance)
-        self.coefficient = np.zeros(self.model.size)
-
-    def grow(self, um_per_m_k):
-        """X grows: the straight shape of its positioning."""
-        motion = next(m for m in self.model.identifiable_motions if m.symbol == SHIFTED)
-        at_mm = choose_table_positions(motion.axis)
-        wanted_mm = 1e-6 * um_per_m_k * at_mm
-        found = np.linalg.lstsq(motion.rows(at_mm), wanted_mm, rcond=None)[0]
-        self.coefficient[self.model.slices[SHIFTED]] = found
-        return self
-
-    def draw(self, seed, degc=DEGC, *, sigma_k=0.1, scatter=0.0, times=None):
-        """Results at temperatures; scatter is of EXX, in its standard uncertainties."""
-        rng = np.random.default_rng(seed)
-        found = []
-        for k, celsius in enumerate(degc):
-            off = self.root @ rng.standard_normal(self.model.size)
-            part = self.model.slices[SHIFTED]
-            off[part] *= np.hypot(1.0, scatter)
-            theta = self.estimate.theta + (celsius - 20.0) * self.coefficient + off
-            runs = [{"name": f"{k}", "input_sha256": f"{seed}-{k}"}]
-            told = self.model, theta, self.covariance
-            result = CalibrationResult(*told, provenance={"runs": runs})
-            shown = celsius + sigma_k * rng.standard_normal()
-            time_s = None if times is None else times[k]
-            found.append(ResultAtTemperature(f"r{k}", result, shown, sigma_k, time_s))
-        return found
 
 
 @pytest.fixture
 def world(estimate):
-    return World(estimate)
+    return World(estimate, 1e-3)  # U of a coefficient is then what matters
 
 
 def name_dependent(study):
