@@ -90,7 +90,6 @@ def test_the_way_of_a_sample_and_what_is_below_the_service_name_files_that_exist
         for name in beside:
             folder = root if "/" in name else (root / first).parent
             assert (folder / name).is_file(), name
-
     for heading in ("A job, an analysis", "Where logic lives"):  # below the service
         section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
         named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)

@@ -146,14 +146,9 @@ def test_each_point_is_predicted_for_its_target(construct, rng):
 HEADER = "x_mm,y_mm,z_mm"
 
 
-@pytest.fixture
-def machine(loaded):
-    return loaded.machine
-
-
-def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
+def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
     asked = f'{HEADER},label\n10.50,20,30,first\n-1e2,4e+01,0.5,"a, b"\n'
-    points = read_points(asked.encode(), machine)
+    points = read_points(asked.encode(), loaded.machine)
     predicted = predict(loaded, points.position)
     rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
     assert rows[0] == [
@@ -167,11 +162,11 @@ def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
     assert numbers == pytest.approx(expected, abs=1e-5)
 
 
-def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded, machine):
-    points = read_points(b"z_mm,note,x_mm,y_mm\n3,n,1,20\n", machine)
+def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded):
+    points = read_points(b"z_mm,note,x_mm,y_mm\n3,n,1,20\n", loaded.machine)
     assert points.position.tolist() == [[1.0, 20.0, 3.0]]
     once = encode_predictions(points, predict(loaded, points.position))
-    again = read_points(once.encode(), machine)
+    again = read_points(once.encode(), loaded.machine)
     assert encode_predictions(again, predict(loaded, again.position)) == once
     nothing = Prediction(np.full((1, 3), -1e-9), np.zeros((1, 3)), ())
     assert "-0.00000" not in encode_predictions(points, nothing)
@@ -192,21 +187,21 @@ def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded, mac
         (f"{HEADER},x_mm\n1,20,3,4\n", "column x_mm: appears more than once"),
     ],
 )
-def test_bad_points_are_one_clear_error(machine, text, said):
+def test_bad_points_are_one_clear_error(loaded, text, said):
     with pytest.raises(BundleError) as caught:
-        read_points(text.encode(), machine, file="p.csv")
+        read_points(text.encode(), loaded.machine, file="p.csv")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_point_may_name_its_target(machine, construct):
+def test_a_point_may_name_its_target(loaded, construct):
     asked = f"{HEADER},target\n1,20,3,"
     of_three = construct(THREE_TARGETS).model.machine
     assert read_points(f"{asked}long\n".encode(), of_three).target == ("long",)
     with pytest.raises(BundleError, match=r"row 2, column target: is 'T9', unknown"):
         read_points(f"{asked}T9\n".encode(), of_three)
     # A machine without named targets passes the column on.
-    points = read_points(f"{asked}T9\n".encode(), machine)
+    points = read_points(f"{asked}T9\n".encode(), loaded.machine)
     assert points.target == ()
     assert "target" in points.table.names
 
