@@ -56,6 +56,9 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
 
 
 def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY)
+    shares = {"temperature of X": 0.06, "region of X and Y": 0.055}
+    service.discovery["explained_by"]["before"] |= shares
     job = discovered(service)
     page = panel.open(f"#/discover/{job}")
     gap = DISCOVERY["gap"]
@@ -96,8 +99,9 @@ def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
     page.locator(".strips-table summary").click()
     axes = page.locator(".strips-table table").nth(1)
     expect(axes.locator("tbody tr", has_text="Y−")).to_contain_text("1,20 µm")
-    names = ["Gerade", "Richtung von Y", "Bewegte Achse", "Zeit", "Vorschub"]
-    expect(page.locator(".shares dt")).to_have_text([*names, "Bereich von X und Z"])
+    names = ["Gerade", "Richtung von Y", "Bewegte Achse", "Temperatur X"]
+    names += ["Bereich von X und Y", "Zeit"]
+    expect(page.locator(".shares dt")).to_have_text(names)
     expect(page.locator(".shares dd").nth(1)).to_have_text("33 %, nachher 0 %")
     bars = page.locator(".shares .is-before")
     first, second = (bars.nth(row).bounding_box()["width"] for row in (0, 1))
