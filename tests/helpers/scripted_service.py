@@ -36,7 +36,7 @@ class ScriptedService:
         self.jobs, self.runs, self.conditions = {}, [], []
         self.plan = data.planned_path()
         self.planned = {"id": "plan-1", "state": "succeeded"}
-        self.grade, self.machine = data.GRADE, data.MACHINE
+        self.grade, self.machine = data.EXAMPLES["get_plan_grade"], data.MACHINE
         self.discovery, self.result = data.DISCOVERY, data.result()
         self.estimates, self.verifications, self.trend = {}, {}, {}
         self.conformity = {
