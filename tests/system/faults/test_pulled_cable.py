@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import os
 import time
-from pathlib import Path
 
 import pytest
 
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import (
-    CellConfig,
-    CellEvent,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-)
+from truepath.measurement import messages
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.planning.lines.default_path import default_path
@@ -26,15 +18,15 @@ from truepath_simulators.links.link_proxy import LinkProxy
 SPEED = 10.0
 
 
-def point_to(link: Path, proxy: LinkProxy) -> None:
+def point_to(link, proxy):
     """Let the name of the device lead to the terminal that it has now."""
     link.unlink(missing_ok=True)
     link.symlink_to(proxy.options["port"])
 
 
-def listen(cell: Cell, kind: type[CellEvent]) -> list[CellEvent]:
+def listen(cell, kind):
     """Return what the cell says until something of that kind has come."""
-    said: list[CellEvent] = []
+    said = []
     end_s = time.monotonic() + 45.0
     while not any(isinstance(event, kind) for event in said):
         assert time.monotonic() < end_s, said[-5:]
@@ -42,10 +34,10 @@ def listen(cell: Cell, kind: type[CellEvent]) -> list[CellEvent]:
     return said
 
 
-def order_of(bench: Bench, file: Path, lines: int) -> MeasurementOrder:
+def order_of(bench, file, lines):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, lines=lines)
-    return MeasurementOrder(file.stem, str(file), machine, path)
+    return messages.MeasurementOrder(file.stem, str(file), machine, path)
 
 
 @pytest.mark.long
@@ -55,7 +47,7 @@ def test_a_pulled_cable_ends_the_run_and_the_renumbered_port_is_opened_by_its_na
 ):
     link = tmp_path / "tracker-by-id"
     with Bench(seed=3, speed=SPEED, rtu=False) as bench:
-        config = CellConfig(
+        config = messages.CellConfig(
             "streaming",
             {**bench.tracker_options, "port": str(link)},
             "modbus",
@@ -68,13 +60,17 @@ def test_a_pulled_cable_ends_the_run_and_the_renumbered_port_is_opened_by_its_na
                 point_to(link, proxy)
                 was = cell.connect()
                 cell.begin(order_of(bench, tmp_path / "pulled.sqlite", 6))
-                listen(cell, MeasurementProgress)
+                listen(cell, messages.MeasurementProgress)
                 time.sleep(0.5)
                 taken = os.readlink(link)
                 keep = os.open(taken, os.O_RDWR | os.O_NOCTTY)  # another number next
-            said = listen(cell, RunClosed)
-            closed = next(event for event in said if isinstance(event, RunClosed))
-            fault = next(event for event in said if isinstance(event, FaultReported))
+            said = listen(cell, messages.RunClosed)
+            closed = next(
+                event for event in said if isinstance(event, messages.RunClosed)
+            )
+            fault = next(
+                event for event in said if isinstance(event, messages.FaultReported)
+            )
             assert closed.outcome == "faulted"
             assert str(link) in fault.text + closed.failure
             run = open_run(closed.run_file)
@@ -85,8 +81,10 @@ def test_a_pulled_cable_ends_the_run_and_the_renumbered_port_is_opened_by_its_na
                 os.close(keep)
                 assert cell.connect() == was
                 cell.begin(order_of(bench, tmp_path / "again.sqlite", 2))
-                said = listen(cell, RunClosed)
-            closed = next(event for event in said if isinstance(event, RunClosed))
+                said = listen(cell, messages.RunClosed)
+            closed = next(
+                event for event in said if isinstance(event, messages.RunClosed)
+            )
             assert (closed.outcome, closed.lost_samples) == ("finished", 0)
         finally:
             cell.close()

@@ -7,7 +7,6 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
@@ -20,17 +19,7 @@ from measurement_fixtures import standing_at
 from truepath.alignment.align import align
 from truepath.errors import MeasurementFailed, OutOfTravel, TruepathError
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import (
-    CellConfig,
-    CellVerb,
-    ControllerRead,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-    TemperaturesRead,
-    TrackerTrial,
-)
+from truepath.measurement import messages
 from truepath.measurement.process import cell as cell_module
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_loader import open_run
@@ -39,7 +28,6 @@ from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path
 from truepath.plugins import load
 from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice
-from truepath_drivers.interfaces.records import MotionStatus
 from truepath_drivers.tracker.streaming.codec import SampleDecoder
 from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_simulators.bench.bench import Bench
@@ -54,7 +42,7 @@ PATIENT = StreamTimeouts(search_s=0.0)
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory) -> Iterator[Bench]:
+def bench(tmp_path_factory):
     """One bench for all: every fault that is injected ends by itself."""
     folder = tmp_path_factory.mktemp("bench")
     with Bench(seed=3, speed=SPEED, workdir=folder) as started:
@@ -62,11 +50,11 @@ def bench(tmp_path_factory) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def start(bench) -> Iterator[Callable[..., Driven]]:
+def start(bench):
     """Start cells; all are closed at the end."""
     with ExitStack() as stack:
 
-        def start(*, connects=True, spawns=False, **given) -> Driven:
+        def start(*, connects=True, spawns=False, **given):
             config = config_of(bench, **{"timeouts": CALM, **given})
             driven = stack.enter_context(Driven(config, spawns=spawns))
             if connects:
@@ -77,26 +65,26 @@ def start(bench) -> Iterator[Callable[..., Driven]]:
 
 
 @pytest.fixture
-def driven(start) -> Driven:
+def driven(start):
     return start(connects=False)
 
 
 @pytest.fixture
-def connected(start) -> Driven:
+def connected(start):
     return start()
 
 
 @pytest.fixture
-def watchful(start) -> Driven:
+def watchful(start):
     return start(timeouts=PATIENT)
 
 
 @pytest.fixture(scope="module")
-def orders(bench) -> dict[int, MeasurementOrder]:
+def orders(bench):
     """Orders of paths by their number of lines: planning takes longer than starting."""
     machine = machine_from_json(bench.machine)
     return {
-        lines: MeasurementOrder(
+        lines: messages.MeasurementOrder(
             "bench", "", machine, default_path(machine, lines=lines), RATE_HZ
         )
         for lines in (4, 7)
@@ -104,25 +92,25 @@ def orders(bench) -> dict[int, MeasurementOrder]:
 
 
 @pytest.fixture
-def order(orders, tmp_path) -> MeasurementOrder:
+def order(orders, tmp_path):
     return replace(orders[4], run_file=str(tmp_path / "bench.sqlite"))
 
 
 @pytest.fixture
-def long_order(orders, tmp_path) -> MeasurementOrder:
+def long_order(orders, tmp_path):
     """Some four seconds of motion: time to do something to it."""
     return replace(orders[7], run_file=str(tmp_path / "bench.sqlite"))
 
 
 @pytest.fixture
-def machine_state(bench) -> Iterator[Callable[[], MotionStatus]]:
+def machine_state(bench):
     """Looks at the CNC as somebody else would."""
     factory = load("truepath.motion_controllers", "modbus")
     with factory(**bench.motion_options) as controller:
         yield controller.status
 
 
-def moves(run) -> int:
+def moves(run):
     """Count the motions in a stream by speed."""
     position, time_s = run.tracker.position_mm, run.tracker.device_time_s
     n = round(0.05 / float(np.median(np.diff(time_s))))
@@ -138,15 +126,17 @@ def test_over_modbus_rtu_a_cell_reads_thermometers_hears_the_tracker_and_measure
         thermometer_driver="modbus-registers",
         thermometer_options=bench.thermometer_options,
     )
-    driven.until(lambda: bool(driven.of(TemperaturesRead)))
-    readings = driven.of(TemperaturesRead)[0].readings
+    driven.until(lambda: bool(driven.of(messages.TemperaturesRead)))
+    readings = driven.of(messages.TemperaturesRead)[0].readings
     assert readings
     assert all(10.0 < value < 40.0 for value in readings.values()), readings
-    driven.until(lambda: bool(driven.of(ControllerRead)))
-    read = driven.of(ControllerRead)[0]
+    driven.until(lambda: bool(driven.of(messages.ControllerRead)))
+    read = driven.of(messages.ControllerRead)[0]
     assert len(read.status.position) == len(read.axes)
     assert read.axes == ("X", "Y", "Z")
-    tried = driven.cell.try_tracker(TrackerTrial(500.0, 0.2, streams_only=True))
+    tried = driven.cell.try_tracker(
+        messages.TrackerTrial(500.0, 0.2, streams_only=True)
+    )
     assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
     assert tried.usable == tried.samples
     driven.cell.begin(order)
@@ -185,12 +175,12 @@ def test_one_cell_steps_through_points_again_and_again_until_enough_is_known(
     run = open_run(order.run_file)
     assert run.mode == "standstill"
     assert moves(run) == 2
-    assert connected.of(MeasurementProgress)[-1].done == 3
+    assert connected.of(messages.MeasurementProgress)[-1].done == 3
     connected.events.clear()
     points = standing_at(quick, corners[:4], 8.0)
     second = replace(points, run_file=str(tmp_path / "second.sqlite"))
     connected.begin(second, line=1)
-    connected.cell.send(CellVerb.CONCLUDE)
+    connected.cell.send(messages.CellVerb.CONCLUDE)
     closed = connected.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
     run = open_run(second.run_file)
@@ -226,14 +216,14 @@ def test_pause_resume_and_abort_reach_the_machine_and_a_second_order_does_not(
     connected.until_fault("busy")
     assert connected.states[-1] == "running"
     assert connected.cell.connect()["motion"].model == "Simulated CNC"
-    connected.cell.send(CellVerb.PAUSE)
+    connected.cell.send(messages.CellVerb.PAUSE)
     connected.until_state("paused")
     held = machine_state()
     assert (held.state, held.hold_reason) == ("held", "command")
     assert machine_state().position == held.position
-    connected.cell.send(CellVerb.RESUME)
+    connected.cell.send(messages.CellVerb.RESUME)
     connected.until_state("running")
-    connected.cell.send(CellVerb.ABORT)
+    connected.cell.send(messages.CellVerb.ABORT)
     assert connected.until_closed().outcome == "aborted"
     assert machine_state().state == "aborted"
     run = open_run(long_order.run_file)
@@ -248,7 +238,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     start, connected, order, long_order, machine_state, tmp_path
 ):
     connected.begin(long_order, line=2)
-    recorded = connected.of(MeasurementProgress)[-1].samples
+    recorded = connected.of(messages.MeasurementProgress)[-1].samples
     os.kill(connected.cell.process_id, signal.SIGKILL)
     killed_s = time.monotonic()
     while (status := machine_state()).state == "running":
@@ -260,7 +250,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     assert not connected.cell.alive
     assert connected.cell.poll(0.0) == []
     with pytest.raises(MeasurementFailed, match="not alive"):
-        connected.cell.send(CellVerb.PAUSE)
+        connected.cell.send(messages.CellVerb.PAUSE)
     run = open_run(long_order.run_file)
     # What was on its way to the disk, at ten times the usual rate, may be missing.
     assert len(run.tracker) > recorded - 0.5 * RATE_HZ * SPEED
@@ -273,7 +263,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     assert second.until_closed().outcome == "finished", "another one takes over"
 
 
-def assert_held(status: MotionStatus) -> None:
+def assert_held(status):
     """By the cell on its way out; on a busy computer the watchdog may be faster."""
     assert status.state == "held"
     assert status.hold_reason in ("command", "watchdog")
@@ -371,23 +361,23 @@ def test_what_ends_by_itself_is_named_and_lived_through(
 @pytest.mark.fault_row(30)
 def test_a_service_that_falls_silent_is_a_hold_that_a_person_ends(connected, order):
     """Whoever has told the cell once that it can be reached has to go on."""
-    connected.cell.send(CellVerb.BEAT)
+    connected.cell.send(messages.CellVerb.BEAT)
     connected.cell.begin(order)
     connected.until_state("paused")
     assert set(connected.faults) == {"service-silent"}
-    connected.cell.send(CellVerb.RESUME)
+    connected.cell.send(messages.CellVerb.RESUME)
     connected.until(lambda: "resuming" in connected.states)
 
-    def beat() -> bool:
-        connected.cell.send(CellVerb.BEAT)
-        return bool(connected.of(RunClosed))
+    def beat():
+        connected.cell.send(messages.CellVerb.BEAT)
+        return bool(connected.of(messages.RunClosed))
 
     connected.until(beat, 45.0)
-    assert connected.of(RunClosed)[-1].outcome == "finished"
+    assert connected.of(messages.RunClosed)[-1].outcome == "finished"
 
 
 @contextmanager
-def suspended(*process_ids: int) -> Iterator[None]:
+def suspended(*process_ids):
     """Let processes not run meanwhile."""
     for process_id in process_ids:
         os.kill(process_id, signal.SIGSTOP)
@@ -444,9 +434,9 @@ def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
         measured(f"held {time.monotonic() - begun_s:.2f} s after the cell stood")
     watchful.until_state("paused")
     watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
-    assert "watchdog" in watchful.of(FaultReported)[-1].text
+    assert "watchdog" in watchful.of(messages.FaultReported)[-1].text
     assert machine_state().state == "held"
-    watchful.cell.send(CellVerb.RESUME)
+    watchful.cell.send(messages.CellVerb.RESUME)
     closed = watchful.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
 
@@ -486,11 +476,11 @@ def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order, measured):
         assert (closed.outcome, closed.lost_samples) == ("faulted", 0)
         measured(f"{closed.samples} samples kept, none lost")
         assert driven.faults == ["motion-alarm"]
-        (told,) = driven.of(FaultReported)
+        (told,) = driven.of(messages.FaultReported)
         assert "Servo alarm: following error of an axis" in told.text
         driven.cell.begin(replace(order, run_file=str(tmp_path / "again.sqlite")))
-        driven.until(lambda: len(driven.of(RunClosed)) == 2)
-        assert driven.of(RunClosed)[-1].outcome == "failed"
+        driven.until(lambda: len(driven.of(messages.RunClosed)) == 2)
+        assert driven.of(messages.RunClosed)[-1].outcome == "failed"
         assert driven.faults == ["motion-alarm"] * 2
     run = open_run(order.run_file)
     assert run.provenance["outcome"] == "faulted"
@@ -548,7 +538,7 @@ def test_an_unknown_driver_option_or_port_is_named(start, given, error, said):
 
 
 def test_a_cell_that_was_never_started_can_be_closed():
-    cell = Cell(CellConfig("streaming", {}, "modbus", {}))
+    cell = Cell(messages.CellConfig("streaming", {}, "modbus", {}))
     assert not cell.alive
     assert cell.poll(0.0) == []
     with pytest.raises(MeasurementFailed, match="not alive"):

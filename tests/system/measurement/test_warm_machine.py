@@ -1,7 +1,5 @@
 """Cells that read real Modbus sensors of a machine that warms, faults and deaths."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,7 @@ def bench(tmp_path):
 
 
 @pytest.fixture
-def driven(bench) -> Iterator[Driven]:
+def driven(bench):
     """A connected cell with sensors that are asked ten times a second."""
     rows = bench.thermometer_options["registers"]
     quick = [{**row, "period_s": 0.1} for row in rows]
@@ -48,7 +46,7 @@ def driven(bench) -> Iterator[Driven]:
 
 
 @pytest.fixture
-def order(bench, tmp_path) -> MeasurementOrder:
+def order(bench, tmp_path):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, 12_000.0, lines=12)
     return MeasurementOrder("w", str(tmp_path / "w.sqlite"), machine, path)

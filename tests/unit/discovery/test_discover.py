@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.alignment.observations.observations import Observations
 from truepath.answers.discovery.discovery_json import discovery_json, effect_json
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
@@ -161,7 +160,7 @@ def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(re
 SMALL = {"rows": 30, "travel_mm": 150.0}
 
 
-def moment_within(seen: Observations, line: int, share: float) -> float:
+def moment_within(seen, line, share):
     """Return a moment of a line's share, on the tracker's clock."""
     time_s = seen.at.time_s[seen.at.line == line]
     return float(time_s.min() + share * np.ptp(time_s))

@@ -86,7 +86,7 @@ def test_along_path_information_halves_what_corner_paths_leave(record_small):
 
 
 def test_progress_grows_and_is_complete_only_after_the_last_work(few, monkeypatch):
-    told: list[object] = []
+    told = []
     works = (batch.widen_by_unknown_precision, batch.assess_observability)
     for work in works:
 

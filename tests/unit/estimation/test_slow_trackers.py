@@ -12,7 +12,7 @@ from recorded import load_small, record_run, with_samples
 from truepath.alignment.align import align
 from truepath.alignment.point_alignment import PointAlignment
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import PointBlock, PointRows, Run
+from truepath.files.bundle.run import PointBlock, PointRows
 from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess_live
 from truepath_drivers.interfaces.records import TrackerSamples
@@ -114,7 +114,7 @@ ROWS = 40
 
 
 @pytest.fixture(scope="module")
-def shots(record) -> Run:
+def shots(record):
     """Return standstills of a stream as a polled tracker would have measured them."""
     run, _ = record(31, "standstill", rows=ROWS)
     seen = align(run)
@@ -126,7 +126,7 @@ def shots(record) -> Run:
     return replace(run, tracker=samples, points=points)
 
 
-def list_blocks(run: Run) -> list[PointBlock]:
+def list_blocks(run):
     points, blocks = run.points, []
     for k in range(len(run.tracker)):
         one = slice(k, k + 1)
@@ -135,12 +135,12 @@ def list_blocks(run: Run) -> list[PointBlock]:
     return blocks
 
 
-def follow_points(run: Run):
+def follow_points(run):
     followed = follow(run, blocks=list_blocks(run))
     return followed.on_the_way, followed.last
 
 
-def move(run: Run, first, last, by_mm) -> Run:
+def move(run, first, last, by_mm):
     """Return a Run whose points from one to another lie elsewhere."""
     moved = run.tracker.position_mm.copy()
     moved[first:last] += by_mm

@@ -6,13 +6,7 @@ import pytest
 
 from job_builders import ROWS
 from scripted_cell import wait_until
-from truepath.catalogue.errors import (
-    ArmTokenExpired,
-    ArmTokenOther,
-    ArmTokenUsed,
-    NotInControl,
-    StaleVersion,
-)
+from truepath.catalogue import errors
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
@@ -76,9 +70,9 @@ def test_a_token_of_this_plan_moves_the_machine_once_and_then_nothing_is_armed(
 @pytest.mark.fault_row(34)
 @pytest.mark.parametrize("token", ["", "x" * 200, "\udcff", "0"])
 def test_a_token_that_nobody_was_given_moves_nothing(refused, dispatcher, ready, token):
-    refused(ArmTokenOther, token, "knows no such token")
+    refused(errors.ArmTokenOther, token, "knows no such token")
     dispatcher.prepare_arming(ready.id)
-    refused(ArmTokenOther, token, "knows no such token")
+    refused(errors.ArmTokenOther, token, "knows no such token")
 
 
 @pytest.mark.fault_row(33)
@@ -98,10 +92,10 @@ def test_a_token_that_nobody_was_given_moves_nothing(refused, dispatcher, ready,
 def test_a_token_is_bound_to_each_part_of_its_purpose_and_good_once(change, named):
     tokens = ArmTokens()
     token = tokens.issue(PURPOSE)
-    with pytest.raises(ArmTokenOther, match=f"for another {named}"):
+    with pytest.raises(errors.ArmTokenOther, match=f"for another {named}"):
         tokens.use(token, replace(PURPOSE, **change))
     tokens.use(token, PURPOSE)  # it was not used up
-    with pytest.raises(ArmTokenUsed):
+    with pytest.raises(errors.ArmTokenUsed):
         tokens.use(token, PURPOSE)
 
 
@@ -111,10 +105,10 @@ def test_a_token_that_has_expired_or_is_of_the_plan_before_moves_nothing(
 ):
     token = dispatcher.prepare_arming(ready.id).token
     hand_clock.time_s += 60.0
-    refused(ArmTokenExpired, token, "60 s, which have passed")
+    refused(errors.ArmTokenExpired, token, "60 s, which have passed")
     token = dispatcher.prepare_arming(ready.id).token
     changed()
-    refused(ArmTokenOther, token, "for another plan")
+    refused(errors.ArmTokenOther, token, "for another plan")
 
 
 @pytest.mark.fault_row(34)
@@ -133,16 +127,18 @@ def test_rows_that_are_not_those_armed_are_not_driven(
 def test_a_token_of_another_user_moves_nothing(dispatcher, ready, refused):
     dispatcher.take_control(ready.id, "anna")
     token = dispatcher.prepare_arming(ready.id, by="anna").token
-    with pytest.raises(NotInControl):
+    with pytest.raises(errors.NotInControl):
         dispatcher.prepare_arming(ready.id, by="ben")
     dispatcher.take_control(ready.id, "ben")
-    refused(ArmTokenOther, token, "another user", by="ben")
+    refused(errors.ArmTokenOther, token, "another user", by="ben")
 
 
 @pytest.mark.fault_row(33)
 def test_a_stale_version_leaves_the_token_good(refused, dispatcher, ready):
     token = dispatcher.prepare_arming(ready.id).token
-    refused(StaleVersion, token, "not the current one", version=ready.version - 1)
+    refused(
+        errors.StaleVersion, token, "not the current one", version=ready.version - 1
+    )
     assert dispatcher.arm(ready.id, ready.version, token).state is State.RUNNING
 
 

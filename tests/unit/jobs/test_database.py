@@ -16,14 +16,7 @@ from sqlalchemy import select, text
 from sqlalchemy.event import listen
 from sqlalchemy.exc import DBAPIError, OperationalError
 
-from truepath.catalogue import schema
-from truepath.catalogue.errors import (
-    CatalogueDamaged,
-    CatalogueReadOnly,
-    SchemaTooNew,
-    StorageFull,
-    StorageUnavailable,
-)
+from truepath.catalogue import errors, schema
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.schema import metadata
 from truepath.catalogue.store import database as databases
@@ -86,7 +79,9 @@ def test_a_newer_schema_is_refused(sqlite_database):
     sqlite_database.write(
         lambda c: c.execute(text("UPDATE alembic_version SET version_num='9999'"))
     )
-    with pytest.raises(SchemaTooNew, match="schema 9999, newer than this version"):
+    with pytest.raises(
+        errors.SchemaTooNew, match="schema 9999, newer than this version"
+    ):
         sqlite_database.migrate()
 
 
@@ -113,7 +108,7 @@ def test_a_catalogue_locked_for_too_long_says_so(
         hand_clock.time_s += duration_s
 
     monkeypatch.setattr(host_clock, "sleep_s", wait_s)
-    with pytest.raises(StorageUnavailable, match=r"does not answer: .*locked"):
+    with pytest.raises(errors.StorageUnavailable, match=r"does not answer: .*locked"):
         sqlite_database.write(lambda c: c.execute(text("DELETE FROM events")))
     assert 0.3 < hand_clock.time_s < 0.6
 
@@ -147,7 +142,7 @@ def test_a_busy_catalogue_is_logged_once_in_a_while(sqlite_database, monkeypatch
         raise OperationalError("", {}, sqlite3.OperationalError("database is locked"))
 
     monkeypatch.setattr(host_clock, "sleep_s", lambda _: None)
-    with pytest.raises(StorageUnavailable):
+    with pytest.raises(errors.StorageUnavailable):
         sqlite_database.write(refuse)
     assert len(tries) > 20
     assert len(lines) == 1
@@ -161,7 +156,7 @@ def test_a_full_disk_is_told_at_once(sqlite_database):
         raise OperationalError("", {}, full)
 
     tries = []
-    with pytest.raises(StorageFull, match=r"cannot be written: .*disk is full"):
+    with pytest.raises(errors.StorageFull, match=r"cannot be written: .*disk is full"):
         sqlite_database.write(refuse)
     assert len(tries) == 1
 
@@ -250,7 +245,7 @@ def content_of(place):
 def test_a_damaged_catalogue_is_told_and_left_as_it_is(file, damage, said):
     damage(file)
     before = content_of(file.parent)
-    with pytest.raises(CatalogueDamaged, match=said) as told:
+    with pytest.raises(errors.CatalogueDamaged, match=said) as told:
         open_catalogue(file)
     assert str(told.value).startswith(f"{file}: ")
     assert "truepath catalogue rebuild" in str(told.value)
@@ -281,7 +276,9 @@ def test_a_catalogue_that_cannot_be_written_says_so(file):
         here.chmod(0o444)
         os.seteuid(account or 65534)  # an account without rights
         try:
-            with pytest.raises(CatalogueReadOnly, match=r"be written .*; give its"):
+            with pytest.raises(
+                errors.CatalogueReadOnly, match=r"be written .*; give its"
+            ):
                 open_catalogue(here)
         finally:
             os.seteuid(account)
@@ -291,7 +288,7 @@ def test_a_catalogue_that_another_program_holds_is_not_called_damaged(file):
     with closing(sqlite3.connect(file, isolation_level=None)) as other:
         other.execute("PRAGMA journal_mode=DELETE")
         other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(StorageUnavailable, match="in use"):
+        with pytest.raises(errors.StorageUnavailable, match="in use"):
             check_catalogue(file, "0001", patience_s=0.05)
         other.execute("ROLLBACK")
 
@@ -304,7 +301,9 @@ def test_a_catalogue_that_is_damaged_under_the_service_says_what_to_do(file):
     file.write_bytes(content[:4096] + b"\xa5" * (len(content) - 4096))
     job = Job(JobKind.ANALYSE)
     for use in (lambda: store.list_page(99), lambda: store.create(job)):
-        with pytest.raises(StorageUnavailable, match="truepath catalogue rebuild"):
+        with pytest.raises(
+            errors.StorageUnavailable, match="truepath catalogue rebuild"
+        ):
             use()
     database.close()
 
@@ -360,7 +359,7 @@ def test_what_comes_back_is_what_was_there_and_rows_are_counted_on(filled, other
     assert len(before["jobs"]) == 2
     assert len(before["users"]) == 1
     assert json.loads(before["jobs"][0])["plan"] == '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
-    with pytest.raises(SchemaTooNew):
+    with pytest.raises(errors.SchemaTooNew):
         import_tables(other, "v9999", {})
     with open_export(filled) as export:
         import_tables(other, export.revision, before)

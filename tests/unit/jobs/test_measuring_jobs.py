@@ -7,17 +7,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import pytest
-from sqlalchemy import Connection, event, text
+from sqlalchemy import event, text
 
 from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
-from truepath.catalogue.errors import (
-    CellDown,
-    NotResumable,
-    StaleVersion,
-    StorageUnavailable,
-)
+from truepath.catalogue import errors
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.job_rows import read_job
@@ -33,12 +28,7 @@ from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.kinematics.machine.machine import Target
 from truepath.machines.conditions.conditions import NotInOrder
-from truepath.measurement.messages import (
-    CellState,
-    LinesDamaged,
-    MeasurementProgress,
-    RunClosed,
-)
+from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.errors import ConnectionLost
 
@@ -113,8 +103,8 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     path, rows = cell.order.commanded, [*ROWS, OFF_THE_LINE]
     assert path.position.tolist() == [[row[f"{a}_mm"] for a in "xyz"] for row in rows]
     assert path.feed_mm_min.tolist()[1] == 1000.0
-    cell.say(LinesDamaged(3, None))
-    cell.say(MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2))
+    cell.say(messages.LinesDamaged(3, None))
+    cell.say(messages.MeasurementProgress(3, 9, "lines", "measuring", 4.0, 8.0, gaps=2))
     cell.end()
     job = until(running, "succeeded")
     assert cell.heard == ["connect", "begin"]
@@ -139,7 +129,7 @@ def test_a_pause_holds_and_a_resume_of_the_version_that_was_read_goes_on(
     paused = until(running, "paused")
     assert paused.desired_state == "paused"
     assert dispatcher.pause(running.id).version == paused.version
-    with pytest.raises(StaleVersion):
+    with pytest.raises(errors.StaleVersion):
         dispatcher.resume(running.id, paused.version - 1)
     assert dispatcher.resume(running.id, paused.version).state == "resuming"
     until(running, "running")
@@ -431,7 +421,7 @@ def test_a_measurement_that_ends_at_the_machine_ends_the_job_with_the_cells_reas
 def test_a_cell_that_closes_without_a_word_fails_the_job(running, cell, until):
     recorder, cell._recorder = cell._recorder, None
     recorder.close("finished")
-    cell.say(RunClosed("", CellState.FAILED, 50))
+    cell.say(messages.RunClosed("", messages.CellState.FAILED, 50))
     assert "without saying why" in until(running, "failed").failure.detail
 
 
@@ -526,7 +516,7 @@ def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
     job = context.store.get(running.id)
     assert job.state == "interrupted"
     assert context.runs.get(job.run_id).samples == 50
-    with pytest.raises(CellDown, match="ending"):
+    with pytest.raises(errors.CellDown, match="ending"):
         dispatcher.create(OTF)
 
 
@@ -579,7 +569,7 @@ def locked(store):
     """Let nobody else write to the catalogue."""
     database = store._database
     with database.engine.connect() as raw:
-        connection: Connection = raw.execution_options(truepath_writes=True)
+        connection = raw.execution_options(truepath_writes=True)
         locks_whole = connection.dialect.name == "sqlite"  # by its first statement
         lock = "LOCK TABLE jobs, events IN EXCLUSIVE MODE"
         with database._writer:  # once nobody writes
@@ -644,7 +634,7 @@ def test_a_pause_that_cannot_be_stored_is_insisted_on(
     wait_until(lambda: context.store.get(running.id).health.samples, "the first ones")
     cell.deaf.add("pause")
     full.set()
-    with pytest.raises(StorageUnavailable):
+    with pytest.raises(errors.StorageUnavailable):
         dispatcher.pause(running.id)
     wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
     full.clear()
@@ -757,7 +747,9 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
         cell.end(end)
     wait_until(lambda: dispatcher.show(store.get(running.id)).state == end, end)
     for verb in random.Random(end).sample([*VERBS] * 2, 2 * len(VERBS)):
-        with suppress(IllegalTransition, NotResumable, StorageUnavailable):
+        with suppress(
+            IllegalTransition, errors.NotResumable, errors.StorageUnavailable
+        ):
             answered = VERBS[verb](dispatcher, running)
             shown = answered[0] if isinstance(answered, tuple) else answered
             assert shown.state == end, verb

@@ -7,12 +7,7 @@ import pytest
 
 from resumption_doubles import PLACES
 from scripted_cell import ScriptedLive, Verifier, wait_until
-from truepath.catalogue.errors import (
-    CellBusy,
-    MachineFileChanged,
-    NotResumable,
-    TaskFailed,
-)
+from truepath.catalogue import errors
 from truepath.catalogue.job import Job, JobKind, Stage, StationProgress
 from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.machine_registry import MachineRegistry
@@ -205,7 +200,9 @@ def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
     job = faulted()
     (target,) = machine.targets
     describe(replace(machine, targets=(replace(target, offset_mm=(1.0, 2.0, -9.0)),)))
-    with pytest.raises(MachineFileChanged, match=r"offset_mm is \[1.0, 2.0, -9.0\]"):
+    with pytest.raises(
+        errors.MachineFileChanged, match=r"offset_mm is \[1.0, 2.0, -9.0\]"
+    ):
         dispatcher.acknowledge(job.id)
     assert context.store.get(job.id) == job
     describe(machine)
@@ -224,7 +221,7 @@ def test_what_fails_or_is_not_of_its_run_leaves_a_measurement_that_can_go_on(
     dispatcher.acknowledge(job.id)
     assert "not those that its Run was told" in until(job, "faulted").failure.detail
     replan(job, position=rows)
-    resumer.error = TaskFailed("BundleError", "is of another machine file")
+    resumer.error = errors.TaskFailed("BundleError", "is of another machine file")
     dispatcher.acknowledge(job.id)
     failure = until(job, "faulted").failure
     assert (failure.family, failure.detail) == ("BundleError", str(resumer.error))
@@ -239,7 +236,7 @@ def test_nothing_goes_on_while_another_job_holds_the_machine_or_after_an_abort(
 ):
     job = faulted()
     other = until(dispatcher.create(OTF)[0], "ready")
-    with pytest.raises(CellBusy, match=other.id):
+    with pytest.raises(errors.CellBusy, match=other.id):
         dispatcher.acknowledge(job.id)
     dispatcher.abort(other.id)
     until(other, "aborted")
@@ -401,7 +398,9 @@ def test_targets_that_only_one_run_joins_keep_a_measurement_from_going_on(
     if goes_on:
         require_targets_apart(plan, machine)
         return
-    with pytest.raises(NotResumable, match=f"T1.*{names[-1]}.*have to be measured in"):
+    with pytest.raises(
+        errors.NotResumable, match=f"T1.*{names[-1]}.*have to be measured in"
+    ):
         require_targets_apart(plan, machine)
 
 
@@ -409,9 +408,9 @@ def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
     ends = {"state": State.FAULTED, "stage": Stage.ALIGNING}
     measuring, done = Job(JobKind.MEASURE_OTF, **ends), {"measured": True}
     require_resumable(measuring, {"stations": [done, {}]})
-    with pytest.raises(NotResumable, match="analyse its Runs"):
+    with pytest.raises(errors.NotResumable, match="analyse its Runs"):
         require_resumable(measuring, {"stations": [done, done]})
-    with pytest.raises(NotResumable, match=r"only computes.*begin a new job"):
+    with pytest.raises(errors.NotResumable, match=r"only computes.*begin a new job"):
         require_resumable(Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {})
 
 

@@ -9,32 +9,24 @@ from truepath.machines.conditions.stream_status import (
     StreamLevels,
     StreamStatus,
 )
-from truepath.measurement.messages import (
-    CellState,
-    FaultReported,
-    LivePoints,
-    MeasurementProgress,
-    StateChanged,
-    TemperaturesRead,
-    TrackerTried,
-)
+from truepath.measurement import messages
 
 
 @pytest.fixture
 def watch(hand_clock):
     watch = StreamStatus()
-    watch.follow(StateChanged(CellState.RUNNING))
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     return watch
 
 
 def progress(lost=0, damaged=0):
-    return MeasurementProgress(
+    return messages.MeasurementProgress(
         1, 4, "lines", "measuring", 1.0, 3.0, lost_samples=lost, crc_errors=damaged
     )
 
 
 def seen(**readings):
-    return LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
+    return messages.LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
 
 
 def test_a_lost_beam_is_told_until_the_machine_moves_again_and_points_come(
@@ -42,10 +34,10 @@ def test_a_lost_beam_is_told_until_the_machine_moves_again_and_points_come(
 ):
     watch.follow(seen())
     assert watch.read().has_beam is True
-    watch.follow(FaultReported("beam-lost", "the beam is lost", "lock it"))
-    watch.follow(StateChanged(CellState.PAUSED))
+    watch.follow(messages.FaultReported("beam-lost", "the beam is lost", "lock it"))
+    watch.follow(messages.StateChanged(messages.CellState.PAUSED))
     assert watch.read().has_beam is False
-    watch.follow(StateChanged(CellState.RUNNING))
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     watch.follow(seen())
     assert watch.read().has_beam is True
     hand_clock.time_s += 60.0
@@ -81,7 +73,7 @@ def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
 
 
 def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
-    return TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
+    return messages.TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
 
 
 @pytest.mark.parametrize(
@@ -117,14 +109,16 @@ def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_c
     assert watch.read() == StreamLevels()
     watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
-    watch.follow(StateChanged(CellState.RUNNING))
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     assert watch.read() == StreamLevels()
 
 
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
     watch = StreamStatus()
     for n in range(10):
-        watch.follow(TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}))
+        watch.follow(
+            messages.TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan})
+        )
         hand_clock.time_s += 10.0
     (shown,) = watch.read().temperatures
     assert (shown.channel, shown.over_s) == ("X_degC", 90.0)

@@ -1,7 +1,5 @@
 """What a driver of somebody else breaks or lies about is found at its border."""
 
-from pathlib import Path
-
 import pytest
 
 from hostile_drivers import POINTS
@@ -16,7 +14,7 @@ pytestmark = pytest.mark.fault_row(49)
 
 
 @pytest.fixture(autouse=True)
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def site(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(install(tmp_path / "site", POINTS))
 
 

@@ -47,11 +47,11 @@ class FakeThermometers(Thermometers):
     period_s = 0.02
 
     def __init__(self):
-        self.shows, self.faults = dict(USUAL), dict[str, str]()
+        self.shows, self.faults = dict(USUAL), {}
         self.dead = self.is_open = False
         self.hangs = threading.Event()
         self.hangs.set()
-        self.broken: Exception | None = None
+        self.broken = None
 
     def connect(self):
         if self.dead:
@@ -290,11 +290,11 @@ def test_the_station_of_a_tracker_is_read_where_nothing_else_is(measure, tracker
 
 
 @pytest.fixture
-def header(mill, square) -> RunHeader:
+def header(mill, square):
     return RunHeader("monday", mill, square, 500.0, {}, ("X", "Y", "Z"), NAMES)
 
 
-def block(first: int) -> TrackerSamples:
+def block(first):
     sequence = np.arange(first, first + 50)
     time_s = 1000.0 + 0.002 * sequence
     place = np.tile([3000.0, 400.0, 1200.0], (50, 1))

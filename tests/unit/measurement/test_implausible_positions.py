@@ -7,20 +7,14 @@ import numpy as np
 import pytest
 
 from measurement_fixtures import FakeMotion, draw_rows, standing_at, there_and_back
-from truepath.measurement.messages import (
-    CellVerb,
-    FaultReported,
-    LinesDamaged,
-    LivePoints,
-    MeasurementOrder,
-)
+from truepath.measurement import messages
 from truepath_drivers import host_clock
 from truepath_drivers.transport.modbus_link import DeviceBusy
 
 pytestmark = pytest.mark.usefixtures("clock")
 
 Lie = Callable[[np.ndarray], np.ndarray]
-LIES: dict[str, Lie] = {
+LIES = {
     "far beyond": lambda here: np.add(here, [214748.3648, 0.0, 0.0]),
     "all zero": lambda here: 0.0 * here,
     "65 536 counts off": lambda here: np.add(here, [0.0, 6.5536, 0.0]),
@@ -41,12 +35,12 @@ class LyingMotion(FakeMotion):
 
 
 @pytest.fixture
-def motion() -> LyingMotion:
+def motion():
     return LyingMotion()
 
 
 @pytest.fixture
-def order(order) -> MeasurementOrder:
+def order(order):
     return there_and_back(order, 9)
 
 
@@ -57,7 +51,9 @@ def running(begin, tracker, motion, journal, calm, order):
     settings = replace(calm, timeouts=replace(calm.timeouts, beam_s=1.0))
     running = begin(order, settings=settings)
     running.until(
-        lambda: any(p.axes and p.axes[0] > 20.0 for p in journal.of(LivePoints))
+        lambda: any(
+            p.axes and p.axes[0] > 20.0 for p in journal.of(messages.LivePoints)
+        )
     )
     host_clock.sleep_s(1.2)  # until then it may be the program before
     return running
@@ -67,7 +63,7 @@ def running(begin, tracker, motion, journal, calm, order):
 def until_held(journal):
     """Wait until the feed is held and these codes were told, within seconds."""
 
-    def until(*codes: str) -> None:
+    def until(*codes):
         journal.wait(lambda: len(journal.faults) >= len(codes), 6.0)
         journal.wait(lambda: journal.states[-1] == "paused", 6.0)
         assert tuple(journal.faults) == codes
@@ -80,17 +76,17 @@ def until_held(journal):
 def test_positions_that_cannot_be_hold_the_feed_and_are_nowhere_kept(
     running, until_held, motion, lie
 ):
-    shown = len(running.told(LivePoints))
+    shown = len(running.told(messages.LivePoints))
     motion.lie = LIES[lie]
     until_held("position-implausible")
     assert "hold" in motion.calls
-    running.obey(CellVerb.ABORT)
+    running.obey(messages.CellVerb.ABORT)
     running.ended()
     axes = running.run.axis_samples.position_mm
     kept = axes[(axes != 0.0).any(axis=1)][5:]  # behind the approach
     along = (kept - [10.0, 10.0, -10.0]) / [400.0, 300.0, -200.0]
     assert np.ptp(along, axis=1).max() < 0.005
-    for points in running.told(LivePoints)[shown:]:
+    for points in running.told(messages.LivePoints)[shown:]:
         assert np.ptp((np.array(points.axes) - [10, 10, -10]) / [400, 300, -200]) < 0.01
 
 
@@ -124,8 +120,8 @@ def test_a_tracker_frozen_bit_for_bit_holds_and_its_lines_are_driven_again(
     tracker.frozen = True
     until_held("tracker-frozen")
     tracker.frozen, motion.speed, motion.override = False, 40.0, 10.0
-    running.obey(CellVerb.RESUME)
-    journal.wait(lambda: bool(running.told(LinesDamaged)), 20.0)
+    running.obey(messages.CellVerb.RESUME)
+    journal.wait(lambda: bool(running.told(messages.LinesDamaged)), 20.0)
 
 
 @pytest.mark.fault_row(41)
@@ -157,7 +153,7 @@ def test_what_is_no_place_is_a_lost_beam_whatever_its_status(
     see = tracker._see
     tracker._see = lambda count: see(count) * odd
     until_held("beam-lost")
-    running.obey(CellVerb.ABORT)
+    running.obey(messages.CellVerb.ABORT)
     running.ended()
     samples = running.run.tracker
     assert (np.abs(samples.position_mm[samples.status == 0]) < 1e4).all()
@@ -183,19 +179,19 @@ def test_a_hold_of_the_watchdog_bears_the_name_of_what_kept_the_beats_away(
     until_held(*["control-busy"] * 2)
 
 
-def abort_at_fault(measure, journal) -> None:
+def abort_at_fault(measure, journal):
     report = journal.report
 
-    def look(event) -> None:
+    def look(event):
         report(event)
-        if isinstance(event, FaultReported):
-            measure.running.obey(CellVerb.ABORT)
+        if isinstance(event, messages.FaultReported):
+            measure.running.obey(messages.CellVerb.ABORT)
 
     journal.report = look
 
 
 @pytest.fixture
-def points(order) -> MeasurementOrder:
+def points(order):
     return standing_at(order, draw_rows(4), 0.03)
 
 
@@ -203,17 +199,17 @@ def points(order) -> MeasurementOrder:
 def test_a_polled_tracker_that_repeats_a_point_is_held_and_it_is_not_stored(
     measure, polled, points, motion, journal
 ):
-    first: list[np.ndarray] = []
+    first = []
 
-    def freeze(asked: int) -> None:
+    def freeze(asked):
         if asked == 1:
             first.append(motion.here.copy())
         if asked == 4:  # unseen so far
-            measure.running.obey(CellVerb.ABORT)
+            measure.running.obey(messages.CellVerb.ABORT)
 
     class Still:
         @property
-        def here(self) -> np.ndarray:
+        def here(self):
             return first[0]
 
     polled.before, polled.motion = freeze, Still()
@@ -228,11 +224,11 @@ def test_a_polled_tracker_that_repeats_a_point_is_held_and_it_is_not_stored(
 def test_a_polled_point_without_a_number_is_a_lost_beam(
     measure, polled, points, journal
 ):
-    def spoil(asked: int) -> None:
+    def spoil(asked):
         if asked == 2:
             polled._rng = type("Odd", (), {"normal": lambda *_: np.full(3, np.nan)})()
         if asked > 2:
-            measure.running.obey(CellVerb.ABORT)
+            measure.running.obey(messages.CellVerb.ABORT)
 
     polled.before = spoil
     abort_at_fault(measure, journal)

@@ -22,14 +22,14 @@ from truepath_drivers.interfaces.records import LinkHealth, MotionState, Tracker
 RATE_HZ = 500.0
 
 
-def samples(number: np.ndarray) -> TrackerSamples:
+def samples(number):
     n = len(number)
     return TrackerSamples(
         number, number / RATE_HZ, np.zeros((n, 3)), np.zeros(n, np.int64)
     )
 
 
-def judge(number: np.ndarray, crc_errors: int = 0) -> bool:
+def judge(number, crc_errors=0):
     """Tell whether a stream of these numbers was ever damaged, in blocks of ten."""
     damage = StreamDamage(RATE_HZ, 0.01)
     found = False

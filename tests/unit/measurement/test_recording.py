@@ -4,9 +4,7 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,13 +28,13 @@ DEVICES = {
 
 
 @pytest.fixture
-def header(mill, square) -> RunHeader:
+def header(mill, square):
     axes = ("X", "Y", "Z")
     return RunHeader("monday", mill, square, 500.0, DEVICES, axes, plugins=PLUGINS)
 
 
 @pytest.fixture
-def file(tmp_path) -> Path:
+def file(tmp_path):
     return tmp_path / "runs" / "monday.sqlite"
 
 
@@ -47,7 +45,7 @@ def recorder(file, header):
     made.close("aborted")
 
 
-def block(first: int, count: int = 50) -> TrackerSamples:
+def block(first, count=50):
     sequence = np.arange(first, first + count, dtype=np.int64)
     rng = np.random.default_rng(first)
     return TrackerSamples(
@@ -65,7 +63,7 @@ def fill(recorder, blocks=20):
     return TrackerSamples.join(made)
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
+def wait_until(condition):
     deadline_s = time.monotonic() + 5.0
     while not condition():
         assert time.monotonic() < deadline_s
@@ -147,7 +145,7 @@ def test_a_hole_in_the_counter_is_named_and_one_that_goes_back_refused(recorder,
 def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     seen = []
 
-    def look(samples: TrackerSamples) -> None:
+    def look(samples):
         with sqlite3.connect(file) as database:
             rows = database.execute("SELECT sum(n) FROM batch").fetchone()
         database.close()
@@ -164,7 +162,7 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
 def test_a_display_that_fails_does_not_stop_the_recording(
     file, header, caplog, monkeypatch
 ):
-    def fail(samples: TrackerSamples) -> None:
+    def fail(samples):
         raise ValueError("no screen")
 
     monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 3)
@@ -233,7 +231,7 @@ def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
     recorder = Recorder(file, header, reserve_bytes=0)
     go_on, commit = threading.Event(), recorder._commit
 
-    def stuck(item) -> None:
+    def stuck(item):
         go_on.wait(10.0)
         commit(item)
 
@@ -278,7 +276,7 @@ def test_a_run_that_somebody_reads_cannot_be_sealed(recorder, file):
 
 
 @pytest.fixture
-def closed_file(recorder, file) -> Path:
+def closed_file(recorder, file):
     fill(recorder, 40)
     recorder.event("start", "cycle start")
     recorder.close("finished")
@@ -286,7 +284,7 @@ def closed_file(recorder, file) -> Path:
     return file
 
 
-def damage(file: Path, needle: bytes, offset: int = 0) -> None:
+def damage(file, needle, offset=0):
     data = bytearray(file.read_bytes())
     at = data.index(needle) + offset
     data[at] ^= 0x40

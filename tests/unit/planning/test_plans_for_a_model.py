@@ -37,7 +37,7 @@ SIGMA = np.array([0.003, 1e-4, 0.02])
 
 
 @pytest.fixture(scope="module")
-def model() -> PriorModel:
+def model():
     sag = {"axis": "X", "by": "Y", "direction": "Z"}
     kinds = (BacklashFamily, {"axis": "X"}), (ServoMismatchFamily, {"axis": "X"})
     kinds += ((ElasticSagFamily, sag),)
