@@ -40,7 +40,6 @@ def measuring(tmp_path):
 
 
 def until_it(measuring, onlooker, is_so, within_s):
-    """Wait until the machine itself is so; return how long it took."""
     begun_s = time.monotonic()
     measuring.until(lambda: is_so(onlooker.status()), timeout_s=within_s)
     return time.monotonic() - begun_s

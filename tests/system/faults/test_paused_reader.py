@@ -34,7 +34,6 @@ def hold_the_interpreter(for_s):
 
 
 def collect_garbage():
-    """Look for garbage in a huge heap, where there is none, again and again."""
     kept = [[None] for _ in range(3_000_000)]
     end_s = time.monotonic() + 2.0
     while time.monotonic() < end_s:

@@ -17,7 +17,6 @@ from truepath.catalogue.store.store import Store
 
 @pytest.fixture
 def make_database(postgres_server):
-    """Make connections to a database of the test's own, or to a further one."""
     opened, names = [], []
 
     def make(name=None):
@@ -110,7 +109,6 @@ def store(server):
 @pytest.mark.fault_row(37)
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
 def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store, mode):
-    """Writes wait for the server; each that was confirmed stands once."""
     written, enough = [], threading.Event()
 
     def write():

@@ -69,15 +69,12 @@ def run(lanes, task, *arguments, on_progress=ignore_progress):
 
 @pytest.fixture
 def in_thread():
-    """Runs a call in a thread; returns its Future."""
     with ThreadPoolExecutor() as pool:
         yield pool.submit
 
 
 @pytest.fixture
 def asleep(tasks, tmp_path, in_thread):
-    """Lets a lane sleep; returns the computation, its outcome and its process."""
-
     def begin(lanes):
         mark = tmp_path / "mark"
         computation = run(lanes, tasks.sleep, str(mark))

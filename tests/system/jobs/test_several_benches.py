@@ -15,7 +15,6 @@ CORNERS = ((10, 10, 10), (400, 10, 10), (400, 300, 10), (10, 300, 200), (10, 10,
 
 
 def begin_on_bench(service, machine):
-    """Arm a measurement on a machine; return it once samples come."""
     rows = [
         {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000.0, "dwell_s": 1.0}
         for x, y, z in CORNERS

@@ -55,7 +55,6 @@ def tasks(import_code):
 
 @pytest.fixture
 def settled(tasks):
-    """Return what adaptive trials make of blocks that somebody else computes."""
     import numpy as np
 
     from truepath.numerics.adaptive_trials import TrialPlan, propagate
@@ -73,7 +72,6 @@ def settled(tasks):
 
 @pytest.fixture(scope="module")
 def pair(tasks):
-    """Maps over two processes that are up."""
     with open_workers(Workers(count=2)) as mapper:
         list(mapper(tasks.about, range(2)))
         yield mapper

@@ -31,8 +31,6 @@ QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
 
 @pytest.fixture
 def calibrate(tmp_path, journal, rigid_free):
-    """Measure and analyse; judge the result by the truth of the bench."""
-
     def made(bench, tracker, commanded, settings):
         """Return (mean error before over after, share of the truth within 2u)."""
         machine, file = machine_from_json(bench.machine), tmp_path / "run.sqlite"
@@ -64,7 +62,6 @@ def calibrate(tmp_path, journal, rigid_free):
 
 
 def load_demo(**figures):
-    """Return the content of the demonstration machine, with another tracker."""
     content = load_machine("demo")
     return content | {"tracker": {**content["tracker"], **figures}}
 

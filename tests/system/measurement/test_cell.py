@@ -51,7 +51,6 @@ def bench(tmp_path_factory):
 
 @pytest.fixture
 def start(bench):
-    """Start cells; all are closed at the end."""
     with ExitStack() as stack:
 
         def start(*, connects=True, spawns=False, **given):
@@ -111,7 +110,6 @@ def machine_state(bench):
 
 
 def moves(run):
-    """Count the motions in a stream by speed."""
     position, time_s = run.tracker.position_mm, run.tracker.device_time_s
     n = round(0.05 / float(np.median(np.diff(time_s))))
     speed = np.linalg.norm(position[n:] - position[:-n], axis=1) / 0.05
@@ -378,7 +376,6 @@ def test_a_service_that_falls_silent_is_a_hold_that_a_person_ends(connected, ord
 
 @contextmanager
 def suspended(*process_ids):
-    """Let processes not run meanwhile."""
     for process_id in process_ids:
         os.kill(process_id, signal.SIGSTOP)
     try:

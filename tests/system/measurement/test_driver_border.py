@@ -30,13 +30,11 @@ def site(tmp_path, monkeypatch):
 
 @pytest.fixture
 def order(order):
-    """A minute of motion."""
     return there_and_back(order, 8)
 
 
 @pytest.fixture
 def drive(tmp_path):
-    """Start a cell of which one device fails at once; its options are given."""
     with ExitStack() as stack:
 
         def start(device, verb, fault, **given):
@@ -61,8 +59,6 @@ def drive(tmp_path):
 
 @pytest.fixture
 def measuring(drive, order, tmp_path):
-    """Start a cell of which one device fails once it measures."""
-
     def start(device, verb, fault):
         driven = drive(device, verb, fault, at=str(tmp_path / "now"))
         driven.cell.connect()

@@ -53,7 +53,6 @@ def left(mill, tmp_path_factory):
 
 @pytest.fixture
 def killed(left, tmp_path):
-    """A copy of it."""
     file, last = left
     return shutil.copytree(file.parent, tmp_path / "runs") / file.name, last
 

@@ -60,7 +60,6 @@ class OnLinuxCnc:
         self.inside = list_descendants(linuxcnc._process.pid)
 
     def begin(self, **options):
-        """Begin with a cell whose driver has these options besides."""
         motion = self.linuxcnc.motion_options | options
         tracker = self.bench.tracker_options
         config = messages.CellConfig("streaming", tracker, "linuxcnc", motion)
@@ -73,7 +72,6 @@ class OnLinuxCnc:
         return driven
 
     def drive_on(self, **options):
-        """Begin, and wait until the line is under way."""
         driven = self.begin(**options)
         told = driven.of
         driven.until(

@@ -18,7 +18,6 @@ from truepath_simulators.scenario import load_machine
 
 
 def measure(content, commanded, folder, **given):
-    """Return the Run, what is recognised of it, and the cell."""
     machine, file = machine_from_json(content), folder / "run.sqlite"
     order = MeasurementOrder(
         "bench", str(file), machine, commanded, feed_mm_min=20_000.0

@@ -34,7 +34,6 @@ FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@250
 
 
 def record(devices, file, commanded):
-    """Measure through a cell; return the Run."""
     machine = machine_from_json(load_machine("demo"))
     with Driven(config_of(devices, timeouts=CALM)) as driven:
         driven.cell.connect()

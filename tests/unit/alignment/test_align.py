@@ -29,7 +29,6 @@ def with_stream(run, keep=slice(None), **changes):
 
 @pytest.fixture(scope="module")
 def usual(record):
-    """Return a Run, its truth, and what is seen of it."""
     run, truth = record(3)
     return run, truth, align(run)
 
@@ -120,8 +119,6 @@ def scaled(factor):
 
 
 def commanded(change):
-    """Return what changes the positions of the path."""
-
     def changed(run):
         position = change(run.commanded.position)
         return replace(run, commanded=replace(run.commanded, position=position))
@@ -180,7 +177,6 @@ def test_a_path_driven_twice_is_still_aligned(record):
 
 
 def moving(rng, n, step_mm=0.1):
-    """Return samples at 500 Hz on a straight way."""
     position = np.cumsum(np.full((n, 3), step_mm), axis=0)
     position += 0.004 * rng.normal(size=(n, 3))
     return TrackerSamples(
@@ -276,7 +272,6 @@ def test_a_stream_that_loses_its_frame_half_way_is_said_to_be_astray(record):
 
 
 def drive(rows, feed_mm_min, **setting):
-    """Record a path of the demo machine."""
     places = np.array(rows, float)
     n = len(places)
     program = Program(places, np.full(n, feed_mm_min / 60.0), np.full(n, 0.4))
@@ -284,7 +279,6 @@ def drive(rows, feed_mm_min, **setting):
 
 
 def zigzag(begin_mm, size_mm, lines):
-    """Corners of a small box, one after another."""
     corners = np.random.default_rng(4).uniform(0.0, size_mm, (lines + 1, 3))
     corners[np.arange(lines + 1), np.arange(lines + 1) % 3] = 0.0
     corners[1::2] = size_mm - corners[1::2]
@@ -352,7 +346,6 @@ STEP_S = 0.002
 
 
 def stream(run, before=None, after=None, keep=slice(None)):
-    """The run's stream with positions recorded before and after it."""
     kept = run.tracker.position_mm[keep]
     clock = run.tracker.device_time_s[keep]
     before = np.empty((0, 3)) if before is None else before

@@ -30,7 +30,6 @@ FIRST, SECOND = (1300.0, 100.0, 50.0), (200.0, -900.0, 0.0)
 
 
 def measured(place_mm, seed, *, nudge_mm=0.0, poses=reposition, **defects):
-    """Return the known points of the demonstration machine from a place."""
     content = load_machine("demo")
     n = len(POINTS)
     program = Program(POINTS, np.full(n, 100.0), np.full(n, 1.8))

@@ -15,7 +15,6 @@ OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
 
 
 def move_targets(machine, off):
-    """Return the machine whose file states targets so far off."""
     targets = [
         replace(t, offset_mm=tuple(np.add(t.offset_mm, off.get(t.name, (0.0,) * 3))))
         for t in machine.targets

@@ -161,7 +161,6 @@ SMALL = {"rows": 30, "travel_mm": 150.0}
 
 
 def moment_within(seen, line, share):
-    """Return a moment of a line's share, on the tracker's clock."""
     time_s = seen.at.time_s[seen.at.line == line]
     return float(time_s.min() + share * np.ptp(time_s))
 

@@ -54,7 +54,6 @@ class Circle:
 
 
 def circle(run_of, program, mode, hidden, given):
-    """Measure, ask, drive what was asked, decide."""
     setting = Setting(machine_seed=MACHINE, hidden=hidden)
     run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
     first = discover([run], given)

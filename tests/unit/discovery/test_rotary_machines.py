@@ -38,7 +38,6 @@ HEAD = {
 
 
 def drive(content, hidden, lines=None, reference=None):
-    """Drive the default path of a machine, arcs of its rotary axes included."""
     path = default_path(machine_from_json(content), 6000.0, lines=lines, seed=3)
     run, _ = record_path(content, path, setting=Setting(hidden=hidden))
     return discover([run], reference)

@@ -33,7 +33,6 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    """Drive random lines at 24 m/min; `level` holds Z there."""
     content = load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     content["axes"] = {

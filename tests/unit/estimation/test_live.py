@@ -51,7 +51,6 @@ def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
 
 
 def spoil(run, share, shift_mm, last=None):
-    """Displace samples from a share of a Run on; return it and when that begins."""
     first = int(share * len(run.tracker))
     off_mm = np.zeros((len(run.tracker), 3))
     off_mm[first : first + last if last else None] = shift_mm

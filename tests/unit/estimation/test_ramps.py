@@ -31,8 +31,6 @@ def bends(amount_um, frequency_hz=0.0):
 
 @pytest.fixture(scope="module")
 def judge(record):
-    """Return error left in mm, share inside 2u, and the estimate, of a fast machine."""
-
     def judged(seed, hidden=(), *, ramps=True):
         run, truth = record(seed, **FAST, setting=Setting(limits=LIMITS, hidden=hidden))
         seen = align(run)

@@ -36,7 +36,6 @@ def machine(travel):
 
 
 def every_motion(of):
-    """All 18 error motions without any gauge."""
     motions = []
     for axis in of.linear_axes:
         spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))

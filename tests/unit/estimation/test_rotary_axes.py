@@ -139,7 +139,6 @@ MEASURED = ("T1", "T2", "W1", "W2", "W3")
 
 
 def content_of(targets):
-    """Content of machine.json with some of the targets, in this order."""
     content = load_small("head-table")
     content["targets"] = {name: content["targets"][name] for name in targets}
     return content

@@ -157,7 +157,6 @@ def told_but(model, shape, left):
 
 
 def shape_of(model, symbol):
-    """Return that which bends least."""
     return np.eye(model.size)[model.slices[symbol].start]
 
 

@@ -81,7 +81,6 @@ POINT = 30
 
 @pytest.fixture(scope="module")
 def clean(record):
-    """Return a Run's observations, its models, its truth, and what is found in it."""
     run, truth = record(22, "standstill", rows=60)
     seen = align(run)
     models = build_run_models(run.machine, [seen.at])
@@ -89,7 +88,6 @@ def clean(record):
 
 
 def judge_moved(clean, rows, by_mm):
-    """Return what is found where some rows lie elsewhere, and what it leaves."""
     seen, models, truth, checked = clean
     assert checked.left_out == ((),)
     assert checked.knocks == ()

@@ -22,7 +22,6 @@ from truepath_simulators.motion import paths
 
 @cache
 def slowly(seed):
-    """Make a standstill recording of 60 points at 5 Hz, dwell 2 s."""
     content = load_small("demo")
     content["tracker"]["rate_hz"] = 5.0
     program = paths.standstill_points(parse_machine(content), seed, 60, dwell_s=2.0)
@@ -34,7 +33,6 @@ def judge(run, recording):
 
 
 def poll(run, recording):
-    """Return the Run as a tracker leaves it that measures point by point."""
     away = np.abs(recording.commanded_mm - run.commanded.position[recording.row])
     stands = away.max(axis=1) < 1e-9
     place, time_s, count, spread = [], [], [], []
@@ -115,7 +113,6 @@ ROWS = 40
 
 @pytest.fixture(scope="module")
 def shots(record):
-    """Return standstills of a stream as a polled tracker would have measured them."""
     run, _ = record(31, "standstill", rows=ROWS)
     seen = align(run)
     row, one = np.unique(seen.row, return_index=True)
@@ -141,7 +138,6 @@ def follow_points(run):
 
 
 def move(run, first, last, by_mm):
-    """Return a Run whose points from one to another lie elsewhere."""
     moved = run.tracker.position_mm.copy()
     moved[first:last] += by_mm
     return with_samples(run, position_mm=moved)

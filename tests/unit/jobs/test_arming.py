@@ -40,8 +40,6 @@ def changed(ready, context):
 
 @pytest.fixture
 def refused(dispatcher, ready, make_cell):
-    """Sees arming refused, and that nothing moves by it."""
-
     def see(error, token, match, *, by=None, version=None):
         with pytest.raises(error, match=match):
             dispatcher.arm(ready.id, version or ready.version, token, by=by)

@@ -42,7 +42,6 @@ def open_catalogue(folder):
 
 @pytest.fixture(scope="module")
 def history(tmp_path_factory, empty_catalogue):
-    """A data folder with a history, to be copied."""
     folder = tmp_path_factory.mktemp("history")
     shutil.copyfile(empty_catalogue, folder / "catalogue.sqlite")
     with open_catalogue(folder) as database:

@@ -66,7 +66,6 @@ def test_a_machine_in_order_fulfils_every_condition():
 
 
 def find(board, kind):
-    """Return what a board reads of one condition."""
     (found,) = [one for one in board.read() if one.type is kind]
     return found
 

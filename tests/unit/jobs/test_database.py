@@ -178,7 +178,6 @@ def test_a_row_of_the_audit_log_is_never_changed(database, verb):
 
 @pytest.fixture
 def file(empty_catalogue, tmp_path):
-    """A catalogue of some pages."""
     file = tmp_path / "catalogue.sqlite"
     shutil.copyfile(empty_catalogue, file)
     database = Database(f"sqlite:///{file}")

@@ -58,8 +58,6 @@ def discover(dispatcher, run, until):
 
 @pytest.fixture
 def ask(dispatcher, discover):
-    """Ask for the extra lines of a discovery, of a new one unless it is named."""
-
     def asked(discovery=None, **order):
         of = (discovery or discover()).id
         asked = {"discovery_id": of, "plan_request": order}

@@ -29,7 +29,6 @@ def begin_run(context, machine):
 
 @pytest.fixture
 def ended(context):
-    """A measurement that has ended without its Run."""
     job, _ = context.store.create(Job(JobKind.MEASURE_OTF))
     return context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
 

@@ -43,8 +43,6 @@ def lives():
 
 @pytest.fixture
 def context(context, resumer, closer, lives, database):
-    """A service that can go on with what was cut short."""
-
     def follow(order, show):
         lives.append(ScriptedLive(order, show))
         return lives[-1]
@@ -55,8 +53,6 @@ def context(context, resumer, closer, lives, database):
 
 @pytest.fixture
 def faulted(dispatcher, begin, end_in_motion):
-    """Measure, do what the test wants, then fault."""
-
     def make(request=OTF, then=lambda: None):
         job = begin(dispatcher.create(request)[0])
         then()
@@ -83,8 +79,6 @@ def drive(dispatcher, begin, cell):
 
 @pytest.fixture
 def replan(context):
-    """Change the plan of a job behind its back."""
-
     def replan(job, **changes):
         plan = dict(context.store.read_plan(job.id))
         context.store.store_plan(job.id, plan | changes)
@@ -281,8 +275,6 @@ def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
 
 @pytest.fixture
 def note(lives, context):
-    """Have the live estimate tell of a change; wait until the job keeps the notices."""
-
     def note(done, expected=((1, 2),), **more):
         told = {
             **{"number": 1, "kind": "something-changed", "grade": "likely", "axis": ""},

@@ -25,8 +25,6 @@ def measure(machine):
 
 
 class Fleet:
-    """Two machines over scripted cells, and verbs that wait for what they ask."""
-
     def __init__(self, machine, open_dispatcher, until):
         self.makers = {"mill": CellMaker(), "lathe": CellMaker()}
         cells = [

@@ -79,8 +79,6 @@ def context(context, planner, checker, resumer, closer):
 
 @pytest.fixture
 def restart(dispatcher, open_dispatcher):
-    """Opens the service anew on the same catalogue, after its end or after a kill."""
-
     def restart(*, is_killed=False):
         if not is_killed:
             dispatcher.close()
@@ -99,8 +97,6 @@ def plan_id(dispatcher, until):
 
 @pytest.fixture
 def prepare(dispatcher, until, plan_id):
-    """Give a job, of the plan unless it is another; return it once it can be armed."""
-
     def prepare(dispatcher=dispatcher, **request):
         request = request or {"plan_id": plan_id}
         job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, **request))
@@ -111,8 +107,6 @@ def prepare(dispatcher, until, plan_id):
 
 @pytest.fixture
 def measure(dispatcher, cell, until):
-    """Arm a job and let the cell finish so many Runs; return the job then."""
-
     def measured(job, *runs, then=State.AWAITING_MOVE, dispatcher=dispatcher):
         armed = arm_at_once(dispatcher, job.id, job.version)
         for kind in runs:
@@ -127,7 +121,6 @@ def measure(dispatcher, cell, until):
 
 @pytest.fixture
 def moved(prepare, measure):
-    """A job that has measured its first station and asks for the second."""
     return measure(prepare(), POINTS, LINES)
 
 
@@ -253,7 +246,6 @@ def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_agai
 
 @pytest.fixture
 def cut_short(moved, dispatcher, cell, end_in_motion):
-    """A job that a fault has ended on the lines of its second station."""
     arm_at_once(dispatcher, moved.id, moved.version)
     for what in ("the known points", "the lines"):
         wait_until(cell.begun.is_set, what)
@@ -265,8 +257,6 @@ def cut_short(moved, dispatcher, cell, end_in_motion):
 
 @pytest.fixture
 def go_on(cut_short, dispatcher, until):
-    """Acknowledges it; returns it once it can be armed."""
-
     def done():
         dispatcher.acknowledge(cut_short.id)
         return until(cut_short, State.READY)

@@ -51,7 +51,6 @@ def reach_line(running, line):
 
 
 def finish(running, motion):
-    """Let the rest be driven fast; return the Run."""
     motion.begins_slowly, motion.speed = False, 2000.0
     assert running.ended() == "finished"
     return running.run

@@ -41,8 +41,6 @@ HENE = Light(633.0, is_group=False)
 
 
 class FakeThermometers(Thermometers):
-    """Sensors in this process."""
-
     channels = tuple(Channel(name) for name in NAMES)
     period_s = 0.02
 
@@ -74,7 +72,6 @@ class FakeThermometers(Thermometers):
 
 
 def judged(values, *, step_s=1.0, channel=None):
-    """Return values and kinds of what is told, of readings a step apart."""
     judge = SensorPlausibility(channel or Channel("X_degC"))
     found, told = [], []
     for number, value in enumerate(values):
@@ -269,8 +266,6 @@ def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path
 
 
 class WithStation(AirExchange):
-    """Makes a tracker tell its air."""
-
     def push_air(self, air):
         raise NotImplementedError
 

@@ -18,19 +18,16 @@ ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 
 @pytest.fixture
 def part(order):
-    """A part that begins where the square ends."""
     return along(order, ON).commanded
 
 
 @pytest.fixture
 def until_asked(journal):
-    """Wait until so many parts were asked for."""
     return lambda times: journal.wait(lambda: len(journal.of(PartRequested)) == times)
 
 
 @pytest.fixture
 def waiting(begin, order, until_asked):
-    """A measurement that has driven its path and waits for a part."""
     running = begin(replace(order, grows=True))
     until_asked(1)
     return running
@@ -38,8 +35,6 @@ def waiting(begin, order, until_asked):
 
 @pytest.fixture
 def conclude(until_asked):
-    """Say that the second part was the last one; it ends in order."""
-
     def conclude(running, parts=2):
         until_asked(parts)
         running.obey(CellVerb.CONCLUDE)

@@ -61,8 +61,6 @@ def running(begin, tracker, motion, journal, calm, order):
 
 @pytest.fixture
 def until_held(journal):
-    """Wait until the feed is held and these codes were told, within seconds."""
-
     def until(*codes):
         journal.wait(lambda: len(journal.faults) >= len(codes), 6.0)
         journal.wait(lambda: journal.states[-1] == "paused", 6.0)

@@ -108,8 +108,6 @@ def moving(begin, order):
 
 
 def until_resumed(running):
-    """Ask until it goes on, and to the end."""
-
     def resume():
         running.obey(CellVerb.RESUME)
         return running.journal.states[-1] != "paused"

@@ -30,7 +30,6 @@ def samples(number):
 
 
 def judge(number, crc_errors=0):
-    """Tell whether a stream of these numbers was ever damaged, in blocks of ten."""
     damage = StreamDamage(RATE_HZ, 0.01)
     found = False
     for i, block in enumerate(np.array_split(number, len(number) // 10)):

@@ -25,8 +25,6 @@ def order(order):
 
 
 def failing(error, first, last=99):
-    """Return what raises an error at some of the points that are asked for."""
-
     def fail(asked):
         if first <= asked <= last:
             raise error

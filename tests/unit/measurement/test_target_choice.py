@@ -132,8 +132,6 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
 
 
 class SlowTracker(ChoosingTracker):
-    """Takes 1.5 s to turn."""
-
     verb_limit_s = 0.0
 
     def __init__(self, motion):
@@ -160,7 +158,6 @@ def test_a_target_is_waited_for_as_long_as_its_driver_says(
 
 @pytest.fixture
 def drive(measure, motion, order):
-    """Drive lines of two targets to the end."""
     names = ("T1", "T1", "T1", "T2", "T2", "T2", "T1", "T1")
     corners = [[10.0, 10, -10], [400, 300, -10], [400, 10, -200]]
     rows = np.array(corners)[[0, 1, 2, 2, 0, 1, 1, 2]]

@@ -61,7 +61,6 @@ def left_mm(machine, path):
 
 
 def measures(path, row, target):
-    """Whether a target is measured on the way to a row."""
     if path.target and path.target[row] != target:
         return False
     return bool((path.position[row] != path.position[row - 1]).any())

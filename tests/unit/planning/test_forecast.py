@@ -21,7 +21,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 
 def state_variance(made):
-    """Return the variance of the map as a result states it."""
     ppm = state_length_ppm(Refraction(), made.model.machine.tracker.range_ppm)
     told = made.widen_by_scale(1e-6 * ppm)
     return np.sum(compute_volumetric_gram(told.model) * told.covariance)
@@ -33,7 +32,6 @@ def state_variance(made):
     ids=["all", "perpendicular"],
 )
 def outcomes(record, request):
-    """Forecasts and statements for some machines, in µm."""
     found = []
     for seed in (1, 2):
         run, truth = record(seed, rows=16)
@@ -118,7 +116,6 @@ def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
 
 
 def merge_points(*places):
-    """A program that goes from place to place in the travel, each at a share of it."""
     n = len(places)
     position_mm = np.array([500.0, 400.0, 300.0]) * places
     return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))

@@ -140,8 +140,6 @@ def lines(small_mill):
 
 @pytest.fixture(scope="module")
 def judge(small_mill, lines):
-    """Return forecast and remedies, by their names, of a tracker."""
-
     def make(specification, face=1):
         machine = specify(small_mill, specification, face)
         found = forecast(machine, lines, HERE_MM)
