@@ -11,6 +11,7 @@ from driven_cell import Driven, measured_by_another
 from hostile_drivers import POINTS
 from measurement_fixtures import there_and_back
 from plugin_site import NAME, install
+from processes import until
 from truepath.measurement import messages
 from truepath.measurement.run_file.run_loader import open_run
 from truepath_drivers.interfaces.errors import DeviceError
@@ -89,10 +90,7 @@ def test_a_call_that_hangs_in_motion_ends_the_measurement_by_its_name(
     assert "hold" in read_diary(tmp_path)
     assert open_run(order.run_file).provenance["outcome"] == "faulted"
     # Threads of the driver could go on to feed the controller: the process ends.
-    deadline_s = time.monotonic() + 8.0
-    while driven.cell.alive and time.monotonic() < deadline_s:
-        time.sleep(0.05)
-    assert not driven.cell.alive
+    until(lambda: not driven.cell.alive, 8.0)
 
 
 def test_an_abort_is_answered_while_the_tracker_hangs(measuring):

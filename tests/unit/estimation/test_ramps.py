@@ -5,11 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from estimating import judge_map
+from estimating import estimate_one, judge_map
 from truepath.alignment.align import align
 from truepath.estimation.checks.lack_of_fit import assess_misfit
-from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.kinematics.coarse_model import build_run_models
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.worlds.synthetic import Setting
@@ -36,8 +34,7 @@ def judge(record):
         seen = align(run)
         if not ramps:
             seen = seen.exclude_ramps()
-        models = build_run_models(run.machine, [seen.at])
-        checked = estimate_checked(models, [seen])
+        checked = estimate_one(seen)
         left = judge_map(checked.estimate, truth.deviation_mm)
         return left.left_mm.mean(), left.inside, checked
 

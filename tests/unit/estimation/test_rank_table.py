@@ -136,20 +136,11 @@ def test_tool_offsets_decide_how_many_motions_are_told_apart(
     mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])
     model, merged = build_identifiable_model(mill, lengths, intervals=5)
     motions = model.identifiable_motions
+    shares = ("another tool length", "does not move the target")
+    assert all(any(said in str(one) for said in shares) for one in merged)
     assert len(motions) == known
     assert len(motions) + len(merged) == 18
     assert model.size == rank + 3 * (len(offsets) - 1)
-
-
-def test_what_merges_is_named_with_what_it_merges_into_or_that_it_moves_nothing():
-    aside, on_axis = (
-        {m.symbol: str(m) for m in build_identifiable_model(machine(TRAVELS[0]), at)[1]}
-        for at in (np.array([(30.0, 20.0, -100.0)]), np.array(ONE))
-    )
-    assert set(aside) == {"ECY", "EAZ", "EBZ", "ECZ"}
-    assert "EXZ" in aside["EBZ"]
-    assert "another tool length" in aside["EBZ"]
-    assert "does not move the target" in on_axis["ECZ"]
 
 
 def test_how_other_targets_sit_is_no_error_of_the_first_one():

@@ -49,18 +49,6 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, deviations):
     assert (np.abs(z) < 2.0).mean() > 0.9
 
 
-@pytest.mark.long
-def test_random_machines_are_recovered_within_their_uncertainties(deviations):
-    inside = []
-    for seed in range(6):
-        run, truth = measured(("head-table", "trunnion")[seed % 2], 50 + seed)
-        z = deviations(estimate(align(run)), truth)
-        inside.append((np.abs(z) < 2.0).mean())
-        assert np.abs(z).max() < 4.5
-    assert np.mean(inside) > 0.92
-    assert min(inside) > 0.88
-
-
 def told(stands_on, targets):
     """Return the effects that targets of a head-table tell, and what is said of others.
 

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimating import judge_map
+from estimating import estimate_one, judge_map
 from following import shift
-from truepath.alignment.align import align, align_all
-from truepath.estimation.checks.robust_estimate import estimate_checked
+from truepath.alignment.align import align
 from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
 from truepath.estimation.checks.setup_shifts import Step
-from truepath.kinematics.coarse_model import build_run_models
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +26,7 @@ def check(run, shift_mm):
     """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    (seen,) = align_all([shift(run, shift_mm(share))], ["run"])
-    found = estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
+    found = estimate_one(align(shift(run, shift_mm(share))))
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
@@ -60,7 +57,7 @@ def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
 
 
 def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
-    (seen,) = align_all([moving], ["run"])
+    seen = align(moving)
     first, last = max(seen.lines, key=lambda line: line[1] - line[0])
     steps = [Step(cell, 1e4, 1e4, 0.1) for cell in (first + 6, last - 6)]
     edges = np.arange(len(seen) + 1)
@@ -83,17 +80,16 @@ POINT = 30
 def clean(record):
     run, truth = record(22, "standstill", rows=60)
     seen = align(run)
-    models = build_run_models(run.machine, [seen.at])
-    return seen, models, truth, estimate_checked(models, [seen])
+    return seen, truth, estimate_one(seen)
 
 
 def judge_moved(clean, rows, by_mm):
-    seen, models, truth, checked = clean
+    seen, truth, checked = clean
     assert checked.left_out == ((),)
     assert checked.knocks == ()
     moved = seen.tracker_mm.copy()
     moved[rows] += by_mm * np.array([0.6, -0.64, 0.48])
-    found = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    found = estimate_one(replace(seen, tracker_mm=moved))
     pair = found.estimate, checked.estimate
     left, usual = (judge_map(each, truth.deviation_mm) for each in pair)
     assert left.inside > 0.85

@@ -13,7 +13,6 @@ from truepath.alignment.align import align
 from truepath.alignment.point_alignment import PointAlignment
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointBlock, PointRows
-from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess_live
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
@@ -92,20 +91,6 @@ def test_metres_are_refused_by_name(polled):
     metres = replace(polled.tracker, position_mm=1e-3 * polled.tracker.position_mm)
     with pytest.raises(AlignmentError, match="look like m; convert them to mm"):
         align(replace(polled, tracker=metres))
-
-
-@pytest.mark.long
-def test_a_reflector_that_moved_is_told_and_solved_with_both_places(polled):
-    moved = move(polled, 34, 68, [0.1, 0.03, 0.0])
-    verdict = analyse(moved).verdict
-    assert "set-up-moved" in {reason.kind for reason in verdict.reasons}
-    assert verdict.state == "usable"
-
-
-@pytest.mark.long
-def test_a_point_whose_reflector_was_knocked_and_came_back_is_left_out(polled):
-    seen = analyse(move(polled, 20, 21, [0.2, 0.0, 0.0]))
-    assert [reason.values["line"] for reason in seen.verdict.reasons] == [20]
 
 
 ROWS = 40

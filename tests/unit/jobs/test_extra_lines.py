@@ -36,14 +36,8 @@ def lives():
 
 
 @pytest.fixture
-def context(context, explorer, lives, resumer, closer):
-    return replace(
-        context,
-        discoverer=explorer,
-        live=lambda *_: lives.append(1),
-        resumer=resumer,
-        closer=closer,
-    )
+def context(context, explorer, lives):
+    return replace(context, discoverer=explorer, live=lambda *_: lives.append(1))
 
 
 @pytest.fixture

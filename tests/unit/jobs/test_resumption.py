@@ -42,13 +42,13 @@ def lives():
 
 
 @pytest.fixture
-def context(context, resumer, closer, lives, database):
+def context(context, lives, database):
     def follow(order, show):
         lives.append(ScriptedLive(order, show))
         return lives[-1]
 
     parts = {"registry": MachineRegistry(database), "verifier": Verifier()}
-    return replace(context, resumer=resumer, closer=closer, live=follow, **parts)
+    return replace(context, live=follow, **parts)
 
 
 @pytest.fixture

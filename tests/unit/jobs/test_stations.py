@@ -71,10 +71,8 @@ def planner(machine):
 
 
 @pytest.fixture
-def context(context, planner, checker, resumer, closer):
-    return replace(
-        context, planner=planner, checker=checker, resumer=resumer, closer=closer
-    )
+def context(context, planner, checker):
+    return replace(context, planner=planner, checker=checker)
 
 
 @pytest.fixture

@@ -50,6 +50,7 @@ def judged(begin, long_order):
 def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     begin, order, motion, journal, read_link_bytes
 ):
+    motion.compensation = True
     running = begin(order)
     assert running.ended() == "finished"
     run = running.run
@@ -58,6 +59,7 @@ def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     assert (run.mode, run.name, run.machine) == ("otf", "monday", order.machine)
     assert run.provenance["outcome"] == "finished"
     assert run.provenance["tracker"] == "Us fake tracker T1 0"
+    assert run.provenance["control_compensation"] == "on"
     assert "watchdog" not in run.provenance, "it has one"
     # 3 lines of 100, 50, 105 mm at 100 mm/s and a second at both ends.
     assert np.ptp(run.tracker.device_time_s) > 2.55 + 2 * 0.9
@@ -103,11 +105,13 @@ def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
 
 
 def test_points_are_stepped_through_with_a_dwell_at_each(begin, order, square, motion):
+    motion.compensation = False
     running = begin(standing_at(order, square.position, 2.0))
     assert running.ended() == "finished"
     assert motion.calls == ["abort"] + 4 * ["move_to"]
     run = running.run
     assert run.mode == "standstill"
+    assert run.provenance["control_compensation"] == "off"
     done = running.texts("point")
     assert [text.split(" until ")[0] for text in done] == [
         f"row {i}" for i in (1, 2, 3, 4)
@@ -204,6 +208,7 @@ def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
     assert motion.calls[-1] == "abort"
     assert motion.status().state == "aborted"
     assert moving.run.provenance["outcome"] == "aborted"
+    assert "control_compensation" not in moving.run.provenance, "it was not told"
     assert len(moving.run.tracker) > 100
 
 
@@ -239,8 +244,17 @@ def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
     assert journal.states[-1] == "aborted"
 
 
-def test_enough_ends_the_path_in_order_after_the_line_under_way(moving, motion):
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_enough_ends_the_path_in_order_after_the_line_under_way_once_it_is_resumed(
+    moving, motion, is_paused
+):
+    if is_paused:
+        moving.pause()
     moving.obey(messages.CellVerb.CONCLUDE)
+    if is_paused:
+        moving.look()
+        assert moving.states[-1] == "paused"
+        moving.obey(messages.CellVerb.RESUME)
     assert moving.ended() == "finished"
     assert "enough is known" in moving.told(messages.StateChanged)[-1].text
     assert motion.calls[-1] == "abort"
@@ -267,16 +281,6 @@ def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
     assert float(running.texts("point")[0].split()[3]) > 100.0 + 30.0
     last = running.told(messages.MeasurementProgress)[-1]
     assert (last.done, last.total, last.unit) == (1, points, "points")
-
-
-def test_enough_while_paused_waits_for_resume(moving):
-    moving.pause()
-    moving.obey(messages.CellVerb.CONCLUDE)
-    moving.look()
-    assert moving.states[-1] == "paused"
-    moving.obey(messages.CellVerb.RESUME)
-    assert moving.ended() == "finished"
-    assert [e.kind for e in moving.run.events].count("concluded") == 1
 
 
 def test_halt_holds_the_feed_and_forgets_nothing(moving, motion):
@@ -576,6 +580,7 @@ def test_a_tracker_that_goes_away_or_begins_to_count_anew_ends_the_run(
         ({"_state": MotionState.UNHOMED}, "unhomed", ("not homed", "home it")),
         ({"_state": MotionState.NOT_READY}, "not-ready", ("drives are off", "switch")),
         ({"_state": MotionState.DOOR}, "door", ("door is open", "close it")),
+        ({"_state": MotionState.ALARM, "alarm": "1201 axis"}, "alarm", ("1201", "")),
         ({"referenced": False}, "unhomed", ("", "")),
     ],
 )
@@ -592,16 +597,6 @@ def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
     assert said[1] in fault.action
 
 
-@pytest.mark.parametrize(
-    ("told", "noted"), [(True, "on"), (False, "off"), (None, None)]
-)
-def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told, noted):
-    motion.compensation = told
-    running = begin(order)
-    assert running.ended() == "finished"
-    assert running.run.provenance.get("control_compensation") == noted
-
-
 @pytest.mark.fault_row(19)
 @pytest.mark.parametrize(
     ("state", "said"),
@@ -613,7 +608,7 @@ def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told,
     ],
 )
 def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
-    moving, motion, state, said
+    moving, motion, state, said, measured
 ):
     if state is MotionState.ALARM:
         motion.raise_alarm("1201 following error X")
@@ -622,7 +617,11 @@ def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
     moving.ends("faulted", f"motion-{state}")
     (fault,) = moving.told(messages.FaultReported)
     assert said in f"{fault.text} {fault.action}".lower()
-    assert len(moving.run.tracker) > 100
+    run = moving.run
+    assert len(run.tracker) > 100
+    assert run.provenance["outcome"] == "faulted"
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    measured(f"{state}: {len(run.tracker)} samples kept, none lost")
 
 
 @pytest.mark.fault_row(21)

@@ -1,13 +1,13 @@
 """What a cell says to its parent: in order, the latest, and no state is dropped."""
 
 import threading
-import time
 from dataclasses import replace
 from multiprocessing import Pipe
 
 import numpy as np
 import pytest
 
+from processes import until
 from truepath.measurement import messages
 from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox
 from truepath_drivers.interfaces.records import TrackerSamples
@@ -98,10 +98,7 @@ def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
     for number in range(MAX_BLOCKS):
         outbox.report(block(number))
     link.taking.set()
-    deadline_s = time.monotonic() + 10.0
-    while len(link.taken) <= MAX_BLOCKS:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+    until(lambda: len(link.taken) > MAX_BLOCKS)
     outbox.report(block(MAX_BLOCKS))
     outbox.close(5.0)
     assert outbox.dropped_blocks == 0

@@ -3,12 +3,12 @@
 import os
 import sqlite3
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from processes import until
 from truepath.errors import BundleError, MeasurementFailed
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.run_file import recorder as recorder_module
@@ -61,13 +61,6 @@ def fill(recorder, blocks=20):
     for i, one in enumerate(made):
         recorder.put_tracker(one, b"%03d" % i * 20)
     return TrackerSamples.join(made)
-
-
-def wait_until(condition):
-    deadline_s = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
 
 
 def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
@@ -196,7 +189,7 @@ def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
     recorder.put_tracker(block(0))
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
-    wait_until(lambda: recorder.is_space_low)
+    until(lambda: recorder.is_space_low)
     assert recorder.close("failed").failure == ""
 
 
@@ -207,10 +200,10 @@ def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
     recorder = Recorder(file, header, reserve_bytes=0)
     written = fill(recorder, 4)
     recorder._queue.put(recorder_module._Item())
-    wait_until(recorder._queue.empty)
+    until(recorder._queue.empty)
     recorder._database.execute("PRAGMA max_page_count = 1")
     recorder.put_tracker(block(5000, 5000))
-    wait_until(lambda: "full" in recorder.failure)
+    until(lambda: "full" in recorder.failure)
     assert "check disk space" in recorder.failure
     with pytest.raises(MeasurementFailed):
         recorder.event("late", "too late")
@@ -237,7 +230,7 @@ def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
 
     monkeypatch.setattr(recorder, "_commit", stuck)
     recorder.put_tracker(block(0))
-    wait_until(recorder._queue.empty)
+    until(recorder._queue.empty)
     for i in range(1, 5):
         recorder.put_tracker(block(50 * i))
     with pytest.raises(MeasurementFailed, match="too slow: 4 batches wait"):
