@@ -46,9 +46,7 @@ def until_it(measuring, onlooker, is_so, within_s):
 
 
 @pytest.mark.fault_row(44)
-def test_replies_that_are_no_status_hold_the_feed_by_the_age_of_the_last_one(
-    measuring, measured
-):
+def test_no_status_holds_the_feed_by_the_age_of_the_last_one(measuring, measured):
     running, _, proxy, onlooker = measuring
     for name, harm in HARMS.items():
         proxy.harm(to_host=harm)

@@ -21,7 +21,7 @@ def point_to(link, proxy):
 
 @pytest.mark.long
 @pytest.mark.fault_row(6)
-def test_a_pulled_cable_ends_the_run_and_the_renumbered_port_is_opened_by_its_name(
+def test_a_pulled_cable_ends_the_run_and_a_renumbered_port_is_opened_by_name(
     tmp_path,
 ):
     link = tmp_path / "tracker-by-id"

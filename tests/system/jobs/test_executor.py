@@ -139,9 +139,7 @@ def test_a_task_that_is_cancelled_ends_whatever_it_does_and_the_next_begins(
     assert started.is_set()
 
 
-def test_a_warm_lane_has_its_process_before_the_first_task_and_none_once_it_is_closed(
-    tasks, asleep
-):
+def test_a_warm_lane_has_its_process_at_once_and_none_once_closed(tasks, asleep):
     lanes = ProcessExecutor(1, tasks.prepare)
     lanes.warm()
     about = run(lanes, tasks.about).result()

@@ -83,9 +83,7 @@ def test_a_stream_becomes_tables_and_ends_with_the_last(run, live, shown):
     assert np.allclose(places[-1], run.tracker.position_mm[-1], atol=0.05)
 
 
-def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
-    run, live, shown
-):
+def test_an_estimate_is_told_with_its_age_until_its_process_dies(run, live, shown):
     """Whatever the process does: here it is stopped in the middle of its work."""
     live.start()
     feed(live, run, until=lambda: shown)

@@ -91,9 +91,7 @@ def write_line(columns):
         ("udp", 50.0, "counter,x,y,z,status", 6_000.0),
     ],
 )
-def test_lines_of_text_calibrate_the_machine(
-    calibrate, link, rate_hz, columns, feed_mm_min
-):
+def test_text_lines_calibrate_a_machine(calibrate, link, rate_hz, columns, feed_mm_min):
     content = load_demo(rate_hz=rate_hz)
     path = default_path(machine_from_json(content), feed_mm_min, lines=24)
     with (

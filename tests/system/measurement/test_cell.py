@@ -141,9 +141,7 @@ def test_over_modbus_rtu_a_cell_reads_thermometers_hears_the_tracker_and_measure
     assert driven.until_closed().outcome == "finished"
 
 
-def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
-    connected, order, read_link_bytes
-):
+def test_a_run_over_serial_and_modbus_loses_nothing(connected, order, read_link_bytes):
     connected.cell.begin(replace(order, rate_hz=500.0))
     closed = connected.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)

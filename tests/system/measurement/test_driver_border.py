@@ -119,9 +119,7 @@ def test_a_driver_that_lets_nothing_else_run_is_ended_and_named(measuring):
 
 
 @pytest.mark.parametrize("way", ["killed", "ends"])
-def test_a_cell_does_not_outlive_its_parent_though_a_driver_hangs(
-    site, tmp_path, order, way
-):
+def test_no_cell_outlives_its_parent_though_a_driver_hangs(site, tmp_path, order, way):
     options = {"verb": "status", "fault": "hang", "at": str(tmp_path / "now")}
     config, paths = (
         messages.CellConfig("hostile", {}, "hostile", options),
@@ -165,9 +163,7 @@ def test_thermometers_that_break_cost_neither_the_cell_nor_the_devices(drive):
     assert driven.cell.alive
 
 
-def test_a_machine_that_nobody_would_stop_is_not_armed_whatever_is_allowed(
-    drive, order, tmp_path
-):
+def test_a_machine_that_nobody_would_stop_is_never_armed(drive, order, tmp_path):
     """It has no watchdog, and its driver does not say that it stops unasked."""
     driven = drive("motion", "", "", watched="false")
     driven.cell.connect()

@@ -107,9 +107,7 @@ def test_a_replay_holds_what_the_run_holds_and_answers_as_its_device(make_run):
         ("DROP TABLE batch", "is not a Run"),
     ],
 )
-def test_a_run_that_cannot_be_repeated_is_a_clear_line(
-    make_run, tmp_path, order, said, capsys
-):
+def test_an_unrepeatable_run_is_a_clear_line(make_run, tmp_path, order, said, capsys):
     file = tmp_path / "run.sqlite"
     file.write_bytes(make_run(PATH).read_bytes())
     with sqlite3.connect(file) as database:
@@ -122,9 +120,7 @@ def test_a_run_that_cannot_be_repeated_is_a_clear_line(
 
 
 @pytest.mark.long
-def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
-    make_run, tmp_path
-):
+def test_a_motion_that_a_recording_lacks_ends_where_it_does(make_run, tmp_path):
     further = (400.0, 300.0, 200.0)
     longer = path_of(*CORNERS, further, feed=12_000.0, dwell_s=1.0)
     with (

@@ -168,9 +168,7 @@ def moment_within(seen, line, share):
 @pytest.mark.parametrize(
     ("line", "share"), [(12, 0.37), pytest.param(17, 0.8, marks=pytest.mark.long)]
 )
-def test_a_knock_while_a_line_is_driven_is_not_taken_for_one_in_a_pause(
-    record, line, share
-):
+def test_a_knock_on_a_line_is_not_taken_for_one_in_a_pause(record, line, share):
     quiet, truth = record(11, **SMALL)
     clock = truth.recording.clock
     moment_s = moment_within(align_runs([quiet])[0].observations, line, share)

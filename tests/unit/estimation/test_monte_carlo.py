@@ -54,9 +54,7 @@ def of_noise_alone(trials, noise):
     return replace(under(trials, noise), prior=silent)
 
 
-def test_trials_confirm_the_linear_uncertainty_whether_precisions_are_known_or_not(
-    fit, trials
-):
+def test_trials_confirm_linear_uncertainty_with_precisions_known_or_not(fit, trials):
     outputs, linear = squareness(fit)
     told = propagate(partial(run_block, trials), FEW)
     assert (np.abs(told.mean) < 0.2 * linear).all()

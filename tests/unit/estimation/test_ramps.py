@@ -63,9 +63,7 @@ def test_the_acceleration_of_the_axes_is_measured_on_ramps(record):
     assert not seen.at.acceleration[~seen.is_ramp].any()
 
 
-def test_ramps_of_a_sound_machine_are_used_as_other_cells_are_and_none_is_left_out(
-    clean, without
-):
+def test_ramps_of_a_sound_machine_are_used_as_other_cells_are(clean, without):
     left_mm, inside, checked = clean
     assert inside > 0.88
     assert not checked.left_out[0]
@@ -75,9 +73,7 @@ def test_ramps_of_a_sound_machine_are_used_as_other_cells_are_and_none_is_left_o
     assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
 
 
-def test_carriages_that_bend_cost_next_to_nothing_and_swinging_counts_less(
-    clean, judge, without
-):
+def test_bending_carriages_cost_little_and_swinging_counts_less(clean, judge, without):
     left_mm, inside, _ = judge(31, bends(8.0))
     assert inside > 0.88
     assert left_mm < 1.2 * clean[0]

@@ -71,9 +71,7 @@ def on_lines(model, lines, travel, points=60):
 @pytest.mark.parametrize("travel", TRAVELS)
 @pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
 @pytest.mark.fault_row(39)
-def test_rank_of_one_two_and_three_tool_offsets(
-    rng, travel, offsets, expected, measured
-):
+def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measured):
     model = every_motion(machine(travel))
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
     rows = [
@@ -90,9 +88,7 @@ def test_rank_of_one_two_and_three_tool_offsets(
     ("lines", "expected"),
     [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
-def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
-    travel, lines, expected
-):
+def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expected):
     model = every_motion(machine(travel))
     full, across = on_lines(model, lines, travel)
     assert rank(full) == 73
@@ -124,9 +120,7 @@ CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ
 @pytest.mark.parametrize(
     ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
-def test_tool_offsets_decide_how_many_motions_are_told_apart(
-    sides, offsets, known, rank
-):
+def test_tool_offsets_say_how_many_motions_are_told_apart(sides, offsets, known, rank):
     """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
 
     And less the turns of how the targets sit: each sits by itself.

@@ -140,7 +140,7 @@ def two_lengths():
     return estimate(align(replace(run, machine=machine))), truth
 
 
-def test_turns_about_the_line_of_a_heads_targets_are_left_to_the_prior_and_held_by_u(
+def test_turns_about_a_line_of_targets_are_left_to_the_prior_and_held_by_u(
     two_lengths,
 ):
     result, truth = two_lengths
@@ -177,7 +177,7 @@ def test_u_covers_a_tool_that_nobody_measured(two_lengths):
     assert other > 1.2**2 * own
 
 
-def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_is_missing(
+def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(
     two_lengths,
 ):
     """What the hint asks for brings the rank: no tool is called useless."""

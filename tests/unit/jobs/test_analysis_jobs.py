@@ -79,9 +79,7 @@ def test_a_run_whose_file_was_changed_is_not_analysed(
     assert not science.calls
 
 
-def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
-    analyse, open_dispatcher, until
-):
+def test_an_unknown_stage_leaves_the_stage_as_it_is(analyse, open_dispatcher, until):
     def dreaming(run_files, folder, *_, on_progress):
         on_progress(0.5, "dreaming")
 
@@ -89,9 +87,7 @@ def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
     assert until(analyse(alone)).stage == "aligning"
 
 
-def test_a_bad_bundle_fails_the_analysis_with_its_place_and_an_end_ends_it(
-    analyse, science, until
-):
+def test_a_bad_bundle_fails_and_an_end_ends_an_analysis(analyse, science, until):
     science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
     failure = until(analyse(), "failed").failure
     assert failure.family == "BundleError"
@@ -100,9 +96,7 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place_and_an_end_ends_it(
     until(analyse(), "aborted")
 
 
-def test_more_jobs_than_can_wait_are_refused(
-    analysing, analyse, science, monkeypatch, until
-):
+def test_a_job_too_many_is_refused(analysing, analyse, science, monkeypatch, until):
     monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
     science.hold = threading.Event()
     jobs = [analyse() for _ in range(2)]

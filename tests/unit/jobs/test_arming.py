@@ -110,9 +110,7 @@ def test_a_token_that_has_expired_or_is_of_the_plan_before_moves_nothing(
 
 
 @pytest.mark.fault_row(34)
-def test_rows_that_are_not_those_armed_are_not_driven(
-    dispatcher, ready, changed, until, make_cell
-):
+def test_only_the_rows_armed_are_driven(dispatcher, ready, changed, until, make_cell):
     """The plan was changed before the summary was asked for, after the job read it."""
     changed()
     arming = dispatcher.prepare_arming(ready.id)
@@ -140,9 +138,7 @@ def test_a_stale_version_leaves_the_token_good(refused, dispatcher, ready):
     assert dispatcher.arm(ready.id, ready.version, token).state is State.RUNNING
 
 
-def test_a_service_that_was_started_anew_knows_no_token(
-    dispatcher, ready, open_dispatcher
-):
+def test_a_service_started_anew_knows_no_token(dispatcher, ready, open_dispatcher):
     token = dispatcher.prepare_arming(ready.id).token
     dispatcher.close()
     with pytest.raises(IllegalTransition):

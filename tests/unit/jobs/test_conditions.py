@@ -296,9 +296,7 @@ def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):
         (None, "place-not-told"),
     ],
 )
-def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
-    machine, here, reason
-):
+def test_the_way_to_the_first_row_is_judged_from_where_it_begins(machine, here, reason):
     """By the names of the controller's axes, in whatever order it has them."""
     axes = machine.axis_names
     place = None if here is None else MotionStatus(MotionState.IDLE, here[::-1], 0)

@@ -85,9 +85,7 @@ def test_a_newer_schema_is_refused(sqlite_database):
         sqlite_database.migrate()
 
 
-def test_a_write_waits_for_another_program_and_then_succeeds(
-    sqlite_database, lock, monkeypatch
-):
+def test_a_write_waits_for_another_program(sqlite_database, lock, monkeypatch):
     waits = []
 
     def wait_s(duration_s):

@@ -5,6 +5,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from sqlalchemy import event, text
@@ -285,9 +286,7 @@ def test_what_waits_or_is_held_is_cancelled_where_it_stands(
     assert list(dict.fromkeys(cell.heard)) == heard
 
 
-def test_an_abort_overtakes_a_cancelling_that_takes_long(
-    dispatcher, running, cell, until
-):
+def test_an_abort_overtakes_a_cancel_that_takes_long(dispatcher, running, cell, until):
     cell.say_state("pausing")
     cell.deaf |= {"conclude"}
     dispatcher.cancel(running.id)
@@ -422,10 +421,7 @@ def test_a_cell_that_closes_without_a_word_fails_the_job(running, cell, until):
 
 
 def send_nonsense(cell):
-    def fail(_timeout_s):
-        raise ValueError("a message that nobody can read")
-
-    cell.poll = fail
+    cell.poll = Mock(side_effect=ValueError("a message that nobody can read"))
 
 
 @pytest.mark.parametrize("harm", [lambda cell: cell.die(), send_nonsense])
@@ -450,7 +446,7 @@ def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
     assert (failure.family, failure.detail) == ("ConnectionLost", "no such port")
 
 
-def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
+def test_an_unreadable_run_is_kept_and_fails_the_analysis(
     running, cell, until, context
 ):
     cell.end(spoil=b"no database at all")
@@ -461,9 +457,7 @@ def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
     assert file.is_file()
 
 
-def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
-    dispatcher, context
-):
+def test_a_path_that_cannot_be_driven_is_refused_and_makes_no_job(dispatcher, context):
     first, last = ROWS
     to_and_fro = [{**first, "x_mm": float(n % 2)} for n in range(4097)]
     for rows, problem in (
@@ -531,9 +525,7 @@ def test_after_a_restart_what_had_not_ended_is_interrupted_and_nothing_moves(
     cell.die()
 
 
-def test_progress_and_live_views_are_told_but_not_kept(
-    event_bus, running, cell, context, until
-):
+def test_progress_and_views_are_told_not_kept(event_bus, running, cell, context, until):
     heard = []
     forget = event_bus.subscribe(heard.append)
 
@@ -790,9 +782,7 @@ def test_progress_that_cannot_be_kept_is_shown_and_does_not_stop_the_measurement
     assert until(running, "succeeded").health.samples == cell._samples
 
 
-def test_a_full_disk_is_logged_once_not_ten_times_a_second(
-    running, cell, until, full, monkeypatch
-):
+def test_a_full_disk_is_logged_only_once(running, cell, until, full, monkeypatch):
     monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.005)
     lines, tries = [], []
     for module in (active_job, workflow, databases):
@@ -813,9 +803,7 @@ def test_a_full_disk_is_logged_once_not_ten_times_a_second(
     assert len(lines) <= 4
 
 
-def test_a_run_that_is_not_closed_in_time_is_a_fault(
-    clock, running, cell, until, monkeypatch
-):
+def test_a_run_not_closed_in_time_is_a_fault(clock, running, cell, until, monkeypatch):
     monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
     cell.say_state("finished")
     assert until(running, "faulted").failure.code == "run-not-closed"

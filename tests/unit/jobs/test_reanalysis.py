@@ -117,9 +117,7 @@ def test_a_service_that_starts_again_goes_on_with_what_is_left(
 
 
 @pytest.mark.database
-def test_runs_are_chosen_by_machine_and_time(
-    context, runs, open_dispatcher, analyst, until
-):
+def test_machine_and_time_choose_runs(context, runs, open_dispatcher, analyst, until):
     assert context.runs.get(runs[0]).machine == context.require_machine().name
     dispatcher = open_dispatcher(reanalyser=analyst)
     since = {"since": datetime(2000, 1, 1, tzinfo=UTC)}

@@ -316,9 +316,7 @@ def test_what_acts_on_notices_goes_on_with_what_is_left_and_keeps_them(
     until(job, "succeeded")
 
 
-def test_points_that_are_measured_again_are_not_gone_back_to_through_a_box(
-    faulted, cell, note
-):
+def test_no_point_is_gone_back_to_through_a_box(faulted, cell, note):
     places = (20.0, 20.0), (100.0, 100.0), (200.0, 200.0), (300.0, 100.0), (20.0, 30.0)
     points = tuple({"x_mm": x, "y_mm": y, "z_mm": 50.0 + y / 9} for x, y in places)
     box = {"min_mm": [180, 60, 0], "max_mm": [220, 140, 200]}
@@ -359,9 +357,7 @@ def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
 @pytest.mark.parametrize(
     ("next_row", "point", "path_row"), [(0, 0, 0), (4, 1, 0), (7, 7, 7), (12, 7, 7)]
 )
-def test_a_part_begins_with_six_rows_of_its_target_or_with_all_of_them(
-    next_row, point, path_row
-):
+def test_a_part_begins_with_six_rows_of_its_target_or_all(next_row, point, path_row):
     axes, rows = ("X", "Y", "Z"), np.zeros((12, 3))
     target = ("T1",) * 7 + ("T2",) * 5
     points = Configurations(axes, rows, np.ones(12), target)
@@ -379,9 +375,7 @@ def test_a_part_begins_with_six_rows_of_its_target_or_with_all_of_them(
         ("trunnion", ("T1",), True),
     ],
 )
-def test_targets_that_only_one_run_joins_keep_a_measurement_from_going_on(
-    scenario, names, goes_on
-):
+def test_targets_that_one_run_joins_let_nothing_go_on(scenario, names, goes_on):
     content = load_machine(scenario)
     content.pop("tool_offset_mm", None)
     content["targets"] = load_machine("trunnion")["targets"]

@@ -55,9 +55,7 @@ def fleet(machine, open_dispatcher, until):
 
 
 @pytest.mark.database
-def test_two_machines_measure_at_once_each_only_once_and_one_outlives_the_other(
-    fleet, context
-):
+def test_two_machines_measure_at_once_each_once_one_outlives_the_other(fleet, context):
     mill, lathe = fleet.begin("mill"), fleet.begin("lathe")
     assert (mill.machine, lathe.machine) == ("mill", "lathe")
     for job in (mill, lathe):

@@ -130,6 +130,7 @@ def test_stations_are_asked_for_one_after_another_and_each_is_armed(
 ):
     job = prepare()
     assert (job.station.number, job.station.total) == (1, 3)
+    assert context.store.read_plan(job.id)["place"] == ADVICE
     for number in (2, 3):
         job = measure(job, POINTS, LINES)
         assert job.station.number == number
@@ -145,9 +146,7 @@ def test_stations_are_asked_for_one_after_another_and_each_is_armed(
     assert checker.calls[1][2] == pytest.approx(1500.8, abs=0.1)
 
 
-def test_a_station_that_the_known_points_contradict_is_asked_for_again(
-    moved, measure, checker
-):
+def test_a_station_that_known_points_contradict_is_asked_again(moved, measure, checker):
     checker.answers = [BAD, GOOD]
     again = measure(moved, POINTS)
     assert again.station.number == 2
@@ -157,9 +156,7 @@ def test_a_station_that_the_known_points_contradict_is_asked_for_again(
     assert [check.problem for check in last.station.checks] == ["", ""]
 
 
-def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
-    prepare, begin, cell, until
-):
+def test_known_points_not_seen_are_no_fault_of_the_job(prepare, begin, cell, until):
     job = begin(prepare())
     cell.begun.clear()
     cell.fault("beam-lost")
@@ -172,9 +169,7 @@ def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
 VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
-def test_what_a_plan_avoids_is_avoided_on_the_way_to_its_rows(
-    open_watched, measure, until, cell
-):
+def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, cell):
     behind_the_vice = (300.0, 10.0, 10.0)  # it is between here and the known points
     place = [behind_the_vice]
 
@@ -324,9 +319,7 @@ def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole
     assert len(cell.order.commanded) == len(LONG)
 
 
-def test_a_beginning_of_a_plan_ends_at_its_last_station(
-    prepare, plan_id, context, dispatcher, until
-):
+def test_a_beginning_of_a_plan_ends_early(prepare, plan_id, context, dispatcher, until):
     job = prepare(plan_id=plan_id, plan_rows=15)
     assert job.station.total == 2
     plan = context.store.read_plan(job.id)
@@ -335,20 +328,17 @@ def test_a_beginning_of_a_plan_ends_at_its_last_station(
     assert plan["predicted_um"] == pytest.approx(0.6)
     shares = plan["place"]["at_stations"]
     assert [(one["rows"], one["duration_s"]) for one in shares] == [(11, 9.0), (4, 6.0)]
-    for rows, why in ((34, "33 rows"), (2, "add rows"), (12, "1 place")):
+    for order, why in (
+        ({"plan_rows": 34}, "33 rows"),
+        ({"plan_rows": 2}, "add rows"),
+        ({"plan_rows": 12}, "1 place"),
+        ({"target_um": 1.0}, "leave target_um out"),
+    ):
         with pytest.raises(PlanningError, match=why):
-            prepare(plan_id=plan_id, plan_rows=rows)
+            prepare(plan_id=plan_id, **order)
     dispatcher.abort(job.id)
     until(job)
     first = prepare(plan_id=plan_id, plan_rows=6)
     plan = context.store.read_plan(first.id)
     assert (first.station, len(plan["position"])) == (None, 6)
     assert "stations" not in plan
-
-
-def test_a_job_keeps_what_its_plan_says_of_places_and_has_no_target(
-    prepare, plan_id, context
-):
-    with pytest.raises(PlanningError, match="leave target_um out"):
-        prepare(plan_id=plan_id, target_um=1.0)
-    assert context.store.read_plan(prepare().id)["place"] == ADVICE

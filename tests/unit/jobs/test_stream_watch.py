@@ -29,9 +29,7 @@ def seen(**readings):
     return messages.LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
 
 
-def test_a_lost_beam_is_told_until_the_machine_moves_again_and_points_come(
-    watch, hand_clock
-):
+def test_a_lost_beam_is_told_until_the_machine_moves_and_points_come(watch, hand_clock):
     watch.follow(seen())
     assert watch.read().has_beam is True
     watch.follow(messages.FaultReported("beam-lost", "the beam is lost", "lock it"))
@@ -91,9 +89,7 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
         (heard(samples=0, streams=False), False, {"has_beam": None, "failure": ""}),
     ],
 )
-def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(
-    hand_clock, tried, aims, level
-):
+def test_a_moment_at_rest_tells_beam_and_samples(hand_clock, tried, aims, level):
     watch = StreamStatus()
     watch.record_trial(tried, 500.0, aims=aims)
     read = watch.read()

@@ -56,9 +56,7 @@ def finish(running, motion):
     return running.run
 
 
-def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
-    begin, arc_order, motion
-):
+def test_a_circle_that_was_held_is_driven_whole_at_the_end(begin, arc_order, motion):
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
     running.pause_and_resume()
@@ -79,9 +77,7 @@ def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
     assert motion.calls.count("start") == 2
 
 
-def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
-    begin, arc_order, motion, tracker
-):
+def test_a_circle_with_a_short_loss_is_driven_again(begin, arc_order, motion, tracker):
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
     tracker.beam = False

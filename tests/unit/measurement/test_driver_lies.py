@@ -36,9 +36,7 @@ def site(tmp_path, monkeypatch):
         ("thermometer", "read", "tuple"),
     ],
 )
-def test_what_breaks_or_lies_is_an_error_that_names_driver_call_and_remedy(
-    device, verb, fault
-):
+def test_what_breaks_or_lies_is_an_error_of_driver_call_and_remedy(device, verb, fault):
     made = make_device(device, "hostile", {"verb": verb, "fault": fault})
     given = {"read": (0.1,), "start": (500.0,)} if device == "tracker" else {}
     with pytest.raises(DeviceError, match=rf"{NAME}.* {verb}\(\).*; update"):

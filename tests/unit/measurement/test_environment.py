@@ -229,9 +229,7 @@ def test_sensors_that_are_dead_or_of_a_broken_driver_cost_themselves(
 
 
 @pytest.mark.fault_row(14)
-def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
-    measure, sensors, motion
-):
+def test_a_driver_that_hangs_delays_no_stream_no_beat_no_end(measure, sensors, motion):
     sensors.hangs.clear()
     begin_s = host_clock.now_s()
     run = measure(sensors)
@@ -242,9 +240,7 @@ def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
 
 
 @pytest.mark.fault_row(43)
-def test_what_was_left_out_is_counted_in_the_run_with_its_reason(
-    measure, sensors, journal
-):
+def test_what_is_left_out_is_counted_in_the_run_with_reason(measure, sensors, journal):
     sensors.shows["X_degC"] = swap_words(20.5)
     sensors.shows["pressure_hPa"] = 746.0  # of mercury, in mm
     run = measure(sensors)
@@ -355,7 +351,7 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
 
 
 @pytest.mark.parametrize("altitude_m", [None, 400.0])
-def test_ranges_are_corrected_by_usual_air_where_it_was_not_measured(
+def test_usual_air_corrects_ranges_where_none_was_measured(
     tmp_path, header, altitude_m
 ):
     machine = replace(header.machine, altitude_m=altitude_m)
@@ -374,9 +370,7 @@ def test_ranges_are_corrected_by_usual_air_where_it_was_not_measured(
     assert read_bundle(tmp_path / "bundle").refraction == run.refraction
 
 
-def test_the_live_estimate_sees_ranges_in_usual_air(
-    measure, order, journal, calm, sensors
-):
+def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, sensors):
     run = measure(
         sensors, replace(order, live=True), settings=replace(calm, light=HENE)
     )

@@ -44,9 +44,7 @@ def conclude(until_asked):
     return conclude
 
 
-def test_a_path_grows_in_the_same_run(
-    waiting, part, square, motion, until_asked, conclude
-):
+def test_a_path_grows_in_one_run(waiting, part, square, motion, until_asked, conclude):
     np.testing.assert_array_equal(motion.status().position, square.position[-1])
     assert motion.calls[-1] == "start"  # it stands while it waits
     waiting.obey(part)
@@ -130,9 +128,7 @@ def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
 
 
 @pytest.mark.parametrize("is_row_done", [True, False])
-def test_a_line_that_was_driven_to_its_end_counts_when_the_rest_is_left_out(
-    square, is_row_done
-):
+def test_a_line_driven_to_its_end_counts_when_the_rest_is_left_out(square, is_row_done):
     progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0)
     progress.begin()
     progress.follow(1)

@@ -123,18 +123,14 @@ def test_a_tracker_frozen_bit_for_bit_holds_and_its_lines_are_driven_again(
 
 
 @pytest.mark.fault_row(41)
-def test_a_tracker_that_stays_where_it_was_but_for_noise_disagrees(
-    running, until_held, tracker
-):
+def test_a_tracker_that_stays_but_for_noise_disagrees(running, until_held, tracker):
     tracker.follows = None
     until_held("tracker-disagrees")
     assert running.states[-1] == "paused"
 
 
 @pytest.mark.fault_row(41)
-def test_a_stream_rounded_to_a_tenth_without_noise_is_not_frozen(
-    running, tracker, motion
-):
+def test_a_noiseless_stream_rounded_to_a_tenth_is_not_frozen(running, tracker, motion):
     see = tracker._see
     tracker._see = lambda count: np.round(see(count), 1)
     motion.stand("operator")
@@ -145,9 +141,7 @@ def test_a_stream_rounded_to_a_tenth_without_noise_is_not_frozen(
 
 
 @pytest.mark.parametrize("odd", [np.nan, np.inf, 1e300])
-def test_what_is_no_place_is_a_lost_beam_whatever_its_status(
-    running, until_held, tracker, odd
-):
+def test_no_place_is_a_lost_beam_whatever_its_status(running, until_held, tracker, odd):
     see = tracker._see
     tracker._see = lambda count: see(count) * odd
     until_held("beam-lost")
@@ -219,9 +213,7 @@ def test_a_polled_tracker_that_repeats_a_point_is_held_and_it_is_not_stored(
 
 
 @pytest.mark.fault_row(41)
-def test_a_polled_point_without_a_number_is_a_lost_beam(
-    measure, polled, points, journal
-):
+def test_a_polled_point_of_no_number_is_a_lost_beam(measure, polled, points, journal):
     def spoil(asked):
         if asked == 2:
             polled._rng = type("Odd", (), {"normal": lambda *_: np.full(3, np.nan)})()

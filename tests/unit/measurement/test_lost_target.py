@@ -215,9 +215,7 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(begin, tracker, orde
     assert running.states[-1] == "paused"
 
 
-def test_a_standstill_point_is_measured_again_once_the_target_is_found(
-    begin, tracker, order, motion
-):
+def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motion):
     motion.speed = 2000.0
     position = draw_rows(5)
     running = begin(standing_at(order, position, 6.0))
@@ -260,9 +258,7 @@ class FindingPolled(FakePolledTracker, TargetFinder):
         return PointMeasurement.average(np.array([host_clock.now_s()]), place)
 
 
-def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
-    begin, motion, order
-):
+def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion, order):
     motion.speed, position = 2000.0, draw_rows(6)
     running = begin(
         standing_at(order, position, 0.02),

@@ -306,9 +306,7 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(judged, tracker, m
 
 
 @pytest.mark.fault_row(5)
-def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
-    judged, tracker, motion
-):
+def test_a_silence_of_a_moment_costs_samples_and_no_hold(judged, tracker, motion):
     tracker.silent = True
     host_clock.sleep_s(0.45)
     tracker.silent = False
@@ -362,9 +360,7 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     judged.resume_to_the_end()
 
 
-def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
-    judged, tracker, motion
-):
+def test_a_hold_by_hand_while_a_stop_ends_by_itself_is_kept(judged, tracker, motion):
     tracker.silent = True
     judged.pass_until(lambda: judged.states[-1] == "paused")
     motion.ignores_resume = True
@@ -392,9 +388,7 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(judged, clock):
 
 
 @pytest.mark.fault_row(29)
-def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
-    moving, clock, measured
-):
+def test_a_wall_clock_that_jumps_changes_no_duration_nor_order(moving, clock, measured):
     for jump_s in (3600.0, -3600.0, -host_clock.wall_s()):
         clock.wall_jump_s = jump_s
         moving.look(9)
@@ -437,9 +431,7 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(judged, tracker, motion):
 
 
 @pytest.mark.fault_row(1)
-def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
-    begin, short_order, tracker, motion
-):
+def test_damage_holds_and_lines_are_driven_again(begin, short_order, tracker, motion):
     running = begin(short_order)
     running.until_done()
     tracker.damaged = True
@@ -478,9 +470,7 @@ def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
     assert motion.status().state == "held"
 
 
-def test_a_damaged_stream_before_the_path_costs_no_line(
-    begin, short_order, tracker, motion
-):
+def test_damage_before_the_path_costs_no_line(begin, short_order, tracker, motion):
     tracker.damaged = True
     running = begin(short_order)
     running.until_state("paused")
@@ -607,9 +597,7 @@ def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
         (MotionState.ALARM, "1201 following error x"),
     ],
 )
-def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
-    moving, motion, state, said, measured
-):
+def test_what_cannot_go_on_is_a_fault_with_why(moving, motion, state, said, measured):
     if state is MotionState.ALARM:
         motion.raise_alarm("1201 following error X")
     else:
@@ -633,9 +621,7 @@ def test_a_motion_that_ends_early_is_a_fault(moving, motion):
 
 @pytest.mark.fault_row(21)
 @pytest.mark.parametrize("state", ["running", "finished"])
-def test_a_machine_that_moves_on_after_its_end_is_a_fault(
-    begin, order, motion, calm, state
-):
+def test_moving_on_after_the_end_is_a_fault(begin, order, motion, calm, state):
     motion.runs_on = state == "running"
     running = begin(order, settings=replace(calm, lead_s=5.0))
     if state == "finished":
@@ -778,9 +764,7 @@ def test_a_program_of_somebody_else_is_left_alone(begin, order, motion, held):
 
 
 @pytest.mark.parametrize("reason", ["command", "watchdog"])
-def test_what_an_earlier_measurement_has_left_held_is_called_off(
-    begin, order, motion, reason
-):
+def test_what_was_left_held_before_is_called_off(begin, order, motion, reason):
     motion.begin_elsewhere()
     motion.stand(reason)
     begin(order).finished()
@@ -836,9 +820,7 @@ def test_a_disk_that_fails_or_is_almost_full_holds_the_machine_and_keeps_the_run
 
 
 @pytest.mark.fault_row(28)
-def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
-    moving, monkeypatch, measured
-):
+def test_a_slow_disk_holds_the_feed_until_it_catches_up(moving, monkeypatch, measured):
     recorder = moving.measurement._recorder
     slow, commit = threading.Event(), recorder._commit
 
@@ -863,7 +845,7 @@ def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_
     assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
 
 
-def test_rows_are_put_into_the_axis_order_of_the_controller_or_the_axis_is_named(
+def test_rows_are_put_into_the_axis_order_of_the_control_or_the_axis_is_named(
     square,
 ):
     turned = arrange_axes(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))

@@ -24,14 +24,6 @@ def order(order):
     return standing_at(order, draw_rows(4), 0.03)
 
 
-def failing(error, first, last=99):
-    def fail(asked):
-        if first <= asked <= last:
-            raise error
-
-    return fail
-
-
 def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
     measure, order, polled, motion, journal, tmp_path
 ):
@@ -65,9 +57,7 @@ def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
     assert first.scatter == pytest.approx(second.scatter)
 
 
-def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(
-    measure, polled, journal
-):
+def test_a_lost_target_holds_until_resumed_and_is_measured(measure, polled, journal):
     def lose(asked):
         if asked == 3:
             timer = threading.Timer(
@@ -85,21 +75,25 @@ def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(
 
 
 def test_a_link_that_is_lost_is_connected_anew(measure, polled):
-    polled.before = failing(ConnectionLost("the cable was pulled"), 2, 2)
+    def pull(asked):
+        if asked == 2:
+            raise ConnectionLost("the cable was pulled")
+
+    polled.before = pull
     state, run = measure()
     assert (state, polled.connects) == ("finished", 2)
     assert run.points.row.tolist() == list(range(4))
 
 
 @pytest.mark.parametrize("error", [ConnectionLost("gone"), DeviceError("broken"), None])
-def test_what_does_not_come_back_or_never_ends_is_a_fault(
-    measure, polled, journal, error
-):
-    def hang(asked):
+def test_what_stays_away_or_never_ends_is_a_fault(measure, polled, journal, error):
+    def fail(asked):
+        if asked > 1 and error:
+            raise error
         if asked == 2:
             host_clock.wait(polled.stopped, 20.0)
 
-    polled.before = failing(error, 2) if error else hang
+    polled.before = fail
     timeouts = StreamTimeouts(point_s=0.3)
     state, run = measure(settings=replace(QUICK, timeouts=timeouts))
     assert state == "faulted"
@@ -140,9 +134,7 @@ def test_a_path_is_refused_before_anything_moves(measure, order, square, motion)
 
 
 @pytest.mark.fault_row(10)
-def test_warnings_of_the_instrument_are_told_and_recorded(
-    measure, polled, journal, measured
-):
+def test_warnings_of_trackers_are_told_and_recorded(measure, polled, journal, measured):
     warning = TrackerEvent(TrackerEventKind.WARNING, "battery low", "plug it in")
     polled.before = lambda asked: polled.events.append(warning) if asked == 2 else None
     state, run = measure()

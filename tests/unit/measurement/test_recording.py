@@ -152,9 +152,7 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     assert all(on_disk >= 50 * (i + 1) for i, (_, on_disk) in enumerate(seen))
 
 
-def test_a_display_that_fails_does_not_stop_the_recording(
-    file, header, caplog, monkeypatch
-):
+def test_a_display_that_fails_stops_no_recording(file, header, caplog, monkeypatch):
     def fail(samples):
         raise ValueError("no screen")
 
@@ -216,9 +214,7 @@ def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
 
 
 @pytest.mark.fault_row(28)
-def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
-    file, header, monkeypatch
-):
+def test_a_disk_too_slow_is_an_error_once_the_queue_is_full(file, header, monkeypatch):
     monkeypatch.setattr(recorder_module, "PUT_TIMEOUT_S", 0.05)
     monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 4)
     recorder = Recorder(file, header, reserve_bytes=0)

@@ -152,7 +152,7 @@ def test_lines_go_straight_turn_and_do_both_over_all_the_travel(path):
     assert np.ptp(path.position[:, 4]) == 360.0
 
 
-def test_the_first_target_is_measured_again_after_all_others_unless_by_a_single_line(
+def test_the_first_target_is_measured_again_after_all_others_unless_by_one_line(
     path,
 ):
     target = np.array(path.target)
@@ -241,7 +241,7 @@ def planners():
     ]
 
 
-def test_targets_share_all_time_but_that_of_turning_the_tracker_in_a_short_one_fewer(
+def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one(
     planners,
 ):
     shares = share_among_targets(planners, 240.0, CHANGE_S, 0)

@@ -19,7 +19,7 @@ def moving_at(machine, **stated):
     return machine_from_json({**machine_to_json(machine), "motion": stated})
 
 
-def test_a_machine_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(
+def test_a_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(
     mill,
 ):
     stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
@@ -63,9 +63,7 @@ def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned)
     assert max(planned.feeds_worth.values()) < 1.08
 
 
-def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
-    small_mill, mill
-):
+def test_no_plan_is_faster_than_the_machine_can_or_than_is_asked_for(small_mill, mill):
     slow = replace(small_mill, motion=MotionLimits(2400.0, assumed=()))
     plan = make_plan(slow, PlanRequirements(minutes=0.6))
     assert plan.commanded.feed_mm_min.max() <= 2400.0

@@ -130,9 +130,7 @@ IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9)
     [(IN_SPACE[:3], False), (IN_SPACE, True), (IN_A_PLANE, False)],
     ids=["two-lines", "three-lines", "in-a-plane"],
 )
-def test_what_the_estimate_refuses_is_foretold_in_its_words(
-    record, places, is_determined
-):
+def test_what_estimates_refuse_is_foretold_as_they_say(record, places, is_determined):
     run, truth = record(2, program=merge_points(*places))
     stand_mm = truth.recording.pose.position_mm
     foretold = predict_undetermined(run.machine, run.commanded, stand_mm)

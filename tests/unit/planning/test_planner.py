@@ -47,9 +47,7 @@ def test_a_path_uses_its_budget_in_lines_that_are_long_enough_and_ends_elsewhere
     assert seconds.min() > 0.2
 
 
-def test_the_default_path_leaves_little_more_than_a_plan_of_the_same_time(
-    planner, mill
-):
+def test_the_default_path_leaves_little_more_than_a_plan_of_its_time(planner, mill):
     usual = default_path(mill, 6000.0)
     made = planner(mill)
     best = made.plan(float(row_times_s(usual).sum()))
@@ -119,9 +117,7 @@ def test_a_louder_tracker_is_planned_for_with_a_new_design(planner, mill):
     assert left_mm(loud, plan) > 1.5 * left_mm(made, plan)
 
 
-def test_points_keep_to_their_budget_and_tell_more_than_random_ones(
-    points, planner, mill, rng
-):
+def test_points_keep_their_budget_and_tell_more_than_random(points, planner, mill, rng):
     made = planner(mill, "points")
     drive = made.design.drive
     feed = np.full(len(points), 6000.0)

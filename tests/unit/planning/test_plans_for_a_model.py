@@ -60,9 +60,7 @@ def planned(model):
 
 
 @pytest.mark.long
-def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
-    planned, model
-):
+def test_lines_tell_the_effects_better_than_lines_planned_without_them(planned, model):
     known = model.select_effects(MACHINE)
     assumed = Assumptions(known)
 
@@ -94,9 +92,7 @@ def test_what_is_foretold_is_what_the_measurement_then_states(planned, model):
     assert (np.abs(found.theta[part] - true) < 3.0 * stated).all()
 
 
-def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
-    planned, model
-):
+def test_a_plan_of_lines_or_points_states_effects_before_and_after(planned, model):
     document = plan_document(planned[True])
     assert document["model"]["source"] == "model.json"
     lost, lag, sag = document["predicted"]["effects"]

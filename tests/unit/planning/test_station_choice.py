@@ -163,9 +163,7 @@ def test_of_a_perfect_tracker_nothing_has_to_be_taken_away(judge):
     assert typical.volumetric_sigma_mm > 1.1 * typical.random_mm
 
 
-def test_a_second_place_leaves_what_a_forecast_of_both_places_leaves(
-    small_mill, lines, judge
-):
+def test_a_second_place_leaves_what_a_forecast_of_both_does(small_mill, lines, judge):
     first, remedies = judge(TrackerSpecification())
     one = remedies["second-place"]
     machine = specify(small_mill, TrackerSpecification())
