@@ -33,10 +33,8 @@ def measuring(tmp_path):
         ModbusController(**bench.motion_options, **PATIENT) as onlooker,
     ):
         options = proxy.options | PATIENT
-        with measuring_on(
-            bench, tmp_path / "r.sqlite", motion_options=options
-        ) as begun:
-            yield begun, bench, proxy, onlooker
+        with measuring_on(bench, tmp_path / "r.sqlite", motion_options=options) as one:
+            yield one, bench, proxy, onlooker
 
 
 def until_it(measuring, onlooker, is_so, within_s):

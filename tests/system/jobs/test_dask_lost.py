@@ -125,9 +125,8 @@ def test_whoever_dies_the_same_bits_come_out_in_bounded_time(
             (client,) = (c for c in Client._instances if c.status != "closed")
             wait_until(lambda: client.status == "closed")
     assert took_s < BOUND_S
-    measured(
-        f"{harm.__name__.strip('_').replace('_', ' ')}: same bits in {took_s:.1f} s"
-    )
+    done = harm.__name__.strip("_").replace("_", " ")
+    measured(f"{done}: same bits in {took_s:.1f} s")
     assert told == expected
 
 

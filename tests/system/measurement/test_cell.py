@@ -132,9 +132,8 @@ def test_over_modbus_rtu_a_cell_reads_thermometers_hears_the_tracker_and_measure
     read = driven.of(messages.ControllerRead)[0]
     assert len(read.status.position) == len(read.axes)
     assert read.axes == ("X", "Y", "Z")
-    tried = driven.cell.try_tracker(
-        messages.TrackerTrial(500.0, 0.2, streams_only=True)
-    )
+    trial = messages.TrackerTrial(500.0, 0.2, streams_only=True)
+    tried = driven.cell.try_tracker(trial)
     assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
     assert tried.usable == tried.samples
     driven.cell.begin(order)

@@ -21,10 +21,7 @@ from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 from truepath_simulators.scenario import load_machine
 
 ABSENT = explain_absence()
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
-]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(bool(ABSENT), reason=str(ABSENT))]
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-10, 310)}
 READY = {"reset_at_connect": True, "home_at_connect": True}
 SPEED = 20.0  # mm/s

@@ -19,9 +19,7 @@ from truepath_simulators.scenario import load_machine
 
 def measure(content, commanded, folder, **given):
     machine, file = machine_from_json(content), folder / "run.sqlite"
-    order = MeasurementOrder(
-        "bench", str(file), machine, commanded, feed_mm_min=20_000.0
-    )
+    order = MeasurementOrder("b", str(file), machine, commanded, feed_mm_min=20_000.0)
     driven = measure_undisturbed(order, content, folder, **given)
     run = open_run(file)
     return run, align(run), driven

@@ -97,10 +97,8 @@ def test_a_missing_standstill_does_not_shift_the_lines_after_it(record):
 def test_the_frame_of_the_tracker_does_not_matter(usual, rng):
     run, _, a = usual
     turn = Rotation.random(rng=rng).as_matrix()
-    moved = with_stream(
-        run, position_mm=run.tracker.position_mm @ turn.T + [1.0, 2.0, -3.0]
-    )
-    b = align(moved)
+    moved = run.tracker.position_mm @ turn.T + [1.0, 2.0, -3.0]
+    b = align(with_stream(run, position_mm=moved))
     assert np.allclose(a.at.time_s, b.at.time_s)
     assert np.allclose(a.at.position_mm, b.at.position_mm, atol=1e-3)
 
@@ -153,11 +151,9 @@ def test_another_machines_path_is_refused_with_the_causes_that_are_usual(usual, 
 
 
 def moving(rng, n, step_mm=0.1):
-    position = np.cumsum(np.full((n, 3), step_mm), axis=0)
-    position += 0.004 * rng.normal(size=(n, 3))
-    return TrackerSamples(
-        np.arange(n), np.arange(n) / 500.0, position, np.zeros(n, np.int64)
-    )
+    place = np.cumsum(np.full((n, 3), step_mm), axis=0)
+    place += 0.004 * rng.normal(size=(n, 3))
+    return TrackerSamples(np.arange(n), np.arange(n) / 500.0, place, np.zeros(n, int))
 
 
 def test_spikes_one_beside_another_and_bad_status_are_not_samples(rng):

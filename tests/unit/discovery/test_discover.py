@@ -126,9 +126,8 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
 def settling(record):
     """A Run during which the tracker's stand leans, in no shape of the catalogue."""
     setting = Setting(hidden=(SettlingStand((20.0, -14.0), 15.0),))
-    return discovery_json(
-        discover([record(11, rows=20, travel_mm=150.0, setting=setting)[0]])
-    )
+    run, _ = record(11, rows=20, travel_mm=150.0, setting=setting)
+    return discovery_json(discover([run]))
 
 
 def test_a_cause_that_nobody_listed_gets_no_name(settling):

@@ -231,6 +231,5 @@ def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(at_points):
     gain = gain.reshape(size, -1, 3)
     spread = np.einsum("pni,nij,qnj->pq", gain, np.linalg.inv(precision), gain)
     gram = compute_volumetric_gram(fit.model)
-    assert by_source(at_points)["tracker"] == pytest.approx(
-        np.sum(gram * spread), rel=1e-3
-    )
+    expected = pytest.approx(np.sum(gram * spread), rel=1e-3)
+    assert by_source(at_points)["tracker"] == expected

@@ -133,7 +133,7 @@ def test_what_interrupted_uploads_left_is_swept_away(context, analysing):
     assert not left.exists()
 
 
-class _CancelledFuture:
+class _Cancelled:
     """A computation that ends as a future does that somebody has cancelled."""
 
     def __init__(self, started):
@@ -153,9 +153,7 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     context, analyse, open_dispatcher, monkeypatch, verb
 ):
     """The future ends before the catalogue has taken the abort."""
-    executor = SimpleNamespace(
-        submit=lambda *_, started, **__: _CancelledFuture(started)
-    )
+    executor = SimpleNamespace(submit=lambda *_, started, **__: _Cancelled(started))
     dispatcher = open_dispatcher(machines=Machines(), executor=executor)
     errors = []
     monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))

@@ -40,9 +40,7 @@ def sqlite_file(tmp_path, empty_catalogue):
 def sqlite_database(sqlite_file):
     """A catalogue whose connections wait for nobody by themselves."""
     database = Database(f"sqlite:///{sqlite_file}", patience_s=0.3)
-    listen(
-        database.engine, "connect", lambda raw, _: raw.execute("PRAGMA busy_timeout=0")
-    )
+    listen(database.engine, "connect", lambda c, _: c.execute("PRAGMA busy_timeout=0"))
     yield database
     database.close()
 
@@ -79,9 +77,7 @@ def test_a_newer_schema_is_refused(sqlite_database):
     sqlite_database.write(
         lambda c: c.execute(text("UPDATE alembic_version SET version_num='9999'"))
     )
-    with pytest.raises(
-        errors.SchemaTooNew, match="schema 9999, newer than this version"
-    ):
+    with pytest.raises(errors.SchemaTooNew, match="schema 9999, newer than this"):
         sqlite_database.migrate()
 
 
@@ -273,9 +269,7 @@ def test_a_catalogue_that_cannot_be_written_says_so(file):
         here.chmod(0o444)
         os.seteuid(account or 65534)  # an account without rights
         try:
-            with pytest.raises(
-                errors.CatalogueReadOnly, match=r"be written .*; give its"
-            ):
+            with pytest.raises(errors.CatalogueReadOnly, match=r"written .*; give its"):
                 open_catalogue(here)
         finally:
             os.seteuid(account)

@@ -715,9 +715,7 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
     def read_states():
         found = {dispatcher.show(store.get(running.id)).state}
         found |= {dispatcher.show(job).state for job in store.list_page(9)}
-        found |= {
-            state for (_, state), count in store.count_by_state().items() if count
-        }
+        found |= {state for (_, state), n in store.count_by_state().items() if n}
         assert store.list_unfinished() == []
         assert store.list_page(9, states=["running", "aborting", "paused"]) == []
         assert [job.id for job in store.list_page(9, states=[end])] == [running.id]

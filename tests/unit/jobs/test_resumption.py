@@ -148,7 +148,7 @@ TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
 
 
 @pytest.mark.parametrize(
-    ("next_row", "change", "expected"),
+    ("next_row", "change", "known"),
     [
         (12, {}, {"first_row": 5}),
         (4, TWO_TARGETS, {"closure_row": [3], "place_mm": PLACES[1:]}),
@@ -156,16 +156,7 @@ TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
     ids=["few rows are driven with some before them", "the closure has one target"],
 )
 def test_what_is_acknowledged_knows_its_rest_and_waits_to_be_armed_anew(
-    dispatcher,
-    faulted,
-    until,
-    cell,
-    resumer,
-    replan,
-    context,
-    next_row,
-    change,
-    expected,
+    dispatcher, faulted, until, cell, resumer, replan, context, next_row, change, known
 ):
     job, resumer.next_row = faulted(), next_row
     replan(job, **change)
@@ -175,7 +166,7 @@ def test_what_is_acknowledged_knows_its_rest_and_waits_to_be_armed_anew(
     now = until(job, "ready")
     assert dispatcher.acknowledge(job.id) == now
     assert cell.heard[before:] == ["connect"]
-    assert expected.items() <= context.store.read_plan(job.id)["resumption"].items()
+    assert known.items() <= context.store.read_plan(job.id)["resumption"].items()
 
 
 @pytest.mark.database
@@ -183,10 +174,8 @@ def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
     dispatcher, faulted, drive, until, cell, context, machine
 ):
     def describe(machine):
-        content = machine_to_json(machine)
-        version = context.registry.record_configuration(
-            "default", "catalogue", content, {}
-        )
+        given = "default", "catalogue", machine_to_json(machine), {}
+        version = context.registry.record_configuration(*given)
         one = context.machines.get("default")
         context.machines.put(replace(one, machine=machine, version=version))
 
@@ -194,9 +183,7 @@ def test_it_goes_on_only_by_the_machine_file_that_it_was_measured_with(
     job = faulted()
     (target,) = machine.targets
     describe(replace(machine, targets=(replace(target, offset_mm=(1.0, 2.0, -9.0)),)))
-    with pytest.raises(
-        errors.MachineFileChanged, match=r"offset_mm is \[1.0, 2.0, -9.0\]"
-    ):
+    with pytest.raises(errors.MachineFileChanged, match=r"offset_mm is \[1.0, 2.0, -9"):
         dispatcher.acknowledge(job.id)
     assert context.store.get(job.id) == job
     describe(machine)
@@ -384,9 +371,7 @@ def test_targets_that_one_run_joins_let_nothing_go_on(scenario, names, goes_on):
     if goes_on:
         require_targets_apart(plan, machine)
         return
-    with pytest.raises(
-        errors.NotResumable, match=f"T1.*{names[-1]}.*have to be measured in"
-    ):
+    with pytest.raises(errors.NotResumable, match=f"T1.*{names[-1]}.*be measured in"):
         require_targets_apart(plan, machine)
 
 

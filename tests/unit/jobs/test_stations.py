@@ -36,9 +36,7 @@ class Checker:
     def __init__(self):
         self.calls, self.answers = [], []
 
-    def __call__(
-        self, file, before, planned_mm, asked_mm, specification, *, on_progress
-    ):
+    def __call__(self, file, before, planned_mm, asked_mm, specified, *, on_progress):
         self.calls.append((file, before, asked_mm, planned_mm))
         return self.answers.pop(0) if self.answers else GOOD
 

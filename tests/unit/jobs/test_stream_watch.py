@@ -112,9 +112,8 @@ def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_c
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
     watch = StreamStatus()
     for n in range(10):
-        watch.follow(
-            messages.TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan})
-        )
+        readings = {"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}
+        watch.follow(messages.TemperaturesRead(readings))
         hand_clock.time_s += 10.0
     (shown,) = watch.read().temperatures
     assert (shown.channel, shown.over_s) == ("X_degC", 90.0)

@@ -371,9 +371,8 @@ def test_usual_air_corrects_ranges_where_none_was_measured(
 
 
 def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, sensors):
-    run = measure(
-        sensors, replace(order, live=True), settings=replace(calm, light=HENE)
-    )
+    settings = replace(calm, light=HENE)
+    run = measure(sensors, replace(order, live=True), settings=settings)
     shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
     kept_mm = run.tracker.position_mm[0]
     np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)

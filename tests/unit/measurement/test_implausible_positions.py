@@ -161,9 +161,8 @@ def test_a_hold_of_the_watchdog_bears_the_name_of_what_kept_the_beats_away(
     def is_busy(*_):
         raise DeviceBusy("exception 6")
 
-    monitor.settings = monitor._machine._settings = replace(
-        monitor.settings, stale_s=0.2
-    )
+    quick = replace(monitor.settings, stale_s=0.2)
+    monitor.settings = monitor._machine._settings = quick
     motion._reach = is_busy
     host_clock.sleep_s(0.5)
     motion.stand("watchdog")

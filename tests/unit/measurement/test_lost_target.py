@@ -269,9 +269,8 @@ def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion,
     run = running.run
     assert run.points.row.tolist() == list(range(6))
     assert running.faults == ["beam-lost"]
-    np.testing.assert_allclose(
-        run.tracker.position_mm, TO_TRACKER.apply(position), atol=1e-6
-    )
+    places = TO_TRACKER.apply(position)
+    np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
     assert summarize_run(run).interruptions.found == 1
 
 

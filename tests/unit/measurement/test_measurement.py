@@ -113,9 +113,7 @@ def test_points_are_stepped_through_with_a_dwell_at_each(begin, order, square, m
     assert run.mode == "standstill"
     assert run.provenance["control_compensation"] == "off"
     done = running.texts("point")
-    assert [text.split(" until ")[0] for text in done] == [
-        f"row {i}" for i in (1, 2, 3, 4)
-    ]
+    assert [t.split(" until ")[0] for t in done] == [f"row {i}" for i in (1, 2, 3, 4)]
     until_s = [float(text.split()[3]) for text in done]
     assert (np.diff(until_s) > 2.3).all()
     last = running.told(messages.MeasurementProgress)[-1]
@@ -135,9 +133,7 @@ def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
     with motion._lock:
         motion.here = motion.here + 1.0
         left_s = running.told(messages.LivePoints)[-1].device_time_s
-    running.until(
-        lambda: running.told(messages.LivePoints)[-1].device_time_s > left_s + 10.0
-    )
+    running.until_seen(left_s + 10.0)
     if comes_back:
         with motion._lock:
             motion.here = motion.here - 1.0
@@ -655,9 +651,8 @@ def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
 def test_a_hold_at_the_machine_is_a_pause_that_ends_there_or_here(moving, motion, ends):
     motion.stand("operator")
     moving.until_state("paused")
-    assert (
-        "held at the machine: operator" in moving.told(messages.StateChanged)[-1].text
-    )
+    said = moving.told(messages.StateChanged)[-1].text
+    assert "held at the machine: operator" in said
     moving.until_told("held-at-machine")
     assert "operator" in moving.fault.text
     if ends == "here":

@@ -24,9 +24,7 @@ RATE_HZ = 500.0
 
 def samples(number):
     n = len(number)
-    return TrackerSamples(
-        number, number / RATE_HZ, np.zeros((n, 3)), np.zeros(n, np.int64)
-    )
+    return TrackerSamples(number, number / RATE_HZ, np.zeros((n, 3)), np.zeros(n, int))
 
 
 def judge(number, crc_errors=0):
@@ -174,15 +172,13 @@ class Streaming(FakeTracker):
             return TrackerSamples.empty()
         return self.block()
 
-    def block(self, later_s=0.0):
+    def block(self, by_s=0.0):
         sequence = np.arange(self.next, self.next + 10)
         self.next += 10 + self.lost
         self.lost_samples += self.lost
-        place_mm = np.tile([0.0, 0.0, 2000.0], (10, 1))
+        place = np.tile([0.0, 0.0, 2000.0], (10, 1))
         status = np.full(10, self.status, np.int64)
-        return TrackerSamples(
-            sequence, later_s + sequence / self.rate_hz, place_mm, status
-        )
+        return TrackerSamples(sequence, by_s + sequence / self.rate_hz, place, status)
 
 
 class Polled(FakePolledTracker):

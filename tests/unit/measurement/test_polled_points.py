@@ -60,10 +60,8 @@ def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
 def test_a_lost_target_holds_until_resumed_and_is_measured(measure, polled, journal):
     def lose(asked):
         if asked == 3:
-            timer = threading.Timer(
-                0.3, measure.running.obey, (messages.CellVerb.RESUME,)
-            )
-            timer.start()
+            verb = (messages.CellVerb.RESUME,)
+            threading.Timer(0.3, measure.running.obey, verb).start()
             raise BeamLost("no prism in the field of view")
 
     polled.before = lose

@@ -113,13 +113,12 @@ def test_the_quality_of_samples_is_kept_where_the_tracker_tells_it(recorder, fil
 
 
 def test_points_are_read_back(file, header, square):
-    points = Configurations(
-        square.axes, square.position, square.dwell_s, ("a", "b", "a", "b")
-    )
+    names = ("a", "b", "a", "b")
+    points = Configurations(square.axes, square.position, square.dwell_s, names)
     Recorder(file, replace(header, commanded=points), reserve_bytes=0).close("failed")
     run = open_run(file)
     assert run.mode == "standstill"
-    assert run.commanded.target == ("a", "b", "a", "b")
+    assert run.commanded.target == names
     assert len(run.tracker) == 0
     assert run.axis_samples is None
 
@@ -319,10 +318,10 @@ def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng, measured):
         except BundleError:
             refused += 1
             continue
-        rows = [whole[int(s)] for s in run.tracker.sequence]
-        np.testing.assert_array_equal(
-            run.tracker.position_mm, good.tracker.position_mm[rows]
-        )
+        written = good.tracker.position_mm[
+            [whole[int(s)] for s in run.tracker.sequence]
+        ]
+        np.testing.assert_array_equal(run.tracker.position_mm, written)
         np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
     measured(f"40 flipped bits: {refused} files refused, 0 wrong samples")
 

@@ -89,9 +89,8 @@ def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
 
 def test_no_feed_is_chosen_above_the_one_asked_for_or_that_controls_do_not_read(mill):
     assert max(PlanRequirements(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
+    both = PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3)
     with pytest.raises(PlanningError, match="leave it out where feeds are given"):
-        PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3).reject_nonsense(
-            mill
-        )
+        both.reject_nonsense(mill)
     machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
     assert max(PlanRequirements().feeds(machine)) <= 99_999.0

@@ -102,10 +102,8 @@ def test_a_plan_of_lines_or_points_states_effects_before_and_after(planned, mode
     assert after["uncertainty"] < 0.5 * before["uncertainty"]
     assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
     assert plan_document(planned[False])["model"] is None
-    points = make_plan(
-        MACHINE, PlanRequirements("standstill", minutes=0.4, model=model)
-    )
-    (of_points, *_) = plan_document(points)["predicted"]["effects"]
+    stops = make_plan(MACHINE, PlanRequirements("standstill", minutes=0.4, model=model))
+    (of_points, *_) = plan_document(stops)["predicted"]["effects"]
     for one in (lost, of_points):
         width_um = (one[key]["width_um"] for key in ("parameters", "known_before"))
         assert next(width_um)["uncertainty"] < next(width_um)["uncertainty"]

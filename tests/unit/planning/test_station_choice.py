@@ -35,15 +35,11 @@ NESTS = nests((-600.0, -700.0, 0.0), (850.0, -700.0, 0.0))
 
 @pytest.fixture(scope="module")
 def plan_of(small_mill):
-    def make(
-        specification=PERFECT, *, areas=NESTS, move_s=600.0, mode="otf", **workspace
-    ):
-        stations = StationAreas(areas, (), move_s, specification)
-        workspace = Workspace(nearest_mm=200.0, stations=stations, **workspace)
+    def make(tracker=PERFECT, *, areas=NESTS, move_s=600.0, mode="otf", **more):
+        stations = StationAreas(areas, (), move_s, tracker)
+        space = Workspace(nearest_mm=200.0, stations=stations, **more)
         feeds = (6000.0,) if mode == "otf" else ()
-        order = PlanRequirements(
-            mode, minutes=0.4, feeds_mm_min=feeds, workspace=workspace
-        )
+        order = PlanRequirements(mode, minutes=0.4, feeds_mm_min=feeds, workspace=space)
         return make_plan(small_mill, order)
 
     return make
@@ -84,10 +80,8 @@ def test_a_travel_that_no_place_sees_whole_demands_a_second_station(mill):
     """A wall across the travel; the tracker may stand on either side of it."""
     wall = Box((240.0, -2600.0, -700.0), (260.0, 2000.0, 700.0), "wall")
     areas = StationAreas((FLOOR,), (), 60.0, PERFECT)
-    workspace = Workspace(nearest_mm=200.0, stations=areas, blocks_sight=(wall,))
-    advice = make_plan(
-        mill, PlanRequirements(minutes=1.0, workspace=workspace)
-    ).stations
+    space = Workspace(nearest_mm=200.0, stations=areas, blocks_sight=(wall,))
+    advice = make_plan(mill, PlanRequirements(minutes=1.0, workspace=space)).stations
     assert advice.options[0].left.seen < 0.9
     assert advice.recommended.reason == "sight"
     assert advice.recommended.left.seen > advice.options[0].left.seen
@@ -218,9 +212,7 @@ def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_m
 
 @pytest.mark.long
 def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
-    plan = make_plan(
-        small_mill, PlanRequirements(target_um=0.2, feeds_mm_min=(6000.0,))
-    )
+    plan = make_plan(small_mill, PlanRequirements(target_um=0.2, feeds_mm_min=FEEDS))
     assert plan.reached is False
     assert plan.outcome.random_mm < 0.4 * plan.outcome.volumetric_sigma_mm
     assert plan.duration_s < 1000.0
