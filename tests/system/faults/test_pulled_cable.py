@@ -21,9 +21,7 @@ def point_to(link, proxy):
 
 @pytest.mark.long
 @pytest.mark.fault_row(6)
-def test_a_pulled_cable_ends_the_run_and_a_renumbered_port_is_opened_by_name(
-    tmp_path,
-):
+def test_a_pulled_cable_ends_the_run_and_a_renumbered_port_is_opened_by_name(tmp_path):
     link = tmp_path / "tracker-by-id"
     with Bench(seed=3, speed=10.0, rtu=False) as bench:
         options = {**bench.tracker_options, "port": str(link)}

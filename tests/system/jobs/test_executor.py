@@ -115,9 +115,7 @@ def test_a_process_that_dies_is_named_and_replaced(lane, tasks):
     assert run(lane, tasks.about).result()["pid"] != before
 
 
-def test_a_task_that_is_cancelled_ends_whatever_it_does_and_the_next_begins(
-    lane, tasks, asleep, in_thread
-):
+def test_a_cancelled_task_ends_and_the_next_begins(lane, tasks, asleep, in_thread):
     first, outcome, pid = asleep(lane)
     started = threading.Event()
     waits = run(lane, tasks.add, 4, 5)

@@ -34,9 +34,7 @@ def begin_on_bench(service, machine):
 
 @pytest.mark.long
 @pytest.mark.timeout(180)
-def test_two_benches_measure_at_once_and_the_death_of_a_cell_leaves_the_other(
-    tmp_path,
-):
+def test_two_benches_measure_at_once_and_the_death_of_a_cell_leaves_the_other(tmp_path):
     settings = load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_machines=2, port=0
     )

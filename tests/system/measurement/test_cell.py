@@ -116,9 +116,7 @@ def moves(run):
     return int((np.diff((speed > 2.0).astype(int)) == 1).sum())
 
 
-def test_over_modbus_rtu_a_cell_reads_thermometers_hears_the_tracker_and_measures(
-    bench, start, order
-):
+def test_over_rtu_a_cell_reads_sensors_tries_trackers_and_measures(bench, start, order):
     driven = start(
         motion_options=bench.motion_options_rtu,
         thermometer_driver="modbus-registers",
@@ -159,9 +157,7 @@ def test_a_run_over_serial_and_modbus_loses_nothing(connected, order, read_link_
     np.testing.assert_array_equal(decoded, samples.position_mm)
 
 
-def test_one_cell_steps_through_points_again_and_again_until_enough_is_known(
-    connected, order, tmp_path
-):
+def test_a_cell_measures_points_again_until_enough_is_known(connected, order, tmp_path):
     quick = replace(order, feed_mm_min=9000.0)
     corners = order.commanded.position
     connected.cell.begin(standing_at(quick, corners[:3], 2.0))
@@ -262,9 +258,7 @@ def assert_held(status):
     assert status.hold_reason in ("command", "watchdog")
 
 
-def test_a_cell_ends_with_its_parent_and_holds_the_feed(
-    bench, long_order, tmp_path, machine_state
-):
+def test_an_orphaned_cell_holds_and_ends(bench, long_order, tmp_path, machine_state):
     given = tmp_path, config_of(bench), long_order
     with measured_by_another(*given) as (parent, cell, told):
         while next(told) < 1:
@@ -320,9 +314,7 @@ def test_a_cell_that_is_terminated_or_closed_holds_the_feed_and_ends_the_run(
         ),
     ],
 )
-def test_what_ends_by_itself_is_named_and_lived_through(
-    bench, watchful, long_order, fault, code, measured
-):
+def test_faults_that_pass_are_borne(bench, watchful, long_order, fault, code, measured):
     watchful.begin(long_order, line=1)
     bench.inject(fault)
     closed = watchful.until_closed()

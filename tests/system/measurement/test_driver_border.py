@@ -79,9 +79,7 @@ def read_diary(folder):
     ("device", "verb"),
     [("motion", "status"), ("tracker", "read"), ("motion", "send_heartbeat")],
 )
-def test_a_call_that_hangs_in_motion_ends_the_measurement_by_its_name(
-    measuring, order, tmp_path, device, verb
-):
+def test_a_call_that_hangs_in_motion_is_named(measuring, order, tmp_path, device, verb):
     driven = measuring(device, verb, "hang")
     driven.until_closed(12.0)
     faults = [fault.text for fault in driven.of(messages.FaultReported)]

@@ -57,9 +57,7 @@ def require_named(found, hidden, label):
 
 
 @pytest.mark.long
-def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(
-    plain,
-):
+def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(plain):
     hidden = RotaryEccentricity("C", 40.0, 1.0)
     model = extend_model(plain)
     found = drive(HEAD, (hidden,), 28, model)

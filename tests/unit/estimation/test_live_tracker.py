@@ -47,9 +47,7 @@ def follow_lines(run):
 
 
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
-def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(
-    mode,
-):
+def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(mode):
     inside = []  # of the live estimate and of the analysis
     for seed in (11, 12, 13):
         run, truth = measure(seed, mode)

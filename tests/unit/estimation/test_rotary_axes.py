@@ -140,9 +140,7 @@ def two_lengths():
     return estimate(align(replace(run, machine=machine))), truth
 
 
-def test_turns_about_a_line_of_targets_are_left_to_the_prior_and_held_by_u(
-    two_lengths,
-):
+def test_turns_about_a_line_of_targets_are_left_to_the_prior_and_held_by_u(two_lengths):
     result, truth = two_lengths
     assert result.model.confounded == {"COB", "ECB"}
     known = truth.locations()
@@ -177,9 +175,7 @@ def test_u_covers_a_tool_that_nobody_measured(two_lengths):
     assert other > 1.2**2 * own
 
 
-def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(
-    two_lengths,
-):
+def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(two_lengths):
     """What the hint asks for brings the rank: no tool is called useless."""
     result, _ = two_lengths
     said = result.observability.unobservable

@@ -196,9 +196,7 @@ def by_source(estimate):
     return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
 
 
-def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(
-    longer_and_shorter,
-):
+def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(longer_and_shorter):
     found = longer_and_shorter
     parts = by_source(found)
     total = sum(parts.values())

@@ -65,9 +65,7 @@ def test_uploaded_runs_are_analysed_together_and_the_stages_are_told(
 
 @pytest.mark.fault_row(26)
 @pytest.mark.parametrize("kind", [JobKind.ANALYSE, JobKind.DISCOVER])
-def test_a_run_whose_file_was_changed_is_not_analysed(
-    analysing, context, run, other, science, until, kind
-):
+def test_a_changed_run_is_refused(analysing, context, run, other, science, until, kind):
     file = context.runs.file(other.id)
     file.write_bytes(file.read_bytes() + b"changed")
     ended = until(analysing.create(RequestedJob(kind, [run.id, other.id]))[0])
@@ -149,9 +147,7 @@ class _Cancelled:
 
 
 @pytest.mark.parametrize("verb", ["abort", "close"])
-def test_what_a_cancelled_job_trips_over_is_no_failure(
-    context, analyse, open_dispatcher, monkeypatch, verb
-):
+def test_a_cancel_is_no_failure(context, analyse, open_dispatcher, monkeypatch, verb):
     """The future ends before the catalogue has taken the abort."""
     executor = SimpleNamespace(submit=lambda *_, started, **__: _Cancelled(started))
     dispatcher = open_dispatcher(machines=Machines(), executor=executor)

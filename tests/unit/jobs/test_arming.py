@@ -49,9 +49,7 @@ def refused(dispatcher, ready, make_cell):
 
 
 @pytest.mark.fault_row(34)
-def test_a_token_of_this_plan_moves_the_machine_once_and_then_nothing_is_armed(
-    dispatcher, ready, make_cell
-):
+def test_a_token_of_this_plan_moves_the_machine_once(dispatcher, ready, make_cell):
     arming = dispatcher.prepare_arming(ready.id)
     # Its stored state counts, which its thread may not know yet.
     dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING

@@ -153,9 +153,7 @@ def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
         (None, True, Level.UNKNOWN, "not-told-on"),
     ],
 )
-def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
-    told, wants, level, reason
-):
+def test_compensation_hinders_only_who_asks_for_another(told, wants, level, reason):
     seen = replace(GOOD, controller=shown(compensation=told))
     board = ConditionLog(lambda: seen, wants_compensation=wants)
     asked = ConditionType.COMPENSATION_AS_ASKED

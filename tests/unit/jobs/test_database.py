@@ -95,9 +95,7 @@ def test_a_write_waits_for_another_program(sqlite_database, lock, monkeypatch):
 
 
 @pytest.mark.fault_row(37)
-def test_a_catalogue_locked_for_too_long_says_so(
-    sqlite_database, lock, hand_clock, monkeypatch
-):
+def test_a_locked_catalogue_says_so(sqlite_database, lock, hand_clock, monkeypatch):
     def wait_s(duration_s):
         hand_clock.time_s += duration_s
 

@@ -109,9 +109,7 @@ def test_extra_lines_that_were_cut_short_go_on_and_both_runs_are_explained(
     assert ended.has_discovery
 
 
-def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
-    run, discover, drive, explorer
-):
+def test_what_is_open_is_asked_again_of_the_same_model(run, discover, drive, explorer):
     model = discover()
     first = drive(discover(model_id=model.id))
     second = drive(first)

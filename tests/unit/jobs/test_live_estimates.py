@@ -184,9 +184,7 @@ def test_a_notice_is_told_when_it_is_new_and_when_its_name_changes(followed, boa
 @pytest.mark.parametrize(
     ("may_move", "asked"), [(True, ["cell pause", "pause"]), (False, ["pause"])]
 )
-def test_a_pause_holds_the_machine_once_and_first_unless_the_job_ends(
-    followed, board, may_move, asked
-):
+def test_a_pause_first_holds_once_unless_the_job_ends(followed, board, may_move, asked):
     """A hold while the last line is driven would end the job there."""
     followed.may_move = may_move
     shown, _ = board(OnNotice.PAUSE)
@@ -242,7 +240,7 @@ def test_the_parts_are_the_whole_plan_and_end_however_often_lines_are_asked_for(
     ],
     ids=["before the rest", "the last lines", "points", "points behind a box"],
 )
-def test_what_is_driven_again_comes_between_by_ways_that_were_driven_and_counts(
+def test_rows_driven_again_come_between_by_driven_ways_and_count(
     plan, repeated, driven
 ):
     planned = PlannedRows(*plan)

@@ -94,9 +94,7 @@ def test_a_measurement_ends_at_its_target_with_its_reason_and_without_one_at_its
 
 
 @pytest.mark.database
-def test_a_job_is_planned_armed_measured_and_analysed(
-    dispatcher, context, running, cell, until, science
-):
+def test_a_job_goes_its_whole_way(dispatcher, context, running, cell, until, science):
     path, rows = cell.order.commanded, [*ROWS, OFF_THE_LINE]
     assert path.position.tolist() == [[row[f"{a}_mm"] for a in "xyz"] for row in rows]
     assert path.feed_mm_min.tolist()[1] == 1000.0
@@ -119,9 +117,7 @@ def test_a_job_is_planned_armed_measured_and_analysed(
         dispatcher.resume(job.id, job.version)
 
 
-def test_a_pause_holds_and_a_resume_of_the_version_that_was_read_goes_on(
-    dispatcher, running, cell, until
-):
+def test_a_pause_holds_a_resume_by_version_goes_on(dispatcher, running, cell, until):
     assert dispatcher.pause(running.id).state == "pausing"
     paused = until(running, "paused")
     assert paused.desired_state == "paused"
@@ -153,9 +149,7 @@ def test_a_hold_at_the_panel_or_for_a_lost_beam_says_why_and_a_users_pause_outla
 
 
 @pytest.mark.parametrize("confirmed", [True, False])
-def test_a_stop_of_the_cells_own_never_becomes_a_users_pause(
-    running, cell, until, monkeypatch, confirmed
-):
+def test_a_cells_stop_is_no_users_pause(running, cell, until, monkeypatch, confirmed):
     monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.0)
     cell.fault("tracker-silent", "no sample", "nothing")
     cell.say_state("pausing")
@@ -241,9 +235,7 @@ def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason
 
 
 @pytest.mark.fault_row(34)
-def test_a_cancelled_measurement_finishes_its_line_and_keeps_its_run(
-    dispatcher, running, cell, until, science
-):
+def test_a_cancel_ends_line_and_keeps_run(dispatcher, running, cell, until, science):
     assert dispatcher.cancel(running.id).state is State.CANCELLING
     ended = until(running, "cancelled")
     assert cell.heard == ["connect", "begin", "conclude"]
@@ -277,9 +269,7 @@ def test_a_line_that_never_ends_after_a_cancel_is_aborted_with_the_reason(
     ("moment", "heard"),
     [("ready", ["connect"]), ("paused", ["connect", "begin", "pause", "abort"])],
 )
-def test_what_waits_or_is_held_is_cancelled_where_it_stands(
-    request, dispatcher, cell, until, moment, heard
-):
+def test_what_stands_is_cancelled(request, dispatcher, cell, until, moment, heard):
     job = request.getfixturevalue(moment)
     dispatcher.cancel(job.id)
     assert until(job, "cancelled").run_id == (job.id if moment == "paused" else None)
@@ -361,9 +351,7 @@ def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, con
     assert "ready" not in read_states(context)
 
 
-def test_an_abort_on_the_heels_of_arming_begins_nothing_or_ends_it(
-    dispatcher, ready, make_cell, until
-):
+def test_an_abort_upon_arming_ends_what_it_begins(dispatcher, ready, make_cell, until):
     arm_at_once(dispatcher, ready.id, ready.version)
     dispatcher.abort(ready.id)
     until(ready, "aborted")
@@ -371,9 +359,7 @@ def test_an_abort_on_the_heels_of_arming_begins_nothing_or_ends_it(
     assert "begin" not in heard or heard.index("abort") > heard.index("begin")
 
 
-def test_stop_ends_every_motion_and_leaves_computing_alone(
-    dispatcher, running, cell, until, science, context
-):
+def test_stop_ends_motion_alone(dispatcher, running, cell, until, science, context):
     cell.end()
     first = until(running, "succeeded")
     science.hold = threading.Event()
@@ -438,17 +424,13 @@ def test_a_cell_that_dies_or_trips_over_a_defect_faults_the_job_and_is_replaced(
     until(dispatcher.create(OTF)[0], "ready")
 
 
-def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
-    dispatcher, make_cell, until
-):
+def test_a_device_out_of_reach_fails_the_job_at_once(dispatcher, make_cell, until):
     make_cell.cell.refuses = ConnectionLost("no such port")
     failure = until(dispatcher.create(OTF)[0], "failed").failure
     assert (failure.family, failure.detail) == ("ConnectionLost", "no such port")
 
 
-def test_an_unreadable_run_is_kept_and_fails_the_analysis(
-    running, cell, until, context
-):
+def test_an_unreadable_run_is_kept_and_fails_an_analysis(running, cell, until, context):
     cell.end(spoil=b"no database at all")
     file = context.runs.name_run_file(running.id)
     job = until(running, "failed")
@@ -493,9 +475,7 @@ def test_without_rows_the_default_path_or_points_are_measured(
     assert set(plan["feed_mm_min"]) == feeds
 
 
-def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
-    dispatcher, running, cell, context
-):
+def test_closing_stops_motion_first_then_the_job(dispatcher, running, cell, context):
     dispatcher.close()
     assert "abort" in cell.heard
     job = context.store.get(running.id)
@@ -580,9 +560,7 @@ def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
 
 @pytest.mark.database
 @pytest.mark.fault_row(37)
-def test_a_catalogue_that_is_locked_does_not_stop_a_pause(
-    clock, dispatcher, running, cell, context, until
-):
+def test_no_lock_stops_a_pause(clock, dispatcher, running, cell, context, until):
     with locked(context.store):
         asks = threading.Thread(target=dispatcher.pause, args=(running.id,))
         asks.start()
@@ -646,9 +624,7 @@ def test_a_catalogue_that_fails_while_the_machine_moves_stops_it_or_ends_the_cel
         assert context.runs.get(running.id).samples == 50
 
 
-def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
-    dispatcher, running, full, context
-):
+def test_an_end_not_stored_waits_for_the_next_start(dispatcher, running, full, context):
     full.set()
     dispatcher.close()
     assert context.store.get(running.id).state == "running"

@@ -71,9 +71,7 @@ def summary_of(context, job):
 
 
 @pytest.mark.database
-def test_every_run_is_analysed_and_those_that_fail_are_named(
-    context, runs, dispatcher, analyst, until
-):
+def test_runs_are_analysed_failures_named(context, runs, dispatcher, analyst, until):
     analyst.failing, analyst.defects = {runs[3]}, {runs[4]}
     gone = context.runs.file(runs[5])
     gone.unlink()

@@ -212,9 +212,7 @@ def test_what_fails_or_is_not_of_its_run_leaves_a_measurement_that_can_go_on(
     until(job, "ready")
 
 
-def test_nothing_goes_on_while_another_job_holds_the_machine_or_after_an_abort(
-    dispatcher, faulted, until
-):
+def test_nothing_goes_on_beside_a_job_or_after_an_abort(dispatcher, faulted, until):
     job = faulted()
     other = until(dispatcher.create(OTF)[0], "ready")
     with pytest.raises(errors.CellBusy, match=other.id):

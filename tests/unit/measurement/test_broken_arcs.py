@@ -103,9 +103,7 @@ def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order, motion):
     assert len(run.commanded) == len(arc_order.commanded)
 
 
-def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
-    begin, arc_order, motion
-):
+def test_a_circle_ever_broken_is_given_up_without_a_fault(begin, arc_order, motion):
     running, driven = begin(arc_order), arc_order.commanded
     reach_line(running, ARC_ROW)
     for times in range(1, 4):

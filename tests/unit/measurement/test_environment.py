@@ -351,9 +351,7 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
 
 
 @pytest.mark.parametrize("altitude_m", [None, 400.0])
-def test_usual_air_corrects_ranges_where_none_was_measured(
-    tmp_path, header, altitude_m
-):
+def test_usual_air_corrects_ranges_if_none_was_measured(tmp_path, header, altitude_m):
     machine = replace(header.machine, altitude_m=altitude_m)
     header = replace(header, machine=machine, channels=("X_degC", "air_degC"))
     run = corrected(tmp_path, header, HENE)

@@ -79,9 +79,7 @@ def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
         (ON[1:], ("failed", "faulted"), ""),  # begins elsewhere
     ],
 )
-def test_a_part_out_of_travel_or_elsewhere_is_never_loaded(
-    waiting, order, motion, rows, states, said
-):
+def test_a_part_elsewhere_is_never_loaded(waiting, order, motion, rows, states, said):
     waiting.obey(along(order, rows).commanded)
     assert waiting.ended() in states
     assert said in waiting.fault.text

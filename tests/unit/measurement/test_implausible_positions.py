@@ -71,9 +71,7 @@ def until_held(journal):
 
 @pytest.mark.fault_row(42)
 @pytest.mark.parametrize("lie", LIES)
-def test_positions_that_cannot_be_hold_the_feed_and_are_nowhere_kept(
-    running, until_held, motion, lie
-):
+def test_impossible_positions_hold_and_are_not_kept(running, until_held, motion, lie):
     shown = len(running.told(messages.LivePoints))
     motion.lie = LIES[lie]
     until_held("position-implausible")
@@ -97,7 +95,7 @@ def test_one_odd_reading_is_left_out_and_nothing_else(running, motion):
 
 
 @pytest.mark.fault_row(42)
-def test_an_axis_that_the_plan_does_not_name_is_not_sent_to_a_moments_reading(
+def test_an_axis_without_a_plan_follows_no_single_reading(
     begin, motion, journal, order
 ):
     """It would be told to stay where the first reading has it."""
@@ -152,9 +150,7 @@ def test_no_place_is_a_lost_beam_whatever_its_status(running, until_held, tracke
 
 
 @pytest.mark.fault_row(44)
-def test_a_hold_of_the_watchdog_bears_the_name_of_what_kept_the_beats_away(
-    running, until_held, motion
-):
+def test_a_watchdogs_hold_bears_the_name_of_its_cause(running, until_held, motion):
     reach = motion._reach
     monitor = running.measurement._monitor
 

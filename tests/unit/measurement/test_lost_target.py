@@ -149,9 +149,7 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
     assert suffered.breaks >= 1
 
 
-def test_a_target_that_stays_lost_is_told_with_its_tries_and_waits_for_somebody(
-    moving, tracker, motion
-):
+def test_a_target_that_stays_lost_is_told_with_its_tries(moving, tracker, motion):
     tracker.failures = [BeamLost("nothing there") for _ in range(9)]
     tracker.beam = False
     moving.until(lambda: len(moving.faults) == 2)
@@ -274,9 +272,7 @@ def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion,
     assert summarize_run(run).interruptions.found == 1
 
 
-def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line_and_not_silent(
-    begin, tracker, motion, order
-):
+def test_a_tracker_is_homed_before_the_first_line(begin, tracker, motion, order):
     motion.speed = 5000.0
     tracker.refusal, home = NotHomed("not initialised"), tracker.home
 
@@ -295,9 +291,7 @@ def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line_and_not_silent
     assert kinds.index("tracker-homed") < kinds.index("start")
 
 
-def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
-    begin, tracker, motion, order
-):
+def test_a_tracker_that_homing_does_not_mend_is_refused(begin, tracker, motion, order):
     tracker.refusal, tracker.is_mended_by_home = NotHomed("not initialised"), False
     motion.speed = 5000.0
     assert begin(order).ended() == "failed"

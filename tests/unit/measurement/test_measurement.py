@@ -78,9 +78,7 @@ def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     assert len(closed.sha256) == 64
 
 
-def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
-    begin, short_order, journal, motion
-):
+def test_lines_are_counted_shown_and_watched(begin, short_order, journal, motion):
     motion.stale_looks = 3  # at the last line of the program before: not ours
     begin(short_order).ends("finished")
     assert motion.stale_looks == 0
@@ -225,9 +223,7 @@ def test_an_abort_that_does_not_arrive_is_told_and_a_fault(moving, motion, contr
         assert moving.faults[-1] == "stop-unconfirmed"
 
 
-def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
-    order, tracker, motion, journal, calm
-):
+def test_verbs_too_early_or_too_late_do_no_harm(order, tracker, motion, journal, calm):
     running = Running(order, tracker, motion, journal, calm)
     running.obey(messages.CellVerb.PAUSE)
     running.obey(messages.CellVerb.RESUME)
@@ -241,9 +237,7 @@ def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
 
 
 @pytest.mark.parametrize("is_paused", [False, True])
-def test_enough_ends_the_path_in_order_after_the_line_under_way_once_it_is_resumed(
-    moving, motion, is_paused
-):
+def test_enough_ends_the_path_in_order_after_its_line(moving, motion, is_paused):
     if is_paused:
         moving.pause()
     moving.obey(messages.CellVerb.CONCLUDE)
@@ -264,9 +258,7 @@ def test_enough_ends_the_path_in_order_after_the_line_under_way_once_it_is_resum
 
 
 @pytest.mark.parametrize("points", [4, 1])
-def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
-    begin, order, square, motion, points
-):
+def test_enough_ends_points_after_their_dwell(begin, order, square, motion, points):
     running = begin(standing_at(order, square.position[:points], 30.0))
     running.until_seen(105.0)
     running.obey(messages.CellVerb.CONCLUDE)
@@ -312,9 +304,7 @@ def test_a_silence_of_a_moment_costs_samples_and_no_hold(judged, tracker, motion
     assert any(event.kind == "gap" for event in judged.run.events)
 
 
-def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
-    judged, tracker, motion
-):
+def test_a_hold_is_seen_through_though_the_stream_is_back(judged, tracker, motion):
     motion.ignores_hold = True  # as one that still brakes
     tracker.silent = True
     judged.pass_until(lambda: judged.states[-1] == "pausing")
@@ -331,9 +321,7 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
 
 @pytest.mark.parametrize("who", ["operator", "watchdog"])
 @pytest.mark.parametrize("first", ["machine", "tracker"])
-def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
-    judged, tracker, motion, who, first
-):
+def test_a_silences_end_undoes_no_hold_by_hand(judged, tracker, motion, who, first):
     if first == "machine":
         motion.stand(who)
         judged.until_state("paused")
@@ -452,9 +440,7 @@ def test_damage_holds_and_lines_are_driven_again(begin, short_order, tracker, mo
     assert "some twice" in ends[0].text
 
 
-def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
-    begin, long_order, tracker, motion, journal
-):
+def test_lasting_damage_is_a_held_fault(begin, long_order, tracker, motion, journal):
     tracker.speed = motion.speed = 1.0  # as the second in which damage is counted
     judged = begin(long_order, settings=JUDGED)
     judged.until_done()
@@ -634,9 +620,7 @@ def test_moving_on_after_the_end_is_a_fault(begin, order, motion, calm, state):
 
 
 @pytest.mark.fault_row(22)
-def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
-    begin, order, square, motion, calm
-):
+def test_a_point_not_reached_is_never_measured(begin, order, square, motion, calm):
     """The controller says that it has finished, and stands elsewhere."""
     points = standing_at(order, square.position[:3], 0.2)
     motion.ends_after_s = 0.1
@@ -840,9 +824,7 @@ def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_
     assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
 
 
-def test_rows_are_put_into_the_axis_order_of_the_control_or_the_axis_is_named(
-    square,
-):
+def test_rows_are_put_into_the_axis_order_of_the_control_or_the_axis_is_named(square):
     turned = arrange_axes(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
     np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
     np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))

@@ -63,9 +63,7 @@ def fill(recorder, blocks=20):
     return TrackerSamples.join(made)
 
 
-def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
-    recorder, file, header, read_link_bytes
-):
+def test_one_signed_file_gives_back_everything(recorder, file, header, read_link_bytes):
     written = fill(recorder)
     recorder.put_tracker(TrackerSamples.empty(), b"noise")
     rows = np.array([[0.1, 1, 2, 3], [0.2, 4, 5, 6]])
@@ -191,9 +189,7 @@ def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
 
 
 @pytest.mark.fault_row(27)
-def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
-    file, header, monkeypatch, measured
-):
+def test_a_full_disk_loses_nothing_committed(file, header, monkeypatch, measured):
     recorder = Recorder(file, header, reserve_bytes=0)
     written = fill(recorder, 4)
     recorder._queue.put(recorder_module._Item())

@@ -146,9 +146,7 @@ class SlowTracker(ChoosingTracker):
 @pytest.mark.parametrize(
     ("limit_s", "state"), [(5.0, "finished"), (-0.9, "faulted")], ids=["long", "short"]
 )
-def test_a_target_is_waited_for_as_long_as_its_driver_says(
-    begin, motion, order, journal, limit_s, state
-):
+def test_a_driver_says_its_time_to_turn(begin, motion, order, journal, limit_s, state):
     tracker = SlowTracker(motion)
     tracker.verb_limit_s, motion.speed = limit_s, 2000.0
     assert begin(order, tracker=tracker).ended() == state

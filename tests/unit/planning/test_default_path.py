@@ -152,9 +152,7 @@ def test_lines_go_straight_turn_and_do_both_over_all_the_travel(path):
     assert np.ptp(path.position[:, 4]) == 360.0
 
 
-def test_the_first_target_is_measured_again_after_all_others_unless_by_one_line(
-    path,
-):
+def test_the_first_target_is_measured_again_after_all_others_unless_by_one_line(path):
     target = np.array(path.target)
     change = np.flatnonzero(target[1:] != target[:-1]) + 1
     assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
@@ -241,9 +239,7 @@ def planners():
     ]
 
 
-def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one(
-    planners,
-):
+def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one(planners):
     shares = share_among_targets(planners, 240.0, CHANGE_S, 0)
     total = sum(share.budget_s for share in shares)
     assert total == pytest.approx(240.0 - CHANGE_S * len(shares))

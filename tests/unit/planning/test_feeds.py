@@ -19,9 +19,7 @@ def moving_at(machine, **stated):
     return machine_from_json({**machine_to_json(machine), "motion": stated})
 
 
-def test_a_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(
-    mill,
-):
+def test_a_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(mill):
     stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
     machine = moving_at(mill, **stated)
     assert machine_to_json(machine)["motion"] == stated

@@ -42,9 +42,7 @@ def test_what_is_expected_before_motion_is_achieved(record, mode, rows):
     assert 0.6 < achieved / expected < 1.6
 
 
-def test_more_lines_and_a_nearer_tracker_are_graded_better_a_better_one_the_same(
-    demo,
-):
+def test_more_lines_and_a_nearer_tracker_are_graded_better_a_better_one_the_same(demo):
     few, many = (plan(demo, lines=n) for n in (8, 24))
     near = grade(demo, many, station_mm=STATION_MM)
     assert grade(demo, few, station_mm=STATION_MM).number > 1.5 * near.number

@@ -68,9 +68,7 @@ ANY = {
 
 @given(**ANY)
 @settings(deadline=None, max_examples=5)
-def test_every_plan_passes_an_independent_checker_or_is_refused(
-    planner, mill, workspace, kind, seed, feed
-):
+def test_each_plan_passes_or_is_refused(planner, mill, workspace, kind, seed, feed):
     assert_within_limits(planner, mill, workspace, kind, seed, feed)
 
 
@@ -78,9 +76,7 @@ def test_every_plan_passes_an_independent_checker_or_is_refused(
 @pytest.mark.timeout(900)
 @given(**ANY)
 @settings(deadline=None, max_examples=200)
-def test_two_hundred_plans_pass_an_independent_checker_or_are_refused(
-    planner, mill, workspace, kind, seed, feed
-):
+def test_two_hundred_pass_or_are_refused(planner, mill, workspace, kind, seed, feed):
     assert_within_limits(planner, mill, workspace, kind, seed, feed)
 
 

@@ -34,9 +34,7 @@ def points(planner, mill):
     return planner(mill, "points").plan(60.0)
 
 
-def test_a_path_uses_its_budget_in_lines_that_are_long_enough_and_ends_elsewhere(
-    lines, planner, mill
-):
+def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(lines, planner, mill):
     assert 75.0 < row_times_s(lines).sum() <= 90.0
     away = np.linalg.norm(lines.position[-1] - lines.position[0])
     made = planner(mill)
