@@ -96,7 +96,7 @@ def test_a_task_computes_in_a_prepared_polite_and_single_threaded_process(lane, 
     assert about["prepared"] == [about["pid"]]
 
 
-def test_neither_a_task_that_raises_nor_a_deaf_listener_ends_the_process(lane, tasks):
+def test_only_a_task_that_crashes_ends_its_process_which_is_replaced(lane, tasks):
     before = run(lane, tasks.about).result()["pid"]
     with pytest.raises(TaskFailed, match=r"tracker.csv, row 3: is NaN") as raised:
         run(lane, tasks.fail).result()
@@ -106,10 +106,6 @@ def test_neither_a_task_that_raises_nor_a_deaf_listener_ends_the_process(lane, t
     away = Mock(side_effect=OSError("nobody listens"))
     assert run(lane, tasks.add, 2, 3, on_progress=away).result() == 5
     assert run(lane, tasks.about).result()["pid"] == before
-
-
-def test_a_process_that_dies_is_named_and_replaced(lane, tasks):
-    before = run(lane, tasks.about).result()["pid"]
     with pytest.raises(WorkerDied, match="killed, or out of memory"):
         run(lane, tasks.crash).result()
     assert run(lane, tasks.about).result()["pid"] != before

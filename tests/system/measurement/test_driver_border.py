@@ -139,13 +139,6 @@ def test_no_cell_outlives_its_parent_though_a_driver_hangs(site, tmp_path, order
     assert not psutil.pid_exists(cell.pid)
 
 
-def test_a_connect_that_leaves_the_program_leaves_the_cell_alive(drive):
-    driven = drive("motion", "connect", "exit")
-    with pytest.raises(DeviceError, match=rf"{NAME}.* connect\(\)"):
-        driven.cell.connect()
-    assert driven.cell.alive
-
-
 def test_nonsense_while_it_measures_is_a_fault_that_names_its_driver(measuring):
     driven = measuring("motion", "status", "none")
     driven.until_closed(15.0)

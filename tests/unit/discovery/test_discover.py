@@ -60,7 +60,7 @@ def test_an_effect_below_what_a_control_corrects_needs_nothing_done(knocked):
     assert stated["remedy"].endswith("it moves the target by 0.20 µm at most.")
 
 
-def test_a_knock_is_named_with_its_moment_and_size(knocked):
+def test_a_knock_is_named_with_its_moment_and_size_and_closes_the_gap(knocked):
     (found,) = knocked.findings
     assert found.candidate.family == "setup-step"
     assert not found.alternatives
@@ -74,14 +74,10 @@ def test_a_knock_is_named_with_its_moment_and_size(knocked):
         step = said[f"step_um[{axis}]"]
         assert abs(step.value - value) < 3.0 * step.uncertainty
         assert step.uncertainty < 0.5
-
-
-def test_the_gap_on_lines_not_seen_falls_to_the_noise_by_the_one_effect(knocked):
-    gap = knocked.gap
+    gap = knocked.gap  # on lines that were not seen it falls to the noise
     open_before = gap.before_um - gap.noise_floor_um
     assert open_before > 2.0 * (gap.after_um - gap.noise_floor_um)
     assert gap.after_um < 1.05 * gap.noise_floor_um
-    (found,) = knocked.findings
     assert 0.9 < found.evidence.share <= 1.0
     (shown,) = knocked.residuals
     shares = shown.before.shares

@@ -47,8 +47,3 @@ def test_a_real_vibration_is_still_one(search):
     (found,) = search(1, Vibration("Y", 12.0, 2.0)).findings
     assert found.candidate.label == "vibration Y"
     assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_nothing_is_named_where_nothing_is_hidden(search, seed):
-    assert search(seed).findings == ()

@@ -11,16 +11,11 @@ from truepath.catalogue.job import JobEvent
 from truepath.catalogue.live_notice import OnNotice
 from truepath.estimation.live.live_estimate import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.running import live_process
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.event_bus import JOBS, EventBus
 from truepath.jobs.running.live_alerts import LiveAlerts
 from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
-from truepath.jobs.running.live_process import (
-    LiveCommand,
-    LiveEstimateOrder,
-    estimate_json,
-    estimate_live,
-)
 from truepath.kinematics.effects.location_error import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
@@ -31,7 +26,7 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture
 def order(mill, square):
-    return LiveEstimateOrder(mill, square)
+    return live_process.LiveEstimateOrder(mill, square)
 
 
 def test_what_has_no_room_is_dropped_and_counted_at_once(order):
@@ -45,8 +40,8 @@ def test_what_has_no_room_is_dropped_and_counted_at_once(order):
 def test_a_stream_that_is_no_measurement_ends_without_a_word(order):
     ours, theirs = Pipe()
     ours.send(TrackerSamples.empty())
-    ours.send(LiveCommand.END)
-    estimate_live(order, theirs)
+    ours.send(live_process.LiveCommand.END)
+    live_process.estimate_live(order, theirs)
     assert not ours.poll()
 
 
@@ -79,7 +74,9 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
-    told = estimate_json(LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5))
+    told = live_process.estimate_json(
+        LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
+    )
     tables, places = told["error_tables"], told["axis_location"]
     for symbol, table in tables.items():
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"

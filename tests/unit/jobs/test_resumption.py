@@ -14,12 +14,7 @@ from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
-from truepath.jobs.dispatch.resumability import (
-    find_way_to_result,
-    may_be_acknowledged,
-    require_resumable,
-    require_targets_apart,
-)
+from truepath.jobs.dispatch import resumability
 from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.resumption import choose_first_row
 from truepath.measurement.messages import PartRequested
@@ -367,20 +362,22 @@ def test_targets_that_one_run_joins_let_nothing_go_on(scenario, names, goes_on):
     machine = machine_from_json(content)
     plan = {"target": ["T1"], "stations": [{"target": list(names)}]}
     if goes_on:
-        require_targets_apart(plan, machine)
+        resumability.require_targets_apart(plan, machine)
         return
     with pytest.raises(errors.NotResumable, match=f"T1.*{names[-1]}.*be measured in"):
-        require_targets_apart(plan, machine)
+        resumability.require_targets_apart(plan, machine)
 
 
 def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
     ends = {"state": State.FAULTED, "stage": Stage.ALIGNING}
     measuring, done = Job(JobKind.MEASURE_OTF, **ends), {"measured": True}
-    require_resumable(measuring, {"stations": [done, {}]})
+    resumability.require_resumable(measuring, {"stations": [done, {}]})
     with pytest.raises(errors.NotResumable, match="analyse its Runs"):
-        require_resumable(measuring, {"stations": [done, done]})
+        resumability.require_resumable(measuring, {"stations": [done, done]})
     with pytest.raises(errors.NotResumable, match=r"only computes.*begin a new job"):
-        require_resumable(Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {})
+        resumability.require_resumable(
+            Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {}
+        )
 
 
 DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
@@ -400,7 +397,7 @@ DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 def test_only_what_is_not_measured_yet_is_offered_to_go_on(stage, more, goes_on, order):
     job = Job(JobKind.MEASURE_OTF, state=State.INTERRUPTED, run_id="a", stage=stage)
     job = replace(job, further_run_ids=("b",), **more)
-    assert may_be_acknowledged(job) is goes_on
-    way = find_way_to_result(job)
+    assert resumability.may_be_acknowledged(job) is goes_on
+    way = resumability.find_way_to_result(job)
     assert (order in way) if order else way == ""
-    assert not find_way_to_result(replace(job, state=State.SUCCEEDED))
+    assert not resumability.find_way_to_result(replace(job, state=State.SUCCEEDED))

@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 
-from truepath.machines.conditions.stream_status import (
-    COURSE_S,
-    HEARD_S,
-    StreamLevels,
-    StreamStatus,
-)
+from truepath.machines.conditions import stream_status
 from truepath.measurement import messages
 
 
 @pytest.fixture
 def watch(hand_clock):
-    watch = StreamStatus()
+    watch = stream_status.StreamStatus()
     watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     return watch
 
@@ -66,7 +61,7 @@ def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
         assert (known.drift_degC is None) == (step < 12)
     assert known.drift_degC == pytest.approx(1.9)
     assert known.drifting == "X_degC"
-    hand_clock.time_s += COURSE_S + 1.0
+    hand_clock.time_s += stream_status.COURSE_S + 1.0
     assert watch.read().drift_degC is None
 
 
@@ -90,27 +85,27 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
     ],
 )
 def test_a_moment_at_rest_tells_beam_and_samples(hand_clock, tried, aims, level):
-    watch = StreamStatus()
+    watch = stream_status.StreamStatus()
     watch.record_trial(tried, 500.0, aims=aims)
     read = watch.read()
     assert {name: getattr(read, name) for name in level} == level
 
 
 def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
-    watch = StreamStatus()
-    assert watch.read() == StreamLevels()
+    watch = stream_status.StreamStatus()
+    assert watch.read() == stream_status.StreamLevels()
     watch.record_failure("it is mute")
     assert watch.read().failure == "it is mute"
-    hand_clock.time_s += HEARD_S + 1.0
-    assert watch.read() == StreamLevels()
+    hand_clock.time_s += stream_status.HEARD_S + 1.0
+    assert watch.read() == stream_status.StreamLevels()
     watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
     watch.follow(messages.StateChanged(messages.CellState.RUNNING))
-    assert watch.read() == StreamLevels()
+    assert watch.read() == stream_status.StreamLevels()
 
 
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
-    watch = StreamStatus()
+    watch = stream_status.StreamStatus()
     for n in range(10):
         readings = {"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}
         watch.follow(messages.TemperaturesRead(readings))

@@ -26,6 +26,7 @@ def site(tmp_path, monkeypatch):
         ("tracker", "read", "flat"),
         ("tracker", "take_link_bytes", "tuple"),
         ("tracker", "start", "exit"),
+        ("motion", "connect", "exit"),
         ("motion", "connect", "raise"),
         ("motion", "connect", "unpicklable"),
         ("motion", "status", "none"),

@@ -38,15 +38,8 @@ def design_of(machine, kind, perpendicular_only):
 
 @pytest.fixture(scope="session")
 def planner():
-    def make(
-        machine,
-        kind="lines",
-        *,
-        workspace=None,
-        feeds=(6000.0,),
-        perpendicular_only=False,
-    ):
-        design = design_of(machine, kind, perpendicular_only)
+    def make(machine, kind="lines", *, workspace=None, feeds=(6000.0,), across=False):
+        design = design_of(machine, kind, across)
         return Planner(machine, design, workspace or Workspace(), feeds)
 
     return make

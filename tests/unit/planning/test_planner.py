@@ -70,7 +70,7 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
 
 
 def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mill):
-    made = planner(mill, perpendicular_only=True)
+    made = planner(mill, across=True)
     corners = corner_path(mill, 6000.0, 0.4)
     planned = made.plan(float(row_times_s(corners).sum()))
     assert left_mm(made, planned) <= 0.55 * left_mm(made, corners)
