@@ -272,9 +272,7 @@ def test_an_orphaned_cell_holds_and_ends(bench, long_order, tmp_path, machine_st
 
 
 @pytest.mark.parametrize("is_closed", [False, True])
-def test_a_cell_that_is_terminated_or_closed_holds_the_feed_and_ends_the_run(
-    connected, long_order, machine_state, is_closed
-):
+def test_an_ended_cell_holds_the_feed(connected, long_order, machine_state, is_closed):
     connected.begin(long_order, line=1)
     if is_closed:
         connected.cell.close()

@@ -105,9 +105,7 @@ def test_a_job_too_many_is_refused(analysing, analyse, science, monkeypatch, unt
         until(job)
 
 
-def test_a_standstill_run_steps_through_its_points_and_is_packed_once_as_a_bundle(
-    context, dispatcher, begin, cell, until
-):
+def test_a_standstill_run_is_packed_only_once(context, dispatcher, begin, cell, until):
     places = (1.0, 2.0, 3.0), (90.0, 2.0, 3.0), (1.0, 90.0, 3.0)
     points = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.5} for x, y, z in places]
     request = RequestedJob(JobKind.MEASURE_STANDSTILL, rows=points)
@@ -165,9 +163,7 @@ def test_a_cancel_is_no_failure(context, analyse, open_dispatcher, monkeypatch, 
     assert errors == []
 
 
-def test_a_discovery_tells_its_stage_is_done_again_after_a_restart_and_can_be_aborted(
-    context, run, open_dispatcher, until
-):
+def test_a_discovery_is_done_again_and_aborted(context, run, open_dispatcher, until):
     explorer = Explorer()
     explorer.hold = threading.Event()
     parts = {"machines": Machines(), "discoverer": explorer}

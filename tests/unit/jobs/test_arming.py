@@ -96,9 +96,7 @@ def test_a_token_is_bound_to_each_part_of_its_purpose_and_good_once(change, name
 
 
 @pytest.mark.fault_row(34)
-def test_a_token_that_has_expired_or_is_of_the_plan_before_moves_nothing(
-    refused, dispatcher, ready, hand_clock, changed
-):
+def test_an_old_token_moves_nothing(refused, dispatcher, ready, hand_clock, changed):
     token = dispatcher.prepare_arming(ready.id).token
     hand_clock.time_s += 60.0
     refused(errors.ArmTokenExpired, token, "60 s, which have passed")

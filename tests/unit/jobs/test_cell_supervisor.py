@@ -135,9 +135,7 @@ def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, super
 
 
 @pytest.mark.parametrize("asked", ["connect", "begin"])
-def test_a_cell_that_hangs_is_reported_and_killed_where_it_may_have_begun(
-    clock, running, maker, monkeypatch, asked
-):
+def test_a_hanging_cell_is_told_and_killed(clock, running, maker, monkeypatch, asked):
     monkeypatch.setattr("truepath.machines.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     first, hold = maker.cell, threading.Event()
     setattr(first, asked, lambda *_: host_clock.wait(hold, 5.0) and {})

@@ -118,9 +118,7 @@ def test_what_is_open_is_asked_again_of_the_same_model(run, discover, drive, exp
     assert len(explorer.calls[-1][0]) == 3
 
 
-def test_lines_of_no_discovery_or_another_machine_or_out_of_bounds_are_refused(
-    ask, explorer, dispatcher, run, until
-):
+def test_lines_out_of_place_are_refused(ask, explorer, dispatcher, run, until):
     analysed = until(dispatcher.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0])
     with pytest.raises(NotFound, match="has no discovery"):
         ask(analysed)

@@ -237,9 +237,7 @@ def test_the_parts_are_the_whole_plan_and_end_however_often_lines_are_asked_for(
     ],
     ids=["before the rest", "the last lines", "points", "points behind a box"],
 )
-def test_rows_driven_again_come_between_by_driven_ways_and_count(
-    plan, repeated, driven
-):
+def test_rows_driven_again_come_between_by_known_ways_and_count(plan, repeated, driven):
     planned = PlannedRows(*plan)
     planned.next()
     planned.repeat(repeated)

@@ -131,9 +131,7 @@ def test_a_pause_holds_a_resume_by_version_goes_on(dispatcher, running, cell, un
     until(running, "succeeded")
 
 
-def test_a_hold_at_the_panel_or_for_a_lost_beam_says_why_and_a_users_pause_outlasts_it(
-    dispatcher, running, cell, until
-):
+def test_a_hold_says_why_a_users_pause_outlasts_it(dispatcher, running, cell, until):
     cell.say_state("paused")
     assert until(running, "paused").failure is None
     cell.say_state("running")
@@ -214,9 +212,7 @@ def test_what_nobody_confirms_ends_the_cell_and_is_a_fault(
     wait_until(lambda: make_cell.cell is not cell, "another cell")
 
 
-def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason(
-    dispatcher, paused, cell, until, context
-):
+def test_a_refused_resume_stays_paused(dispatcher, paused, cell, until, context):
     cell.deaf.add("resume")
     for _ in range(3):
         version = context.store.get(paused.id).version
@@ -303,9 +299,7 @@ def test_a_job_that_computes_cannot_be_paused_and_ends_at_once(
 
 
 @pytest.mark.fault_row(19)
-def test_a_held_machine_is_not_let_go_on_while_a_required_condition_is_wrong(
-    context, open_watched, until, begin, cell
-):
+def test_no_wrong_condition_lets_a_job_go_on(context, open_watched, until, begin, cell):
     seen = [OBSERVED]
     dispatcher = open_watched(lambda: seen[0])
     job = begin(dispatcher.create(OTF)[0], dispatcher)
@@ -486,9 +480,7 @@ def test_closing_stops_motion_first_then_the_job(dispatcher, running, cell, cont
 
 
 @pytest.mark.database
-def test_after_a_restart_what_had_not_ended_is_interrupted_and_nothing_moves(
-    open_dispatcher, running, cell, context
-):
+def test_after_a_restart_all_is_interrupted(open_dispatcher, running, cell, context):
     """The catalogue as a killed service leaves it: the job runs, the Run is torn."""
     cell.tear()
     heard = list(cell.heard)

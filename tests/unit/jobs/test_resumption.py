@@ -109,9 +109,7 @@ def test_it_stands_where_it_stood_then_drives_what_is_left_as_further_runs(
 
 
 @pytest.mark.fault_row(11)
-def test_a_target_that_is_elsewhere_faults_the_job_and_it_can_be_checked_again(
-    faulted, drive, until, cell, closer
-):
+def test_a_target_elsewhere_faults_until_put_back(faulted, drive, until, cell, closer):
     job = faulted()
     closer.problem = "the target is 51 µm from where it was"
     drive(job, goes_on=False)
@@ -316,9 +314,7 @@ def test_no_point_is_gone_back_to_through_a_box(faulted, cell, note):
     assert again == [places[2], places[1], places[2], places[3]]
 
 
-def test_a_verification_goes_on_at_its_next_standstill_and_takes_both_runs(
-    faulted, drive, until, cell, context, replan
-):
+def test_a_verification_goes_on(faulted, drive, until, cell, context, replan):
     job = faulted(replace(OTF, kind=JobKind.MEASURE_STANDSTILL))
     context.store.change(job.id, lambda one: replace(one, kind=JobKind.VERIFY))
     replan(job, request={"result_id": "a"})

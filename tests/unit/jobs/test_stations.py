@@ -192,9 +192,7 @@ def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, c
         arm_at_once(dispatcher, waits.id, waits.version)
 
 
-def test_while_the_tracker_is_moved_a_job_is_not_continued_and_can_be_aborted(
-    moved, prepare, dispatcher, until, plan_id
-):
+def test_in_a_move_a_job_is_only_aborted(moved, prepare, dispatcher, until, plan_id):
     with pytest.raises(IllegalTransition, match="goes on by itself"):
         prepare(continues=moved.id)
     with pytest.raises(NotFound, match="from stations"):
@@ -222,9 +220,7 @@ def test_a_service_that_ends_meanwhile_loses_nothing_and_another_job_goes_on(
         prepare(second, continues=last.id)
 
 
-def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_again(
-    moved, measure, restart, until
-):
+def test_a_job_that_waits_for_the_tracker_asks_it_again(moved, measure, restart, until):
     second = restart()
     until(moved, State.INTERRUPTED)
     second.acknowledge(moved.id)
@@ -297,9 +293,7 @@ def test_a_station_that_was_moved_meanwhile_is_measured_on_as_a_new_one_unless_p
     assert asked_mm == 0.0
 
 
-def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_out(
-    go_on, measure, cell, resumer, science
-):
+def test_a_run_that_tells_nothing_is_left_out(go_on, measure, cell, resumer, science):
     resumer.next_row = None
     asked = measure(go_on(), POINTS, LINES)
     assert len(cell.order.commanded) == len(LONG)
@@ -308,9 +302,7 @@ def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_ou
     assert len(science.calls[-1][0]) == 3
 
 
-def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole(
-    cut_short, prepare, measure, cell
-):
+def test_a_continued_job_measures_its_station_whole(cut_short, prepare, measure, cell):
     again = prepare(continues=cut_short.id)
     assert again.station.number == 2
     measure(again, POINTS, LINES)

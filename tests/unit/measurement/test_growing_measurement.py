@@ -87,9 +87,7 @@ def test_a_part_elsewhere_is_never_loaded(waiting, order, motion, rows, states, 
     assert len(waiting.run.commanded) == 4
 
 
-def test_a_pause_between_parts_keeps_the_next_one_waiting_though_it_is_moved_by_hand(
-    waiting, part, motion, conclude
-):
+def test_a_pause_between_parts_keeps_the_next_waiting(waiting, part, motion, conclude):
     waiting.pause()
     motion.here = motion.here + 2.0
     waiting.obey(part)

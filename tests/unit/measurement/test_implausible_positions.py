@@ -95,9 +95,7 @@ def test_one_odd_reading_is_left_out_and_nothing_else(running, motion):
 
 
 @pytest.mark.fault_row(42)
-def test_an_axis_without_a_plan_follows_no_single_reading(
-    begin, motion, journal, order
-):
+def test_an_axis_without_a_plan_follows_no_lone_reading(begin, motion, journal, order):
     """It would be told to stay where the first reading has it."""
     motion.here = np.array([10.0, 10.0, -150.0])
     path = order.commanded
@@ -110,9 +108,7 @@ def test_an_axis_without_a_plan_follows_no_single_reading(
 
 
 @pytest.mark.fault_row(41)
-def test_a_tracker_frozen_bit_for_bit_holds_and_its_lines_are_driven_again(
-    running, until_held, tracker, motion, journal
-):
+def test_a_frozen_tracker_is_held(running, until_held, tracker, motion, journal):
     tracker.frozen = True
     until_held("tracker-frozen")
     tracker.frozen, motion.speed, motion.override = False, 40.0, 10.0
@@ -183,9 +179,7 @@ def points(order):
 
 
 @pytest.mark.fault_row(41)
-def test_a_polled_tracker_that_repeats_a_point_is_held_and_it_is_not_stored(
-    measure, polled, points, motion, journal
-):
+def test_a_repeated_polled_point_is_not_kept(measure, polled, points, motion, journal):
     first = []
 
     def freeze(asked):

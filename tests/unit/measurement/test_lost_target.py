@@ -117,9 +117,7 @@ def until_resumed(running):
 
 
 @pytest.mark.fault_row(9)
-def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
-    moving, tracker, motion, order, measured
-):
+def test_a_target_found_again_needs_nobody(moving, tracker, motion, order, measured):
     tracker.failures = [BeamLost("no target near the beam")]
     tracker.beam = False
     moving.until(lambda: "paused" in moving.states)

@@ -518,9 +518,7 @@ def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
     assert "start" not in motion.calls
 
 
-def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
-    begin, order, tracker, motion, monkeypatch
-):
+def test_no_path_is_driven_without_stamps(begin, order, tracker, motion, monkeypatch):
     stamps = TrackerCapabilities(clock=Clock.HOST)
     monkeypatch.setattr(type(tracker), "capabilities", stamps)
     begin(order).ends("failed", "no-times")
@@ -535,9 +533,7 @@ def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
         ({"restarted": True}, "failed", "counter went back"),
     ],
 )
-def test_a_tracker_that_goes_away_or_begins_to_count_anew_ends_the_run(
-    moving, tracker, motion, given, state, said
-):
+def test_a_tracker_gone_or_reset_ends_it(moving, tracker, motion, given, state, said):
     vars(tracker).update(given)
     assert moving.ended() == state
     assert motion.status().state == "held"
@@ -717,9 +713,7 @@ def test_nothing_moves_when_a_row_is_out_of_travel(begin, order, motion, square)
     assert running.told(messages.RunClosed)[0].run_file == ""
 
 
-def test_a_machine_without_a_watchdog_is_moved_if_allowed_and_the_run_says_so(
-    begin, order, motion, calm, tmp_path
-):
+def test_a_missing_watchdog_is_allowed_and_told(begin, order, motion, calm, tmp_path):
     motion.has_watchdog = False
     begin(order).ends("failed", "no-watchdog")
     assert motion.calls == []
@@ -775,9 +769,7 @@ def test_a_path_that_the_controller_does_not_take_ends_the_order(
 
 @pytest.mark.fault_row(27)
 @pytest.mark.parametrize("said", ["No space left", "almost full"])
-def test_a_disk_that_fails_or_is_almost_full_holds_the_machine_and_keeps_the_run(
-    moving, motion, monkeypatch, said
-):
+def test_a_failing_or_full_disk_holds_and_keeps_all(moving, motion, monkeypatch, said):
     recorder = moving.measurement._recorder
 
     def fail(_item):
