@@ -91,7 +91,7 @@ def test_stops_after_a_full_turn_are_kept_apart_and_two_turns_told_from_one(turn
     content = load_machine("head-table")
     content["axes"]["C"] |= {"min_deg": -360.0, "max_deg": 360.0}
     start = [300.0, 250.0, 250.0, 0.0]
-    program = rows_of(*([*start, c] for c in turns), [*start[:3], 40.0, 0.0])
+    program = rows_of(*([*start, c] for c in turns), [*start[:3], 40.0, 60.0])
     run, made = record_run(content, program)
     seen = align(run)
     assert [p.row for p in seen.passes] == [1, 2, 3, 4]
