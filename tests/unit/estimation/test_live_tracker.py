@@ -6,7 +6,7 @@ import pytest
 from estimating import estimate_one, judge_map
 from following import follow, list_blocks
 from recorded import choose_program, load_erring, record_run, with_samples
-from truepath.alignment.align import align
+from truepath.alignment.align import align_all
 from truepath.estimation.checks.change_detection import KNOCK, RANGE
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
@@ -162,7 +162,7 @@ def disturb(run, kind, share, broken_s=0.0):
 def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     run, truth = measure(51, mode, rows=20, defects=Defects())
     moved, at_s = disturb(run, kind, 0.57, broken_s)
-    found = estimate_one(align(moved))
+    found = estimate_one(*align_all([moved], ["run"]))
     (knock,) = found.knocks
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
@@ -177,6 +177,6 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
 def test_a_new_lock_within_the_specification_is_no_step():
     lost = Defects(beam_breaks=((30.0, 0.4),))
     run, truth = measure(53, rows=20, defects=lost)
-    found = estimate_one(align(run))
+    found = estimate_one(*align_all([run], ["run"]))
     assert found.knocks == ()
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75

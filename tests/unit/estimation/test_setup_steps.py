@@ -7,7 +7,7 @@ import pytest
 
 from estimating import estimate_one, judge_map
 from following import shift
-from truepath.alignment.align import align
+from truepath.alignment.align import align, align_all
 from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
 from truepath.estimation.checks.setup_shifts import Step
 
@@ -26,7 +26,7 @@ def check(run, shift_mm):
     """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    found = estimate_one(align(shift(run, shift_mm(share))))
+    found = estimate_one(*align_all([shift(run, shift_mm(share))], ["run"]))
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
@@ -57,7 +57,7 @@ def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
 
 
 def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
-    seen = align(moving)
+    (seen,) = align_all([moving], ["run"])
     first, last = max(seen.lines, key=lambda line: line[1] - line[0])
     steps = [Step(cell, 1e4, 1e4, 0.1) for cell in (first + 6, last - 6)]
     edges = np.arange(len(seen) + 1)
