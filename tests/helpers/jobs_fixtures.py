@@ -87,7 +87,9 @@ def science():
 
 
 @pytest.fixture
-def context(database, event_bus, make_cell, science, machine, tmp_path):
+def context(
+    database, event_bus, make_cell, science, machine, resumer, closer, tmp_path
+):
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
@@ -98,6 +100,8 @@ def context(database, event_bus, make_cell, science, machine, tmp_path):
         results=results,
         executor=Inline(),
         science=science,
+        resumer=resumer,
+        closer=closer,
         machines=Machines([MachineCell("default", machine, cell)]),
         confirm_s={State.CANCELLING: 30.0, **dict.fromkeys(quick, 0.3)},
     )
