@@ -148,7 +148,7 @@ def wait_for(reached, what, patience_s=90.0):
 
 
 def wait_until_done(client, job_id, number, kind="measure-otf"):
-    unit = "points" if kind == "measure-standstill" else "lines"
+    unit = "lines" if kind == "measure-otf" else "points"
 
     def is_done():
         job = client.get(f"/api/v1/jobs/{job_id}").json()
