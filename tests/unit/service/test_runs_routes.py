@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from api_builders import KNOWN_LENGTHS
 from truepath.catalogue.job import Stage
 from truepath.errors import BundleError
 from truepath.jobs.dispatch.reconciliation import reconcile
@@ -352,12 +353,6 @@ def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
 
 
-KNOWN = (
-    "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
-    "1000,0,0,3000.02,0,0,2000.01,0.001\n"
-)
-
-
 def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
     client, service, run, is_problem
 ):
@@ -366,12 +361,14 @@ def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
     def send(text, to=address):
         return client.put(to, files={"known_lengths": ("bar.csv", text)})
 
-    problem = is_problem(send(KNOWN.replace("2000.01", "2.00001")), 422, "bundle")
+    problem = is_problem(
+        send(KNOWN_LENGTHS.replace("2000.01", "2.00001")), 422, "bundle"
+    )
     assert (problem["row"], problem["column"]) == (2, "length_mm")
-    is_problem(send(KNOWN, f"{RUNS}/nowhere/known-lengths"), 404, "not-found")
+    is_problem(send(KNOWN_LENGTHS, f"{RUNS}/nowhere/known-lengths"), 404, "not-found")
     is_problem(client.get(address), 404, "not-found")
-    assert send(KNOWN).json() == {"count": 1}
-    assert client.get(address).text == KNOWN
+    assert send(KNOWN_LENGTHS).json() == {"count": 1}
+    assert client.get(address).text == KNOWN_LENGTHS
     (one,) = open_recorded(service.runs.file(run["id"])).known_lengths
     assert one.length_mm == 2000.01
     back = client.get(run["links"]["bundle"]).content
@@ -379,6 +376,6 @@ def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
         assert any(n.endswith("/known_lengths.csv") for n in archive.namelist())
     assert client.delete(address).status_code == 204
     assert not open_recorded(service.runs.file(run["id"])).known_lengths
-    send(KNOWN)
+    send(KNOWN_LENGTHS)
     assert client.delete(f"{RUNS}/{run['id']}").status_code == 204
     assert not list(service.runs._folder.glob("*.csv"))
