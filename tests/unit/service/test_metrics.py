@@ -7,21 +7,11 @@ from starlette.testclient import TestClient
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounters
+from truepath.measurement import messages
 from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
-from truepath.measurement.messages import (
-    CellState,
-    CellVerb,
-    MeasurementProgress,
-    RunClosed,
-    StateChanged,
-)
 from truepath.service.api.application import create_application
 from truepath.service.api.routes import machine as machine_routes
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceTimeout,
-    WrongDevice,
-)
+from truepath_drivers.interfaces import errors
 
 
 @pytest.fixture
@@ -42,7 +32,7 @@ def scrape(client):
 
 
 def progress(samples, **counted):
-    return MeasurementProgress(
+    return messages.MeasurementProgress(
         1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
     )
 
@@ -118,7 +108,7 @@ def test_counts_of_measurements_add_up_and_never_fall():
     commits = DurationHistogram().add(0.02)
     counters.begin_measurement()
     counters.count(progress(100, lost_samples=2, crc_errors=5, gaps=1, commits=commits))
-    counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
+    counters.count(messages.RunClosed("", "finished", samples=110, lost_samples=2))
     counters.begin_measurement()
     counters.count(progress(50, lost_samples=1, crc_errors=6, gaps=1, commits=commits))
     found = counters.read()
@@ -132,10 +122,10 @@ def test_counts_of_measurements_add_up_and_never_fall():
 def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     counters = CellCounters()
     for hand_clock.time_s in (10.0, 11.0):
-        counters.expect_answer(CellVerb.PAUSE)
+        counters.expect_answer(messages.CellVerb.PAUSE)
     hand_clock.time_s = 12.5
-    counters.count(StateChanged(CellState.PAUSED))
-    counters.count(StateChanged(CellState.PAUSED))
+    counters.count(messages.StateChanged(messages.CellState.PAUSED))
+    counters.count(messages.StateChanged(messages.CellState.PAUSED))
     (pause,) = counters.read().commands.values()
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
 
@@ -158,9 +148,9 @@ def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
     client, make_cell, is_problem
 ):
     for refusal, status, code in (
-        (ConnectionLost("no such port"), 502, "device-unreachable"),
-        (DeviceTimeout("silence"), 504, "device-silent"),
-        (WrongDevice("a printer"), 409, "device-identity"),
+        (errors.ConnectionLost("no such port"), 502, "device-unreachable"),
+        (errors.DeviceTimeout("silence"), 504, "device-silent"),
+        (errors.WrongDevice("a printer"), 409, "device-identity"),
     ):
         make_cell.cell.refuses = refusal
         answer = client.post("/api/v1/machines/current:connect")

@@ -6,14 +6,13 @@ import json
 
 import pytest
 
-from scripted_cell import wait_until
+from service_fixtures import SHORT
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_requests import plan_measurement
 from truepath.motion.nc_programs.programs import read_program
 from truepath_simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
-SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
 USUAL = {"perpendicular_only": False, "corner_path": False}
 BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
 
@@ -25,8 +24,7 @@ def plans_made(short_plan):
 
 
 def name_plan(order):
-    chosen = {key: value for key, value in order.items() if value}
-    return json.dumps(chosen, sort_keys=True)
+    return json.dumps({key: order[key] for key in sorted(order) if order[key]})
 
 
 @pytest.fixture
@@ -44,19 +42,14 @@ def planner(plans_made):
 
 
 @pytest.fixture
-def planned(client):
+def planned(client, until):
     """Ask for a plan and wait until its job has ended."""
 
     def make(request):
         answer = client.post("/api/v1/plans", json=request)
         assert answer.status_code == 202, answer.text
-        address = answer.headers["location"]
-
-        def ended():
-            now = client.get(address).json()
-            return now if now["state"] in ("succeeded", "failed") else None
-
-        return wait_until(ended, "the plan")
+        until(answer.json(), "succeeded", "failed")
+        return client.get(answer.headers["location"]).json()
 
     return make
 
@@ -171,8 +164,7 @@ def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, clie
     assert made["state"] == "failed"
     assert made["error"]["code"] == "plan"
     assert "keep-out" in made["error"]["detail"]
-    assert made["commanded"] is None
-    assert made["document"] is None
+    assert (made["commanded"], made["document"]) == (None, None)
     sent = {"json": order, "headers": {"Idempotency-Key": "plan-1"}}
     first, again = (client.post("/api/v1/plans", **sent) for _ in range(2))
     assert first.json()["id"] == again.json()["id"]
@@ -183,32 +175,28 @@ def rows_at(*places):
     return [dict(zip(axes, place, strict=True)) for place in places]
 
 
-def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
-    rows = rows_at((10, 10, 10), (400, 300, 200), (90, 350, 40), (450, 20, 250))
-    address = "/api/v1/plans:validate"
-    assert client.post(address, json={"path": rows}).json()["stays_open"] == ""
-    two = client.post(address, json={"path": rows[:3]})
-    assert two.status_code == 200, two.text
-    assert "do not determine A0Z, B0Z, C0Y" in two.json()["stays_open"]
-    order = {"kind": "measure-otf", "path": rows[:3]}
-    assert client.post("/api/v1/jobs", json=order).status_code == 202
+def test_rows_are_checked_over_the_swept_path_and_taken_whatever_they_leave_open(
+    client, is_problem
+):
+    def check(**body):
+        return client.post("/api/v1/plans:validate", json=body)
 
-
-def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
     rows = rows_at((10, 10, 100), (400, 300, 100), (400, 10, 100))
-    free = client.post("/api/v1/plans:validate", json={"path": rows})
-    assert free.status_code == 200, free.text
-    assert free.json()["rows"] == 3
-    assert free.json()["duration_s"] > 4.0
+    free = check(path=rows).json()
+    assert free["rows"] == 3
+    assert free["duration_s"] > 4.0
     for feed in (1.0, 99_999.0):
         slow = [{**rows[0], "dwell_s": 3600}, {**rows[1], "feed_mm_min": feed}, rows[2]]
-        answer = client.post("/api/v1/plans:validate", json={"path": slow})
-        assert answer.json()["duration_s"] > 3600.0
-    body = {"path": rows, "workspace": {"keep_out": [BOX]}}
-    refused = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")
+        assert check(path=slow).json()["duration_s"] > 3600.0
+    refused = is_problem(check(path=rows, workspace={"keep_out": [BOX]}), 422, "plan")
     assert "row 2 enters the keep-out box probe" in refused["detail"]
     rows[1]["y_mm"] = 401
-    body = {"points": rows}
-    is_problem(client.post("/api/v1/plans:validate", json=body), 422, "out-of-travel")
-    is_problem(client.post("/api/v1/plans:validate", json={}), 422, "validation")
+    is_problem(check(points=rows), 422, "out-of-travel")
+    is_problem(check(), 422, "validation")
+    rows = rows_at((10, 10, 10), (400, 300, 200), (90, 350, 40), (450, 20, 250))
+    assert check(path=rows).json()["stays_open"] == ""
+    said = check(path=rows[:3]).json()["stays_open"]
+    assert "do not determine A0Z, B0Z, C0Y" in said
     assert client.get("/api/v1/jobs").json()["items"] == []
+    order = {"kind": "measure-otf", "path": rows[:3]}
+    assert client.post("/api/v1/jobs", json=order).status_code == 202

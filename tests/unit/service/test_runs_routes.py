@@ -47,8 +47,8 @@ def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent
     assert take(**order)["monte_carlo"] is None
 
 
-def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
-    client, service, bundle, is_problem
+def test_a_bundle_or_upload_that_cannot_be_used_is_refused_with_its_place(
+    client, service, bundle, is_problem, monkeypatch
 ):
     for members, file, column, text in (
         ({"tracker_csv": None}, "tracker.parquet", None, "missing"),
@@ -63,13 +63,6 @@ def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
         problem = is_problem(answer, 422, "bundle")
         assert not content or problem["file"] == "mill 3.zip"  # as it was sent
         assert ".upload" not in str(problem)
-    assert client.get(RUNS).json()["items"] == []
-    assert list(service.runs._folder.iterdir()) == []
-
-
-def test_an_upload_that_is_too_large_or_is_none_is_refused(
-    client, bundle, is_problem, monkeypatch
-):
     is_problem(send(client, b"0" * (4 << 20)), 413, "too-large")
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -84,6 +77,8 @@ def test_an_upload_that_is_too_large_or_is_none_is_refused(
     is_problem(answer, 413, "too-large")
     monkeypatch.setattr(run_routes, "LEAST_FREE_BYTES", 1 << 60)
     is_problem(send(client, bundle()), 507, "disk-full")
+    assert client.get(RUNS).json()["items"] == []
+    assert list(service.runs._folder.iterdir()) == []
 
 
 def test_the_name_of_a_file_is_for_people_only():
@@ -267,33 +262,7 @@ def test_what_others_or_a_certificate_depend_on_is_not_deleted(
     assert client.delete(f"{JOBS}/{other['id']}").status_code == 204
 
 
-def test_a_sweep_goes_on_behind_a_job_that_cannot_be_deleted(
-    analyse, run, retention, service, monkeypatch
-):
-    good, bad, _ = (analyse(run) for _ in range(3))  # the newest is history
-    delete_job = service.deletion.delete_job
-
-    def refuse_one(job_id, note):
-        if job_id == bad["id"]:
-            raise BundleError("is not JSON", file="certificate.json")
-        return delete_job(job_id, note)
-
-    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
-    retention.sweep(LATER)
-    rows = {i for kind, i in retention.rows if kind == "job"}
-    assert good["id"] in rows
-    assert bad["id"] not in rows
-
-
-def test_a_job_without_an_answer_forgets_its_run(client, service, armed, until):
-    client.post(f"{JOBS}/{armed['id']}/abort")
-    job = until(armed, "aborted", "faulted")
-    (run_id,) = service.runs.find([job["id"]])
-    assert client.delete(f"{RUNS}/{run_id}").status_code == 204
-    assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
-
-
-def test_a_run_stays_while_its_measurement_can_go_on_from_it(
+def test_a_run_stays_while_its_measurement_can_go_on_from_it_and_is_then_forgotten(
     client, service, armed, make_cell, until, is_problem
 ):
     make_cell.cell.fault()
@@ -310,6 +279,7 @@ def test_a_run_stays_while_its_measurement_can_go_on_from_it(
     assert "acknowledge" not in now["links"]["verbs"]
     assert f'"run_ids": ["{job["run_id"]}"]' in now["error"]["action"]
     assert client.delete(at).status_code == 204
+    assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
 
 
 def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
@@ -334,10 +304,18 @@ def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
     assert service.runs.list_uncatalogued() == []
 
 
-def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
-    client, service, kept, run, analyse, retention, upload
+def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
+    client, service, kept, run, analyse, retention, upload, monkeypatch
 ):
-    loose = upload("loose.zip")
+    loose, bad = upload("loose.zip"), analyse(run)
+    delete_job = service.deletion.delete_job
+
+    def refuse_one(job_id, note):
+        if job_id == bad["id"]:
+            raise BundleError("is not JSON", file="certificate.json")
+        return delete_job(job_id, note)
+
+    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
     again = analyse(run)  # stands for the earlier one in the history of the machine
     assert (kept["machine"], again["machine"]) == ("default", "default")
     (service.results / again["id"]).mkdir(exist_ok=True)
