@@ -24,11 +24,8 @@ def upload_at(upload):
 
 @pytest.fixture
 def ask(client):
-    def asked(*run_ids, **more):
-        order = {"kind": "trend", "run_ids": list(run_ids), **more}
-        return client.post(JOBS, json=order)
-
-    return asked
+    order = {"kind": "trend"}
+    return lambda *ids, **more: client.post(JOBS, json=order | {"run_ids": ids} | more)
 
 
 def test_a_trend_is_told_what_is_asked_and_has_a_report(

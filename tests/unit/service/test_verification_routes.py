@@ -28,11 +28,8 @@ def result(service, with_result):
 
 @pytest.fixture
 def ask(client, result):
-    def asked(**more):
-        order = {"kind": "verify", "result_id": result, **more}
-        return client.post(JOBS, json=order)
-
-    return asked
+    order = {"kind": "verify", "result_id": result}
+    return lambda **more: client.post(JOBS, json=order | more)
 
 
 @pytest.fixture
