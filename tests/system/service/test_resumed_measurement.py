@@ -34,26 +34,13 @@ SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
 RNG = random.Random(1)
-ROWS = [
-    {
-        "x_mm": round(RNG.uniform(10, 490), 1),
-        "y_mm": round(RNG.uniform(10, 390), 1),
-        "z_mm": round(RNG.uniform(10, 290), 1),
-        "dwell_s": 0.6,
-    }
-    for _ in range(24)
+ENDS_MM = (490, 390, 290)
+PLACES = [[round(RNG.uniform(10, end), 1) for end in ENDS_MM] for _ in range(24)]
+ROWS = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.6} for x, y, z in PLACES]
+AREAS = [
+    {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
+    {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
 ]
-
-AREAS = {
-    "tracker": {
-        "areas": [
-            {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
-            {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
-        ],
-        "nearest_mm": 300,
-        "move_minutes": 3,
-    }
-}
 
 TOOLS = {
     "T1": {"on": "tool", "offset_mm": [20.0, 30.0, -150.0]},
@@ -199,7 +186,9 @@ def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_r
 
 def plan_stations(client):
     """Plan a minute of lines from two places; return the job's order and the places."""
-    asked = {"mode": "otf", "minutes": 1.0, "workspace": AREAS, "stations": 2}
+    tracker = {"areas": AREAS, "nearest_mm": 300, "move_minutes": 3}
+    asked = {"mode": "otf", "minutes": 1.0, "workspace": {"tracker": tracker}}
+    asked["stations"] = 2
     answer = client.post("/api/v1/plans", json=asked)
     assert answer.status_code == 202, answer.text
     at = f"/api/v1/plans/{answer.json()['id']}"
