@@ -49,8 +49,7 @@ def test_a_knock_is_told_kept_and_the_line_before_it_driven_again(knocked):
     assert notice["noticed_row"] - notice["since_row"] <= 2
     assert abs(notice["size_um"] - 1e3 * KNOCK_MM) < 3.0
     assert notice["action"] == "check"
-    first = next(event for event in told if event.type == "notice")
-    assert first.body["number"] == 1
+    assert next(event for event in told if event.type == "notice").body["number"] == 1
     assert count_lines(client, job) >= ROWS - 1 + 4
     result = client.get(job["result"]["result"]).json()
     assert result["notices"] == job["notices"]

@@ -86,10 +86,8 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
         client.get(job["result"]["error_tables_json"])
         client.get("/api/v1/system")
         client.get("/api/v1/machines/current")
-        csv = client.get(job["result"]["error_tables_csv"]).text
-        assert "EXX" in csv
-        report = client.get(job["result"]["report_html"]).text
-        assert "</html>" in report
+        assert "EXX" in client.get(job["result"]["error_tables_csv"]).text
+        assert "</html>" in client.get(job["result"]["report_html"]).text
 
         bundle = client.get(f"/api/v1/runs/{job['run_id']}/bundle").content
         run = client.post("/api/v1/runs", files={"bundle": ("r.zip", bundle)}).json()

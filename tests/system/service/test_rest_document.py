@@ -216,8 +216,7 @@ def test_a_measurement_from_elsewhere_is_analysed(curl, sent_in, tmp_path):
     curl.order(alone)
     (tmp_path / "known_lengths.csv").write_text(KNOWN_LENGTHS)
     assert curl(lengths).json() == {"count": 1}
-    job = curl.order(several)
-    assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
+    assert curl.order(several)["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 
 
 @pytest.mark.usefixtures("few_places")

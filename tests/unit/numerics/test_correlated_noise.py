@@ -95,8 +95,7 @@ def test_a_direction_without_precision_carries_nothing(case, rng):
 @given(cuts=st.sets(st.integers(1, 29), max_size=8))
 @settings(deadline=None, max_examples=30)
 def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
-    rng = np.random.default_rng(5)
-    time_s, white, sigma, rows = make_case(rng)
+    time_s, white, sigma, rows = make_case(np.random.default_rng(5))
     built = factorise(time_s, white, sigma, TAU_S)
     total, log_determinant, tail = np.zeros((4, 4)), 0.0, None
     for k in np.split(np.arange(30), sorted(cuts)):

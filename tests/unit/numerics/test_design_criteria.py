@@ -113,8 +113,7 @@ def test_a_cyclic_axis_and_one_beside_others_have_an_exact_optimum_too(rng):
     # A stacked axis adds a row that does not change along this one.
     size = 2 * SPLINE.size
     root = rng.normal(size=(size, size))
-    gram = np.kron(np.eye(2), SPLINE.gram())
-    known = IntegratedVariance(root @ root.T, gram)
+    known = IntegratedVariance(root @ root.T, np.kron(np.eye(2), SPLINE.gram()))
     other = SPLINE.basis(np.array([3.3]))
 
     def rows(at):

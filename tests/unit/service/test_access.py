@@ -243,8 +243,7 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
     assert refused["controller"] == "operator"
     assert "operator" in refused["detail"]
     assert "resume" not in make_cell.cell.heard
-    taken = client.post(f"{path}/take-control", headers=berta)
-    assert taken.status_code == 202
+    assert client.post(f"{path}/take-control", headers=berta).status_code == 202
     assert find_control() == "berta"
     is_problem(resume(anna), 409, "not-in-control")
     assert resume(berta).status_code == 202

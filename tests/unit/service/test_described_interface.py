@@ -61,8 +61,7 @@ def check_answers(described, path, method, most):
     )
     @given(case=described[path][method].as_strategy())
     def check(case):
-        answer = case.call(headers=HEADERS)
-        case.validate_response(answer, checks=CHECKS)
+        case.validate_response(case.call(headers=HEADERS), checks=CHECKS)
 
     check()
 

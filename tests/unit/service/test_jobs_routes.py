@@ -64,8 +64,7 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
 ):
     address, body = f"{JOBS}/{ready['id']}/{verb}", {"token": "of nobody"}
     is_problem(client.post(address), 428, "version-required")
-    every = client.post(address, headers={"If-Match": "*"})
-    is_problem(every, 428, "version-required")
+    is_problem(client.post(address, headers={"If-Match": "*"}), 428, "version-required")
     odd = client.post(address, headers={"If-Match": '"three"'})
     is_problem(odd, 412, "stale-version")
     for tag in (f'W/"{ready["version"]}"', '"1"'):
@@ -86,8 +85,7 @@ def test_what_does_not_go_with_a_job_that_waits_is_refused(
     problem = is_problem(answer, 409, "illegal-transition")
     assert "cannot pause a job that is ready" in problem["detail"]
     for path in ("error-tables.json", "report.html", "volumetric-map"):
-        answer = client.get(f"{JOBS}/{ready['id']}/result/{path}")
-        is_problem(answer, 404, "not-found")
+        is_problem(client.get(f"{JOBS}/{ready['id']}/result/{path}"), 404, "not-found")
     address = f"{JOBS}/{ready['id']}/compensations"
     assert client.get(address).json() == {"items": []}
     is_problem(client.post(address, json={"format": "linuxcnc"}), 404, "not-found")
@@ -237,8 +235,7 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
     estimates[-1].publish(2.5, done=8)
     assert client.get(estimate).json()["course"]["done"] == [8]
     estimates[-1].publish(1.9, done=9)
-    job = until(growing, "succeeded")
-    assert job["early_end"]["reached_um"] == 1.9
+    assert until(growing, "succeeded")["early_end"]["reached_um"] == 1.9
     assert cell.heard[-1] == "conclude"
 
 

@@ -101,8 +101,7 @@ def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     before = service.machines.get("mill-3")
     stale, newest = ({"If-Match": f'"{number}"'} for number in (1, 2))
     for address, sent in ((at, body), (f"{BASE}/mill-3/devices", DEVICES)):
-        refused = client.put(address, json=sent, headers=stale)
-        is_problem(refused, 412, "stale-version")
+        is_problem(client.put(address, json=sent, headers=stale), 412, "stale-version")
     changed = client.put(at, json=body, headers=newest).json()
     assert [v["number"] for v in changed["versions"]] == [3, 2, 1]
     assert len({v["sha256"] for v in changed["versions"]}) == 3

@@ -181,8 +181,7 @@ class TestWithoutAMachine:
         ready = client.get("/readyz").json()
         assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
         is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
-        answer = client.post("/api/v1/machines/current:connect")
-        is_problem(answer, 409, "no-machine")
+        is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
         answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
         problem = is_problem(answer, 409, "no-machine")
         assert "machine_file" in problem["action"]

@@ -135,8 +135,7 @@ def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
 
     refused("measure-otf", ready["id"], 404, "not-found")
     for path in ("", "/curve"):
-        answer = client.get(f"/api/v1/plans/{ready['id']}{path}")
-        is_problem(answer, 404, "not-found")
+        is_problem(client.get(f"/api/v1/plans/{ready['id']}{path}"), 404, "not-found")
     assert "one for measure-otf" in refused("measure-standstill")
     axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))

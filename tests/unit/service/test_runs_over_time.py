@@ -16,8 +16,7 @@ def upload_at(upload):
 
     def taken(begin_s, name="mill.zip", **members):
         rows = "".join(f"{begin_s + n / 500:.3f},{n},0,0\n" for n in range(100))
-        stream = "t_s,x_mm,y_mm,z_mm\n" + rows
-        return upload(name, tracker_csv=stream, **members)["id"]
+        return upload(name, tracker_csv="t_s,x_mm,y_mm,z_mm\n" + rows, **members)["id"]
 
     return taken
 

@@ -69,8 +69,7 @@ def test_a_bundle_or_upload_that_cannot_be_used_is_refused_with_its_place(
         archive.writestr("tracker.csv", b"0" * (17 << 20))
     problem = is_problem(send(client, packed.getvalue()), 422, "bundle")
     assert "unpacks to 17 MiB" in problem["detail"]
-    answer = client.post(RUNS, files={"other": b"x"})
-    problem = is_problem(answer, 422, "validation")
+    problem = is_problem(client.post(RUNS, files={"other": b"x"}), 422, "validation")
     assert problem["errors"][0]["location"] == ["body", "bundle"]
     headers = {"content-type": "application/json"}  # where no large body belongs
     answer = client.post(JOBS, content=b" " * (2 << 20), headers=headers)
@@ -255,8 +254,7 @@ def test_what_others_or_a_certificate_depend_on_is_not_deleted(
         (folder / "certificate.json").write_text(text)
         is_problem(client.delete(at), 409, "in-use")
         asked = {"with_results": True}
-        answer = client.delete(f"{RUNS}/{run['id']}", params=asked)
-        is_problem(answer, 409, "in-use")
+        is_problem(client.delete(f"{RUNS}/{run['id']}", params=asked), 409, "in-use")
         assert (folder / "certificate.json").is_file()
     # One that cannot be read holds no other job.
     assert client.delete(f"{JOBS}/{other['id']}").status_code == 204

@@ -71,8 +71,7 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
 ):
     _, plan = look(what=["circles-in-motion"])
     assert plan["kind"] == "path"
-    turns = [arc[3] for arc in plan["arc"] if arc]
-    assert turns == [732.0, -732.0] * 3
+    assert [arc[3] for arc in plan["arc"] if arc] == [732.0, -732.0] * 3
     said = is_problem(ask(what=["circles-in-motion", "diagonals"]), 422, "bad-input")
     assert "ask for each by itself" in said["detail"]
     cell = service.machines.get("default").cell
