@@ -146,7 +146,9 @@ def test_a_stream_carries_only_its_topics_and_misses_none_of_them(
     assert set(later) <= set(wanted)
 
 
-def test_conditions_and_standing_of_other_machines_are_left_out(live, service):
+def test_other_machines_are_left_out_and_an_unknown_topic_is_refused(
+    live, service, is_problem
+):
     with stream(live, f"{EVENTS}?topics=machine:default") as found:
         read(found, 1, ("tick",))
         for machine, type_ in product(("mill", "default"), ("condition", "machine")):
@@ -155,11 +157,8 @@ def test_conditions_and_standing_of_other_machines_are_left_out(live, service):
         heard = read(found, 2, ("condition", "machine"))
     told = [(event.type, event.data["machine"]) for event in heard]
     assert told == [("condition", "default"), ("machine", "default")]
-
-
-def test_an_unknown_topic_is_refused_before_the_stream_opens(client, is_problem):
     for topics in ("jobs", "job:", "tool:1", "machine:nobody", "job:nobody", "a,", ","):
-        answer = client.get(f"{EVENTS}?topics={topics}")
+        answer = live.get(f"{EVENTS}?topics={topics}")
         assert topics.split(",")[0] in is_problem(answer, 422, "bad-input")["detail"]
 
 

@@ -195,17 +195,10 @@ def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path, mea
     measured(f"killed in motion: {run['samples']} samples kept, no device opened again")
 
 
-def test_data_in_use_are_refused(settings):
-    plain = settings.model_copy(update={"simulated": False})
-    with (
-        open_service(plain),
-        pytest.raises(InUse, match="another instance works on"),
-        open_service(plain),
-    ):
-        pass
-
-
 def test_a_service_that_cannot_be_as_it_is_set_says_why(settings, tmp_path):
+    plain = settings.model_copy(update={"simulated": False})
+    with open_service(plain), pytest.raises(InUse, match="another instance works on"):
+        open_service(plain).__enter__()
     (tmp_path / "file").write_text("in the way")
     for change, said in (
         ({"data_dir": tmp_path / "file"}, "setting data_dir"),

@@ -27,8 +27,12 @@ def section(heading):
     return [words[a + 1 : b] for a, b in zip(starts, ends, strict=True)]
 
 
-def test_address_and_tables_of_codes_are_those_of_the_service(monkeypatch):
+def test_address_states_and_tables_of_codes_are_those_of_the_service(monkeypatch):
     assert "B=http://127.0.0.1:8411/api/v1\n" in TEXT
+    body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
+    assert {f"`{state}`" for state in State} <= set(re.findall(r"`[\w-]+`", body))
+    ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
+    assert ends == {str(state) for state in FINAL}
     script = str(DOCUMENT.with_name("write_problem_codes.py"))
     monkeypatch.setattr(sys, "argv", [script, "--check"])
     monkeypatch.syspath_prepend(DOCUMENT.parent)
@@ -283,10 +287,3 @@ def test_the_example_of_a_refusal_is_what_is_answered(curl):
     body = {"kind": "measure-otf", "path": rows}
     problem = curl.client.post("/api/v1/jobs", json=body).json()
     assert {**problem, "request_id": ""} == {**example, "request_id": ""}
-
-
-def test_every_state_of_the_document_exists():
-    body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
-    assert {f"`{state}`" for state in State} <= set(re.findall(r"`[\w-]+`", body))
-    ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
-    assert ends == {str(state) for state in FINAL}

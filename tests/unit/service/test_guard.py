@@ -5,7 +5,7 @@ from starlette.testclient import TestClient
 from truepath.service.api.application import create_application
 
 
-def test_the_service_answers_to_its_names_and_to_none_that_somebody_points_here(
+def test_the_service_answers_to_its_names_addresses_and_methods_alone(
     client, is_problem
 ):
     own = "localhost", "localhost:8411", "127.0.0.1", "[::1]:8411", "10.0.0.9"
@@ -13,6 +13,11 @@ def test_the_service_answers_to_its_names_and_to_none_that_somebody_points_here(
         assert client.get("/healthz", headers={"host": host}).status_code == 200
     for host in ("evil.example", "evil.example:8411", "", "[::1", "a b"):
         is_problem(client.get("/healthz", headers={"host": host}), 421, "host")
+    for method in ("PUT", "PATCH", "DELETE", "TRACE", "BREW"):
+        answer = client.request(method, "/api/v1/system")
+        is_problem(answer, 405, "method")
+        assert answer.headers["allow"] == "GET"
+    is_problem(client.get("/nowhere/at/all"), 404, "not-found")
 
 
 def test_a_page_of_another_site_can_change_nothing_and_the_own_page_can(
@@ -42,7 +47,9 @@ def test_a_page_of_another_site_can_change_nothing_and_the_own_page_can(
         assert answer.status_code == 200
 
 
-def test_every_answer_has_the_headers_that_keep_browsers_in_bounds(client):
+def test_every_answer_keeps_browsers_in_bounds_and_has_the_identifier_it_came_with(
+    client,
+):
     for path in ("/healthz", "/docs", "/nowhere", "/api/v1/jobs"):
         headers = client.get(path).headers
         assert "default-src 'self'" in headers["content-security-policy"]
@@ -51,23 +58,12 @@ def test_every_answer_has_the_headers_that_keep_browsers_in_bounds(client):
         assert headers["referrer-policy"] == "no-referrer"
         assert headers["cross-origin-resource-policy"] == "same-origin"
         assert headers["cache-control"] == "no-store"
-
-
-def test_a_request_keeps_the_identifier_it_came_with_unless_it_is_odd(client):
     answer = client.get("/healthz", headers={"x-request-id": "hmi-7.42"})
     assert answer.headers["x-request-id"] == "hmi-7.42"
     for odd in ("a" * 65, "a b", 'x"y', ""):
         answer = client.get("/healthz", headers={"x-request-id": odd})
         assert answer.headers["x-request-id"] != odd
         assert len(answer.headers["x-request-id"]) == 16
-
-
-def test_other_methods_and_addresses_are_problems(client, is_problem):
-    for method in ("PUT", "PATCH", "DELETE", "TRACE", "BREW"):
-        answer = client.request(method, "/api/v1/system")
-        is_problem(answer, 405, "method")
-        assert answer.headers["allow"] == "GET"
-    is_problem(client.get("/nowhere/at/all"), 404, "not-found")
 
 
 def test_a_failure_after_the_answer_has_begun_breaks_it_off(service):

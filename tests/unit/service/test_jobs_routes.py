@@ -137,9 +137,15 @@ def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, unt
     assert find(since=shifted.isoformat()) == ids[1:]
 
 
-def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
-    client, is_problem, service
+def test_what_nobody_foresaw_is_a_problem_of_job_or_request_that_tells_no_secrets(
+    client, armed, make_cell, until, science, service, is_problem
 ):
+    science.raises = KeyError("secret")
+    make_cell.cell.end()
+    job = until(armed, "failed")
+    assert job["error"]["code"] == "internal-error"
+    assert "secret" not in str(job["error"])
+    assert client.get(job["links"]["run"]).json()["complete"]
     for error, status, code in (
         (StorageUnavailable("the catalogue is locked"), 503, "storage"),
         (KeyError("the password is secret"), 500, "internal-error"),
@@ -150,17 +156,6 @@ def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
         assert ("Try again" in problem["action"]) == (code == "storage")
         assert "secret" not in answer.text
         assert problem["request_id"]
-
-
-def test_a_failure_nobody_foresaw_tells_nothing_but_that(
-    client, armed, make_cell, until, science
-):
-    science.raises = KeyError("secret")
-    make_cell.cell.end()
-    job = until(armed, "failed")
-    assert job["error"]["code"] == "internal-error"
-    assert "secret" not in str(job["error"])
-    assert client.get(job["links"]["run"]).json()["complete"]
 
 
 @pytest.mark.parametrize("reasons", [(), (OPEN,), (OPEN, BEYOND)])

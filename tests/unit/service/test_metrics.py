@@ -130,7 +130,17 @@ def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
 
 
-def test_the_system_says_what_it_is_and_the_machine_who_is_connected(client):
+def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
+    client, is_problem, monkeypatch
+):
+    assert client.get("/healthz").json() == {"status": "ok"}
+    ready = client.get("/readyz")
+    assert ready.status_code == 200
+    assert ready.json()["checks"] == {"catalogue": True, "disk": True, "cell": True}
+    with monkeypatch.context() as patch:
+        patch.setattr(machine_routes, "LEAST_FREE_BYTES", 1 << 60)
+        problem = is_problem(client.get("/readyz"), 503, "not-ready")
+    assert problem["detail"] == "not ready: disk"
     system = client.get("/api/v1/system").json()
     assert (system["version"], system["simulated"]) == ("1.2.3", True)
     assert (system["machine"]["name"], system["current_job"]) == ("demo", None)
@@ -155,18 +165,6 @@ def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
         make_cell.cell.refuses = refusal
         answer = client.post("/api/v1/machines/current:connect")
         assert is_problem(answer, status, code)["detail"] == str(refusal)
-
-
-def test_the_process_is_alive_and_ready_unless_it_is_short_of_something(
-    client, is_problem, monkeypatch
-):
-    assert client.get("/healthz").json() == {"status": "ok"}
-    ready = client.get("/readyz")
-    assert ready.status_code == 200
-    assert ready.json()["checks"] == {"catalogue": True, "disk": True, "cell": True}
-    monkeypatch.setattr(machine_routes, "LEAST_FREE_BYTES", 1 << 60)
-    problem = is_problem(client.get("/readyz"), 503, "not-ready")
-    assert problem["detail"] == "not ready: disk"
 
 
 class TestWithoutAMachine:

@@ -54,7 +54,7 @@ def plan(planned):
     return made
 
 
-def test_a_plan_says_what_it_will_leave_unknown(plan, client):
+def test_a_plan_and_each_beginning_of_it_say_what_they_will_leave_unknown(plan, client):
     assert plan["request"] == {**SHORT, **USUAL}
     rows, document = plan["commanded"], plan["document"]
     assert rows["kind"] == "path"
@@ -67,11 +67,8 @@ def test_a_plan_says_what_it_will_leave_unknown(plan, client):
     assert document["grade"]["verdict"] in ("good", "usable", "poor")
     job = client.get(plan["links"]["job"]).json()
     assert (job["kind"], job["state"], job["result"]) == ("plan", "succeeded", None)
-
-
-def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
     found = client.get(plan["links"]["curve"]).json()
-    points, document = found["points"], plan["document"]
+    points = found["points"]
     assert [p["row"] for p in points] == sorted({p["row"] for p in points})
     assert points[-1]["row"] == document["rows"]
     assert points[-1]["time_s"] == pytest.approx(document["duration_s"])
