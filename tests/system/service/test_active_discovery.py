@@ -5,22 +5,19 @@ driven as any other motion: armed by whoever has looked at them.
 """
 
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from real_services import drive, simulated_service
 from service_process import ENDS
+from truepath.files.bundle.bundle import zip_bundle
 from truepath_simulators.hidden.effects_by_name import as_json
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import LateralBacklash
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
@@ -54,20 +51,12 @@ def two_sides_of_y():
     return [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.8} for x, y, z in places]
 
 
-def calibration(folder):
-    """Return a bundle of the machine before anything happened to it."""
-    program = paths.chord_path(parse_machine(CONTENT), 9, 40, 6000.0)
-    setting = synthetic.Setting(machine_seed=MACHINE)
-    files = folder / "bundle"
-    files.mkdir()
-    write_bundle_files(files, synthetic.record(CONTENT, program, 9, setting=setting))
-    return Path(shutil.make_archive(str(files), "zip", files)).read_bytes()
-
-
 @pytest.fixture
-def first(client, tmp_path):
-    """A discovery at points, that has asked for lines."""
-    sent = {"bundle": ("r.zip", calibration(tmp_path))}
+def first(client, record):
+    """A discovery at points by a model of before, that has asked for lines."""
+    how = {"feed": 6000.0, "chain": CONTENT["kinematic_chain"]}
+    calibrated, _ = record(9, rows=40, setting=Setting(MACHINE), **how)
+    sent = {"bundle": ("r.zip", zip_bundle(calibrated))}
     before = client.post("/api/v1/runs", files=sent).json()["id"]
     model_id = drive(client, kind="discover", run_id=before)["id"]
     points = two_sides_of_y()
