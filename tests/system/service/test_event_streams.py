@@ -102,16 +102,6 @@ def test_many_missed_events_come_in_order(live, service, job, monkeypatch):
     assert [int(event.id) for event in missed] == list(range(2, 62))
 
 
-@pytest.fixture
-def jobs_of_machines(service):
-    """One job of each of two machines, and one of none."""
-
-    def create(machine):
-        return service.store.create(Job(JobKind.ANALYSE, machine=machine))[0]
-
-    return [create(machine) for machine in ("default", "mill", None)]
-
-
 @pytest.mark.parametrize(
     ("topics", "chosen", "count"),
     [  # nothing moves: of progress it is not known which machine it is of
@@ -123,9 +113,11 @@ def jobs_of_machines(service):
     ],
 )
 def test_a_stream_carries_only_its_topics_and_misses_none_of_them(
-    live, service, jobs_of_machines, topics, chosen, count
+    live, service, topics, chosen, count
 ):
-    ids = [job.id for job in jobs_of_machines]
+    """One job of each of two machines, and one of none."""
+    jobs = [Job(JobKind.ANALYSE, machine=name) for name in ("default", "mill", None)]
+    ids = [service.store.create(job)[0].id for job in jobs]
     wanted = [ids[k] for k in chosen]
     path = f"/api/v1/{topics.format(*ids)}"
     with stream(live, path) as found:

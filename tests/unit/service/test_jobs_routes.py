@@ -96,7 +96,7 @@ def test_what_does_not_go_with_a_job_that_waits_is_refused(
     assert "ready) has no" in is_problem(answer, 404, "not-found")["detail"]
 
 
-def test_an_unknown_job_or_run_is_not_found(client, is_problem):
+def test_an_unknown_job_is_not_found(client, is_problem):
     paths = "", "/plan", "/events", "/result", "/result/error-tables.json"
     for path in (*paths, "/result/error-tables.csv", "/result/report.html"):
         is_problem(client.get(UNKNOWN + path), 404, "not-found")
@@ -104,8 +104,6 @@ def test_an_unknown_job_or_run_is_not_found(client, is_problem):
         headers, body = {"If-Match": '"1"'}, {"token": "of nobody"}
         answer = client.post(f"{UNKNOWN}/{verb}", headers=headers, json=body)
         is_problem(answer, 404, "not-found")
-    order = {"kind": "analyse", "run_id": "nowhere"}
-    is_problem(client.post(JOBS, json=order), 404, "not-found")
 
 
 def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, until):
