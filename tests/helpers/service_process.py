@@ -139,6 +139,14 @@ def moving(client, job_id):
     )
 
 
+def begin_moving(client, rows=ROWS):
+    """Measure a path; return the job once samples have come."""
+    job = create(client, path=rows)
+    arm(client, job)
+    moving(client, job["id"])
+    return job["id"]
+
+
 def wait_for(reached, what, patience_s=90.0):
     """Wait for what may take minutes on a busy computer."""
     end = time.monotonic() + patience_s

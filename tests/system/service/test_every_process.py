@@ -18,7 +18,16 @@ import pytest
 from arming import arm_over_http
 from processes import runs
 from real_services import environment_of, find_child, process
-from service_process import ENDS, ROWS, SPEED, arm, create, follow, moving, wait_for
+from service_process import (
+    ENDS,
+    ROWS,
+    SPEED,
+    arm,
+    begin_moving,
+    create,
+    follow,
+    wait_for,
+)
 from service_with_devices import connect
 from truepath_simulators.bench.rig import running_rig
 
@@ -56,15 +65,8 @@ def make_ready(client):
     return create(client, path=ROWS)["id"]
 
 
-def make_moving(client):
-    job = create(client, path=ROWS)
-    arm(client, job)
-    moving(client, job["id"])
-    return job["id"]
-
-
 def make_paused(client):
-    job = make_moving(client)
+    job = begin_moving(client)
     client.post(f"/api/v1/jobs/{job}/pause")
     follow(client, job, "paused")
     return job
@@ -80,7 +82,7 @@ def make_computing(client):
 
 STATES = {
     "ready": make_ready,
-    "running": make_moving,
+    "running": begin_moving,
     "paused": make_paused,
     "computing": make_computing,
 }

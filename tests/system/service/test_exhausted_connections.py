@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from real_services import process
-from service_process import ROWS, arm, create, follow, moving
+from service_process import begin_moving, follow
 from service_with_devices import connect
 from serving import serving
 from truepath.service.api.security import connections
@@ -68,13 +68,11 @@ def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descrip
     with process(tmp_path, 1024) as (_, client), ExitStack() as stack:
         place = client.base_url.host, client.base_url.port
         connect(client)
-        job = create(client, path=ROWS)
-        arm(client, job)
-        moving(client, job["id"])
+        job_id = begin_moving(client)
         for _ in range(1400):
             hold(stack, place, UNFINISHED["head"])
         assert stop(place) < 2.0
-        follow(client, job["id"], "aborted")
+        follow(client, job_id, "aborted")
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from postgres_server import PostgresServer
 from real_services import process
-from service_process import ENDS, ROWS, arm, create, moving, wait_for
+from service_process import ENDS, ROWS, begin_moving, wait_for
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
@@ -29,10 +29,7 @@ def service(server, tmp_path_factory):
 
 @pytest.fixture
 def job(service):
-    job = create(service, path=3 * ROWS)
-    arm(service, job)
-    moving(service, job["id"])
-    return job["id"]
+    return begin_moving(service, 3 * ROWS)
 
 
 @pytest.mark.fault_row(37)

@@ -16,7 +16,7 @@ from described_answers import check_answer
 from processes import runs
 from real_services import process, service_of, write_machine
 from scripted_cell import wait_until
-from service_process import ROWS, SPEED, arm, create, follow, moving
+from service_process import ROWS, SPEED, arm, begin_moving, create, follow
 from serving import end_while_it_starts, hang_at_the_end
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
@@ -34,14 +34,6 @@ def settings(tmp_path):
     return load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
     )
-
-
-def set_in_motion(client):
-    """Measure a long path; return the job once samples have come."""
-    job = create(client, path=LONG)
-    arm(client, job)
-    moving(client, job["id"])
-    return job["id"]
 
 
 def check_now_and_then():
@@ -105,7 +97,7 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
 def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
     """Nobody could stop it meanwhile; it goes on only when somebody says so."""
     with process(tmp_path) as (running, client):
-        job = set_in_motion(client)
+        job = begin_moving(client, LONG)
         os.kill(running.pid, signal.SIGSTOP)
         frozen_s = time.monotonic()
         try:
@@ -133,7 +125,7 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
     tmp_path, how, measured
 ):
     with process(tmp_path) as (running, client):
-        set_in_motion(client)
+        begin_moving(client, LONG)
         with client.stream("GET", "/api/v1/events") as stream:
             lines = stream.iter_lines()
             next(lines)
@@ -177,7 +169,7 @@ def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path):
 @pytest.mark.fault_row(25)
 def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path, measured):
     with process(tmp_path) as (running, client):
-        job = set_in_motion(client)
+        job = begin_moving(client, LONG)
         children = _children(running.pid)
         assert len(children) >= 4
         running.kill()

@@ -149,16 +149,17 @@ class CrookedFamily(ServoMismatchFamily):
 
 
 def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen):
+    slope = conformance.jacobian_is_the_slope_of_the_displacement
+    values, words = conformance.effects_are_values, conformance.words_are_there
     for check, family, at, complaint in (
+        (slope, CrookedFamily(), seen, "is not the slope"),
+        (values, CrookedFamily(), seen, "share names"),
+        (words, CrookedFamily(), seen, "no words in de"),
         (
-            conformance.jacobian_is_the_slope_of_the_displacement,
-            *(CrookedFamily(), seen, "is not the slope"),
-        ),
-        (conformance.effects_are_values, CrookedFamily(), seen, "share names"),
-        (conformance.words_are_there, CrookedFamily(), seen, "no words in de"),
-        (
-            conformance.words_are_there,
-            *(ServoMismatchFamily(), replace(seen, recorded=None), "proposes nothing"),
+            words,
+            ServoMismatchFamily(),
+            replace(seen, recorded=None),
+            "proposes nothing",
         ),
     ):
         with pytest.raises(conformance.NotConforming, match=complaint):
