@@ -18,18 +18,8 @@ import pytest
 from arming import arm_over_http
 from processes import runs
 from real_services import environment_of, find_child, process
-from service_process import (
-    ENDS,
-    ROWS,
-    SPEED,
-    arm,
-    begin_moving,
-    create,
-    follow,
-    wait_for,
-)
-from service_with_devices import connect
-from truepath_simulators.bench.rig import running_rig
+from service_process import ENDS, ROWS, arm, begin_moving, create, follow, wait_for
+from service_with_devices import connect, running_devices
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 
@@ -237,7 +227,7 @@ def list_jobs(client):
 @pytest.fixture
 def rig():
     """Devices that are no children of the service: they go on when it dies."""
-    with running_rig({"speed": SPEED, "tracker": "tcp", "seed": 3}) as started:
+    with running_devices(speed=12.0) as started:
         yield started
 
 
