@@ -162,6 +162,7 @@ def test_a_program_logs_in_for_a_token_and_a_browser_for_a_cookie_no_script_read
     assert client.get(f"{API}/session", headers=headers).json()["name"] is None
     opened = client.post(f"{API}/session", json={**body, "cookie": True})
     assert opened.json()["token"] is None
+    assert "max-age=" in opened.headers["Strict-Transport-Security"], "over TLS"
     cookie = opened.headers["set-cookie"].lower()
     assert cookie.startswith(f"{COOKIE}=tp_")
     for word in ("secure", "httponly", "samesite=strict", "path=/"):
