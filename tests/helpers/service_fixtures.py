@@ -121,13 +121,6 @@ def reader():
 
 
 @pytest.fixture
-def scripted_cells(monkeypatch):
-    """Machines that are added have scripted cells as well."""
-    make = scripted_cell.CellMaker()
-    monkeypatch.setattr(cell_setup, "Cell", lambda _: make())
-
-
-@pytest.fixture
 def service(
     make_cell,
     board,
@@ -141,9 +134,11 @@ def service(
     tmp_path,
     estimates,
     reader,
-    scripted_cells,
+    monkeypatch,
 ):
-    """Everything behind the routes."""
+    """Everything behind the routes; machines that are added have scripted cells too."""
+    make_added = scripted_cell.CellMaker()
+    monkeypatch.setattr(cell_setup, "Cell", lambda _: make_added())
     database = Database(catalogue_url)
     event_bus = EventBus()
     publish = event_bus.publish

@@ -113,21 +113,15 @@ def test_what_cannot_be_told_is_said_in_words_and_where_all_is_told_that_is_said
     assert "not observable" not in text
 
 
-@pytest.mark.parametrize(
-    ("rms_um", "said"),
-    [
-        (1.0, ["explains the measurement to its noise"]),
-        (
-            3.0,
-            ["3.0 times the noise. The model lacks an effect", 'class="callout warn"'],
-        ),
-    ],
-)
-def test_residuals_above_the_noise_are_a_warning(estimate, provenance, rms_um, said):
-    residuals = replace(estimate.runs[0].residuals, rms_mm=1e-3 * rms_um, floor_mm=1e-3)
-    found = state_findings(change_run(estimate, residuals=residuals), provenance)
-    section = render_section("residuals", found)
-    assert all(words in section for words in said)
+def test_residuals_above_the_noise_are_a_warning(estimate, provenance):
+    def render(rms_mm):
+        residuals = replace(estimate.runs[0].residuals, rms_mm=rms_mm, floor_mm=1e-3)
+        found = state_findings(change_run(estimate, residuals=residuals), provenance)
+        return render_section("residuals", found)
+
+    assert "explains the measurement to its noise" in render(1e-3)
+    assert "3.0 times the noise. The model lacks an effect" in render(3e-3)
+    assert 'class="callout warn"' in render(3e-3)
 
 
 def test_a_standstill_run_speaks_of_points(estimate, provenance):
@@ -279,8 +273,7 @@ def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(gr
     assert again.extrapolated.tolist() == beyond.tolist()
     del content["measured_range"]
     assert result_from_json(content).measured == {}
-    unmarked = build_error_tables(loaded, {}).table("EYX")
-    assert not unmarked.extrapolated.any()
+    assert not build_error_tables(loaded, {}).table("EYX").extrapolated.any()
 
 
 def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
@@ -311,8 +304,3 @@ def test_prediction_warns_of_points_far_beyond_what_was_measured(partly):
     (said,) = predict(loaded, np.array([inside, far])).warnings
     assert said.startswith("1 of 2 points lie in the travel but far beyond what was")
     assert predict(loaded, np.array([inside])).warnings == ()
-    # It is less sure the farther it leaves the travel.
-    x = np.array([300.0, 320.0, 400.0, 600.0])
-    position = np.column_stack([x, np.full(4, 200.0), np.full(4, 100.0)])
-    sigma = np.linalg.norm(predict(loaded, position).uncertainty_um, axis=1)
-    assert (np.diff(sigma) > 0.0).all()
