@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from document import table, write_section
-from recordings import run_of
+from recordings import draw_specification, run_of
 
 from truepath.alignment.align import align
 from truepath.estimation.solve.batch import estimate
@@ -91,7 +91,7 @@ def draw_machine(seed: int) -> dict[str, Any]:
         "kinematic_chain": chain,
         "axes": axes,
         "targets": targets,
-        "tracker": {"stands_on": "base"},
+        "tracker": {"stands_on": "base", "specification": draw_specification(seed)},
     }
 
 
