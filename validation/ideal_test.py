@@ -3,8 +3,9 @@
 The ideal test is told what no real one knows: the noise, how strongly error motions of
 each kind bend in this machine, and the effect's very shape, so that only its size is
 asked for. What machine, pose, timing and a tracker within its specification can absorb
-is taken out first: a sag that looks like a usual angular motion of the guide is one. The expected log-likelihood ratio
-between the effect and none is then half the squared signal-to-noise ratio.
+is taken out first: a sag that looks like a usual angular motion of the guide is one.
+The expected log-likelihood ratio between the effect and none is then half the squared
+signal-to-noise ratio.
 """
 
 from __future__ import annotations
