@@ -174,9 +174,9 @@ def _propagate(
     """
     size, K = len(C), np.linalg.cholesky(C)
     seen = K.T @ grams @ K
-    carried, U = np.linalg.eigh(seen.sum(axis=0))
-    first = int(np.searchsorted(np.cumsum(carried), _NEGLECTED * carried.sum()))
-    U = U[:, first:]
+    carried, vectors = np.linalg.eigh(seen.sum(axis=0))
+    sums: Float64[np.ndarray, " p"] = np.cumsum(carried)
+    U = vectors[:, int(np.searchsorted(sums, _NEGLECTED * sums[-1])) :]
     along, weight = K @ U, U.T @ seen @ U
     change = np.zeros((len(scales), *weight.shape[1:]))
     for run in runs:
