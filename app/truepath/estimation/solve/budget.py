@@ -175,8 +175,8 @@ def _propagate(
     size, K = len(C), np.linalg.cholesky(C)
     seen = K.T @ grams @ K
     carried, vectors = np.linalg.eigh(seen.sum(axis=0))
-    sums: Float64[np.ndarray, " p"] = np.cumsum(carried)
-    U = vectors[:, int(np.searchsorted(sums, _NEGLECTED * sums[-1])) :]
+    least = _NEGLECTED * float(carried.sum())
+    U = vectors[:, np.count_nonzero(np.cumsum(carried) < least) :]
     along, weight = K @ U, U.T @ seen @ U
     change = np.zeros((len(scales), *weight.shape[1:]))
     for run in runs:
