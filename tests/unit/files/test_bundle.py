@@ -223,7 +223,7 @@ def test_an_archive_that_cannot_be_unpacked_is_refused(run, tmp_path, spoil, sai
     file, data = tmp_path / "odd.zip", bytearray(zip_bundle(run))
     spoil(data)
     file.write_bytes(data)
-    with pytest.raises(BundleError, match=rf"odd\.zip.*{said}"):
+    with pytest.raises(BundleError, match=said):
         read_bundle(file)
     with pytest.raises(BundleError, match=r"nowhere: no such folder or file"):
         read_bundle(tmp_path / "nowhere")
