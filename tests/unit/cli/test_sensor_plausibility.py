@@ -129,10 +129,14 @@ def test_units_are_taken_by_the_names_of_columns_one_for_each_sensor(surround):
         read_bundle(surround(X_degC=noisy(20.0), X_degF=noisy(68.0)))
 
 
-def test_a_pressure_that_does_not_fit_the_site_or_no_altitude_is_refused(surround):
-    for wrong in ({"altitude_m": "high"}, {"altitude_m": 1e5}):
-        with pytest.raises(BundleError, match=r"site\.altitude_m"):
-            read_bundle(surround({"site": wrong}, X_degC=noisy(20.0)))
+@pytest.mark.parametrize("wrong", [{"altitude_m": "high"}, {"altitude_m": 1e5}])
+def test_what_is_no_altitude_is_refused(surround, wrong):
+    asked = surround({"site": wrong}, X_degC=noisy(20.0))
+    with pytest.raises(BundleError, match=r"site\.altitude_m"):
+        read_bundle(asked)
+
+
+def test_a_pressure_that_does_not_fit_the_site_is_refused(surround):
     site = {"site": {"altitude_m": 120}}
     columns = {"air_degC": noisy(20.0), "pressure_hPa": noisy(746.0)}
     with pytest.raises(BundleError) as refused:
