@@ -334,7 +334,7 @@ def test_a_box_of_the_measurement_holds_until_somebody_says_that_it_is_gone(
         order = service.orders()[-1]
         assert {key: order[key] for key in order if "keep_out" in key} == sent
         service.change(job, state="aborted")
-        expect(page.locator("#state")).to_have_text("Aborted")
+        page.wait_for_url(f"**/#/run/{job}")
 
 
 def test_the_check_says_and_shows_what_is_kept_clear(panel, service):
