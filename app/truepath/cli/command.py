@@ -17,7 +17,11 @@ from truepath.cli.analyse import (
     trend_commands,
     verification_commands,
 )
-from truepath.cli.measure import driver_commands, machine_commands
+from truepath.cli.measure import (
+    driver_commands,
+    machine_commands,
+    machine_file_command,
+)
 from truepath.cli.results import result_commands
 from truepath.cli.service import (
     operation_commands,
@@ -107,6 +111,7 @@ app.command()(operation_commands.restore)
 app.command()(operation_commands.support_bundle)
 app.command()(operation_commands.settings)
 app.command()(operation_commands.systemd_unit)
+app.add_typer(machine_file_command.machine, name="machine")
 app.add_typer(machine_commands.machines, name="machines")
 app.add_typer(operation_commands.catalogue, name="catalogue")
 app.add_typer(operation_commands.tls, name="tls")

@@ -1,4 +1,4 @@
-"""Machines that a machine file may have meant: the tracker or axes elsewhere, reversed."""
+"""Machines that a file may have meant: tracker or axes elsewhere, axes reversed."""
 
 from __future__ import annotations
 
