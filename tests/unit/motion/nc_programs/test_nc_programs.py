@@ -173,7 +173,7 @@ def test_no_axis_crosses_where_the_path_does_not_say_how_high(dialect, mill):
 
 
 SMOOTHING = {
-    "fanuc": (["/G5.1 Q0", "G61"], ["G64", "M30"]),
+    "fanuc": (["/G5.1 Q0", "G61"], ["G64", "G#1", "M30"]),
     "heidenhain": (
         ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1 T0.002"],
         ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1", "M30"],
