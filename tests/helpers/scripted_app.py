@@ -90,6 +90,7 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
         "drivers": lambda: {"items": data.DRIVERS},
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
+        "effects": lambda: {"items": data.EFFECTS},
         "compensation-formats": lambda: {"items": data.FORMATS},
         "nc-dialects": lambda: {"items": [tnc]},
         "jobs/{job_id}/plan": lambda: service.plan,

@@ -382,6 +382,26 @@ def volumetric_map(state, compensation):
     }
 
 
+EFFECTS = [
+    {
+        "name": "backlash",
+        "of": "direction",
+        "title": "Backlash",
+        "cause": "Play or wind-up in screw, nut, thrust bearing or rack.",
+        "looks_like": "An axis stops short whenever it comes from the other side.",
+        "remedy": "Enter the width as the axis' backlash compensation.",
+        "enters_analyse": True,
+    },
+    {
+        "name": "vibration",
+        "of": "measurement",
+        "title": "Vibration",
+        "cause": "Something swings.",
+        "looks_like": "A wave in time.",
+        "remedy": "Look for what turns.",
+        "enters_analyse": False,
+    },
+]
 FORMATS = [
     {
         "name": "heidenhain",

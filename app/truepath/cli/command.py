@@ -82,6 +82,7 @@ app.command()(service_commands.serve)
 app.command()(service_commands.demo)
 app.command()(driver_commands.drivers)
 app.command()(driver_commands.formats)
+app.command()(driver_commands.effects)
 app.command()(driver_commands.plugins)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
