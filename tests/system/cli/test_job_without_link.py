@@ -1,4 +1,4 @@
-"""The page of the job without a link, followed line by line on controls of three makers.
+"""The page of the job without a link, followed line by line on three makers' controls.
 
 The controls are not the planner's, the machine is the simulators', and the recordings
 are exports as a maker's software writes them.
@@ -7,12 +7,13 @@ are exports as a maker's software writes them.
 import json
 import re
 import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from exports_of_makers import of_stream, polyworks
+from exports_of_makers import polyworks
 from nc_controls import RUN
 from truepath.cli.command import run
 from truepath_simulators.compensation.loading import LoadedTables
@@ -49,22 +50,20 @@ def record(shop, folder, dialect, tables=()):
     made = synthetic.record(content, driven, SEED + len(folder), "otf", setting)
     status = np.zeros(len(made), int)
     names = [f"N{k + 1}" for k in range(len(made))]
-    return made, polyworks(made.time_s, made.position_mm, status, names)[0]
+    return polyworks(made.time_s, made.position_mm, status, names)[0]
 
 
 def spell(words, dialect, tables):
     """Words of the page, for another control and the files that it has."""
     spelled = []
-    for before, word in zip(["", *words], words):
+    for before, word in pairwise(["", *words]):
         if before == "--format":
-            word = FORMATS[dialect]
+            spelled.append(FORMATS[dialect])
         elif before == "--compensation" and not word.endswith(".json"):
             more = [w for file in tables[1:] for w in ("--compensation", str(file))]
             spelled += [str(tables[0]), *more]
-            continue
-        spelled.append(
-            word.replace("heidenhain", dialect) if before != "--format" else word
-        )
+        else:
+            spelled.append(word.replace("heidenhain", dialect))
     return spelled
 
 
@@ -78,7 +77,7 @@ def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
         words = spell(words[1:], dialect, tables)
         folder = {"recording.txt": "plan", "proof.txt": "proof"}.get(words[1])
         if words[0] == "import":
-            made, text = record(shop, folder, dialect, tables)
+            text = record(shop, folder, dialect, tables)
             (shop / words[1]).write_bytes(text)
         place = words.index("--path") + 1 if "--path" in words else None
         if place:
