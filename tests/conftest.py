@@ -35,6 +35,7 @@ from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent / "helpers"))
+from paths_by_hand import path_of
 from postgres_server import PostgresServer
 
 
@@ -251,8 +252,17 @@ def mill():
 def square():
     """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
-    dwell_s = np.array([0.1, 0.2, 0.1, 0.3])
-    return Path(("X", "Y", "Z"), np.array(rows, float), np.full(4, 6000.0), dwell_s)
+    return path_of(*rows, dwell_s=(0.1, 0.2, 0.1, 0.3))
+
+
+def choose_program(content, seed, mode, rows, feed, corners=False, dwell_s=0.8):
+    """Return random lines, those between corners, or standstills at random places."""
+    machine = parse_machine(content)
+    if mode == "standstill":
+        return paths.standstill_points(machine, seed, rows, dwell_s=dwell_s)
+    if corners:
+        return paths.corner_path(machine, feed)
+    return paths.chord_path(machine, seed, rows, feed)
 
 
 @pytest.fixture(scope="session")
@@ -281,14 +291,7 @@ def record():
             content = {**load_machine("demo"), "kinematic_chain": chain}
             for axis in content["axes"].values() if travel_mm else ():
                 axis["max_mm"] = axis["min_mm"] + travel_mm
-            machine = parse_machine(content)
-            drive = program
-            if drive is None and mode == "standstill":
-                drive = paths.standstill_points(machine, seed, rows, dwell_s=0.8)
-            elif drive is None and corners:
-                drive = paths.corner_path(machine, feed)
-            elif drive is None:
-                drive = paths.chord_path(machine, seed, rows, feed)
+            drive = program or choose_program(content, seed, mode, rows, feed, corners)
             recording = synthetic.record(content, drive, seed, mode, setting)
             made[key] = (_run(recording), Truth(recording))
         return made[key]
@@ -302,7 +305,7 @@ def small_run(tmp_path_factory):
     content = load_machine("demo")
     for axis in content["axes"].values():
         axis["min_mm"], axis["max_mm"] = 0.0, 120.0
-    program = paths.standstill_points(parse_machine(content), 3, 30, dwell_s=0.8)
+    program = choose_program(content, 3, "standstill", 30, 0.0)
     recording = synthetic.record(content, program, 3, "standstill")
     file = tmp_path_factory.mktemp("small") / "run.zip"
     file.write_bytes(zip_bundle(_run(recording)))

@@ -1,18 +1,12 @@
 """Arming in its two steps: ask what will move, then arm with the token."""
 
 
-def request_token(client, job_id):
-    answer = client.post(f"/api/v1/jobs/{job_id}/arming")
-    assert answer.status_code == 200, answer.text
-    return answer.json()["token"]
-
-
 def arm_over_http(client, job):
-    return client.post(
-        f"/api/v1/jobs/{job['id']}/arm",
-        headers={"If-Match": f'"{job["version"]}"'},
-        json={"token": request_token(client, job["id"])},
-    )
+    address, version = f"/api/v1/jobs/{job['id']}/arm", f'"{job["version"]}"'
+    asked = client.post(f"{address}ing")
+    assert asked.status_code == 200, asked.text
+    token = {"token": asked.json()["token"]}
+    return client.post(address, headers={"If-Match": version}, json=token)
 
 
 def arm_at_once(dispatcher, job_id, version, *, by=None):

@@ -15,11 +15,7 @@ import pytest
 
 from measurement_fixtures import Told
 from truepath import child_process
-from truepath.measurement.messages import (
-    CellConfig,
-    CellVerb,
-    RunClosed,
-)
+from truepath.measurement.messages import CellConfig, CellVerb, RunClosed
 from truepath.measurement.process.cell import Cell
 from truepath_simulators.bench.bench import Bench
 
@@ -72,7 +68,7 @@ class Driven(Told):
 
     until_line = Told.until_done
 
-    def until_closed(self, timeout_s=45.0):
+    def until_closed(self, timeout_s=60.0):
         self.until(lambda: bool(self.of(RunClosed)), timeout_s)
         return self.of(RunClosed)[-1]
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from tests.conftest import without_rigid_motion
 
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.solve import batch
 from truepath.files.bundle.one_machine import one_machine
@@ -21,6 +22,11 @@ def estimate(*observed, names=(), known=None, **options):
     known = known or PriorEffects()
     models = build_run_models(machine, [each.at for each in observed], known.effects)
     return batch.estimate(models, observed, known=known, **options)
+
+
+def estimate_one(seen):
+    """Estimate from one Run as an analysis does: what is wrong in it is left out."""
+    return estimate_checked(build_run_models(seen.at.machine, [seen.at]), [seen])
 
 
 class Judged(NamedTuple):

@@ -92,7 +92,6 @@ def plain(time_s, position, *, head="t_s,x_mm,y_mm,z_mm", stamp="{:.6f}".format,
 def of_stream(style, samples):
     """Write a stream; the first column of a generic one counts its samples."""
     names = [f"N{k + 1}" for k in range(len(samples))]
-    data, options = style(
-        samples.device_time_s, samples.position_mm, samples.status, names
-    )
+    measured = samples.device_time_s, samples.position_mm, samples.status
+    data, options = style(*measured, names)
     return data, options[2:] if style is generic else options

@@ -1,8 +1,8 @@
 """What several tests of jobs are made of: rows, Runs, conditions."""
 
 import numpy as np
-import psutil
 
+from processes import runs
 from scripted_cell import DEVICES
 from truepath.catalogue.job import JobKind
 from truepath.files.bundle.bundle import zip_bundle
@@ -46,7 +46,4 @@ def begin_run(runs, machine, run_id, job_id="", name="r"):
 
 
 def has_ended(pid):
-    try:
-        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
+    return not runs(pid)

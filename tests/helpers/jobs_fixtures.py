@@ -1,12 +1,12 @@
 """A service over a scripted cell, its catalogue on either database."""
 
-import threading
 from dataclasses import replace
 
 import pytest
 
 from arming import arm_at_once
 from job_builders import OTF, write_bundle_zip
+from measurement_fixtures import no_thread_is_left_over  # noqa: F401
 from resumption_doubles import Closer, Resumer
 from scripted_cell import CellMaker, Inline, ReaderHere, Science, wait_until
 from simulated_clock import simulated_clock
@@ -53,14 +53,6 @@ def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
 
 
-@pytest.fixture(autouse=True)
-def no_thread_is_left_over():
-    before = set(threading.enumerate())
-    yield
-    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
-    assert not left
-
-
 @pytest.fixture
 def clock(monkeypatch):
     """Let a test live on simulated time, on which SQLite waits for nobody by itself."""
@@ -95,7 +87,9 @@ def science():
 
 
 @pytest.fixture
-def context(database, event_bus, make_cell, science, machine, tmp_path):
+def context(
+    database, event_bus, make_cell, science, machine, resumer, closer, tmp_path
+):
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
@@ -106,6 +100,8 @@ def context(database, event_bus, make_cell, science, machine, tmp_path):
         results=results,
         executor=Inline(),
         science=science,
+        resumer=resumer,
+        closer=closer,
         machines=Machines([MachineCell("default", machine, cell)]),
         confirm_s={State.CANCELLING: 30.0, **dict.fromkeys(quick, 0.3)},
     )

@@ -56,6 +56,13 @@ def tabulate(errors, name, spacing_mm=50.0, **choices):
     return Tabulation(kind, "c", ("by hand",), spacing_mm, ranges)
 
 
+def along(errors, axis, at):
+    """Return positions along an axis, the others in their middle."""
+    place = np.tile(errors.middle_mm, (len(at), 1))
+    place[:, errors.machine.axis_names.index(axis)] = at
+    return place
+
+
 @dataclass(frozen=True)
 class Written:
     """Files of a machine with rotary axes, and what their account states of these."""

@@ -15,7 +15,7 @@ STEP_MM, BEAM_PLACES, SLACK_MM = 1.0, 200, 1e-2
 class Limits:
     """Travel, boxes as (low, high), and the tracker, in plain numbers.
 
-    offset_mm : of the target; signs : +1 where an axis moves the tool
+    offset_mm : of the target
     """
 
     low: np.ndarray
@@ -31,9 +31,8 @@ def violations(limits, position):
     """Return what a path through the positions breaks, in words."""
     found = set()
     places = np.vstack([position[:1], *map(_walked, position[:-1], position[1:])])
-    if (places < limits.low - SLACK_MM).any() or (
-        places > limits.high + SLACK_MM
-    ).any():
+    low, high = limits.low - SLACK_MM, limits.high + SLACK_MM
+    if ((places < low) | (places > high)).any():
         found.add("travel")
     if any(_inside(places, box).any() for box in limits.keep_out):
         found.add("keep-out")

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_clock import simulated_clock
+from drivers_fixtures import clock  # noqa: F401
 from truepath.measurement import messages
 from truepath.measurement.engine.measurement import Measurement
 from truepath.measurement.run_file.run_file import LINK_STREAM
@@ -49,12 +49,6 @@ PLACE_MM = np.array([2000.0, 300.0, 50.0])
 @pytest.fixture
 def rng():
     return np.random.default_rng(7)
-
-
-@pytest.fixture
-def clock():
-    with simulated_clock() as clock:
-        yield clock
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import pytest
 
 from driven_cell import Driven, config_of
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import MeasurementOrder, RunClosed
+from truepath.measurement.messages import MeasurementOrder
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.links.link_proxy import Harm
@@ -55,11 +55,6 @@ class Measuring(Driven):
     @property
     def faults(self):
         return set(super().faults)
-
-    def until_closed(self, runs=1, timeout_s=60.0):
-        """How the last Run ended, once so many have."""
-        self.until(lambda: len(self.of(RunClosed)) == runs, timeout_s)
-        return self.of(RunClosed)[-1]
 
 
 def measuring_on(bench, file, lines=4, **given):

@@ -12,18 +12,20 @@ NEXT = "#next button"
 DESK, PHONE = (1280, 800), (390, 844)
 SLOW_MS = 60_000.0  # a picture in space without a graphics card
 HOLD_S = 1.4
-# As behind a proxy that lets no stream of events through: each is closed at once.
-NO_EVENTS = """
+STREAM = """
 const Real = WebSocket;
 window.WebSocket = class extends EventTarget {
   constructor(url) {
     super();
     if (!url.includes("/events")) return new Real(url);
     this.close = () => {};
-    setTimeout(() => this.dispatchEvent(new Event("close")));
+    %s
   }
 };
 """
+"""A stream of events that does what it is told."""
+# As behind a proxy that lets none through: each is closed at once.
+NO_EVENTS = STREAM % 'setTimeout(() => this.dispatchEvent(new Event("close")));'
 
 
 def follow(page: Page, label: str) -> None:
@@ -59,6 +61,12 @@ def choose(page: Page, *names: str) -> None:
     expect(page.locator("#settings")).to_be_hidden()
 
 
+def expect_texts(place: Locator, *texts: str) -> None:
+    """Wait until all of these are in the text of an element."""
+    for text in texts:
+        expect(place).to_contain_text(text)
+
+
 @contextmanager
 def held(page: Page, button: Locator) -> Iterator[None]:
     """Keep the button pressed meanwhile; it takes no effect before 1.5 s are over."""
@@ -78,6 +86,40 @@ def assert_fits(page: Page) -> None:
     """Nothing is wider than the panel, once pictures have its size."""
     page.wait_for_function(
         "() => document.documentElement.scrollWidth <= window.innerWidth"
+    )
+
+
+def small_targets(page: Page, where: str, least_px: int) -> list[str]:
+    """What is to be touched and is lower than that."""
+    found = page.evaluate(
+        """([selector, least]) => [...document.querySelectorAll(selector)]
+            .map((e) => [e.getBoundingClientRect().height, e])
+            .filter(([height, e]) => e.checkVisibility() && height < least - 0.5)
+            .map(([height, e]) => `${height} px ${e.outerHTML.slice(0, 120)}`)""",
+        ["button, main a, select, summary, input:not([type=file])", least_px],
+    )
+    return [f"{where}: {one}" for one in found]
+
+
+def overlapping(page: Page, selector: str, frame: str = "html") -> list[str]:
+    """Pairs of what is seen that lie over each other, and what is not in the frame."""
+    return page.evaluate(
+        """([selector, frame]) => {
+          const boxOf = (e) => e.getBoundingClientRect();
+          const whole = boxOf(document.querySelector(frame));
+          const found = [...document.querySelectorAll(selector)]
+            .filter((e) => e.checkVisibility() && boxOf(e).width);
+          const over = (p, q) => p.left < q.right - 1 && q.left < p.right - 1
+              && p.top < q.bottom - 1 && q.top < p.bottom - 1;
+          const isCut = (p) => p.left < whole.left || p.right > whole.right
+              || p.bottom > whole.bottom;
+          return found.flatMap((a, i) => [...(isCut(boxOf(a)) ? [frame] : []),
+            ...found.slice(i + 1).filter((b) =>
+              !a.contains(b) && !b.contains(a) && over(boxOf(a), boxOf(b)))
+              .map((b) => `${b.className} ${b.textContent}`)]
+            .map((other) => `${a.className} ${a.textContent} / ${other}`));
+        }""",
+        [selector, frame],
     )
 
 

@@ -11,9 +11,8 @@ def install(site, entry_points, **modules):
     info = site / "hostile_plugins-1.2.dist-info"
     info.mkdir(parents=True)
     name, version = NAME.split()
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
-    )
+    stated = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    (info / "METADATA").write_text(stated)
     lines = []
     for group, points in entry_points.items():
         lines += [f"[truepath.{group}]", *(f"{n} = {v}" for n, v in points.items())]

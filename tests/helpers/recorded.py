@@ -6,12 +6,11 @@ from dataclasses import asdict, replace
 from itertools import cycle
 
 import numpy as np
+from tests import conftest
 from tests.conftest import Truth, _run
 
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.motion.arc import Arc
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
@@ -62,13 +61,7 @@ def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
     key = (seed, mode, rows, corners, repr(setting))
     if key not in _made:
         content = load_small("demo")
-        machine = parse_machine(content)
-        if corners:
-            program = paths.corner_path(machine, 5000.0)
-        elif mode == "otf":
-            program = paths.chord_path(machine, seed, rows, 5000.0)
-        else:
-            program = paths.standstill_points(machine, seed, rows, dwell_s=0.8)
+        program = conftest.choose_program(content, seed, mode, rows, 5000.0, corners)
         run, made = record_run(content, program, seed, mode, Setting(**setting))
         _made[key] = run, Truth(made)
     return _made[key]
@@ -79,7 +72,7 @@ def record_path(content, path, seed=3, mode="otf", setting=None):
     arcs = tuple(
         arc
         and Arc(
-            tuple("XYZ".index(name) for name in arc.axes),
+            tuple(map("XYZ".index, arc.axes)),
             arc.centre_mm,
             float(np.radians(arc.turn_deg)),
         )
@@ -109,7 +102,5 @@ def load_erring(specification=None):
 
 def choose_program(content, seed, mode="otf", *, rows=24, points=50):
     """Return random lines at 6 m/min, or short standstills at random places."""
-    machine = parse_machine(content)
-    if mode == "otf":
-        return paths.chord_path(machine, seed, rows, 6000.0)
-    return paths.standstill_points(machine, seed, points, dwell_s=0.5)
+    count = rows if mode == "otf" else points
+    return conftest.choose_program(content, seed, mode, count, 6000.0, dwell_s=0.5)

@@ -1,16 +1,17 @@
-"""A CNC behind Modbus TCP and RTU, written from the page of the map, bytes by hand."""
+"""A CNC behind Modbus TCP and RTU, written from the page of the map, words by hand."""
 
 import struct
 import time
 import zlib
 
+from truepath_simulators.cnc import modbus_wire
 from wires import Peer, PtyWire, TcpWire
 
 IDLE, READY, RUNNING, HELD, FINISHED, ABORTED, ALARM = range(7)
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 
 
-class CncModel:
+class CncModel(modbus_wire.Registers):
     """Registers and state machine; a motion is over after `motion_s`."""
 
     def __init__(self):
@@ -39,13 +40,21 @@ class CncModel:
     def get(self, address, count):
         return struct.pack(f">{count}H", *self.words[address : address + count])
 
-    @property
-    def state(self):
-        return self.words[100]
+    def read(self, address, count):
+        if address + count > len(self.words):
+            raise modbus_wire.ModbusError(modbus_wire.ILLEGAL_ADDRESS)
+        self.advance()
+        return self.words[address : address + count]
 
-    @state.setter
-    def state(self, state):
-        self.words[100] = state
+    def write(self, address, values):
+        self.advance()
+        self.words[address : address + len(values)] = values
+        self.written(address, len(values))
+
+    state = property(
+        lambda self: self.words[100],
+        lambda self, state: self.words.__setitem__(100, state),
+    )
 
     def raise_alarm(self, code, text):
         self.state, self.words[102] = ALARM, code
@@ -108,22 +117,6 @@ class CncModel:
         return 0
 
 
-def answer_pdu(model, pdu):
-    """Return the reply to a request by the Modbus specification, codes 3, 6 and 16."""
-    code, address, value = struct.unpack_from(">BHH", pdu)
-    count = 1 if code == 6 else value
-    if code not in (3, 6, 16):
-        return bytes([code | 0x80, 1])
-    if address + count > len(model.words):
-        return bytes([code | 0x80, 2])
-    model.advance()
-    if code == 3:
-        return bytes([code, 2 * count]) + model.get(address, count)
-    model.put(address, pdu[3:5] if code == 6 else pdu[6 : 6 + 2 * count])
-    model.written(address, count)
-    return pdu[:5]
-
-
 class ModbusPeer(Peer):
     """Serves a model. Faults are attributes.
 
@@ -142,60 +135,32 @@ class ModbusPeer(Peer):
     def answer(self, pdu):
         self.requests.append(pdu)
         if self.exceptions and (code := self.exceptions.pop(0)):
-            return bytes([pdu[0] | 0x80, code])
-        return answer_pdu(self.model, pdu)
+            return modbus_wire.exception(pdu, code)
+        return modbus_wire.answer(pdu, self.model)
 
 
 class TcpPeer(ModbusPeer):
-    """Modbus TCP: transaction, protocol 0, length, unit, PDU."""
-
     def __init__(self):
-        wire = TcpWire()
-        super().__init__(wire)
-        self.drop = wire.drop
-        self.hangs_up = False
+        super().__init__(TcpWire())
+        self.drop, self.hangs_up = self.wire.drop, False
 
     def step(self, data):
         if data and self.hangs_up:
             self.drop()
             return
-        while data:
-            transaction, length = struct.unpack_from(">HxxH", data)
-            reply = self.answer(data[7 : 6 + length])
-            head = struct.pack(">HHHB", transaction, 0, len(reply) + 1, self.unit)
-            self.wire.write(self.mangle(head + reply))
-            data = data[6 + length :]
+        for transaction, _, pdu in modbus_wire.TcpFramer().feed(data):
+            reply = modbus_wire.tcp_frame(transaction, self.unit, self.answer(pdu))
+            self.wire.write(self.mangle(reply))
 
 
 class RtuPeer(ModbusPeer):
-    """Modbus RTU on a pseudo-terminal: unit, PDU, CRC-16 (polynomial 0xA001)."""
-
     def __init__(self):
         super().__init__(PtyWire())
         self.options = {"serial_port": self.options["port"], "baudrate": 115_200}
-        self._heard = b""
+        self._framer = modbus_wire.RtuFramer()
 
     def step(self, data):
-        self._heard += data
-        while len(self._heard) >= 8:
-            length = 9 + self._heard[6] if self._heard[1] == 16 else 8
-            if len(self._heard) < length:
-                return
-            frame, self._heard = self._heard[:length], self._heard[length:]
-            assert crc16(frame) == 0
-            if frame[0] == self.unit:
-                reply = bytes([self.unit]) + self.answer(frame[1:-2])
-                reply += struct.pack("<H", crc16(reply))
+        for unit, pdu in self._framer.feed(data):
+            if unit == self.unit:
+                reply = modbus_wire.rtu_frame(unit, self.answer(pdu))
                 self.wire.write(self.mangle(reply))
-
-
-def crc16(data):
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
-PEERS = {"tcp": TcpPeer, "rtu": RtuPeer}

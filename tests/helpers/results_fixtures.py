@@ -37,10 +37,6 @@ THREE_TARGETS = (
 LINES, CELLS = 12, 240
 
 
-def machine_with(targets):
-    return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
-
-
 def of_a_run(residuals):
     return RunEstimate(
         NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
@@ -57,15 +53,21 @@ def of_a_run(residuals):
     )
 
 
+def build_model_of(targets):
+    """Return a machine's model, what merges in it, and sizes of its parameters."""
+    machine = Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
+    offsets = np.array([t.offset_mm for t in targets])
+    model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)
+    # Millimetres and radians differ in size as they do in a machine.
+    size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
+    return model, tuple(map(str, merged)), size
+
+
 @pytest.fixture(scope="session")
 def construct():
     def made(targets=ONE_TARGET, seed=5):
         rng = np.random.default_rng(seed)
-        machine = machine_with(targets)
-        offsets = np.array([t.offset_mm for t in targets])
-        model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)
-        # Millimetres and radians differ in size as they do in a machine.
-        size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
+        model, merged, size = build_model_of(targets)
         spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
         residual = 1e-3 * rng.standard_normal((CELLS, 3))
         across = np.linalg.norm(residual[:, 1:], axis=1)
@@ -78,23 +80,19 @@ def construct():
             size * rng.standard_normal(model.size),
             1e-4 * spread @ spread.T,
             {"EXX": 2.5},
-            Observability(model.size + 20, model.size, tuple(str(m) for m in merged)),
+            Observability(model.size + 20, model.size, merged),
             "none",
             False,
             (of_a_run(residuals),),
-            full_travel(machine),
+            full_travel(model.machine),
         )
 
     return made
 
 
-@pytest.fixture(scope="session")
-def with_residuals():
-    def changed(estimate, residuals, **more):
-        run = replace(estimate.runs[0], residuals=residuals, **more)
-        return replace(estimate, runs=(run,))
-
-    return changed
+def change_run(estimate, **changed):
+    """Return an estimate of one Run of which something is otherwise."""
+    return replace(estimate, runs=(replace(estimate.runs[0], **changed),))
 
 
 @pytest.fixture(scope="session")
@@ -120,18 +118,8 @@ def loaded(estimate):
     return as_loaded(estimate)
 
 
-@pytest.fixture(scope="session")
-def load():
-    return as_loaded
-
-
 def as_loaded(estimate):
     return CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
-
-
-@pytest.fixture(scope="session")
-def three_targets():
-    return THREE_TARGETS
 
 
 @pytest.fixture
@@ -142,10 +130,9 @@ def travel_points(rng):
 @pytest.fixture(scope="session")
 def across_only(construct):
     """An estimate of what lies across the travel alone."""
-    plain = construct()
-    run = plain.runs[0]
-    noise = replace(run.noise, along_sigma_mm=np.inf)
-    return replace(plain, runs=(replace(run, noise=noise),), perpendicular_only=True)
+    plain = replace(construct(), perpendicular_only=True)
+    noise = replace(plain.runs[0].noise, along_sigma_mm=np.inf)
+    return change_run(plain, noise=noise)
 
 
 TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result

@@ -59,28 +59,23 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     return app
 
 
-def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
-    tnc = {"name": "heidenhain", "control": "Heidenhain TNC"}
-
+def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
     def system() -> dict[str, Any]:
         cell = {"state": "ready" if service.connected else "idle"}
-        return {
-            "version": "0",
-            "simulated": True,
-            "machine": data.MACHINE,
-            "cell": cell,
-        }
+        known = {"machine": data.MACHINE, "simulated": True, "cell": cell}
+        return data.EXAMPLES["get_system"] | known
 
     def current() -> dict[str, Any]:
-        known = service.connected
-        devices = {"tracker": data.TRACKER, "motion": data.MOTION}
-        shown = devices if known else dict.fromkeys(devices)
-        noise = {"tracker_noise": data.TRACKER_NOISE}
-        return service.machine | noise | {"connected": known} | shown
+        nothing = {"connected": False, "tracker": None, "motion": None}
+        noise = {"tracker_noise": {"rate_hz": 500}}
+        return (
+            service.machine | noise | (data.DEVICES if service.connected else nothing)
+        )
 
     def conditions() -> dict[str, Any]:
         return {"items": service.conditions}
 
+    nowhere = problem(404, "not-found", "Not there", "Nothing is known", "")
     return {
         "system": system,
         "machines/current": current,
@@ -91,13 +86,41 @@ def list_states(service: ScriptedService) -> dict[str, Callable[[], Any]]:
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
         "effects": lambda: {"items": data.EFFECTS},
-        "compensation-formats": lambda: {"items": data.FORMATS},
-        "nc-dialects": lambda: {"items": [tnc]},
+        "compensation-formats": lambda: {"items": [*data.FORMATS.values()]},
+        "nc-dialects": lambda: data.EXAMPLES["list_nc_dialects"],
         "jobs/{job_id}/plan": lambda: service.plan,
         "jobs/{job_id}/plan/grade": lambda: service.grade,
         "jobs/{job_id}/result": lambda: service.result,
         "jobs/{job_id}/discovery": lambda: service.discovery,
         "jobs/{job_id}/trend": lambda: service.trend,
+        "jobs/{job_id}/verification": lambda job_id: service.verifications[job_id],
+        "jobs/{job_id}/compensations": lambda job_id: {
+            "items": service.compensations.get(job_id, [])
+        },
+        "jobs/{job_id}/certificates": lambda job_id: {
+            "items": service.certificates.get(job_id, []),
+            "identity": service.identity,
+        },
+        "jobs/{job_id}/result/volumetric-map": data.volumetric_map,
+        "jobs/{job_id}": lambda job_id: service.jobs.get(job_id) or nowhere,
+        "jobs/{job_id}/nc-program": lambda dialect: download(
+            "0 BEGIN PGM\n", f"{dialect}.h", "text/plain"
+        ),
+        "jobs/{job_id}/estimate": lambda job_id: (
+            service.estimates.get(job_id) or Response(status_code=204)
+        ),
+        "jobs/{job_id}/compensations/{name}/archive": lambda name: download(
+            "PK", f"{name}.zip", "application/zip"
+        ),
+        "jobs/{job_id}/certificates/{number}.html": lambda number: HTMLResponse(
+            f"<h1>Calibration certificate {number}</h1>"
+        ),
+        "machines/{machine_id}/standing": lambda machine_id: (
+            service.standings.get(machine_id) or nowhere
+        ),
+        "machines/{machine_id}/history": lambda machine_id: service.histories.get(
+            machine_id, {"entries": [], "calibrations": []}
+        ),
         "models/{model_id}/versions": lambda: data.VERSIONS,
         "runs": lambda: {"items": service.runs, "next": None},
     }
@@ -149,22 +172,6 @@ def add_jobs(app: FastAPI, service: ScriptedService) -> None:
         service.jobs[job_id].update(await request.json())
         return service.jobs[job_id]
 
-    @app.get(f"{API}/jobs/{{job_id}}")
-    def job(job_id: str) -> Any:
-        if job_id not in service.jobs:
-            return problem(404, "not-found", "No such job", job_id, "")
-        return service.jobs[job_id]
-
-    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
-    def nc_program(job_id: str, dialect: str) -> Response:
-        return download("0 BEGIN PGM\n", f"{dialect}.h", "text/plain")
-
-    @app.get(f"{API}/jobs/{{job_id}}/estimate")
-    def job_estimate(job_id: str) -> Any:
-        if job_id not in service.estimates:
-            return Response(status_code=204)
-        return service.estimates[job_id]
-
     @app.post(f"{API}/runs", status_code=201)
     async def upload(bundle: UploadFile) -> Any:
         service.requests.append(("POST", "/runs", bundle.filename))
@@ -190,19 +197,6 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         service.compensations.setdefault(job_id, []).append(made)
         return made
 
-    @app.get(f"{API}/jobs/{{job_id}}/compensations")
-    def compensations(job_id: str) -> Any:
-        return {"items": service.compensations.get(job_id, [])}
-
-    @app.get(f"{API}/jobs/{{job_id}}/compensations/{{name}}/archive")
-    def archive(job_id: str, name: str) -> Response:
-        return download("PK", f"{name}.zip", "application/zip")
-
-    @app.get(f"{API}/jobs/{{job_id}}/certificates")
-    def certificates(job_id: str) -> Any:
-        items = service.certificates.get(job_id, [])
-        return {"items": items, "identity": service.identity}
-
     @app.post(f"{API}/jobs/{{job_id}}/certificates", status_code=201)
     async def issue(job_id: str, request: Request) -> Any:
         order = await service.note(request)
@@ -210,22 +204,10 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         kept.append(data.certificate(job_id, len(kept) + 1, order["language"]))
         return kept[-1]
 
-    @app.get(f"{API}/jobs/{{job_id}}/certificates/{{number}}.html")
-    def certificate_page(job_id: str, number: str) -> HTMLResponse:
-        return HTMLResponse(f"<h1>Calibration certificate {number}</h1>")
-
-    @app.get(f"{API}/jobs/{{job_id}}/verification")
-    def verification(job_id: str) -> Any:
-        return service.verifications[job_id]
-
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float | None = None) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))
         return {"tolerance_um": tolerance_um, **service.conformity}
-
-    @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-map")
-    def volume(job_id: str, state: str, compensation: str | None = None) -> Any:
-        return data.volumetric_map(state, compensation)
 
     @app.put(f"{API}/runs/{{run_id}}/known-lengths")
     def store_known_lengths(run_id: str, known_lengths: UploadFile) -> Any:
@@ -310,8 +292,7 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
 
     @app.post(f"{API}/machines/{{machine_id}}/devices:try")
     def try_devices() -> Any:
-        tried = {"samples": 42, "usable": 42, "lost_samples": 0}
-        return tried | {"text": "42 samples", "distance_mm": 1234.0}
+        return data.EXAMPLES["try_machine_devices"]
 
     @app.post(f"{API}/machines/{{machine_id}}:connect")
     def connect(machine_id: str) -> Any:
@@ -321,18 +302,7 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
             remedy = "Check the cable, then connect again."
             return problem(409, "wrong-device", "Another device answers", said, remedy)
         service.connected = True
-        return {"connected": True, "tracker": data.TRACKER, "motion": data.MOTION}
-
-    @app.get(f"{API}/machines/{{machine_id}}/history")
-    def history(machine_id: str) -> Any:
-        none = {"entries": [], "calibrations": []}
-        return service.histories.get(machine_id, none)
-
-    @app.get(f"{API}/machines/{{machine_id}}/standing")
-    def standing(machine_id: str) -> Any:
-        if machine_id not in service.standings:
-            return problem(404, "not-found", "Nothing is known", machine_id, "")
-        return service.standings[machine_id]
+        return data.DEVICES
 
     @app.get(f"{API}/machines/{{machine_id}}/changes")
     def changes(machine_id: str, since: str, until: str) -> Any:
@@ -360,7 +330,8 @@ def add_motion(app: FastAPI, service: ScriptedService) -> None:
     def prepare_arming(job_id: str) -> Any:
         if service.controller:
             return refuse()
-        return data.ARMING | {"job": job_id, "token": f"for {job_id}"}
+        known = {"job": job_id, "token": f"for {job_id}"}
+        return data.EXAMPLES["prepare_arming"] | known
 
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     async def act(job_id: str, verb: str, request: Request) -> Any:

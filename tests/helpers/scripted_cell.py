@@ -48,16 +48,12 @@ class ScriptedCell:
 
     def __init__(self, deaf=(), refuses=None):
         self.deaf, self.refuses = set(deaf), refuses
-        self.heard = []
-        self.parts = []
-        self.order = None
+        self.heard, self.parts = [], []
         self.started, self.begun = threading.Event(), threading.Event()
-        self.committed = 0
-        self.closed = False
-        self._alive = True
+        self.committed = self._samples = 0
+        self.closed, self._alive = False, True
+        self.order = self._recorder = None
         self._events = queue.SimpleQueue()
-        self._recorder = None
-        self._samples = 0
 
     # What the supervisor calls.
 
@@ -209,10 +205,8 @@ class CellMaker:
 class ScriptedLive:
     def __init__(self, order, show):
         self.order, self.show = order, show
-        self.newest = None
-        self.is_over = False
-        self.heard = []
-        self.parts = []
+        self.newest, self.is_over = None, False
+        self.heard, self.parts = [], []
 
     def _hear(self, verb, *_):
         self.heard.append(verb)
@@ -291,10 +285,8 @@ class _Scripted:
     """
 
     def __init__(self):
-        self.verdict = Verdict()
-        self.hold = None
-        self.raises = None
-        self.calls = []
+        self.verdict, self.calls = Verdict(), []
+        self.hold = self.raises = None
 
     def begin(self, on_progress, stage):
         on_progress(0.0, stage)
@@ -316,21 +308,10 @@ class _Scripted:
 class Science(_Scripted):
     def __init__(self):
         super().__init__()
-        self.trials = []
-        self.models = []
+        self.trials, self.models = [], []
 
-    def __call__(
-        self,
-        run_files,
-        folder,
-        perpendicular_only,
-        monte_carlo,
-        workers,
-        model_file,
-        model_id,
-        *,
-        on_progress,
-    ):
+    def __call__(self, run_files, folder, *order, on_progress):
+        perpendicular_only, monte_carlo, workers, model_file, model_id = order
         self.calls.append((run_files, folder, perpendicular_only))
         self.trials.append((monte_carlo, workers))
         self.models.append((model_file, model_id))
@@ -387,12 +368,9 @@ TREND = {
     "schema": "trend/1",
     "machine": {"name": "demo"},
     "verdict": verdict_json(Verdict()),
-    "runs": [],
-    "later": [],
     "states": {},
-    "sensors": [],
     "outlook": {"state": "not-known", "sentence": "Too few Runs."},
-    "not_told": [],
+    **dict.fromkeys(("runs", "later", "sensors", "not_told"), ()),
 }
 
 
@@ -401,10 +379,8 @@ class Verifier(_Scripted):
         super().__init__()
         self.content = {"schema": "verification/1"}
 
-    def __call__(
-        self, run_files, first_row, folder, result_file, files, asked, *, on_progress
-    ):
-        self.calls.append((run_files, first_row, result_file, files, asked))
+    def __call__(self, run_files, first_row, folder, *order, on_progress):
+        self.calls.append((run_files, first_row, *order))
         self.begin(on_progress, "estimating")
         return self.write(folder, "Proof", verification=self.content)
 

@@ -1,9 +1,19 @@
 """What a service tells of one machine: its file, a path, estimates, a result."""
 
 import copy
+import json
 import math
+from importlib import resources
 
 import numpy as np
+
+from truepath.compensation.format_registry import describe_format, load_format
+from truepath.kinematics.effects.family import describe_family, find_family
+
+EXAMPLES = json.loads(
+    resources.files("truepath.service.api").joinpath("examples.json").read_text("utf-8")
+)
+"""What the interface gives as an answer of each route; not to be changed."""
 
 MACHINE = {
     "schema": "machine/1",
@@ -16,73 +26,17 @@ MACHINE = {
     },
     "tool_offset_mm": [20.0, 30.0, -150.0],
 }
-TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
 TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
-
-
-def device(model, number):
-    names = {"maker": "Truepath", "model": model, "serial_number": number}
-    return {**names, "firmware": "1.0"}
-
-
-TRACKER = device("Simulated tracker", "T-0001")
-MOTION = device("Simulated CNC", "C-0001") | {"has_watchdog": True}
-GRADE = {
-    "number": 0.86,
-    "verdict": "usable",
-    "thresholds": {"good": 0.25, "usable": 1.0},
-    "text": "0.86, usable: …",
-    "expected_uncertainty_um": 6.5,
-    "sample_sigma_um": 7.6,
-    "tracker": {"position_mm": [270, 1430, 0], "assumed": True, "best_number": 0.69},
-    "improved_number": 0.34,
-    "weakest": [
-        {
-            "error": "ECX",
-            "meaning": "turn of X about Z",
-            "at_tool_um": 6.3,
-            "remedy": "add a line along Y at the low end of X and the middle of Z",
-        }
-    ],
-    "weak_shapes": [],
-    "unobservable": [],
+DEVICES = EXAMPLES["connect_machine"]
+(_VERSION,) = EXAMPLES["list_model_versions"]
+_SQUARER = {
+    "kind": "changed",
+    "what": "C0Y",
+    "text": "C0Y: from 12.0 to 18.5 ± 1.1 µrad",
 }
-
-
-ARMING = {
-    "machine_name": "VMC 500",
-    "targets": [{"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}],
-    "envelope": [
-        {"axis": "X", "unit": "mm", "low": 12.5, "high": 487.5},
-        {"axis": "Y", "unit": "mm", "low": 10.0, "high": 390.0},
-        {"axis": "Z", "unit": "mm", "low": -290.0, "high": -10.0},
-    ],
-    "max_feed_mm_min": 6000.0,
-    "duration_s": 125.0,
-    "rows": 23,
-    "grows": False,
-    "plan_sha256": "a1",
-}
-
-
-def version(number, *difference):
-    names = ("kind", "what", "text")
-    return {
-        "id": f"job-{number - 1}",
-        "version": number,
-        "created": f"2026-03-{12 + number}T08:30:00.000Z",
-        "difference": [dict(zip(names, one, strict=True)) for one in difference],
-    }
-
-
 VERSIONS = [
-    version(
-        2,
-        ("added", "backlash Y", "backlash Y: width 6.39 ± 0.15 µm"),
-        ("changed", "EXX", "EXX at X 250 mm: from −1.2 to 3.4 ± 0.5 µm"),
-        ("changed", "C0Y", "C0Y: from 12.0 to 18.5 ± 1.1 µrad"),
-    ),
-    version(1),
+    _VERSION | {"difference": [*_VERSION["difference"], _SQUARER]},
+    _VERSION | {"version": 1, "difference": []},
 ]
 
 
@@ -104,21 +58,12 @@ def lines_off(lines=22):
     ]
 
 
-DISCOVERY = {
-    "schema": "discovery/1",
+(_BACKLASH,) = EXAMPLES["get_discovery"]["effects"]
+DISCOVERY = EXAMPLES["get_discovery"] | {
     "lines": lines_off(),
     "effects": [
-        {
-            "name": "backlash",
-            "axis": "Y",
-            "grade": "certain",
-            "parameters": {"width_um": {"value": 6.385, "uncertainty": 0.076}},
-            "evidence": {"log_bayes_factor": 512.0, "share_of_gap": 0.934},
-            "indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}],
-            "cause": "Play or wind-up in screw, nut, thrust bearing or rack.",
-            "looks_like": "An axis stops short by the same width.",
-            "remedy": "Enter the width as backlash compensation.",
-        },
+        _BACKLASH
+        | {"indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}]},
         {
             "name": "setup-step",
             "parameters": {
@@ -150,22 +95,6 @@ DISCOVERY = {
             "remedy": "Find what runs with this period.",
         }
     ],
-    "gap": {
-        **{"unit": "um", "noise_floor": 1.17, "expected": 1.19},
-        **{"before": 2.41, "after": 1.21},
-    },
-    "explained_by": {
-        "before": {
-            "line": 0.45,
-            "direction of Y": 0.36,
-            "region of X and Y": 0.12,
-            "temperature of X": 0.05,
-            "moving axis": 0.04,
-            "time": 0.03,
-            "beam": 0.001,
-        },
-        "after": {"line": 0.14, "direction of Y": 0.01, "time": 0.02},
-    },
 }
 
 
@@ -223,25 +152,15 @@ def plan_curve(rows=23):
 
 
 def result():
-    rng = np.random.default_rng(11)
-    tables = {}
-    for axis in "XYZ":
-        travel = MACHINE["axes"][axis]
-        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
-        s = np.linspace(0.0, 1.0, len(position))
-        for motion in "XYZABC":
-            unit = "um" if motion in "XYZ" else "urad"
-            size = 6.0 if unit == "um" else 14.0
-            waves = sum(
-                rng.normal(scale=1.0 / k) * np.sin(k * math.pi * s + rng.uniform(0, 6))
-                for k in (1, 2, 3)
-            )
-            waves = size * (waves - waves[0])
-            if unit == "um" and motion != axis:
-                waves = waves - s * waves[-1]
-            u = (0.25 if unit == "um" else 0.8) * (1 + 1.6 * (2 * s - 1) ** 2)
+    tables, s = {}, np.linspace(0.0, 1.0, 21)
+    for axis, travel in MACHINE["axes"].items():
+        low, high = travel["min_mm"], travel["max_mm"]
+        for number, motion in enumerate("XYZABC", 1):
+            unit, size = ("um", 0.25) if motion in "XYZ" else ("urad", 0.8)
+            waves = 12.0 * size * np.sin(number * math.pi * s) * (1.0 + s)
+            u = size * (1 + 1.6 * (2 * s - 1) ** 2)
             tables[f"E{motion}{axis}"] = {
-                "position_mm": position.round(3).tolist(),
+                "position_mm": (low + (high - low) * s).round(3).tolist(),
                 f"value_{unit}": waves.round(3).tolist(),
                 f"uncertainty_{unit}": u.round(3).tolist(),
             }
@@ -360,7 +279,7 @@ def volumetric_error():
     return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
 
 
-def volumetric_map(state, compensation):
+def volumetric_map(state, compensation=None):
     """Return a map of five points an axis, its ends of X beyond what was measured."""
     travel = [(axis["min_mm"], axis["max_mm"]) for axis in MACHINE["axes"].values()]
     levels = [np.linspace(low, high, 5) for low, high in travel]
@@ -382,59 +301,23 @@ def volumetric_map(state, compensation):
     }
 
 
-EFFECTS = [
-    {
-        "name": "backlash",
-        "of": "direction",
-        "title": "Backlash",
-        "cause": "Play or wind-up in screw, nut, thrust bearing or rack.",
-        "looks_like": "An axis stops short whenever it comes from the other side.",
-        "remedy": "Enter the width as the axis' backlash compensation.",
-        "enters_analyse": True,
-    },
-    {
-        "name": "vibration",
-        "of": "measurement",
-        "title": "Vibration",
-        "cause": "Something swings.",
-        "looks_like": "A wave in time.",
-        "remedy": "Look for what turns.",
-        "enters_analyse": False,
-    },
-]
-FORMATS = [
-    {
-        "name": "heidenhain",
-        "control": "Heidenhain TNC",
-        "carries": "positioning with backlash, straightness and squareness",
-        "choices": {"backlash_reading": ["negative-value", "difference"]},
-    },
-    {
-        "name": "linuxcnc",
-        "control": "LinuxCNC",
-        "carries": "positioning of each axis, forward and reverse",
-        "choices": {},
-    },
-]
+EFFECTS = [describe_family(find_family(n)) for n in ("backlash", "setup-step")]
+FORMATS = {
+    name: describe_format(name, load_format(name))
+    for name in ("heidenhain", "linuxcnc")
+}
 
 
 def compensation(job_id, name, unmeasured):
+    made, number = EXAMPLES["create_compensation"], f"{name}-10-{unmeasured}"
     settled = name == "linuxcnc"
-    address = f"/api/v1/jobs/{job_id}/compensations/{name}-10-{unmeasured}"
-    after = {"mean": 3.21, "largest": 8.0, "mean_uncertainty": 0.045}
-    return {
-        "id": f"{name}-10-{unmeasured}",
+    address = f"/api/v1/jobs/{job_id}/compensations/{number}"
+    return made | {
+        "id": number,
         "format": name,
-        "control": {f["name"]: f["control"] for f in FORMATS}[name],
-        "not_carried": "straightness, angular errors, squareness",
-        "sign": {"rule": "the value is the error", "verified": settled},
-        "unmeasured": [] if settled else ["X not measured from 450 to 500 mm: holds"],
-        "volumetric_error_um": {
-            "before": {"mean": 15.32, "largest": 30.0},
-            "after": after,
-            "after_where_measured": {**after, "mean": 2.9},
-        },
-        "note": "name each file as COMP_FILE of its [JOINT_n]",
+        "control": FORMATS[name]["control"],
+        "sign": made["sign"] | {"verified": settled},
+        "unmeasured": [] if settled else made["unmeasured"],
         "links": {"archive": f"{address}/archive"},
     }
 
@@ -489,11 +372,9 @@ DRIVERS = [
 
 
 def machine_entry(machine_id="default", **more):
-    names = ("maker", "model", "serial_number", "control", "customer", "place")
-    entry = {"id": machine_id, "name": MACHINE["name"], **dict.fromkeys(names, "")}
-    entry |= {"origin": "settings", "devices": {"tracker_driver": "streaming"}}
-    entry |= {"tolerance_um": None, "connected": True, "cell": "ready", "version": 3}
-    return {**entry, **more}
+    own = {"id": machine_id, "name": MACHINE["name"], "version": 3}
+    own["devices"] = {"tracker_driver": "streaming"}
+    return EXAMPLES["list_machines"]["items"][0] | own | more
 
 
 def machine_history(machine_id, *measured):
@@ -518,31 +399,12 @@ def machine_history(machine_id, *measured):
 
 def verification(result_id, conformity="within"):
     """A result held against points that it was not made from, the last on a line."""
-    sizes = {"mean": 1.0, "p95": 1.6, "largest": 2.1}
-
-    def spread(mean):
-        values = {name: factor * mean for name, factor in sizes.items()}
-        return values | {f"{name}_uncertainty": 0.1 for name in sizes}
-
-    decision = {"conformity": conformity, "tolerance_um": 5.0, "coverage_factor": 3.5}
-    decision |= {"length_um": 2.1, "expanded_uncertainty_um": 0.4}
-    return {
+    found = copy.deepcopy(EXAMPLES["get_verification"])
+    decision = {"length_um": 2.1, "expanded_uncertainty_um": 0.4}
+    found["conformity"]["measured"] |= decision | {"conformity": conformity}
+    return found | {
         "asked": {"result_id": result_id},
-        "statements": ["Measurement and result agree."],
-        "agreement": {
-            "consistent": True,
-            "chance": 0.42,
-            "share_within_expanded": 0.96,
-            "chance_of_any_machine": 0.5,
-        },
-        "conformity": {} if conformity is None else {"measured": decision},
-        "volumetric_error_um": {
-            "measured": spread(1.1),
-            "predicted": spread(1.0),
-            "deviation": spread(0.4),
-        },
         "compensated": True,
-        "map_scale": {"value": 0.01, "uncertainty": 0.02, "cause": None},
         "places": {
             "row": list(range(30)),
             "position": [[16.0 * i, 13.0 * i, -10.0 * i] for i in range(30)],
@@ -568,13 +430,9 @@ def circles_in_motion():
 
     circle = {
         "plane": "XY",
-        "standard": "iso-230-4",
         "diameter_mm": 307.2,
         "feed_mm_min": 3000.0,
         "driven_feed_mm_min": {"counterclockwise": 2999.2, "clockwise": 3000.6},
-        "row": {"counterclockwise": 2, "clockwise": 3},
-        "samples": {"counterclockwise": 9600, "clockwise": 9600},
-        "sector_deg": 3.0,
         "angle_deg": angle_deg.tolist(),
         "radial_um": both(shift_um + oval_um + half_um, shift_um + oval_um - half_um),
         "predicted_radial_um": both(oval_um, oval_um),
@@ -584,50 +442,24 @@ def circles_in_motion():
         "by_the_noise_alone_um": dict.fromkeys(figures, 1.2),
         "predicted_um": figures | {"H": 0.0},
         "predicted_uncertainty_um": dict.fromkeys(figures, 0.1),
-        "difference_um": {
-            name: {"value": 0.0, "expanded_uncertainty": 1.8, "within": name != "H"}
-            for name in figures
-        },
+        "difference_um": {name: {"within": name != "H"} for name in figures},
     }
     return {"circles_in_motion": [circle], "circles_missing": [9]}
 
 
 def comparison():
-    compared = {"largest_en": 0.4, "share_within": 1.0, "largest_difference_um": 0.62}
-    square = {"difference_urad": -4.5, "en": -1.8}
-    means = {"result_mean_um": 5.2, "reference_mean_um": 5.9, "difference_mean_um": 1.1}
-    return {
-        "errors": {"EXX": compared},
-        "numbers": {"C0Y": square},
-        "volumetric": means,
-        "not_compared": {"EYX": "the result does not hold it"},
-        "links": {"report_html": "/api/v1/jobs/job-1/comparisons/a1/report.html"},
-    }
+    square = {"C0Y": {"difference_urad": -4.5, "en": -1.8}}
+    return EXAMPLES["get_comparison"] | {"numbers": square}
 
 
 def temperature_dependence():
-    """How a machine depends on temperature: X grows, its tilt is not seen to."""
+    """How a machine depends on temperature: X grows, its squareness is not seen to."""
+    found = copy.deepcopy(EXAMPLES["get_machine_temperature"])
     growth = {"value_um_per_m_K": 11.4, "uncertainty_um_per_m_K": 0.3}
-    return {
-        "verdict": "usable",
-        "reference_degC": 20.0,
-        "measured_degC": [18.1, 24.9],
-        "calibrations": [{}] * 4,
-        "dependences": [
-            {"symbol": "C0Y", "is_significant": False, "chance": 0.6},
-            {"symbol": "EXX", "is_significant": True, "chance": 0.0001},
-        ],
-        "expansion": {"X": {**growth, "is_significant": True}},
-        "volumetric_um_per_K": {"value": 3.2, "uncertainty": 0.1},
-        "coefficients": {
-            "EXX": {
-                "position_mm": [0.0, 500.0],
-                "value_um_per_K": [0.0, 5.7],
-                "uncertainty_um_per_K": [0.0, 0.2],
-            },
-            "C0Y": {"value_urad_per_K": 0.4, "uncertainty_urad_per_K": 0.5},
-        },
-    }
+    found["expansion"]["X"] |= growth | {"is_significant": True}
+    found["dependences"][0] |= {"is_significant": True, "chance": 0.0001}
+    found["dependences"].reverse()
+    return found
 
 
 def certificate(job_id, number, language):

@@ -36,7 +36,7 @@ class ScriptedService:
         self.jobs, self.runs, self.conditions = {}, [], []
         self.plan = data.planned_path()
         self.planned = {"id": "plan-1", "state": "succeeded"}
-        self.grade, self.machine = data.GRADE, data.MACHINE
+        self.grade, self.machine = data.EXAMPLES["get_plan_grade"], data.MACHINE
         self.discovery, self.result = data.DISCOVERY, data.result()
         self.estimates, self.verifications, self.trend = {}, {}, {}
         self.conformity = {
@@ -64,12 +64,9 @@ class ScriptedService:
     def new_job(self, kind, **more):
         number = next(self._numbers)
         job = {
-            "id": f"job-{number}",
-            "kind": kind,
-            "machine": "default",
+            **{"id": f"job-{number}", "kind": kind, "machine": "default", "version": 1},
             "state": "running" if kind in _STAGES else "preparing",
             "desired_state": "ready",
-            "version": 1,
             "stage": _STAGES.get(kind, "planning"),
             "progress": {"done": 0, "total": 0, "unit": "", "eta_s": None},
             "health": dict.fromkeys(COUNTS, 0),

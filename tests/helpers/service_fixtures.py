@@ -51,11 +51,6 @@ MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def logged_plainly(plain_log):
-    """The fancy traces of the default take seconds each."""
-
-
 @pytest.fixture(autouse=True)
 def no_thread_is_left_over():
     before = set(threading.enumerate())
@@ -63,16 +58,6 @@ def no_thread_is_left_over():
     # The client's portal and the loop's workers end with their client.
     left = {t.name for t in threading.enumerate() if t not in before and not t.daemon}
     assert not [name for name in left if name.startswith(("job-", "cell-"))]
-
-
-@pytest.fixture
-def make_cell():
-    return scripted_cell.CellMaker()
-
-
-@pytest.fixture
-def science():
-    return scripted_cell.Science()
 
 
 @pytest.fixture
@@ -136,13 +121,6 @@ def reader():
 
 
 @pytest.fixture
-def scripted_cells(monkeypatch):
-    """Machines that are added have scripted cells as well."""
-    make = scripted_cell.CellMaker()
-    monkeypatch.setattr(cell_setup, "Cell", lambda _: make())
-
-
-@pytest.fixture
 def service(
     make_cell,
     board,
@@ -156,9 +134,11 @@ def service(
     tmp_path,
     estimates,
     reader,
-    scripted_cells,
+    monkeypatch,
 ):
-    """Everything behind the routes."""
+    """Everything behind the routes; machines that are added have scripted cells too."""
+    make_added = scripted_cell.CellMaker()
+    monkeypatch.setattr(cell_setup, "Cell", lambda _: make_added())
     database = Database(catalogue_url)
     event_bus = EventBus()
     publish = event_bus.publish

@@ -139,6 +139,14 @@ def moving(client, job_id):
     )
 
 
+def begin_moving(client, rows=ROWS):
+    """Measure a path; return the job once samples have come."""
+    job = create(client, path=rows)
+    arm(client, job)
+    moving(client, job["id"])
+    return job["id"]
+
+
 def wait_for(reached, what, patience_s=90.0):
     """Wait for what may take minutes on a busy computer."""
     end = time.monotonic() + patience_s
@@ -148,7 +156,7 @@ def wait_for(reached, what, patience_s=90.0):
 
 
 def wait_until_done(client, job_id, number, kind="measure-otf"):
-    unit = "points" if kind == "measure-standstill" else "lines"
+    unit = "lines" if kind == "measure-otf" else "points"
 
     def is_done():
         job = client.get(f"/api/v1/jobs/{job_id}").json()

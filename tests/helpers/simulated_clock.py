@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from truepath_drivers import host_clock
@@ -82,22 +83,19 @@ class SimulatedClock:
         return is_so()
 
     def get(self, source, timeout_s=None):
-        until_s = self._end_s(timeout_s)
-        while True:
-            self._wait(lambda: not source.empty(), until_s)
-            try:
-                return source.get_nowait()
-            except queue.Empty:
-                if self.time_s >= until_s or self._is_closed:
-                    raise
+        return self._retry(lambda: not source.empty(), source.get_nowait, timeout_s)
 
     def put(self, target, item, timeout_s=None):
+        put = partial(target.put_nowait, item)
+        return self._retry(lambda: not target.full(), put, timeout_s)
+
+    def _retry(self, is_possible, act, timeout_s):
         until_s = self._end_s(timeout_s)
         while True:
-            self._wait(lambda: not target.full(), until_s)
+            self._wait(is_possible, until_s)
             try:
-                return target.put_nowait(item)
-            except queue.Full:
+                return act()
+            except (queue.Empty, queue.Full):
                 if self.time_s >= until_s or self._is_closed:
                     raise
 

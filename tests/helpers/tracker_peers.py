@@ -4,15 +4,34 @@ import time
 
 import numpy as np
 
-from sent_samples import raw_samples
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import encode_measurements
+from truepath_drivers.tracker.streaming.measurements import (
+    RawSamples,
+    encode_measurements,
+)
 from truepath_drivers.tracker.streaming.message_codec import (
     encode_message,
     parse_message,
 )
+from truepath_simulators.machine.tracker_head import to_spherical
 from wires import Peer
+
+METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
+
+
+def raw_samples(measured, number, clock_us, position_mm, status=0, signal=200):
+    """What a tracker sends of these places; all samples have this status."""
+    n, polar = len(position_mm), (METRES * to_spherical(position_mm)).T
+    number, clock_us = np.asarray(number), np.asarray(clock_us).astype(np.uint64)
+    told = np.full(n, status), np.broadcast_to(signal, n)
+    return RawSamples(measured, number, clock_us, *polar, *told)
+
+
+def one_sample(measured, number, clock_us, polar, status, signal):
+    """A single sample: range in m, azimuth, elevation."""
+    columns = map(np.atleast_1d, (np.uint64(clock_us), *polar, status, signal))
+    return RawSamples(measured, np.array([number]), *columns)
 
 
 class AnsweringPeer(Peer):
@@ -68,16 +87,12 @@ class LoopbackTracker(Peer):
 
     def __init__(self, wire):
         super().__init__(wire)
-        self.commands = []
-        self.deaf_to = set()
-        self.silent = False
-        self.sent = 0
-        self.answered_rate_hz = self.nak = None
+        self.commands, self.deaf_to = [], set()
+        self.silent, self.sent = False, 0
+        self.answered_rate_hz = self.nak = self._stream = None
         self.damage = lambda data: data
         self._frames = FrameReader()
-        self._stream = None
-        self._began_s = 0.0
-        self._began_at = 0
+        self._began_s, self._began_at = 0.0, 0
 
     @property
     def rate_hz(self):
@@ -96,31 +111,23 @@ class LoopbackTracker(Peer):
         self.wire.write(encode_message(message))
 
     def _reply(self, command):
+        kind = gst.Type[type(command).__name__.upper()]
         if self.nak is not None:
-            kind = gst.Type[type(command).__name__.upper()]
             return gst.Nak(command.transaction, kind, self.nak, "not now")
+        told = ()
         match command:
-            case gst.Hello(transaction):
-                return gst.Ack(transaction, gst.Type.HELLO, self.info)
-            case gst.Start(transaction, rate_hz):
+            case gst.Hello():
+                told = (self.info,)
+            case gst.Start(_, rate_hz):
                 if self._stream is None:
                     self._stream, self._began_at = command, self.sent
                     self._began_s = time.monotonic()
-                elif self._stream.rate_hz != rate_hz:
-                    return gst.Nak(
-                        transaction, gst.Type.START, gst.NakCode.BUSY, "streaming"
-                    )
-                told_hz = self.answered_rate_hz or rate_hz
-                info = gst.StreamInfo(
-                    told_hz, self.sent & 0xFFFF, self._clock_us(self.sent)
-                )
-                return gst.Ack(transaction, gst.Type.START, info)
-            case gst.Stop(transaction):
+                clock_us = self._clock_us(self.sent)
+                known = self.answered_rate_hz or rate_hz, self.sent & 0xFFFF, clock_us
+                told = (gst.StreamInfo(*known),)
+            case gst.Stop():
                 self._stream = None
-                return gst.Ack(transaction, gst.Type.STOP)
-            case gst.Ping(transaction):
-                return gst.Ack(transaction, gst.Type.PING)
-        raise AssertionError(command)
+        return gst.Ack(command.transaction, kind, *told)
 
     def _emit(self):
         if self._stream is None or self.silent:

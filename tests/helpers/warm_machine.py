@@ -1,15 +1,12 @@
 """Machines whose axes grow, and what a slow tracker records of them."""
 
 from dataclasses import replace
+from functools import partial
 
-from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
+from recorded import load_small, record_path
+from truepath_simulators.worlds.synthetic import Setting
 
-
-def load_slow_tracker(name):
-    content = load_machine(name)
-    return {**content, "tracker": {**content["tracker"], "rate_hz": 100}}
+load_slow_tracker = partial(load_small, share=1.0)
 
 
 def stretch(truth, name, strain):
@@ -25,7 +22,4 @@ def stretch(truth, name, strain):
 
 
 def record_warm(content, path, truth, seed):
-    speed = path.feed_mm_min / 60.0
-    program = Program(path.position, speed, path.dwell_s, target=path.target)
-    setting = synthetic.Setting(truth=truth)
-    return synthetic.record(content, program, seed, "otf", setting)
+    return record_path(content, path, seed, setting=Setting(truth=truth))[1]

@@ -1,5 +1,7 @@
 """What is installed is looked for once, however many plug-ins there are."""
 
+from functools import partial
+
 import pytest
 
 from truepath import plugins
@@ -24,17 +26,14 @@ def searches(monkeypatch):
     return groups
 
 
-def test_all_effects_are_found_in_one_search(searches):
-    assert len(list_families()) > 10
-    assert searches == ["truepath.effects"]
-
-
-def test_all_compensation_formats_are_found_in_one_search(searches):
-    assert len(list_formats()) >= 10
-    assert searches == ["truepath.compensation_formats"]
-
-
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_the_texts_of_a_page_cost_one_search(language, searches):
-    assert catalogue(language)
-    assert searches == ["truepath.effects"]
+@pytest.mark.parametrize(
+    ("find", "group"),
+    [
+        (list_families, "effects"),
+        (list_formats, "compensation_formats"),
+        *((partial(catalogue, language), "effects") for language in LANGUAGES),
+    ],
+)
+def test_a_group_or_the_texts_of_a_page_are_found_in_one_search(searches, find, group):
+    assert len(find()) >= 10
+    assert searches == [f"truepath.{group}"]

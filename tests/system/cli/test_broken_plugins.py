@@ -15,13 +15,8 @@ from truepath.service.page.pages import catalogue
 
 pytestmark = pytest.mark.fault_row(49)
 
-BROKEN = """
-    raise RuntimeError("the licence has run out")
-"""
-LEAVING = """
-    import sys
-    sys.exit("this computer is not known")
-"""
+BROKEN = 'raise RuntimeError("the licence has run out")'
+LEAVING = 'import sys; sys.exit("this computer is not known")'
 FORMATS = """
     from truepath.compensation.formats.generic import GenericCsv
 

@@ -9,18 +9,11 @@ ISSUED = ("--issued", "2026-11-24")
 
 
 @pytest.fixture
-def judged(result, keep):
-    def judge(state):
+def words(result, keep, tmp_path):
+    def spell(state, name, *more):
         verdict = {"state": state, "reasons": ["The table shook."]}
-        return keep({**result, "verdict": verdict})
-
-    return judge
-
-
-@pytest.fixture
-def words(tmp_path):
-    def spell(result, name, *more):
-        return ["certificate", result, "-o", tmp_path / name, *ISSUED, *more]
+        file = keep({**result, "verdict": verdict})
+        return ["certificate", file, "-o", tmp_path / name, *ISSUED, *more]
 
     return spell
 
@@ -34,12 +27,10 @@ def read_pages(file, *texts):
 
 
 @pytest.mark.long
-def test_a_result_not_to_be_used_is_printed_alike_each_time(
-    command, words, judged, tmp_path
-):
-    file, one, other = judged("not-usable"), tmp_path / "a.pdf", tmp_path / "b.pdf"
+def test_a_result_not_to_be_used_is_printed_alike(command, words, tmp_path):
+    one, other = tmp_path / "a.pdf", tmp_path / "b.pdf"
     for name in (one.name, other.name):
-        command.run(*words(file, name, "--accept-verdict"))
+        command.run(*words("not-usable", name, "--accept-verdict"))
     assert one.read_bytes() == other.read_bytes()
     texts = ("Calibration certificate", "Uncertainty budget", "Page 2 of ")
     first, *_ = read_pages(one, *texts)
@@ -48,10 +39,10 @@ def test_a_result_not_to_be_used_is_printed_alike_each_time(
 
 
 def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_document(
-    command, words, judged, result, measure_again, tmp_path
+    command, words, result, measure_again, tmp_path
 ):
     left = ("--as-left", measure_again(result), "--language", "de")
-    command.run(*words(judged("doubtful"), "c.pdf", *left))
+    command.run(*words("doubtful", "c.pdf", *left))
     texts = ("Kalibrierschein", "Verifizierung", "für", "Größte", "Seite 2 von ")
     pages = read_pages(tmp_path / "c.pdf", *texts)
     assert "ZWEIFELHAFT" in pages[0]
@@ -60,11 +51,9 @@ def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_documen
 
 
 @pytest.mark.parametrize("level", [logging.WARNING, logging.CRITICAL])
-def test_a_letter_that_no_font_has_is_in_html_and_not_in_pdf(
-    command, words, analysed, caplog, level
-):
+def test_a_letter_of_no_font_is_in_html_alone(command, words, caplog, level):
     caplog.set_level(level)
-    result, customer = analysed / "result.json", "customer=Werk \U0010fffd"
-    said = command.refuse(*words(result, "c.pdf", "--state", customer))
+    customer = ("--state", "customer=Werk \U0010fffd")
+    said = command.refuse(*words("usable", "c.pdf", *customer))
     assert "no installed font has \U0010fffd; install" in said
-    command.run(*words(result, "c.html", "--state", customer))
+    command.run(*words("usable", "c.html", *customer))

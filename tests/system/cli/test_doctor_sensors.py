@@ -37,9 +37,8 @@ def serving(words):
     port.close()
 
 
-def words_of(value, *, swapped=False):
-    words = struct.unpack(">2H", struct.pack(">f", value))
-    return list(words[::-1] if swapped else words)
+def words_of(value):
+    return list(struct.unpack(">2H", struct.pack(">f", value)))
 
 
 @pytest.fixture
@@ -70,7 +69,7 @@ def line_of(said, subject):
 
 @pytest.mark.parametrize("value", [20.5, 20.53, -3.25, 20.02])
 def test_words_in_the_wrong_order_are_refused_by_name(ask, value):
-    said = ask(words_of(value, swapped=True), type="float32")
+    said = ask(words_of(value)[::-1], type="float32")
     refused = line_of(said, "thermometer")
     assert refused.startswith("WRONG")
     assert "X_degC: its words are in the other order" in refused
@@ -79,25 +78,23 @@ def test_words_in_the_wrong_order_are_refused_by_name(ask, value):
     assert f"{value:g}" in shown
 
 
-def test_the_order_that_is_set_is_marked_where_it_is_the_likely_one(ask):
-    said = ask(words_of(20.53), type="float32")
-    assert line_of(said, "thermometer").startswith("ok")
-    assert 'word_order = "big" (as set) (likely)' in line_of(said, "X_degC")
-
-
 def test_an_address_beside_is_shown_where_that_of_the_settings_holds_nothing(ask):
-    said = ask([0, 205, 0], address=10, scale=0.1)
+    said = ask([0, 205, 0], scale=0.1)
     shown = line_of(said, "X_degC")
     assert shown.startswith("warning")
     assert "0.0 with address = 10 (as set)" in shown
     assert "20.5 with address = 11 (likely)" in shown
 
 
-def test_a_dead_sensor_beside_another_is_no_wrong_address(ask):
-    said = ask([0x7FFF, 205], address=10, scale=0.1)
-    assert line_of(said, "thermometer").startswith("ok")
-
-
-def test_whole_numbers_of_two_words_are_compared_as_well(ask):
-    said = ask([2053, 0], type="int32", scale=0.01)
-    assert 'word_order = "little"' in line_of(said, "thermometer")
+@pytest.mark.parametrize(
+    ("words", "row", "state", "shown"),
+    [
+        (words_of(20.53), {"type": "float32"}, "ok", '"big" (as set) (likely)'),
+        ([0x7FFF, 205], {"scale": 0.1}, "ok", ""),  # dead, beside another
+        ([2053, 0], {"type": "int32", "scale": 0.01}, "", 'word_order = "little"'),
+    ],
+)
+def test_words_as_set_are_ok_and_whole_numbers_compared(ask, words, row, state, shown):
+    said = ask(words, **row)
+    assert line_of(said, "thermometer").startswith(state)
+    assert not shown or shown in line_of(said, "X_degC")

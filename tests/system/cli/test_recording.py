@@ -34,28 +34,18 @@ def bench():
         yield bench
 
 
-def spell(value):
-    """Write a value as TOML has it."""
-    if isinstance(value, dict):
-        return f"{{ {', '.join(f'{k} = {spell(v)}' for k, v in value.items())} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(spell, value))}]"
-    return json.dumps(value)
-
-
 @pytest.fixture
-def files(bench, tmp_path):
+def files(bench, tmp_path, monkeypatch):
     """What an operator has: machine file, path, its program, settings."""
     machine = machine_from_json(bench.machine)
     path = default_path(machine, 15_000.0, lines=8)
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
     (tmp_path / "path.csv").write_bytes(encode_commanded(path))
     (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
-    (tmp_path / "settings.toml").write_text(
-        f"tracker_options = {spell(bench.tracker_options)}\n"
-        'thermometer_driver = "modbus-registers"\n'
-        f"thermometer_options = {spell(bench.thermometer_options)}\n"
-    )
+    (tmp_path / "settings.toml").write_text('thermometer_driver = "modbus-registers"')
+    for device in ("tracker", "thermometer"):
+        options = json.dumps(getattr(bench, f"{device}_options"))
+        monkeypatch.setenv(f"TRUEPATH_{device.upper()}_OPTIONS", options)
     return tmp_path
 
 
@@ -113,9 +103,7 @@ def until_it_stands(cnc):
             assert time.monotonic() < deadline_s
 
 
-def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
-    bench, files, recording, volume, rigid_free
-):
+def test_a_cnc_without_link_is_calibrated(bench, files, recording, volume, rigid_free):
     motion = read_program((files / "path.h").read_text(), "heidenhain")
     process = recording("--json")
     until_it_records(process)
@@ -154,9 +142,7 @@ def test_a_recording_ends_after_the_seconds_that_were_given(recording, files):
     assert (files / "bundle" / "tracker.parquet").is_file()
 
 
-def test_a_tracker_that_falls_silent_ends_the_recording_and_keeps_it(
-    bench, recording, files
-):
+def test_a_silent_tracker_ends_the_recording_and_keeps_it(bench, recording, files):
     process = recording()
     until_it_records(process)
     bench.inject("tracker:silence")
@@ -166,9 +152,7 @@ def test_a_tracker_that_falls_silent_ends_the_recording_and_keeps_it(
     assert (files / "bundle" / "run.sqlite").is_file()
 
 
-def test_without_a_machine_file_or_beside_a_recording_it_says_what_to_give(
-    files, command, monkeypatch
-):
+def test_without_machine_or_beside_a_recording_it_says_so(files, command, monkeypatch):
     monkeypatch.chdir(files)
     words = ["record", "path.csv", "-o", "bundle", "--config", "settings.toml"]
     assert "--machine MACHINE.json" in command.refuse(*words)

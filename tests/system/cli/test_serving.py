@@ -1,7 +1,6 @@
 """`serve`: settings that cannot work are one line; `--measure` is the main job."""
 
 import json
-import logging
 import os
 import re
 import signal
@@ -30,16 +29,8 @@ def no_settings_of_this_computer(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
-@pytest.fixture(autouse=True)
-def logging_as_before():
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers, root.level = handlers, level
-
-
 @pytest.mark.parametrize(
-    ("arguments", "content", "said"),
+    ("words", "text", "said"),
     [
         (["--config", "nowhere.toml"], None, "nowhere.toml: no such settings"),
         (["--config", "file"], "port = ", "settings (file): "),
@@ -52,13 +43,11 @@ def logging_as_before():
         (["--simulated", "--hide", "poltergeist"], None, "no effect 'poltergeist'"),
     ],
 )
-def test_bad_settings_are_one_line(
-    arguments, content, said, command, tmp_path, monkeypatch
-):
+def test_bad_settings_are_one_line(words, text, said, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if content is not None:
-        Path("file").write_text(content)
-    assert said in command.refuse("serve", "--data-dir", "data", *arguments)
+    if text is not None:
+        Path("file").write_text(text)
+    assert said in command.refuse("serve", "--data-dir", "data", *words)
 
 
 def test_a_port_in_use_is_one_line(command, tmp_path):
@@ -174,10 +163,8 @@ def test_progress_is_told_until_the_end():
 
 def test_a_job_that_ends_badly_says_why():
     said = "7 is faulted: no reason was given"
-    with (
-        Script(job("faulted")).open() as client,
-        pytest.raises(MeasurementFailed, match=said),
-    ):
+    faulted = Script(job("faulted"))
+    with faulted.open() as client, pytest.raises(MeasurementFailed, match=said):
         follow_to_the_end(client, "7", lambda *words: None)
 
 

@@ -20,9 +20,7 @@ except SystemExit:
 
 
 @pytest.mark.parametrize(("set_by_user", "threads"), [({}, 1), ({"OMP": 2}, 2)])
-def test_a_command_computes_on_one_thread_or_on_as_many_as_the_user_has_set(
-    set_by_user, threads
-):
+def test_a_command_computes_on_one_thread_or_as_many_as_are_set(set_by_user, threads):
     kept = {name: v for name, v in os.environ.items() if "_NUM_THREADS" not in name}
     kept |= {f"{name}_NUM_THREADS": str(n) for name, n in set_by_user.items()}
     words = [sys.executable, "-c", COMMAND]

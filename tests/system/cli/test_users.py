@@ -12,11 +12,7 @@ from truepath.users.access import Access, AccessRules
 from truepath.users.roles import Actor, Role
 
 PASSWORD = "a long sentence is easy"
-
-
-@pytest.fixture(autouse=True)
-def logged_plainly(plain_log):
-    """Migrating writes to the log."""
+pytestmark = pytest.mark.usefixtures("plain_log")  # migrating writes to the log
 
 
 @pytest.fixture
@@ -112,10 +108,8 @@ def test_the_audit_log_is_verified_and_exported(call, catalogue, tmp_path):
 def test_a_certificate_is_made_with_its_settings(call, tmp_path):
     status, said = call("tls", "create", "localhost", "192.0.2.10")
     assert status == 0
-    assert said.splitlines() == [
-        f'tls_cert = "{tmp_path}/tls/cert.pem"',
-        f'tls_key = "{tmp_path}/tls/key.pem"',
-    ]
+    both = [f'tls_{kind} = "{tmp_path}/tls/{kind}.pem"' for kind in ("cert", "key")]
+    assert said.splitlines() == both
 
 
 LOG_IN = {"LOG_IN": "always"}

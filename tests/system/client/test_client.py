@@ -1,9 +1,11 @@
-"""The Python client: answers that a test writes, and every method as described."""
+"""The Python client: each method by answers that a test writes, guides by a service."""
 
 import asyncio
 import inspect
 import json
+import os
 import re
+import shutil
 import ssl
 import subprocess
 import sys
@@ -13,7 +15,9 @@ from typing import get_type_hints
 
 import httpx2
 import pytest
+from playwright.sync_api import sync_playwright
 
+from service_process import process
 from truepath.client import (
     AsyncClient,
     Busy,
@@ -129,40 +133,32 @@ def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
 
 
 @pytest.mark.parametrize(
-    ("status", "code", "family"),
+    ("status", "code", "family", "more"),
     [
-        (409, "busy", Busy),
-        (409, "illegal-transition", Refused),
-        (412, "stale-version", StaleVersion),
-        (401, "not-logged-in", NotLoggedIn),
-        (422, "bundle", BadInput),
-        (502, "device", DeviceProblem),
-        (500, "internal-error", ServiceProblem),
-        (418, "odd", Refused),
+        (409, "busy", Busy, {"current_job": "/api/v1/jobs/8"}),
+        (409, "illegal-transition", Refused, {}),
+        (412, "stale-version", StaleVersion, {"current_version": 9}),
+        (401, "not-logged-in", NotLoggedIn, {}),
+        (422, "bundle", BadInput, {"errors": [{"type": "a"}]}),
+        (502, "device", DeviceProblem, {}),
+        (500, "internal-error", ServiceProblem, {}),
+        (418, "odd", Refused, {}),
     ],
 )
-def test_a_refusal_is_an_exception_of_its_kind(status, code, family):
+def test_a_refusal_is_an_exception_of_its_kind_with_what_belongs_to_it(
+    status, code, family, more
+):
     content = {"code": code, "detail": "no", "action": "go on", "request_id": "r1"}
+    content |= {"file": "path.csv", "row": 3, "column": "x_mm"} | more
     script = Script(answer(status, content, **{"Retry-After": "3"}))
     with script.open() as client, pytest.raises(family, match="no; go on") as raised:
         client.get_job("7")
     problem = raised.value
     assert (problem.status, problem.code, problem.request_id) == (status, code, "r1")
     assert problem.retry_after_s == 3.0
-
-
-def test_a_problem_hands_on_what_belongs_to_its_code():
-    busy = make_problem(409, {"code": "busy", "current_job": "/api/v1/jobs/8"})
-    assert isinstance(busy, Busy)
-    assert busy.current_job == "/api/v1/jobs/8"
-    stale = make_problem(412, {"code": "stale-version", "current_version": 9})
-    assert isinstance(stale, StaleVersion)
-    assert stale.current_version == 9
-    place = {"file": "path.csv", "row": 3, "column": "x_mm", "errors": [{"type": "a"}]}
-    wrong = make_problem(422, {"code": "bundle", **place})
-    assert isinstance(wrong, BadInput)
-    assert wrong.place == ("path.csv", 3, "x_mm")
-    assert wrong.errors == [{"type": "a"}]
+    assert {name: getattr(problem, name) for name in more} == more
+    if family is BadInput:
+        assert problem.place == ("path.csv", 3, "x_mm")
     assert str(make_problem(503, "no problem at all")) == "status 503"
 
 
@@ -200,13 +196,15 @@ def test_a_stream_that_breaks_goes_on_after_the_last_kept_event(monkeypatch):
         next(client.events("7"))
 
 
-def test_a_list_is_read_page_after_page():
+def test_a_list_is_read_page_after_page_and_an_estimate_not_there_yet_is_none():
     pages = [{"items": [job("ready")], "next": "abc"}, {"items": [], "next": None}]
     script = Script(*[answer(200, page) for page in pages])
     with script.open() as client:
         assert [j["id"] for j in client.list_jobs(state=["ready"])] == ["7"]
     queries = [dict(r.url.params) for r in script.requests]
     assert queries == [{"state": "ready"}, {"state": "ready", "after": "abc"}]
+    with Script(httpx2.Response(204)).open() as client:
+        assert client.get_estimate("7") is None
 
 
 def test_a_token_goes_with_every_request_after_the_log_in():
@@ -218,11 +216,6 @@ def test_a_token_goes_with_every_request_after_the_log_in():
         client.log_out()
     sent = [r.headers.get("Authorization") for r in script.requests]
     assert sent == [None, "Bearer secret", "Bearer secret"]
-
-
-def test_an_estimate_that_is_not_there_yet_is_none():
-    with Script(httpx2.Response(204)).open() as client:
-        assert client.get_estimate("7") is None
 
 
 SCHEMA_OF = {
@@ -391,3 +384,62 @@ def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
     run = [sys.executable, "-c", program]
     done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == written.read_text("utf-8")
+
+
+GUIDE = (Path(__file__).parents[3] / "docs" / "clients.md").read_text("utf-8")
+ADDRESS = "http://127.0.0.1:8411"
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    with process(tmp_path_factory.mktemp("service")) as (_, client):
+        yield str(client.base_url).rstrip("/")
+
+
+def read_example(language):
+    (example,) = re.findall(rf"```{language}\n(.*?)```", GUIDE, re.DOTALL)
+    return example
+
+
+@pytest.mark.long
+@pytest.mark.timeout(240)
+def test_the_python_example_calibrates_a_machine(address):
+    program = read_example("python").replace(ADDRESS, address)
+    assert len(program.splitlines()) <= 22
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=200
+    )
+    assert done.returncode == 0, done.stderr
+    *progress, verdict, table = done.stdout.splitlines()
+    assert progress[0].startswith("measuring")
+    assert verdict.split()[0] in ("usable", "doubtful")
+    assert "position_mm" in table
+    with Client(address) as client:
+        (job,) = client.list_jobs(state=["succeeded"])
+        assert job["health"]["samples"] > 5000
+        assert client.download(job["result"]["error_tables_csv"]).startswith(b"error,")
+
+
+@pytest.mark.long
+@pytest.mark.ui
+@pytest.mark.timeout(240)
+def test_the_example_of_a_page_calibrates_a_machine(address):
+    found = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    assert found, "Chromium is missing: apt-get install chromium, or set CHROMIUM"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found)
+        page = browser.new_page()
+        page.goto(f"{address}/docs")
+        page.set_default_timeout(200_000)
+        said = page.evaluate(
+            f"""async () => {{
+                {read_example("js")}
+                const states = [];
+                const tables = await calibrate((s) => states.push(s), () => true);
+                return {{ states, tables }};
+            }}"""
+        )
+        browser.close()
+    assert {"ready", "running", "succeeded"} <= set(said["states"])
+    assert said["tables"]["schema"] == "error-tables/1"
+    assert len(said["tables"]["error_tables"]["EXX"]["position_mm"]) > 3

@@ -15,10 +15,8 @@ from truepath_drivers.interfaces.records import Path
 from truepath_simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence()
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
-]
+NEEDED = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")
+pytestmark = [pytest.mark.long, NEEDED]
 
 # Three rows on one line: what runs through them is no exact stop.
 ROWS = [(10, 10, -10), (60, 10, -10), (110, 10, -10)]
@@ -51,7 +49,7 @@ def speed_mm_s(position_mm):
     return 1e3 * np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
 
 
-def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed(driven):
+def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed_and_dwells(driven):
     commanded, _, _ = driven
     speed = speed_mm_s(commanded)
     begin = 0
@@ -66,11 +64,7 @@ def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed(driven):
             assert fastest == pytest.approx(min(feed / 60, fastest), rel=1e-3)
         begin = at
     assert speed.max() == pytest.approx(100.0, rel=1e-3)
-
-
-def test_the_controller_dwells_as_the_path_says(driven):
-    commanded, _, _ = driven
-    still = np.concatenate([[False], speed_mm_s(commanded) < 1e-6, [False]])
+    still = np.concatenate([[False], speed < 1e-6, [False]])
     edges = np.flatnonzero(np.diff(still.astype(int)))
     stands = (edges[1::2] - edges[::2]) * 1e-3
     places = commanded[edges[::2]]
@@ -79,9 +73,7 @@ def test_the_controller_dwells_as_the_path_says(driven):
         assert stands[near].max() == pytest.approx(dwell_s, abs=0.1)
 
 
-def test_the_motor_is_sent_against_the_error_in_the_direction_it_comes_from(
-    driven, source
-):
+def test_the_motor_is_sent_against_the_error_in_its_direction(driven, source):
     commanded, motor, tables = driven
     for column, axis in enumerate(TRAVEL):
         table = np.array([line.split() for line in tables[axis].splitlines()], float)

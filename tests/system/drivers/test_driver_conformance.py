@@ -12,19 +12,14 @@ from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
 from truepath_simulators.bench.bench import Bench
 
-TRACKERS = {point.name: point for point in entry_points(group="truepath.trackers")}
-CONTROLLERS = {
-    point.name: point for point in entry_points(group="truepath.motion_controllers")
-}
-# Where a driver of that name finds a device, on a running bench. A new driver of ours
-# needs a line here.
-TRACKER_PEERS = {"streaming": ["tracker_options"]}
+TRACKERS, CONTROLLERS = (
+    {point.name: point for point in entry_points(group=f"truepath.{devices}")}
+    for devices in ("trackers", "motion_controllers")
+)
 POLLED = {"geocom": "pty", "t2sa": "tcp"}  # each has simulated instruments of its own
-ELSEWHERE = {"text-line"}  # behind a relay, in tracker/test_text_line.py
-CONTROLLER_PEERS = {
-    "modbus": ["motion_options", "motion_options_rtu"],
-    "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
-}
+# Where drivers of ours find a device; a new one needs a word here.
+HERE = {"streaming", "modbus", *POLLED}
+ELSEWHERE = {"text-line", "linuxcnc"}  # behind a relay, and a real one
 ABSENT = {
     "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
     "streaming": {"port": "/dev/truepath-no-such-port"},
@@ -51,22 +46,15 @@ def motion_bench():
 
 
 def test_every_registered_driver_of_ours_has_a_peer():
-    ours = {
-        point.name
-        for point in (*TRACKERS.values(), *CONTROLLERS.values())
-        if point.module.startswith("truepath_drivers.")
-    }
-    peers = ELSEWHERE | set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
-    assert ours == peers == set(ABSENT)
+    points = [*TRACKERS.values(), *CONTROLLERS.values()]
+    ours = {p.name for p in points if p.module.startswith("truepath_drivers.")}
+    assert ours == HERE | ELSEWHERE == set(ABSENT)
 
 
-@pytest.mark.parametrize("name", TRACKER_PEERS)
 @pytest.mark.parametrize("check", tracker.TRACKER_CHECKS)
-def test_trackers_conform(tracker_bench, name, check):
-    factory = TRACKERS[name].load()
-    for peer in TRACKER_PEERS[name]:
-        options = getattr(tracker_bench, peer)
-        check(lambda options=options: factory(**options))
+def test_the_streaming_tracker_conforms(tracker_bench, check):
+    factory = TRACKERS["streaming"].load()
+    check(lambda: factory(**tracker_bench.tracker_options))
 
 
 @pytest.fixture(scope="module", params=POLLED)
@@ -96,15 +84,11 @@ def test_a_plan_gives_the_place_of_the_points_beside_it(polled_bench):
     assert np.linalg.norm(point.position_mm - plan.position_mm) < 0.2
 
 
-@pytest.mark.parametrize(
-    ("name", "peer"),
-    [(name, peer) for name, peers in CONTROLLER_PEERS.items() for peer in peers],
-)
+@pytest.mark.parametrize("wire", ["motion_options", "motion_options_rtu"])
 @pytest.mark.parametrize("check", motion.MOTION_CHECKS)
-def test_motion_controllers_conform(motion_bench, name, peer, check):
-    factory = CONTROLLERS[name].load()
-    options = getattr(motion_bench, peer)
-    check(lambda: factory(**options))
+def test_the_modbus_controller_conforms(motion_bench, wire, check):
+    factory = CONTROLLERS["modbus"].load()
+    check(lambda: factory(**getattr(motion_bench, wire)))
 
 
 # What brings each trouble about on the bench; lost replies are in faults/.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -25,32 +25,24 @@ from truepath_drivers.conformance.checking import on_terms
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_simulators.bench.rig import Rig, running_rig
+from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.long
-HERE = Path(__file__).parent
+EXAMPLE = Path(__file__).parents[3] / "docs" / "example-driver"
 NAME = "othermake-lt50"
-Options = dict[str, str | int]
 CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
-CORNERS = path_of(
-    (20, 20, 20),
-    (480, 380, 20),
-    (20, 380, 280),
-    (480, 20, 280),
-    (20, 20, 20),
-    feed=12_000.0,
-    dwell_s=1.0,
-)
+ENDS = (20, 20, 20), (480, 380, 20), (20, 380, 280), (480, 20, 280), (20, 20, 20)
+CORNERS = path_of(*ENDS, feed=12_000.0, dwell_s=1.0)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """A folder into which the distribution is installed, as anybody installs it."""
     folder = tmp_path_factory.mktemp("site")
-    source = shutil.copytree(HERE / "third_party", folder / "source")
+    source = shutil.copytree(EXAMPLE, folder / "source")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
     command += ["--no-index", "--no-build-isolation", "--target", str(folder / "site")]
     subprocess.run([*command, str(source)], check=True, capture_output=True)
@@ -58,41 +50,34 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def installed(site, monkeypatch):
     monkeypatch.syspath_prepend(site)
 
 
 @pytest.fixture(scope="module")
-def rig() -> Iterator[Rig]:
+def rig():
     with running_rig({"seed": 6, "speed": 10.0}) as started:
         yield started
 
 
-@pytest.fixture(scope="module")
-def imitate(rig: Rig) -> Iterator[Callable[[float], Options]]:
-    """Start an instrument that looks at the rig's machine; return where it listens."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(share: float) -> Options:
-        script, control = str(HERE / "imitate_othermake.py"), str(rig.control)
-        process = subprocess.Popen(
-            [sys.executable, script, control, str(share)],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        assert process.stdout is not None
-        return {"host": "127.0.0.1", "port": int(process.stdout.readline())}
-
-    yield start
-    for process in started:
+@contextmanager
+def imitate(rig, share=0.0):
+    """Start an instrument that looks at the rig's machine; yield where it listens."""
+    command = [
+        sys.executable,
+        EXAMPLE / "imitate_othermake.py",
+        rig.control,
+        str(share),
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield {"host": "127.0.0.1", "port": int(process.stdout.readline())}
         process.kill()
-        process.communicate()
 
 
 @pytest.fixture(scope="module")
-def options(imitate: Callable[[float], Options]) -> Options:
-    return imitate(0.0)
+def options(rig):
+    with imitate(rig) as options:
+        yield options
 
 
 @pytest.mark.parametrize("check", TRACKER_CHECKS)
@@ -111,8 +96,9 @@ def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_po
         tracker.start(500.0)
 
 
-def test_damaged_lines_are_counted_and_never_samples(imitate):
-    with load("truepath.trackers", NAME)(**imitate(0.2)) as tracker:
+def test_damaged_lines_are_counted_and_never_samples(rig):
+    make = load("truepath.trackers", NAME)
+    with imitate(rig, share=0.2) as worn, make(**worn) as tracker:
         tracker.start(50.0)
         blocks = []
         while sum(map(len, blocks)) < 300:
@@ -141,13 +127,9 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
     run_file = tmp_path / "run.sqlite"
     settings, content = load_settings(file), load_machine("demo")
     content["tracker"]["rate_hz"] = 50.0
-    config = CellConfig(
-        settings.tracker_driver,
-        settings.tracker_options,
-        settings.motion_driver,
-        settings.motion_options,
-        CALM,
-    )
+    tracker = settings.tracker_driver, settings.tracker_options
+    motion = settings.motion_driver, settings.motion_options
+    config = CellConfig(*tracker, *motion, CALM)
     machine = machine_from_json(content)
     order = MeasurementOrder("theirs", str(run_file), machine, CORNERS, rate_hz=50.0)
     with Measuring(config, order) as measuring:

@@ -17,9 +17,7 @@ HOLE = Harm(is_hole=True)
 
 @pytest.mark.long
 @pytest.mark.fault_row(16)
-def test_a_dead_link_to_the_controller_ends_in_a_machine_that_stands(
-    tmp_path, measured
-):
+def test_a_dead_link_to_the_controller_ends_in_a_machine_at_rest(tmp_path, measured):
     with (
         Bench(seed=12, speed=4.0, rtu=False) as bench,
         LinkProxy(bench.motion_options, seed=3) as proxy,

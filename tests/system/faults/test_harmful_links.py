@@ -27,7 +27,6 @@ def bench(request):
 
 
 def stream_through(bench, harm, seed):
-    """Return what the driver has read right, of how many, and how often harm hit."""
     with LinkProxy(bench.tracker_options, seed=seed) as proxy:
         with StreamingTracker(**proxy.options) as tracker:
             read = read_through(tracker, proxy, harm)

@@ -1,6 +1,7 @@
 """Drivers that talk in lines of text, over a link that does harm by a seed."""
 
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -86,9 +87,15 @@ def polled(request):
         yield request.param, bench
 
 
-def open_tracker(protocol, proxy):
+@contextmanager
+def linked(polled, seed):
+    protocol, bench = polled
     waits = {"reply_timeout_s": 0.4, "shot_s": 0.4}
-    return DRIVERS[protocol](**proxy.options, **waits, **TURNS[protocol])
+    with (
+        LinkProxy(bench.tracker_options, seed=seed) as proxy,
+        DRIVERS[protocol](**proxy.options, **waits, **TURNS[protocol]) as tracker,
+    ):
+        yield bench, proxy, tracker
 
 
 def move_to(bench, x_mm):
@@ -145,11 +152,7 @@ def require_places(pairs):
     ],
 )
 def test_points_over_a_slow_link_are_those_of_now(polled, harm):
-    protocol, bench = polled
-    with (
-        LinkProxy(bench.tracker_options, seed=9) as proxy,
-        open_tracker(protocol, proxy) as tracker,
-    ):
+    with linked(polled, 9) as (bench, proxy, tracker):
         pairs, errors = measure_by(tracker, bench, harm, proxy)
     assert errors == 0
     assert len(pairs) == 6
@@ -159,11 +162,7 @@ def test_points_over_a_slow_link_are_those_of_now(polled, harm):
 @pytest.mark.fault_row(2)
 @pytest.mark.parametrize("polled", ["geocom"], indirect=True)  # TCP loses nothing
 def test_replies_that_are_lost_or_doubled_never_give_an_older_point(polled):
-    protocol, bench = polled
-    with (
-        LinkProxy(bench.tracker_options, seed=10) as proxy,
-        open_tracker(protocol, proxy) as tracker,
-    ):
+    with linked(polled, 10) as (bench, proxy, tracker):
         pairs, errors = measure_by(tracker, bench, SERIAL_HARM, proxy)
         assert proxy.harmed > 2
     assert errors > 0
@@ -173,11 +172,7 @@ def test_replies_that_are_lost_or_doubled_never_give_an_older_point(polled):
 
 @pytest.mark.fault_row(5)
 def test_a_silent_instrument_is_told_and_its_late_reply_is_no_later_point(polled):
-    protocol, bench = polled
-    with (
-        LinkProxy(bench.tracker_options, seed=11) as proxy,
-        open_tracker(protocol, proxy) as tracker,
-    ):
+    with linked(polled, 11) as (bench, proxy, tracker):
         tracker.measure(0.0)
         proxy.harm(to_host=Harm(latency_s=1.2))
         begin_s = time.monotonic()

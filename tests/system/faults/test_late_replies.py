@@ -33,23 +33,18 @@ def measuring(tmp_path):
         ModbusController(**bench.motion_options, **PATIENT) as onlooker,
     ):
         options = proxy.options | PATIENT
-        with measuring_on(
-            bench, tmp_path / "r.sqlite", motion_options=options
-        ) as begun:
-            yield begun, bench, proxy, onlooker
+        with measuring_on(bench, tmp_path / "r.sqlite", motion_options=options) as one:
+            yield one, bench, proxy, onlooker
 
 
 def until_it(measuring, onlooker, is_so, within_s):
-    """Wait until the machine itself is so; return how long it took."""
     begun_s = time.monotonic()
     measuring.until(lambda: is_so(onlooker.status()), timeout_s=within_s)
     return time.monotonic() - begun_s
 
 
 @pytest.mark.fault_row(44)
-def test_replies_that_are_no_status_hold_the_feed_by_the_age_of_the_last_one(
-    measuring, measured
-):
+def test_no_status_holds_the_feed_by_the_age_of_the_last_one(measuring, measured):
     running, _, proxy, onlooker = measuring
     for name, harm in HARMS.items():
         proxy.harm(to_host=harm)

@@ -34,7 +34,6 @@ def hold_the_interpreter(for_s):
 
 
 def collect_garbage():
-    """Look for garbage in a huge heap, where there is none, again and again."""
     kept = [[None] for _ in range(3_000_000)]
     end_s = time.monotonic() + 2.0
     while time.monotonic() < end_s:
@@ -94,9 +93,7 @@ def test_a_pause_of_the_recording_process_costs_no_sample(bench, tmp_path, stall
 
 
 @pytest.mark.fault_row(31)
-def test_samples_of_a_pause_beyond_the_buffers_are_counted_and_told(
-    bench, tmp_path, measured
-):
+def test_samples_that_no_buffer_holds_are_counted_and_told(bench, tmp_path, measured):
     closed, run, _, overflows = record(
         bench, tmp_path, 5000.0, lambda: hold_the_interpreter(1.0)
     )

@@ -1,7 +1,6 @@
 """A catalogue in PostgreSQL: two services on it, a server that restarts or is away."""
 
 import threading
-import time
 
 import pytest
 from sqlalchemy import text
@@ -17,7 +16,6 @@ from truepath.catalogue.store.store import Store
 
 @pytest.fixture
 def make_database(postgres_server):
-    """Make connections to a database of the test's own, or to a further one."""
     opened, names = [], []
 
     def make(name=None):
@@ -110,7 +108,6 @@ def store(server):
 @pytest.mark.fault_row(37)
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
 def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store, mode):
-    """Writes wait for the server; each that was confirmed stands once."""
     written, enough = [], threading.Event()
 
     def write():
@@ -132,18 +129,3 @@ def test_writers_go_on_after_a_restart_and_nothing_written_is_lost(server, store
     kept = [job.id for job in store.list_page(100_000)]
     assert len(set(kept)) == len(kept)
     assert set(written) <= set(kept)
-
-
-@pytest.mark.long
-@pytest.mark.fault_row(37)
-def test_a_frozen_server_is_unavailable_in_bounded_time(server, store):
-    job, _ = store.create(Job(JobKind.ANALYSE))
-    server.freeze()
-    try:
-        begun = time.monotonic()
-        with pytest.raises(StorageUnavailable, match="does not answer"):
-            store.get(job.id)
-        assert time.monotonic() - begun < 10.0
-    finally:
-        server.thaw()
-    assert store.get(job.id).id == job.id

@@ -105,9 +105,7 @@ def _freeze_scheduler(running, folder):
 @pytest.mark.parametrize(
     "harm", [_kill_worker, _kill_workers, _kill_scheduler, _freeze_scheduler]
 )
-def test_whoever_dies_the_same_bits_come_out_in_bounded_time(
-    tasks, cluster, tmp_path, harm, measured
-):
+def test_the_same_bits_come_whoever_dies(tasks, cluster, tmp_path, harm, measured):
     address, running = cluster
     expected = [tasks.draw(str(tmp_path), 0.0, n) for n in range(12)]
     for file in tmp_path.iterdir():
@@ -125,9 +123,8 @@ def test_whoever_dies_the_same_bits_come_out_in_bounded_time(
             (client,) = (c for c in Client._instances if c.status != "closed")
             wait_until(lambda: client.status == "closed")
     assert took_s < BOUND_S
-    measured(
-        f"{harm.__name__.strip('_').replace('_', ' ')}: same bits in {took_s:.1f} s"
-    )
+    done = harm.__name__.strip("_").replace("_", " ")
+    measured(f"{done}: same bits in {took_s:.1f} s")
     assert told == expected
 
 

@@ -69,15 +69,12 @@ def run(lanes, task, *arguments, on_progress=ignore_progress):
 
 @pytest.fixture
 def in_thread():
-    """Runs a call in a thread; returns its Future."""
     with ThreadPoolExecutor() as pool:
         yield pool.submit
 
 
 @pytest.fixture
 def asleep(tasks, tmp_path, in_thread):
-    """Lets a lane sleep; returns the computation, its outcome and its process."""
-
     def begin(lanes):
         mark = tmp_path / "mark"
         computation = run(lanes, tasks.sleep, str(mark))
@@ -99,7 +96,7 @@ def test_a_task_computes_in_a_prepared_polite_and_single_threaded_process(lane, 
     assert about["prepared"] == [about["pid"]]
 
 
-def test_neither_a_task_that_raises_nor_a_deaf_listener_ends_the_process(lane, tasks):
+def test_only_a_task_that_crashes_ends_its_process_which_is_replaced(lane, tasks):
     before = run(lane, tasks.about).result()["pid"]
     with pytest.raises(TaskFailed, match=r"tracker.csv, row 3: is NaN") as raised:
         run(lane, tasks.fail).result()
@@ -109,18 +106,12 @@ def test_neither_a_task_that_raises_nor_a_deaf_listener_ends_the_process(lane, t
     away = Mock(side_effect=OSError("nobody listens"))
     assert run(lane, tasks.add, 2, 3, on_progress=away).result() == 5
     assert run(lane, tasks.about).result()["pid"] == before
-
-
-def test_a_process_that_dies_is_named_and_replaced(lane, tasks):
-    before = run(lane, tasks.about).result()["pid"]
     with pytest.raises(WorkerDied, match="killed, or out of memory"):
         run(lane, tasks.crash).result()
     assert run(lane, tasks.about).result()["pid"] != before
 
 
-def test_a_task_that_is_cancelled_ends_whatever_it_does_and_the_next_begins(
-    lane, tasks, asleep, in_thread
-):
+def test_a_cancelled_task_ends_and_the_next_begins(lane, tasks, asleep, in_thread):
     first, outcome, pid = asleep(lane)
     started = threading.Event()
     waits = run(lane, tasks.add, 4, 5)
@@ -142,9 +133,7 @@ def test_a_task_that_is_cancelled_ends_whatever_it_does_and_the_next_begins(
     assert started.is_set()
 
 
-def test_a_warm_lane_has_its_process_before_the_first_task_and_none_once_it_is_closed(
-    tasks, asleep
-):
+def test_a_warm_lane_has_its_process_at_once_and_none_once_closed(tasks, asleep):
     lanes = ProcessExecutor(1, tasks.prepare)
     lanes.warm()
     about = run(lanes, tasks.about).result()

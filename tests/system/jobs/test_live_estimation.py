@@ -1,17 +1,20 @@
-"""Tables while the machine moves: published in time, never in anybody's way."""
+"""Tables while the machine moves: in time, never in anybody's way, and planned by."""
 
 import json
 import os
 import signal
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from arming import arm_at_once
 from scripted_cell import wait_until
+from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
+from truepath.cli.demo import compare_with_truth
 from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running.live_estimation import (
     PERIOD_S,
@@ -20,6 +23,8 @@ from truepath.jobs.running.live_estimation import (
 )
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.main import open_service
+from truepath.measurement.run_file.run_loader import open_run
+from truepath.motion.workspace.travel import check_travel
 from truepath.settings import load_settings
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.scenario import load_machine
@@ -45,7 +50,6 @@ def live(run, shown):
 
 
 def feed(live, run, until=lambda: False):
-    """Offer a Run block by block, as fast as it is taken."""
     for begin in range(0, len(run.tracker), 200):
         wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
         live.offer(run.tracker.select(slice(begin, begin + 200)))
@@ -79,9 +83,7 @@ def test_a_stream_becomes_tables_and_ends_with_the_last(run, live, shown):
     assert np.allclose(places[-1], run.tracker.position_mm[-1], atol=0.05)
 
 
-def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
-    run, live, shown
-):
+def test_an_estimate_is_told_with_its_age_until_its_process_dies(run, live, shown):
     """Whatever the process does: here it is stopped in the middle of its work."""
     live.start()
     feed(live, run, until=lambda: shown)
@@ -101,35 +103,61 @@ def test_an_estimate_is_told_again_with_its_age_until_its_process_dies(
     assert not shown[-1]["is_last"]
 
 
+def links_to(bench, folder):
+    """Settings of a service that drives the machine of a bench."""
+    file = folder / "machine.json"
+    file.write_text(json.dumps(bench.machine), encoding="utf-8")
+    options = bench.tracker_options, bench.motion_options
+    names = ("tracker_options", "motion_options")
+    return {"machine_file": file, **dict(zip(names, options, strict=True))}
+
+
 @contextmanager
 def measured(request, folder, **chosen):
-    """Measure to the end with the whole service; yield it, the job and what it told."""
-    heard = []
+    """Measure to the end with the whole service, which is up meanwhile.
+
+    Yield it, the job, its plan before motion, and what it told of each kind and when.
+    An operator lets go on whatever is held.
+    """
+    heard = {"estimate": [], "plan": []}
     settings = load_settings(data_dir=folder / "data", port=0, **chosen)
     with open_service(settings) as service:
         service.event_bus.subscribe(
-            lambda n: n.type == "estimate" and heard.append((time.monotonic(), n.body))
+            lambda n: heard.setdefault(n.type, []).append((time.monotonic(), n.body))
         )
         cell, get = service.machines.first.cell, service.store.get
         wait_until(lambda: cell.status.state == "disconnected", "the cell")
         job, _ = service.dispatcher.create(request)
         wait_until(lambda: get(job.id).state == "ready", "the plan")
+        first = service.store.read_plan(job.id)
         arm_at_once(service.dispatcher, job.id, get(job.id).version)
-        wait_until(lambda: get(job.id).is_final, "the end")
-        assert get(job.id).state == "succeeded"
-        yield service, get(job.id), heard
+
+        def has_ended():
+            now = get(job.id)
+            if now.state == "paused":
+                with suppress(StaleVersion):
+                    service.dispatcher.resume(job.id, now.version)
+            return now.is_final
+
+        wait_until(has_ended, "the end")
+        job = get(job.id)
+        assert job.state == "succeeded", job.failure
+        yield SimpleNamespace(service=service, job=job, first=first, heard=heard)
+
+
+def read_result(done):
+    file = done.service.results / done.job.id / "result.json"
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 @pytest.mark.long
 @pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
-    """The whole service on simulated devices, faster than real."""
     request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
     faster = {"simulated": True, "simulated_speed": 8.0}
-    with measured(request, tmp_path, **faster) as (service, job, heard):
-        last = service.event_bus.estimates.newest(job.id)
-        file = service.results / job.id / "result.json"
-        result = json.loads(file.read_text(encoding="utf-8"))
+    with measured(request, tmp_path, **faster) as done:
+        last = done.service.event_bus.estimates.newest(done.job.id)
+        result, heard = read_result(done), done.heard["estimate"]
     sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
     assert len(set(sigma)) >= 3
     assert sigma[0] > 1.2 * sigma[-1]  # a busy computer may miss the first lines
@@ -153,20 +181,60 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
 def test_polled_points_tighten_live_and_end_the_job_at_its_target(tmp_path):
     content = load_machine("demo")
     content["tracker"]["rate_hz"] = 2.0
-    file = tmp_path / "machine.json"
-    file.write_text(json.dumps(content), encoding="utf-8")
     request = RequestedJob(JobKind.MEASURE_STANDSTILL, target_um=25.0)
     with Bench(content, 7, 20.0, protocol="geocom", tracker="tcp") as bench:
-        links = {
-            "tracker_options": bench.tracker_options,
-            "motion_options": bench.motion_options,
-            "machine_file": file,
-        }
+        links = links_to(bench, tmp_path)
         with measured(request, tmp_path, tracker_driver="geocom", **links) as done:
-            _, job, heard = done
+            job, heard = done.job, done.heard["estimate"]
     sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
     assert len(set(sigma)) >= 5
     assert sigma[0] > sigma[-1]
     assert job.early_end is not None
     assert job.early_end.reached_um <= 25.0
     assert job.early_end.done < job.early_end.total
+
+
+BUDGET_MIN = 10.0
+
+
+@contextmanager
+def adapted(folder, mode, target_um, faults=()):
+    """Measure on a bench, planned on the way; yield it, the Run and its parts, too."""
+    asked = {"plan_request": {"mode": mode, "minutes": BUDGET_MIN}}
+    request = RequestedJob(JobKind.MEASURE_ADAPTIVE, target_um=target_um, **asked)
+    with (
+        Bench(seed=1, speed=10.0, faults=faults) as bench,
+        measured(request, folder, **links_to(bench, folder)) as done,
+    ):
+        assert done.job.early_end.reached_um <= target_um
+        parts = [body for _, body in done.heard["plan"]]
+        assert parts
+        yield bench, done, open_run(done.service.runs.file(done.job.id)), parts
+
+
+@pytest.mark.long
+@pytest.mark.timeout(120)
+def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(tmp_path):
+    lost = ("tracker:beam-break@17s+8s",)
+    with adapted(tmp_path, "otf", 0.5, lost) as (bench, done, run, parts):
+        found = compare_with_truth(read_result(done), bench.truth_at)
+        assert done.service.runs.get(done.job.id).complete
+    rows = len(done.first["position"]) + sum(part["rows"] for part in parts)
+    assert len(run.commanded) == rows
+    assert "beam-lost" in {event.kind for event in run.events}
+    assert done.job.early_end.done < done.job.early_end.total
+    assert float(np.ptp(run.tracker.device_time_s)) < 60.0 * BUDGET_MIN
+    check_travel(run.machine, run.commanded)
+    assert found.share_left < 0.15
+    assert found.covered > 0.8
+
+
+@pytest.mark.long
+@pytest.mark.timeout(120)
+def test_standstills_are_chosen_one_by_one(tmp_path):
+    with adapted(tmp_path, "standstill", 3.0) as (_, done, run, parts):
+        assert {part["rows"] for part in parts} == {1}
+    assert run.mode == "standstill"
+    assert len(run.commanded) == len(done.first["position"]) + len(parts)
+    predicted = [part["predicted_um"] for part in parts]
+    assert predicted[-1] < predicted[0] or len(parts) == 1

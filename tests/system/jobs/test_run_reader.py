@@ -26,7 +26,6 @@ pytestmark = pytest.mark.fault_row(36)
 
 
 def pack(folder, member, content):
-    """Write a bundle of which one member is what a test says."""
     members = {
         "machine.json": json.dumps(load_machine("demo")).encode(),
         "path.csv": PATH,
@@ -96,9 +95,7 @@ def small_reader():
 
 
 @pytest.mark.parametrize(("make", "place", "text"), HOSTILE)
-def test_a_hostile_bundle_is_refused_by_file_and_remedy(
-    small_reader, make, place, text, tmp_path
-):
+def test_a_hostile_bundle_is_refused_by_file(small_reader, make, place, text, tmp_path):
     member = place.partition(",")[0]
     with pytest.raises(BundleError) as caught:
         small_reader.read_facts(pack(tmp_path, member, make()), LARGEST_BYTES)
@@ -110,7 +107,6 @@ def test_a_hostile_bundle_is_refused_by_file_and_remedy(
 
 @pytest.fixture
 def signal_reader(small_reader, tmp_path):
-    """Sends a signal to the process, which is up; returns the process and a bundle."""
     good = pack_good(tmp_path)
 
     def send(number):

@@ -33,8 +33,6 @@ def lane():
 
 @pytest.fixture(scope="module")
 def submit(lane, small_run, tmp_path_factory):
-    """Have the Run analysed with trials; returns the computation and its folder."""
-
     def submit(plan, workers, on_progress=ignore_progress):
         folder = tmp_path_factory.mktemp("analysed") / "result"
         arguments = [str(small_run)], str(folder), False, plan, workers
@@ -49,7 +47,6 @@ def submit(lane, small_run, tmp_path_factory):
 @pytest.mark.long
 def test_a_job_brings_the_same_trials_from_any_workers_or_a_cluster(submit, scheduler):
     def analyse(workers):
-        """Have two blocks of trials computed; return what the result says of them."""
         told = []
         job, folder = submit(TWO_BLOCKS, workers, lambda _, stage: told.append(stage))
         job.result()

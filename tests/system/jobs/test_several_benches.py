@@ -15,7 +15,6 @@ CORNERS = ((10, 10, 10), (400, 10, 10), (400, 300, 10), (10, 300, 200), (10, 10,
 
 
 def begin_on_bench(service, machine):
-    """Arm a measurement on a machine; return it once samples come."""
     rows = [
         {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000.0, "dwell_s": 1.0}
         for x, y, z in CORNERS
@@ -35,9 +34,7 @@ def begin_on_bench(service, machine):
 
 @pytest.mark.long
 @pytest.mark.timeout(180)
-def test_two_benches_measure_at_once_and_the_death_of_one_cell_leaves_the_other(
-    tmp_path,
-):
+def test_two_benches_measure_at_once_and_the_death_of_a_cell_leaves_the_other(tmp_path):
     settings = load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_machines=2, port=0
     )

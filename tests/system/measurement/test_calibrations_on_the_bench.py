@@ -31,8 +31,6 @@ QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
 
 @pytest.fixture
 def calibrate(tmp_path, journal, rigid_free):
-    """Measure and analyse; judge the result by the truth of the bench."""
-
     def made(bench, tracker, commanded, settings):
         """Return (mean error before over after, share of the truth within 2u)."""
         machine, file = machine_from_json(bench.machine), tmp_path / "run.sqlite"
@@ -64,7 +62,6 @@ def calibrate(tmp_path, journal, rigid_free):
 
 
 def load_demo(**figures):
-    """Return the content of the demonstration machine, with another tracker."""
     content = load_machine("demo")
     return content | {"tracker": {**content["tracker"], **figures}}
 
@@ -94,9 +91,7 @@ def write_line(columns):
         ("udp", 50.0, "counter,x,y,z,status", 6_000.0),
     ],
 )
-def test_lines_of_text_calibrate_the_machine(
-    calibrate, link, rate_hz, columns, feed_mm_min
-):
+def test_text_lines_calibrate_a_machine(calibrate, link, rate_hz, columns, feed_mm_min):
     content = load_demo(rate_hz=rate_hz)
     path = default_path(machine_from_json(content), feed_mm_min, lines=24)
     with (

@@ -1,7 +1,6 @@
 """What drivers of somebody else may do to a measurement: hang, lie and break."""
 
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,15 +11,8 @@ from driven_cell import Driven, measured_by_another
 from hostile_drivers import POINTS
 from measurement_fixtures import there_and_back
 from plugin_site import NAME, install
-from truepath.measurement.messages import (
-    CellConfig,
-    CellVerb,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
-    TemperaturesRead,
-    TrackerTrial,
-)
+from processes import until
+from truepath.measurement import messages
 from truepath.measurement.run_file.run_loader import open_run
 from truepath_drivers.interfaces.errors import DeviceError
 
@@ -30,7 +22,7 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def site(tmp_path, monkeypatch):
     folder = install(tmp_path / "site", POINTS)
     monkeypatch.syspath_prepend(ROOT)  # for the process of the cell
     monkeypatch.syspath_prepend(folder)
@@ -38,21 +30,19 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def order(order) -> MeasurementOrder:
-    """A minute of motion."""
+def order(order):
     return there_and_back(order, 8)
 
 
 @pytest.fixture
-def drive(tmp_path) -> Iterator[Callable[..., Driven]]:
-    """Start a cell of which one device fails at once; its options are given."""
+def drive(tmp_path):
     with ExitStack() as stack:
 
-        def start(device: str, verb: str, fault: str, **given) -> Driven:
+        def start(device, verb, fault, **given):
             options = {"tracker": {}, "motion": {}, "thermometer": {}}
             options[device] = {"verb": verb, "fault": fault, **given}
             options["motion"]["diary"] = str(tmp_path / "diary")
-            config = CellConfig(
+            config = messages.CellConfig(
                 "hostile",
                 options["tracker"],
                 "hostile",
@@ -69,21 +59,19 @@ def drive(tmp_path) -> Iterator[Callable[..., Driven]]:
 
 
 @pytest.fixture
-def measuring(drive, order, tmp_path) -> Callable[..., Driven]:
-    """Start a cell of which one device fails once it measures."""
-
-    def start(device: str, verb: str, fault: str) -> Driven:
+def measuring(drive, order, tmp_path):
+    def start(device, verb, fault):
         driven = drive(device, verb, fault, at=str(tmp_path / "now"))
         driven.cell.connect()
         driven.cell.begin(order)
-        driven.until(lambda: len(driven.of(MeasurementProgress)) >= 8)
+        driven.until(lambda: len(driven.of(messages.MeasurementProgress)) >= 8)
         (tmp_path / "now").touch()
         return driven
 
     return start
 
 
-def read_diary(folder: Path) -> list[str]:
+def read_diary(folder):
     return [line.split()[0] for line in (folder / "diary").read_text().splitlines()]
 
 
@@ -91,26 +79,21 @@ def read_diary(folder: Path) -> list[str]:
     ("device", "verb"),
     [("motion", "status"), ("tracker", "read"), ("motion", "send_heartbeat")],
 )
-def test_a_call_that_hangs_in_motion_ends_the_measurement_by_its_name(
-    measuring, order, tmp_path, device, verb
-):
+def test_a_call_that_hangs_in_motion_is_named(measuring, order, tmp_path, device, verb):
     driven = measuring(device, verb, "hang")
     driven.until_closed(12.0)
-    faults = [fault.text for fault in driven.of(FaultReported)]
+    faults = [fault.text for fault in driven.of(messages.FaultReported)]
     assert any(NAME in text and f"{verb}()" in text for text in faults), faults
     assert driven.states[-1] == "faulted"
     assert "hold" in read_diary(tmp_path)
     assert open_run(order.run_file).provenance["outcome"] == "faulted"
     # Threads of the driver could go on to feed the controller: the process ends.
-    deadline_s = time.monotonic() + 8.0
-    while driven.cell.alive and time.monotonic() < deadline_s:
-        time.sleep(0.05)
-    assert not driven.cell.alive
+    until(lambda: not driven.cell.alive, 8.0)
 
 
 def test_an_abort_is_answered_while_the_tracker_hangs(measuring):
     driven = measuring("tracker", "read", "hang")
-    driven.cell.send(CellVerb.ABORT)
+    driven.cell.send(messages.CellVerb.ABORT)
     driven.until_closed(9.0)
     assert driven.states[-1] == "aborted"
 
@@ -119,7 +102,7 @@ def test_a_stop_that_hangs_is_named_and_leaves_the_cell_to_be_ended(drive):
     driven = drive("tracker", "stop", "hang")
     driven.cell.connect()
     with pytest.raises(DeviceError, match=rf"{NAME}.* stop\(\)"):
-        driven.cell.try_tracker(TrackerTrial(500.0, 0.1))
+        driven.cell.try_tracker(messages.TrackerTrial(500.0, 0.1))
     begin_s = time.monotonic()
     driven.cell.close()
     assert time.monotonic() - begin_s < 15.0
@@ -130,16 +113,14 @@ def test_a_driver_that_lets_nothing_else_run_is_ended_and_named(measuring):
     driven = measuring("motion", "status", "hang-alone")
     while "cell-died" not in driven.faults:
         driven.events += driven.cell.poll(20.0)
-    assert "hostile" in driven.of(FaultReported)[-1].text
+    assert "hostile" in driven.of(messages.FaultReported)[-1].text
 
 
 @pytest.mark.parametrize("way", ["killed", "ends"])
-def test_a_cell_does_not_outlive_its_parent_though_a_driver_hangs(
-    site, tmp_path, order, way
-):
+def test_no_cell_outlives_its_parent_though_a_driver_hangs(site, tmp_path, order, way):
     options = {"verb": "status", "fault": "hang", "at": str(tmp_path / "now")}
     config, paths = (
-        CellConfig("hostile", {}, "hostile", options),
+        messages.CellConfig("hostile", {}, "hostile", options),
         (site, ROOT / "tests" / "helpers"),
     )
     with measured_by_another(tmp_path, config, order, *paths) as (parent, cell, told):
@@ -158,31 +139,22 @@ def test_a_cell_does_not_outlive_its_parent_though_a_driver_hangs(
     assert not psutil.pid_exists(cell.pid)
 
 
-def test_a_connect_that_leaves_the_program_leaves_the_cell_alive(drive):
-    driven = drive("motion", "connect", "exit")
-    with pytest.raises(DeviceError, match=rf"{NAME}.* connect\(\)"):
-        driven.cell.connect()
-    assert driven.cell.alive
-
-
 def test_nonsense_while_it_measures_is_a_fault_that_names_its_driver(measuring):
     driven = measuring("motion", "status", "none")
     driven.until_closed(15.0)
-    fault = driven.of(FaultReported)[0]
+    fault = driven.of(messages.FaultReported)[0]
     assert (fault.code, NAME in fault.text) == ("driver", True)
 
 
 def test_thermometers_that_break_cost_neither_the_cell_nor_the_devices(drive):
     driven = drive("thermometer", "read", "exit")
     assert driven.cell.connect()["motion"].model == "fake controller"
-    driven.until(lambda: bool(driven.of(TemperaturesRead)), 20.0)
-    assert driven.of(TemperaturesRead)[0].readings == {}
+    driven.until(lambda: bool(driven.of(messages.TemperaturesRead)), 20.0)
+    assert driven.of(messages.TemperaturesRead)[0].readings == {}
     assert driven.cell.alive
 
 
-def test_a_machine_that_nobody_would_stop_is_not_armed_whatever_is_allowed(
-    drive, order, tmp_path
-):
+def test_a_machine_that_nobody_would_stop_is_never_armed(drive, order, tmp_path):
     """It has no watchdog, and its driver does not say that it stops unasked."""
     driven = drive("motion", "", "", watched="false")
     driven.cell.connect()

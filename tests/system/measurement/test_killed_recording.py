@@ -7,7 +7,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ while True:
 
 
 @pytest.fixture(scope="module")
-def left(mill, tmp_path_factory) -> tuple[Path, int]:
+def left(mill, tmp_path_factory):
     """What a writer leaves that was killed, and the last counter that it told."""
     file = tmp_path_factory.mktemp("killed") / "monday.sqlite"
     path = path_of((10.0, 10.0, -10.0), (110.0, 10.0, -10.0))
@@ -53,8 +52,7 @@ def left(mill, tmp_path_factory) -> tuple[Path, int]:
 
 
 @pytest.fixture
-def killed(left, tmp_path) -> tuple[Path, int]:
-    """A copy of it."""
+def killed(left, tmp_path):
     file, last = left
     return shutil.copytree(file.parent, tmp_path / "runs") / file.name, last
 

@@ -12,12 +12,7 @@ import pytest
 from driven_cell import Driven
 from paths_by_hand import path_of
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement.messages import (
-    CellConfig,
-    FaultReported,
-    MeasurementOrder,
-    MeasurementProgress,
-)
+from truepath.measurement import messages
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
 from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
@@ -26,10 +21,7 @@ from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 from truepath_simulators.scenario import load_machine
 
 ABSENT = explain_absence()
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
-]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(bool(ABSENT), reason=str(ABSENT))]
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-10, 310)}
 READY = {"reset_at_connect": True, "home_at_connect": True}
 SPEED = 20.0  # mm/s
@@ -65,25 +57,24 @@ class OnLinuxCnc:
         self.inside = list_descendants(linuxcnc._process.pid)
 
     def begin(self, **options):
-        """Begin with a cell whose driver has these options besides."""
         motion = self.linuxcnc.motion_options | options
         tracker = self.bench.tracker_options
-        config = CellConfig("streaming", tracker, "linuxcnc", motion)
+        config = messages.CellConfig("streaming", tracker, "linuxcnc", motion)
         self.driven = driven = self._stack.enter_context(Driven(config))
         driven.cell.connect()
         machine = machine_from_json(load_machine("demo"))
         path = path_of((10.0, 10, 10), (400, 10, 10), feed=60.0 * SPEED)
         file = str(self._folder / f"{driven.cell.process_id}.sqlite")
-        driven.begin(MeasurementOrder("live", file, machine, path))
+        driven.begin(messages.MeasurementOrder("live", file, machine, path))
         return driven
 
     def drive_on(self, **options):
-        """Begin, and wait until the line is under way."""
         driven = self.begin(**options)
         told = driven.of
         driven.until(
             lambda: any(
-                p.position and p.position[0] > 15.0 for p in told(MeasurementProgress)
+                p.position and p.position[0] > 15.0
+                for p in told(messages.MeasurementProgress)
             )
         )
 
@@ -122,7 +113,7 @@ def rig(tmp_path):
 def test_a_machine_in_emergency_stop_is_not_measured(rig):
     driven = rig.begin()
     driven.until_closed()
-    (fault,) = driven.of(FaultReported)
+    (fault,) = driven.of(messages.FaultReported)
     assert fault.code == "motion-estop"
     assert "release it" in fault.action
 
@@ -154,7 +145,7 @@ def test_the_machine_stops_and_the_service_says_why(rig, name, within_s, said, b
         os.kill(rig.find(name), signal.SIGCONT)
         said = "watchdog"
     driven = rig.driven
-    driven.until(lambda: any(said in f.text for f in driven.of(FaultReported)))
+    driven.until(lambda: any(said in f.text for f in driven.of(messages.FaultReported)))
     if (name, blow) == ("cell", signal.SIGKILL):
         assert driven.faults == ["cell-died"]
         with LinuxCncController(**rig.linuxcnc.motion_options) as driver:

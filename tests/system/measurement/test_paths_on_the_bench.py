@@ -1,41 +1,31 @@
 """Several targets, five axes and circles: driven by simulated devices, recognised."""
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 
-from driven_cell import Driven, measure_undisturbed
+from driven_cell import measure_undisturbed
 from paths_by_hand import path_of, two_turns
 from truepath.alignment.align import align
-from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.motion.configurations import Commanded, Configurations
-from truepath_drivers.interfaces.records import Path
+from truepath.motion.configurations import Configurations
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.turning_paths import turning_path
 from truepath_simulators.scenario import load_machine
 
 
-def measure(
-    content: dict, commanded: Commanded, folder: FilePath, **given
-) -> tuple[Run, Observations, Driven]:
-    """Return the Run, what is recognised of it, and the cell."""
+def measure(content, commanded, folder, **given):
     machine, file = machine_from_json(content), folder / "run.sqlite"
-    order = MeasurementOrder(
-        "bench", str(file), machine, commanded, feed_mm_min=20_000.0
-    )
+    order = MeasurementOrder("b", str(file), machine, commanded, feed_mm_min=20_000.0)
     driven = measure_undisturbed(order, content, folder, **given)
     run = open_run(file)
     return run, align(run), driven
 
 
-def find_farthest_mm(seen: Observations) -> float:
+def find_farthest_mm(seen):
     """How far cells lie from their nominal place, at most."""
     return np.abs(seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm).max()
 
@@ -83,7 +73,7 @@ def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp
     assert len(align(back)) == len(seen)
 
 
-def make_small_circles() -> Path:
+def make_small_circles():
     """Return two circles of 60 mm radius, six seconds each, between straight lines."""
     circles = two_turns(250.0, 200.0, 60.0, 150.0)
     corners = [(100.0, 100.0, 50.0), (400.0, 320.0, 250.0)]

@@ -1,8 +1,6 @@
 """Runs repeated by simulated devices: the same samples, the same tables."""
 
 import sqlite3
-from collections.abc import Callable
-from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
@@ -11,17 +9,15 @@ from driven_cell import Driven, config_of
 from paths_by_hand import path_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run
 from truepath.measurement.messages import FaultReported, MeasurementOrder, RunClosed
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import StreamTimeouts
-from truepath.motion.configurations import Commanded, Configurations
+from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.processes import DeviceProcesses
 from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.replay.replay import Replay
 from truepath_simulators.scenario import load_machine
@@ -37,8 +33,7 @@ SPEED = 10.0
 FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@2500n"]
 
 
-def record(devices: DeviceProcesses, file: FilePath, commanded: Commanded) -> Run:
-    """Measure through a cell; return the Run."""
+def record(devices, file, commanded):
     machine = machine_from_json(load_machine("demo"))
     with Driven(config_of(devices, timeouts=CALM)) as driven:
         driven.cell.connect()
@@ -49,11 +44,11 @@ def record(devices: DeviceProcesses, file: FilePath, commanded: Commanded) -> Ru
 
 
 @pytest.fixture(scope="module")
-def make_run(make_once) -> Callable[[Commanded], FilePath]:
+def make_run(make_once):
     """Record a Run with damaged and lost frames, once for each order."""
 
-    def make(commanded: Commanded) -> FilePath:
-        def fill(folder: FilePath) -> None:
+    def make(commanded):
+        def fill(folder):
             with Bench(seed=8, speed=SPEED, faults=FAULTS, rtu=False) as bench:
                 record(bench, folder / "run.sqlite", commanded)
 
@@ -112,9 +107,7 @@ def test_a_replay_holds_what_the_run_holds_and_answers_as_its_device(make_run):
         ("DROP TABLE batch", "is not a Run"),
     ],
 )
-def test_a_run_that_cannot_be_repeated_is_a_clear_line(
-    make_run, tmp_path, order, said, capsys
-):
+def test_an_unrepeatable_run_is_a_clear_line(make_run, tmp_path, order, said, capsys):
     file = tmp_path / "run.sqlite"
     file.write_bytes(make_run(PATH).read_bytes())
     with sqlite3.connect(file) as database:
@@ -127,9 +120,7 @@ def test_a_run_that_cannot_be_repeated_is_a_clear_line(
 
 
 @pytest.mark.long
-def test_a_motion_that_the_recording_has_not_ends_where_the_recording_does(
-    make_run, tmp_path
-):
+def test_a_motion_that_a_recording_lacks_ends_where_it_does(make_run, tmp_path):
     further = (400.0, 300.0, 200.0)
     longer = path_of(*CORNERS, further, feed=12_000.0, dwell_s=1.0)
     with (

@@ -1,7 +1,5 @@
 """Cells that read real Modbus sensors of a machine that warms, faults and deaths."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.run_file.run_repair import repair_run
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path
 from truepath_simulators.bench.bench import Bench
@@ -31,7 +28,7 @@ def bench(tmp_path):
 
 
 @pytest.fixture
-def driven(bench) -> Iterator[Driven]:
+def driven(bench):
     """A connected cell with sensors that are asked ten times a second."""
     rows = bench.thermometer_options["registers"]
     quick = [{**row, "period_s": 0.1} for row in rows]
@@ -48,7 +45,7 @@ def driven(bench) -> Iterator[Driven]:
 
 
 @pytest.fixture
-def order(bench, tmp_path) -> MeasurementOrder:
+def order(bench, tmp_path):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, 12_000.0, lines=12)
     return MeasurementOrder("w", str(tmp_path / "w.sqlite"), machine, path)
@@ -91,12 +88,3 @@ def test_sensors_fail_one_after_another_and_nothing_else_does(bench, driven, ord
     late = run.temperature.celsius[len(run.temperature.celsius) // 2 :, 0]
     assert np.isnan(late).all()
     assert any("X_degC" in text for text in summarize_run(run).sensors_told)
-
-
-def test_readings_of_a_killed_cell_are_there_again(driven, order):
-    driven.begin(order, line=4)
-    driven.cell.kill()
-    repair_run(order.run_file)
-    run = open_run(order.run_file)
-    assert len(run.temperature.time_s) > 5
-    assert run.temperature.time_s[-1] > run.tracker.device_time_s[-1] - 10.0

@@ -1,11 +1,19 @@
-"""`truepath doctor` asks a service and devices, and disturbs neither."""
+"""Doctor and support bundle tell what helps, disturb nothing and give no secret."""
 
 import json
 import socket
+import zipfile
+from dataclasses import replace
+from functools import partial
 
 import pytest
 
+from service_process import process
 from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.job import Failure, Job, JobKind
+from truepath.catalogue.store.database import Database
+from truepath.catalogue.store.store import Store
+from truepath.catalogue.transitions import State
 from truepath.cli.command import run
 from truepath.operation import devices
 from truepath.operation.finding import Grade
@@ -15,6 +23,10 @@ from truepath.operation.running_service import (
     find_service,
 )
 from truepath.settings import load_settings
+from truepath.users.accounts import Accounts
+from truepath.users.certificates import create_certificate
+from truepath.users.roles import Role
+from truepath.users.tokens import Tokens
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 
@@ -22,21 +34,11 @@ NONE = RunningService(is_there=False)
 
 
 @pytest.fixture
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
-
-
-@pytest.fixture
 def settings(tmp_path, free_port):
-    def make(**given):
-        return load_settings(None, data_dir=tmp_path / "data", port=free_port, **given)
-
-    return make
+    return partial(load_settings, data_dir=tmp_path / "data", port=free_port)
 
 
-def test_an_installation_in_order_is_found_in_order(settings, capsys, tmp_path):
-    settings()
+def test_an_installation_in_order_is_found_in_order(capsys, tmp_path):
     status = run(["doctor", "--data-dir", str(tmp_path / "data"), "--json"])
     told = json.loads(capsys.readouterr().out)
     grades = {one["subject"]: one["grade"] for one in told["findings"]}
@@ -53,12 +55,8 @@ def test_a_port_that_somebody_has_taken_is_wrong_unless_a_service_answers(settin
     assert found.grade is Grade.WRONG
     assert str(given.port) in found.text
     assert check_service(given, find_service(given)).grade is Grade.OK
-    named = RunningService(True, True, {"version": "7.1"})
-    for running, words in (
-        (named, "version 7.1"),
-        (RunningService(True, True), "log-in"),
-    ):
-        found = check_service(given, running)
+    for told, words in (({"version": "7.1"}, "version 7.1"), (None, "log-in")):
+        found = check_service(given, RunningService(True, True, told))
         assert found.grade is Grade.OK
         assert words in found.text
 
@@ -94,3 +92,123 @@ def test_devices_that_answer_are_named_and_those_that_do_not_say_what_to_do(
     assert "serial" in found["motion"].text
     assert found["tracker"].grade is Grade.WRONG
     assert "cable" in found["tracker"].remedy
+
+
+PLANTED = "planted-5eCret"
+
+
+@pytest.fixture
+def installation(tmp_path):
+    """A data folder with users, keys and jobs, its settings and log full of secrets."""
+    data = tmp_path / "data"
+    data.mkdir()
+    database = Database(f"sqlite:///{data / 'catalogue.sqlite'}")
+    database.migrate()
+    Accounts(database).add("ada", Role.OPERATOR, f"{PLANTED} word")
+    token = Tokens(database, session_s=60.0).open_session("ada")
+    store = Store(database, lambda _: None)
+    job, _ = store.create(Job(JobKind.PLAN))
+    failure = Failure("BadInput", f"cannot open http://me:{PLANTED}@camera/")
+    store.change(job.id, lambda j: replace(j, state=State.RUNNING))
+    store.change(job.id, lambda j: replace(j, state=State.FAILED, failure=failure))
+    database.close()
+    files = create_certificate(["shop-floor"], data / "tls", 30)
+    private = files.key.read_text()
+    password = tmp_path / "database_password"
+    password.write_text(f"{PLANTED}-of-database\n")
+    log = data / "service.log"
+    lines = [
+        {"event": "as set up", "options": {"password": PLANTED}},
+        {"event": f"Authorization: Bearer {token}"},
+        {"event": f"key tp_{PLANTED}"},
+        {"event": private},
+        {"event": f"{PLANTED}-of-tracker is wrong"},
+        {"event": "job ended", "job_id": job.id},
+    ]
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    log.with_name("service.log.1").write_text('{"event": "older"}\n' * 1000)
+    config = tmp_path / "truepath.toml"
+    config.write_text(
+        f'data_dir = "{data}"\n'
+        f'log_file = "{log}"\n'
+        f'machine_file = "{tmp_path / "none.json"}"\n'
+        f'tracker_options = {{ host = "127.0.0.1", port = 9, '
+        f'access_code = "1", password = "{PLANTED}-of-tracker" }}\n'
+        f'tls_cert = "{files.cert}"\n'
+        f'tls_key = "{files.key}"\n'
+    )
+    secrets = [PLANTED, token, private.splitlines()[1]]
+    return config, secrets, job.id
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    """Write a support bundle; return the texts of its parts."""
+    file = tmp_path / "support.zip"
+
+    def write(*words):
+        assert run(["support-bundle", "-o", str(file), *words]) == 0
+        assert file.stat().st_mode & 0o077 == 0, "it is for nobody else"
+        with zipfile.ZipFile(file) as archive:
+            return {name: archive.read(name).decode() for name in archive.namelist()}
+
+    return write
+
+
+def test_it_holds_what_helps_and_no_secret(installation, bundle, tmp_path, capsys):
+    config, secrets, job_id = installation
+    parts = bundle("--config", str(config))
+    assert "missing: metrics.txt: the service does not run" in capsys.readouterr().err
+    names = "versions", "doctor", "catalogue", "jobs", "summary"
+    documents = {f"{name}.json" for name in names}
+    logs = {"logs/service.log", "logs/service.log.1"}
+    assert set(parts) == {"settings.toml", *documents, *logs}
+    for name, text in parts.items():
+        assert not [s for s in secrets if s in text], name
+    (job,) = json.loads(parts["jobs.json"])
+    assert job["id"] == job_id
+    assert "cannot open" in job["failure"]["detail"]
+    assert job_id in parts["logs/service.log"]
+    assert json.loads(parts["catalogue.json"])["jobs"] == 1
+    assert "numpy" in json.loads(parts["versions.json"])["libraries"]
+    # The ends of long logs are kept within the bound.
+    log = tmp_path / "data" / "service.log"
+    log.write_text('{"event": "early"}\n' + "x" * 3_000_000 + f"\n{job_id}\n")
+    (tmp_path / "support.zip").unlink()
+    parts = bundle("--config", str(config), "--max-mb", "1")
+    size = sum(len(text.encode()) for text in parts.values())
+    assert size < 1_010_000
+    assert "early" not in parts["logs/service.log"]
+    assert parts["logs/service.log"].endswith(f"{job_id}\n")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(120)
+def test_a_running_service_gives_its_metrics_and_its_log(tmp_path, bundle, monkeypatch):
+    log = tmp_path / "logs" / "service.log"
+    given = {"TRUEPATH_SIMULATED": "0", "TRUEPATH_LOG_FILE": str(log)}
+    with process(tmp_path, **given) as (_, client):
+        client.get("/api/v1/system")
+        monkeypatch.setenv("TRUEPATH_PORT", str(client.base_url.port))
+        monkeypatch.setenv("TRUEPATH_LOG_FILE", str(log))
+        parts = bundle("--data-dir", str(tmp_path / "data"))
+    assert json.loads(parts["summary.json"])["missing"] == {}
+    assert "truepath_catalogue_up 1.0" in parts["metrics.txt"]
+    lines = parts["logs/service.log"].splitlines()
+    assert all(json.loads(line)["event"] for line in lines)
+    assert "catalogue migrated" in parts["logs/service.log"]
+
+
+def test_it_is_written_where_the_catalogue_is_damaged_but_over_no_file(
+    tmp_path, bundle, capsys
+):
+    (tmp_path / "catalogue.sqlite").write_bytes(b"garbage " * 99)
+    missing = json.loads(bundle("--data-dir", str(tmp_path))["summary.json"])["missing"]
+    assert "is not a SQLite file" in missing["catalogue.json"]
+    assert "log_file is not set" in missing["logs"]
+    file = tmp_path / "mine.zip"
+    file.write_text("mine")
+    data = str(tmp_path / "data")
+    assert run(["support-bundle", "-o", str(file), "--data-dir", data]) == 2
+    assert file.read_text() == "mine"
+    assert "is there already" in capsys.readouterr().err

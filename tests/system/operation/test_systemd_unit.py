@@ -20,15 +20,11 @@ def unit(tmp_path, capsys):
     return capsys.readouterr().out
 
 
-def read(unit):
+def test_the_unit_says_what_keeps_the_machine_safe(unit):
     parser = configparser.RawConfigParser(strict=False)
     parser.optionxform = str
     parser.read_string(unit)
-    return parser["Service"]
-
-
-def test_the_unit_says_what_keeps_the_machine_safe(unit):
-    service = read(unit)
+    service = parser["Service"]
     assert service["Type"] == "notify"
     assert service["Restart"] == "on-failure"
     assert service["KillMode"] == "mixed", "the cell is not killed with the service"

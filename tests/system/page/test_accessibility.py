@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
-from tests.system.page.test_trend import trend_of
+from tests.system.page.test_history import trend_of
 
-from page_steps import DESK, NEXT, PHONE, go
+from page_steps import DESK, NEXT, PHONE, go, small_targets
 from scripted_data import (
     certificate,
     circles_in_motion,
@@ -196,17 +196,6 @@ def violations(page: Page, where: str, options: dict[str, Any]) -> list[str]:
         if rule["impact"] in HINDRANCES
         for node in rule["nodes"]
     ]
-
-
-def small_targets(page: Page, where: str, least_px: int) -> list[str]:
-    found = page.evaluate(
-        """([selector, least]) => [...document.querySelectorAll(selector)]
-            .map((e) => [e.getBoundingClientRect().height, e])
-            .filter(([height, e]) => e.checkVisibility() && height < least - 0.5)
-            .map(([height, e]) => `${height} px ${e.outerHTML.slice(0, 120)}`)""",
-        ["button, main a, select, summary, input:not([type=file])", least_px],
-    )
-    return [f"{where}: {one}" for one in found]
 
 
 def test_tab_reaches_what_starts_holds_and_ends_the_motion(panel, service):

@@ -1,9 +1,11 @@
-"""A whole calibration on the page of the real service, by taps alone.
+"""A whole calibration on the page of the real service, by taps alone; and the next one.
 
 One service has a machine that the model describes, simulated by itself; the devices of
-the other, whose machine has backlash, run beside it and do what a test orders.
+the other, whose machine has backlash, run beside it and do what a test orders. A third
+is added while its service runs; its truth is changed between two calibrations.
 """
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,8 +15,16 @@ from playwright.sync_api import Page, Response, expect
 from tests.system.page.conftest import Panel
 
 from page_steps import DESK, PHONE, Taps, assert_fits, held, job_of
-from service_process import follow, process, wait_for
-from service_with_devices import connect, is_on_path, moves, running_devices, service_of
+from service_process import ROWS, arm, create, follow, process, wait_for
+from service_with_devices import (
+    connect,
+    is_on_path,
+    moves,
+    running_devices,
+    service_of,
+    write_machine,
+)
+from truepath.client import Client
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.motion.configurations import select_rows
 from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
@@ -28,6 +38,8 @@ USUAL_SPEED = 3.0  # three windows are opened before the run ends
 PATIENCE_MS = 120_000.0
 TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 BACKLASH = '{"name": "backlash", "axis": "X", "width_um": 8}'
+STRAIGHT = "0 0 0\n500 500 500\n"
+BUMP = "0 0 0\n250 250.06 250.06\n500 500 500\n"  # 60 µm too far in the middle of X
 
 
 @pytest.fixture(scope="module")
@@ -288,3 +300,66 @@ def test_the_rows_in_the_controller_are_those_that_the_curve_shows(panel, worn, 
         page.evaluate("location.hash = '#/plan'")
     assert len(list_plans()) == before + 1
     assert rows < len(planned)
+
+
+@pytest.fixture
+def changing(tmp_path) -> Iterator[tuple[httpx2.Client, Rig]]:
+    """A service that gets a machine while it runs, and its devices."""
+    with (
+        running_devices(speed=8.0) as rig,
+        process(tmp_path, TRUEPATH_SIMULATED="0") as (_, asking),
+    ):
+        with Client(str(asking.base_url)) as service:
+            machine = json.loads(write_machine(tmp_path).read_text())
+            service.add_machine("mill", machine_file=machine)
+            chosen = {
+                "tracker_options": rig.tracker_options,
+                "motion_options": rig.motion_options,
+            }
+            service.set_machine_devices("mill", **chosen)
+            (one,) = service.list_machines()
+            assert (one["id"], one["version"]) == ("mill", 2)
+        yield asking, rig
+
+
+def calibrate(client):
+    place = "/api/v1/machines/mill:connect"
+    wait_for(lambda: client.post(place).status_code == 200, "the devices")
+    job = create(client, path=ROWS)
+    arm(client, job)
+    ended = follow(client, job["id"], "succeeded")
+    assert ended["machine"] == "mill"
+    return ended["id"]
+
+
+def read_standing(client):
+    return client.get("/api/v1/machines/mill/standing").json()
+
+
+def test_a_machine_that_has_changed_raises_an_alarm_on_every_way(
+    changing, browser, tmp_path
+):
+    client, rig = changing
+    table = tmp_path / "bump-X.tbl"  # it corrects from the start: that is no change
+    table.write_text(STRAIGHT)
+    rig.load_compensation([table])
+    first = calibrate(client)
+    wait_for(lambda: read_standing(client)["calibration"] == first, "the first")
+    before = read_standing(client)
+    assert (before["is_alarm"], before["has_changed"]) == (False, None)
+    table.write_text(BUMP)
+    rig.load_compensation([table])
+    second = calibrate(client)
+    wait_for(lambda: read_standing(client)["calibration"] == second, "the second")
+    standing = read_standing(client)
+    assert standing["is_alarm"], standing
+    assert (standing["has_changed"], standing["reference_job"]) == (True, first)
+    assert "EXX" in standing["change_text"]
+    conditions = client.get("/api/v1/machines/mill/conditions").json()["items"]
+    (unchanged,) = [one for one in conditions if one["type"] == "unchanged"]
+    assert unchanged["level"] == "false"
+    page = browser.new_context(locale="en").new_page()
+    page.goto(f"{client.base_url}#/machine")
+    card = page.locator("[data-machine=mill]")
+    expect(card.locator("[data-standing=alarm]")).to_contain_text("changed")
+    page.context.close()

@@ -32,16 +32,16 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
     page.wait_for_url(f"**/#/discover/{job}")
     finding = page.locator("[data-effect=backlash]")
     expect(finding.locator("h2")).to_have_text("Backlash Y")
-    expect(finding).to_contain_text("width 6.39 ± 0.15 µm")
+    expect(finding).to_contain_text("width 6.34 ± 0.13 µm")
     expect(finding).to_contain_text("Play or wind-up in screw")
-    expect(finding).to_contain_text("Enter the width as backlash compensation.")
-    expect(finding).to_contain_text("closes 93 % of the gap above the noise")
+    expect(finding).to_contain_text("Enter the width as the axis' backlash comp")
+    expect(finding).to_contain_text("closes 94 % of the gap above the noise")
     expect(finding).to_contain_text("Servo mismatch Y")
     # How sure it is stands before its evidence.
     graded = finding.locator(".graded")
     expect(graded.locator("p")).to_be_hidden()
     graded.locator("summary", has_text="certain").click()
-    expect(graded.locator("p")).to_contain_text("log Bayes factor 512")
+    expect(graded.locator("p")).to_contain_text("log Bayes factor 4,504")
     step = page.locator("[data-effect=setup-step]")
     expect(step).to_contain_text("moment 40.020 ± 0.060 s")
     expect(step).to_contain_text("step X 4.00 ± 0.20, Y −3.00 ± 0.20, Z 0.10 ± 0.20 µm")
@@ -56,19 +56,24 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
 
 
 def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY)
+    shares = {"temperature of X": 0.06, "region of X and Y": 0.055}
+    service.discovery["explained_by"]["before"] |= shares
     job = discovered(service)
     page = panel.open(f"#/discover/{job}")
-    expect(page.locator(".gap dd").first).to_contain_text("2.41 µm")
+    gap = DISCOVERY["gap"]
+    expect(page.locator(".gap dd").first).to_contain_text("1.45 µm")
     before, after, floor = (
         page.locator(name).bounding_box()
         for name in (".gap .is-before", ".gap .is-after", ".gap-floor")
     )
-    assert after["width"] / before["width"] == pytest.approx(1.21 / 2.41, abs=0.01)
     reach = floor["x"] + 1.0 - before["x"]
-    assert reach / before["width"] == pytest.approx(1.17 / 2.41, abs=0.01)
-    expect(page.locator(".gap-key")).to_have_text("Noise floor 1.17 µm")
-    gap = page.locator(".card", has=page.locator(".gap"))
-    expect(gap).to_contain_text("A complete model would leave 1.19 µm")
+    for width, name in ((after["width"], "after"), (reach, "noise_floor")):
+        share = gap[name] / gap["before"]
+        assert width / before["width"] == pytest.approx(share, abs=0.01)
+    expect(page.locator(".gap-key")).to_have_text("Noise floor 1.18 µm")
+    card = page.locator(".card", has=page.locator(".gap"))
+    expect(card).to_contain_text("A complete model would leave 1.19 µm")
     for name, address in (
         ("Report", f"/api/v1/jobs/{job}/discovery/report.html$"),
         ("Model", f"/api/v1/models/{job}$"),
@@ -94,19 +99,19 @@ def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
     page.locator(".strips-table summary").click()
     axes = page.locator(".strips-table table").nth(1)
     expect(axes.locator("tbody tr", has_text="Y−")).to_contain_text("1,20 µm")
-    names = ["Gerade", "Richtung von Y", "Bereich von X und Y", "Temperatur X"]
-    names += ["Bewegte Achse", "Zeit"]
+    names = ["Gerade", "Richtung von Y", "Bewegte Achse", "Temperatur X"]
+    names += ["Bereich von X und Y", "Zeit"]
     expect(page.locator(".shares dt")).to_have_text(names)
-    expect(page.locator(".shares dd").nth(1)).to_have_text("36 %, nachher 1 %")
+    expect(page.locator(".shares dd").nth(1)).to_have_text("33 %, nachher 0 %")
     bars = page.locator(".shares .is-before")
     first, second = (bars.nth(row).bounding_box()["width"] for row in (0, 1))
-    assert second / first == pytest.approx(0.36 / 0.45, abs=0.01)
+    assert second / first == pytest.approx(0.330 / 0.581, abs=0.01)
     versions = page.locator("[data-versions] .versions > li")
     expect(versions).to_have_count(2)
     expect(versions.first.locator("ul li")).to_have_text(
         [
-            "neu Umkehrspiel Y: Breite 6,39 ± 0,15 µm",
-            "geändert EXX bei X 250 mm: von −1,2 auf 3,4 ± 0,5 µm",
+            "neu Umkehrspiel Y: Breite 6,34 ± 0,13 µm",
+            "geändert EXX bei X 305 mm: von 22,5 auf 24,19 ± 0,73 µm",
             "geändert C0Y: von 12,0 auf 18,5 ± 1,1 µrad",
         ]
     )
@@ -125,7 +130,9 @@ def turn_to(page: Page, service, **change) -> str:
     return job
 
 
-def test_a_discovery_that_is_not_to_be_used_says_so_first(panel, service):
+def test_what_is_found_is_told_by_what_is_known_of_it_and_first_if_it_is_to_be_used(
+    panel, service
+):
     values = {"ratio": 6.0, "limit_ratio": 1.6}
     reason = Reason("fit-beyond-noise", "not-usable", values)
     service.discovery = DISCOVERY | {"verdict": verdict_json(Verdict((reason,)))}
@@ -136,10 +143,6 @@ def test_a_discovery_that_is_not_to_be_used_says_so_first(panel, service):
     expect(band.locator("li")).to_contain_text("6.00 times that of noise")
     link = page.locator("a[download]")
     expect(link).to_have_attribute("download", "not-to-be-used-model.json")
-
-
-def test_what_is_found_is_told_by_what_is_known_of_it(panel, service):
-    page = panel.open("#/records")
     turn_to(page, service, effects=[], unnamed=[])
     expect(page.locator(".notice")).to_contain_text("Nothing is missing")
     expect(page.locator("[data-effect]")).to_have_count(0)
@@ -158,7 +161,7 @@ def test_what_is_found_is_told_by_what_is_known_of_it(panel, service):
     expect(card).to_contain_text("half width 5.00 ± 0.40 µrad")
     choose(page, "inch")
     inches = page.locator("[data-effect=backlash] .finding-numbers")
-    expect(inches).to_contain_text("width 251.4 ± 6.0 µin")
+    expect(inches).to_contain_text("width 249.7 ± 5.2 µin")
     expect(card).to_contain_text("half width 5.00 ± 0.40 µrad")
 
 
@@ -296,5 +299,5 @@ def test_what_is_looked_for_is_listed_when_it_is_asked_for(panel, service):
     page = panel.open(f"#/discover/{service.measured()}")
     page.get_by_text("What is looked for").click()
     listed = page.locator("main details dt")
-    expect(listed).to_have_text(["Backlash", "Vibration"])
+    expect(listed).to_have_text(["Backlash", "Step of the set-up"])
     expect(page.locator("main details")).to_contain_text("It ends with its measurement")

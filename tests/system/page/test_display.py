@@ -9,7 +9,8 @@ import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
-from page_steps import NO_EVENTS, PHONE, choose, go, prepare
+from page_steps import NO_EVENTS, PHONE, choose, go, prepare, small_targets
+from scripted_data import EXAMPLES
 
 SIZES = [(390, 844), (800, 1280), (1280, 800), (1920, 1080)]  # the narrowest first
 STALE_S = 2.5
@@ -22,18 +23,6 @@ HEIGHTS = "all => all.map((e) => e.offsetHeight)"
 # How many rows the parts of each stepper that is seen take.
 TOPS = """all => all.filter((e) => e.checkVisibility()).map((e) => new Set(
     [...e.querySelectorAll("button, input")].map((part) => part.offsetTop)).size)"""
-SMALL = """(least) => [...document.querySelectorAll("button, main a, input")]
-    .filter((e) => e.checkVisibility())
-    .filter((e) => e.getBoundingClientRect().height < least)
-    .map((e) => e.outerHTML)"""
-CLOSED = {
-    "type": "machine-ready",
-    "level": "true",
-    "is_required": True,
-    "reason": "",
-    "message": "",
-    "since": "2026-03-14T08:00:00Z",
-}
 # Of a number in the page: one that is drawn anew at this moment has no look.
 LOOK = """() => {
   const look = getComputedStyle(document.querySelector(".readout output"));
@@ -81,7 +70,7 @@ def look_in(page: Page, theme: Literal["dark", "light"]) -> list[str]:
 def test_stale_conditions_bear_their_age(panel, service, witness):
     witness.expect("net::ERR_FAILED")
     service.connected = True
-    service.conditions = [CLOSED]
+    service.conditions = EXAMPLES["list_conditions"]["items"][:1]
     page = panel.open("#/connect")
     shown = page.locator(".conditions [data-level=true]")
     expect(shown).to_be_visible()
@@ -118,7 +107,7 @@ def test_german_words_fit_at_every_size(panel, service):
             tops = page.locator(".stepper").evaluate_all(TOPS)
             assert all(number == 1 for number in tops), view
             if view == "plan":
-                assert page.evaluate(SMALL, TOUCH_PX) == [], width
+                assert small_targets(page, f"{width} px wide", TOUCH_PX) == []
 
 
 def test_the_state_stays_clear_of_what_is_beside_it_on_a_german_phone(panel, service):

@@ -8,7 +8,6 @@ from playwright.sync_api import Locator, Page, expect
 from page_steps import DESK, PHONE, assert_fits, choose, go
 from scripted_data import rotary_account, volumetric_error
 from scripted_service import ScriptedService
-from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 FILES = "/api/v1/jobs/job-1/compensations/{}/archive"
 
@@ -18,14 +17,17 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
     return page, page.locator("[data-card=export]")
 
 
-def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
+def test_what_tables_leave_their_sign_and_unmeasured_ranges_are_seen_before_taking(
+    panel, service, witness
+):
+    witness.expect("status of 422")
     service.result["volumetric_error"] = volumetric_error()
     page, card = show(panel, service)
     expect(card.get_by_role("radio")).to_have_count(2)
     expect(card.get_by_role("link")).to_have_count(0)
     card.get_by_text("LinuxCNC").click()
-    expect(card).to_contain_text("15.32 µm")
-    expect(card).to_contain_text("3.21 µm ± 0.09 µm (k = 2)")
+    expect(card).to_contain_text("20.72 µm")
+    expect(card).to_contain_text("14.32 µm ± 0.08 µm (k = 2)")
     expect(card).to_contain_text("The 15.3 µm of the result is the mean over a regular")
     expect(card).to_contain_text("straightness, angular errors, squareness")
     expect(card).not_to_contain_text("sign is not settled")
@@ -34,6 +36,17 @@ def test_what_tables_leave_is_seen_before_they_are_taken(panel, service):
     assert taken.value.suggested_filename == "linuxcnc-10-hold.zip"
     # Files of a machine of straight axes say nothing of rotary ones.
     expect(card.locator("[data-rotary]")).to_have_count(0)
+    card.get_by_text("Heidenhain TNC").click()
+    expect(card.locator(".notice")).to_contain_text("sign is not settled")
+    expect(card).to_contain_text("Z not measured from 0 to 10 and 532.058 to 542.058")
+    expect(card).to_contain_text("13.40 µm ± 0.07 µm (k = 2)")
+    card.get_by_role("button", name="Fade to 0").click()
+    expect(card.get_by_role("link")).to_have_attribute(
+        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
+    )
+    card.get_by_role("button", name="Refuse").click()
+    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
+    expect(card.get_by_role("link")).to_have_count(0)
 
 
 def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
@@ -64,24 +77,6 @@ def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
             assert value.evaluate("e => e.scrollWidth <= e.clientWidth + 1")
 
 
-def test_an_unsettled_sign_and_ranges_without_measurement_are_said(
-    panel, service, witness
-):
-    witness.expect("status of 422")
-    _, card = show(panel, service)
-    card.get_by_text("Heidenhain TNC").click()
-    expect(card.locator(".notice")).to_contain_text("sign is not settled")
-    expect(card).to_contain_text("X not measured from 450 to 500 mm")
-    expect(card).to_contain_text("2.90 µm ± 0.09 µm (k = 2)")
-    card.get_by_role("button", name="Fade to 0").click()
-    expect(card.get_by_role("link")).to_have_attribute(
-        "href", re.compile(FILES.format("heidenhain-10-fade") + "$")
-    )
-    card.get_by_role("button", name="Refuse").click()
-    expect(card.locator(".notice.is-fault")).to_contain_text("X not measured")
-    expect(card.get_by_role("link")).to_have_count(0)
-
-
 def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
     page, card = show(panel, service)
     held: list = []
@@ -110,21 +105,13 @@ def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
     )
 
 
-def test_a_result_that_is_not_to_be_used_offers_no_tables(panel, service):
-    reason = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1})
-    service.result["verdict"] = verdict_json(Verdict((reason,)))
-    page, card = show(panel, service)
-    expect(page.locator(".notice.is-fault")).to_contain_text("No files are made")
-    expect(card).to_have_count(0)
-
-
 def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
     _, card = show(panel, service, language="de")
     expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
     card.get_by_text("LinuxCNC").click()
     expect(card.locator("[data-way]")).to_have_count(0)
     card.get_by_text("Heidenhain TNC").click()
-    expect(card).to_contain_text("X nicht gemessen von 450 bis 500 mm: Letzten Wert")
+    expect(card).to_contain_text("X nicht gemessen von 0 bis 10 und 524,143 bis")
     way = card.get_by_role("group", name="So liest die Steuerung BACKLASH")
     usual = way.get_by_role("button", name="Wert bei negativer Fahrt")
     expect(usual).to_have_attribute("aria-pressed", "true")

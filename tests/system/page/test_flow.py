@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from page_steps import DESK, NEXT, PHONE, choose, follow, go, held
+from page_steps import DESK, NEXT, PHONE, choose, expect_texts, follow, go, held
+from scripted_data import EXAMPLES
 
 SHORT_PX = 420
 REFUSED = ("the server responded with a status of",)
@@ -44,10 +45,20 @@ def test_who_comes_soon_after_the_run_finds_its_result(panel, service):
     page.wait_for_url(f"**/#/result/{job}")
 
 
-def test_motion_starts_and_goes_on_only_after_a_button_was_held(panel, service):
+def test_motion_starts_on_live_data_and_goes_on_only_after_a_button_was_held(
+    panel, service, witness
+):
+    witness.expect(*NO_ANSWER)
     job = service.ready()
     page = panel.open()
     button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    page.route(JOBS, lambda route: route.abort())
+    service.silent = True
+    expect(button).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text("No live data")
+    page.unroute(JOBS)
+    service.silent = False
     expect(button).to_be_enabled()
     button.click()
     assert service.jobs[job]["state"] == "ready"
@@ -64,17 +75,6 @@ def test_motion_starts_and_goes_on_only_after_a_button_was_held(panel, service):
     with held(page, page.locator("#resume")):
         expect(page.locator("#state")).to_have_text("Running")
     assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
-
-
-def test_motion_does_not_start_on_stale_data(panel, service, witness):
-    witness.expect(*NO_ANSWER)
-    service.ready()
-    page = panel.open()
-    expect(page.locator(NEXT)).to_be_enabled()
-    page.route(JOBS, lambda route: route.abort())
-    service.silent = True
-    expect(page.locator(NEXT)).to_be_disabled()
-    expect(page.locator("#reason")).to_contain_text("No live data")
 
 
 def test_a_job_begun_elsewhere_comes_onto_the_page(panel, service):
@@ -209,10 +209,9 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     service.ready()
     page = panel.open()
     card = page.locator(".card", has_text="Grade of the set-up")
-    expect(card).to_contain_text("0.86: usable")
-    expect(card).to_contain_text("13.0 µm")
-    expect(card).to_contain_text("add a line along Y at the low end of X")
-    expect(card).to_contain_text("0.34")
+    expect_texts(
+        card, "1.47: poor", "22.6 µm", "add a line along Y at the high end of X", "0.84"
+    )
     with page.expect_download() as download:
         page.get_by_role("link", name="Heidenhain TNC").click()
     assert download.value.suggested_filename == "heidenhain.h"
@@ -220,9 +219,7 @@ def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Pa
     assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM")
     choose(page, "Deutsch")
     moves = page.locator(".card", has_text="Was sich bewegen wird")
-    expect(moves).to_contain_text("12,5 bis 487,5 mm")
-    expect(moves).to_contain_text("6.000 mm/min")
-    expect(moves).to_contain_text("2:05 min")
+    expect_texts(moves, "10,0 bis 490,0 mm", "6.000 mm/min", "2:11 min")
 
 
 def test_a_bundle_that_is_dropped_or_chosen_is_analysed(panel, service, tmp_path: Path):
@@ -318,8 +315,7 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     service.finish(trying)
     page.wait_for_url(f"**/#/result/{trying}")
     card = page.locator(".card", has_text="Uncertainty held against trials")
-    expect(card).to_contain_text("470,000 trials validate")
-    expect(card).to_contain_text("323 of 334")
+    expect_texts(card, "470,000 trials validate", "323 of 334")
     report = card.get_by_role("link", name="Report")
     expect(report).to_have_attribute(
         "href", re.compile(f"/api/v1/jobs/{trying}/result/report.html$")
@@ -350,29 +346,15 @@ def test_the_hold_waits_until_the_safety_text_was_in_sight(panel, service):
             page.wait_for_url(f"**/#/run/{job}")
 
 
-def test_who_has_no_control_takes_it_before_the_hold(panel, service, witness):
-    witness.expect("409")
-    service.controller = "berta"
-    job = service.ready()
-    page = panel.open(f"#/check/{job}")
-    moves = page.locator(".card", has_text="What will move")
-    expect(moves).to_contain_text("berta")
-    moves.get_by_role("button", name="Take control").click()
-    expect(moves).to_contain_text("12.5 to 487.5 mm")
+SHUT = EXAMPLES["list_machine_conditions"]["items"][-1]
+WORDS = {"reason": "door", "message": "a door is open; close it"}
+DOOR = SHUT | WORDS | {"level": "false"}
 
 
-DOOR = {
-    "type": "controller-able",
-    "level": "false",
-    "reason": "door",
-    "message": "a door is open; close it",
-    "is_required": True,
-    "since": "2026-01-01T10:00:00.000Z",
-}
-SHUT = DOOR | {"level": "true", "reason": "", "message": ""}
+OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
 
 
-def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
+def test_motion_waits_for_a_condition_that_is_wrong_and_its_event_shows_a_change(
     panel, service
 ):
     service.conditions = [DOOR]
@@ -385,9 +367,28 @@ def test_motion_cannot_be_started_while_a_condition_is_known_to_be_wrong(
         choose(page, language)
         expect(row).to_contain_text(words)
         expect(page.locator("#reason")).to_contain_text(words)
-    service.conditions = [SHUT]
+    choose(page, "English")
+    service.conditions = [SHUT, OFF]
     expect(page.locator(NEXT)).to_be_enabled()
     expect(row).to_have_attribute("data-level", "true")
+    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
+        "It is off."
+    )
+    # What is asked for still says the door is shut: only the event tells.
+    page.evaluate(
+        """() => {
+          const row = document.querySelector('[data-type="controller-able"]');
+          window.levels = [row.dataset.level];
+          new MutationObserver(() => {
+            const now = document.querySelector('[data-type="controller-able"]');
+            if (now) window.levels.push(now.dataset.level);
+          }).observe(document.body, { childList: true, subtree: true });
+        }"""
+    )
+    service.tell("condition", {"machine": "another", **DOOR})
+    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
+    service.tell("condition", {"machine": "default", **DOOR})
+    page.wait_for_function("() => window.levels.includes('false')")
 
 
 @pytest.mark.fault_row(43)
@@ -408,34 +409,4 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     page = panel.open("#/connect")
     card = page.locator("[data-card=sensors]")
     told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
-    for words in (*told, "20.53 · likely"):
-        expect(card).to_contain_text(words)
-
-
-OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
-
-
-def test_a_change_of_a_condition_is_shown_by_its_event(panel, service):
-    """What is asked for still says the door is open: only the event tells."""
-    service.conditions = [SHUT, OFF]
-    job = service.ready()
-    page = panel.open(f"#/check/{job}")
-    row = page.locator('[data-type="controller-able"]')
-    expect(row).to_have_attribute("data-level", "true")
-    expect(page.locator('[data-type="compensation-as-asked"]')).to_contain_text(
-        "It is off."
-    )
-    page.evaluate(
-        """() => {
-          const row = document.querySelector('[data-type="controller-able"]');
-          window.levels = [row.dataset.level];
-          new MutationObserver(() => {
-            const now = document.querySelector('[data-type="controller-able"]');
-            if (now) window.levels.push(now.dataset.level);
-          }).observe(document.body, { childList: true, subtree: true });
-        }"""
-    )
-    service.tell("condition", {"machine": "another", **DOOR})
-    service.tell("condition", {"machine": "default", **OFF, "reason": "other"})
-    service.tell("condition", {"machine": "default", **DOOR})
-    page.wait_for_function("() => window.levels.includes('false')")
+    expect_texts(card, *told, "20.53 · likely")

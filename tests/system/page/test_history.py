@@ -1,21 +1,23 @@
-"""What is said of a machine over its calibrations, and of what is recorded of it."""
+"""What is said of a machine over its calibrations and Runs; when the next is due."""
 
+import copy
 import re
+from typing import Any
 
 import pytest
 from playwright.sync_api import expect
 
-from page_steps import SLOW_MS, choose, go
-from scripted_data import machine_entry, machine_history, temperature_dependence
+from page_steps import NEXT, SLOW_MS, choose, expect_texts, go, job_of
+from scripted_data import (
+    EXAMPLES,
+    machine_entry,
+    machine_history,
+    temperature_dependence,
+)
+from truepath.service.api.models.results.trend import TrendOut
 
-STANDING = {
-    "machine": "default",
-    "calibration": "job-2",
-    "is_alarm": False,
-    "tolerance": None,
-    "has_changed": None,
-    "reference_job": None,
-}
+UNJUDGED = dict.fromkeys(("tolerance", "has_changed", "reference_job"))
+STANDING = EXAMPLES["get_machine_standing"] | UNJUDGED | {"calibration": "job-2"}
 DATES = ("2026-03-01T08:00:00.000Z", "2026-04-02T08:00:00.000Z")
 
 
@@ -36,7 +38,15 @@ def test_a_machine_is_marked_well_only_where_something_judges_it(panel, service)
         expect(standing).to_have_count(0)
 
 
-def test_each_machine_says_what_it_is_doing_as_it_changes(panel, service):
+def test_each_machine_says_what_it_is_doing_as_it_changes_and_how_far_it_has_drifted(
+    panel, service
+):
+    service.histories["default"] = machine_history("default", *DATES)
+    service.standings["default"] = STANDING | {"reference_job": "job-1"}
+    service.changes = {
+        "since": {"measured": DATES[0]},
+        "volumetric": {"difference_um": 4.2, "by_chance_um": 0.9},
+    }
     idle = machine_entry("idle", name="Idle", connected=False)
     bare = machine_entry("bare", name="Bare", cell="none", origin="catalogue")
     service.machines = [machine_entry(), idle, bare]
@@ -51,20 +61,9 @@ def test_each_machine_says_what_it_is_doing_as_it_changes(panel, service):
     job = service.new_job("measure-otf", state="ready", machine="default")["id"]
     service.change(job, state="ready")
     expect(state).to_have_text("Ready to start")
-
-
-def test_a_machine_says_how_far_it_has_drifted(panel, service):
-    service.histories["default"] = machine_history("default", *DATES)
-    service.standings["default"] = STANDING | {"reference_job": "job-1"}
-    service.changes = {
-        "since": {"measured": DATES[0]},
-        "volumetric": {"difference_um": 4.2, "by_chance_um": 0.9},
-    }
-    page = panel.open("#/machine")
     entry = page.locator("[data-machine=default]")
     choose(page, "Deutsch")
-    for text in ("Änderung seit 01.03.2026", "4,2 µm", "durch Zufall bis 0,9 µm"):
-        expect(entry).to_contain_text(text)
+    expect_texts(entry, "Änderung seit 01.03.2026", "4,2 µm", "durch Zufall bis 0,9 µm")
     assert ("changes", "default job-1 job-2") in service.looks
 
 
@@ -152,8 +151,7 @@ def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
     card = page.locator("[data-card=dependence]")
     said = card.locator(".notice")
     card.get_by_role("button", name="Work it out").click()
-    expect(said).to_contain_text("The calibrations do not tell")
-    expect(said).to_contain_text("2 of 3 temperatures")
+    expect_texts(said, "The calibrations do not tell", "2 of 3 temperatures")
     service.temperature_refusal = (
         "the results are at 2 different temperatures (20.1, 20.3, 24.0 °C; less than "
         "0.5 K apart counts as one): measure at three or more"
@@ -163,3 +161,86 @@ def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
     expect(said).to_contain_text("bei 2 verschiedenen Temperaturen")
     expect(said).to_contain_text("(20,1; 20,3; 24,0 °C; weniger als 0,5 K")
     expect(said).not_to_contain_text("measure")
+
+
+def trend_of(state: str, **outlook: Any) -> dict[str, Any]:
+    """Return a `trend.json` with an answer: that of the example, of seven errors."""
+    content = copy.deepcopy(EXAMPLES["get_trend"])
+    for one in (*content["runs"], *content["later"]):
+        tables = one["error_tables"]
+        tables |= dict.fromkeys(("EZX", "EXY", "EYY", "EZY", "EXZ"), tables["EXX"])
+    content["outlook"] |= {
+        "state": state,
+        "grade": None,
+        "limit_um": 5.0,
+        "chance": 0.05,
+        "exceeded": 0.3,
+        "due_h": 4.5,
+        "expected_h": None,
+        "time_h": [2.0, 8.0, 26.0],
+        "median_um": [0.4, 2.0, 3.0],
+        "high_um": [0.9, 6.0, 9.0],
+        **outlook,
+    }
+    TrendOut.model_validate(content, extra="forbid")
+    return content
+
+
+def test_runs_are_chosen_and_followed_over_time(panel, service):
+    service.trend = trend_of("due", expected_h=8.25, exceeded=0.9, grade="likely")
+    service.add_run("run-a")
+    page = panel.open("#/records")
+    expect(page.get_by_role("button", name="Follow over time")).to_have_count(0)
+    service.add_run("run-b")
+    page.reload()
+    page.get_by_role("button", name="Follow over time").click()
+    ask = page.locator(NEXT)
+    expect(page.locator("#reason")).to_have_text("Choose two Runs or more.")
+    expect(ask).to_be_disabled()
+    for run, hours in (("run-a", "9.5"), ("run-b", "8")):
+        row = page.locator(f"[data-run={run}]")
+        row.get_by_role("checkbox").check()
+        row.get_by_role("textbox").fill(hours)
+    ask.click()
+    page.wait_for_url("**/#/run/*")
+    (order,) = service.orders()
+    assert order["kind"] == "trend"
+    assert (order["run_ids"], order["at_h"]) == (["run-b", "run-a"], [8, 9.5])
+    assert order["limit_um"] == 5
+    expect(page.locator(".stages [aria-current]")).to_have_text("Following")
+    job = job_of(page)
+    service.finish(job)
+    page.wait_for_url(f"**/#/trend/{job}")
+    said = page.locator("[data-state=due]")
+    expect(said).to_contain_text("Calibrate again at 4.5 h")
+    expect(said).to_contain_text("an even chance by 8.3 h")
+    expect(said).to_contain_text("Grade: likely")
+
+
+def test_each_answer_is_said_in_the_language_of_the_page(panel, service):
+    page = panel.open("#/records")
+    for state, language, said in (
+        ("cannot-be-said", "English", "Later cannot be said: the chance"),
+        ("cannot-be-said", "Deutsch", "bleibt bis 4,5 h unter 5,0 µm"),
+        ("not-known", "Deutsch", "drei oder mehr"),
+        ("not-within-horizon", "Deutsch", "bleibt bis 26 h unter 5,0 µm"),
+        ("not-within-horizon", "English", "stays below 5.0 µm up to 26 h"),
+    ):
+        service.trend = trend_of(state)
+        choose(page, language)
+        go(page, f"#/trend/{service.done('trend')}")
+        expect(page.locator(f"[data-state={state}]")).to_contain_text(said)
+    # What changes most is drawn first with its uncertainty.
+    expect(page.locator(".trend .chart-plot.is-high canvas")).to_have_count(1)
+    entries = page.locator(".charts .chart")
+    expect(entries).to_have_count(6)
+    expect(entries.first.locator("h3")).to_contain_text("EYX")
+    expect(entries.first.locator(".chart-read")).to_contain_text("(k = 2)")
+    page.get_by_role("button", name="All", exact=True).click()
+    last = service.trend["runs"][-1]
+    every = len(last["error_tables"]) + len(last["squareness_urad"])
+    expect(entries).to_have_count(every)
+    expect(page.locator("tbody tr")).to_have_count(3)
+    report = page.get_by_role("link", name="Report")
+    address = re.compile(f"/api/v1/jobs/{job_of(page)}/trend/report.html$")
+    expect(report).to_have_attribute("href", address)

@@ -14,13 +14,20 @@ from page_steps import (
     Taps,
     assert_fits,
     choose,
+    expect_texts,
     follow,
     go,
     held,
     job_of,
     prepare,
 )
-from scripted_data import MACHINE, machine_entry, machine_history, verification
+from scripted_data import (
+    EXAMPLES,
+    MACHINE,
+    machine_entry,
+    machine_history,
+    verification,
+)
 from scripted_service import ScriptedService
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
@@ -30,7 +37,7 @@ TABLES_AT_MOST, CERTIFICATE_AT_MOST = 4, 9
 def measure(taps: Taps, service) -> str:
     page = taps.page
     taps.press("Connect devices")
-    expect(page.locator("#answered")).to_contain_text("Simulated tracker T-0001")
+    expect(page.locator("#answered")).to_contain_text("Simulated tracker SIM-000001")
     taps.press("Prepare the run")
     expect(page.locator("#reason")).to_contain_text("preparing the path")
     expect(page.locator(NEXT)).to_be_disabled()
@@ -117,12 +124,12 @@ def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificat
 def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
     panel, service, monkeypatch
 ):
-    monkeypatch.setitem(scripted_data.MOTION, "has_watchdog", False)
+    monkeypatch.setitem(scripted_data.DEVICES["motion"], "has_watchdog", False)
     page = panel.open("#/connect")
     follow(page, "Connect devices")
     expect(page.locator(NEXT)).to_have_text("Plan the run")
     expect(page.locator("main")).to_contain_text("No watchdog: the machine moves on")
-    expect(page.locator("[data-connected]")).to_have_count(2)
+    expect(page.locator("[data-connected]")).to_have_count(3)
     expect(page.locator(".pairs > *", has_text="500 Hz")).to_be_visible()
 
 
@@ -243,8 +250,7 @@ def test_a_compensation_that_is_not_what_it_is_taken_for_is_said(panel, service)
     for cause, words in CAUSES.items():
         scale = {"value": 1.98, "uncertainty": 0.02, "cause": cause}
         said = show_proof(page, service, map_scale=scale).locator(".scale-cause")
-        expect(said).to_contain_text(words)
-        expect(said).to_contain_text("1,98")
+        expect_texts(said, words, "1,98")
     # One that explains all sends nobody to the tracker.
     scale = {"value": 0.07, "uncertainty": 0.02, "cause": "active"}
     hopeless = {"consistent": False, "chance_of_any_machine": 0.0}
@@ -304,13 +310,8 @@ def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
 ):
     service.machines = [machine_entry("mill-3"), machine_entry("mill-4", name="Five")]
     service.histories["mill-3"] = machine_history("mill-3", "2026-03-01T08:00:00.000Z")
-    service.standings["mill-3"] = {
-        "machine": "mill-3",
-        "calibration": "job-1",
-        "is_alarm": True,
-        "tolerance": "over",
-        "has_changed": True,
-    }
+    alarm = {"is_alarm": True, "tolerance": "over", "reference_job": None}
+    service.standings["mill-3"] = EXAMPLES["get_machine_standing"] | alarm
     page = panel.open("#/machine")
     mill = page.locator("[data-machine=mill-3]")
     expect(mill).to_contain_text("Mar 1, 2026")
@@ -376,8 +377,7 @@ def test_a_machine_is_removed_once_its_button_was_held_and_a_refusal_is_said(
     page.locator("[data-machine=mill-5] button").click()
     card = page.locator("[data-card=remove]")
     card.locator("summary").click()
-    expect(card).to_contain_text("Kalibrierscheine und ihr Verlauf bleiben")
-    expect(card).to_contain_text("mill-5")
+    expect_texts(card, "Kalibrierscheine und ihr Verlauf bleiben", "mill-5")
     assert_fits(page)
     button = card.locator("#machine-remove")
     button.click()  # a touch is not enough
@@ -416,7 +416,7 @@ def test_a_phone_shows_where_one_is_and_what_comes_next(panel, service):
     page.wait_for_url(f"**/#/verify/{result}")
 
 
-def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looked_at(
+def test_who_is_no_metrologist_looks_at_results_files_and_certificates_only(
     panel, service
 ):
     result = service.measured()
@@ -424,6 +424,9 @@ def test_without_the_role_of_a_metrologist_files_and_certificates_are_only_looke
     page = panel.open(f"#/export/{result}")
     expect(page.locator("[data-card=export]")).to_be_hidden()
     expect(page.locator("#main")).to_contain_text("Only a metrologist does this")
+    go(page, f"#/result/{result}")
+    expect(page.locator("[data-card=map]")).to_be_visible()
+    expect(page.locator("[data-card=reference]")).to_be_hidden()
     go(page, f"#/certificate/{result}")
     expect(page.locator("#reason")).to_contain_text("Only a metrologist does this")
     expect(page.locator(NEXT)).to_have_count(0)
@@ -490,7 +493,7 @@ def test_drivers_are_chosen_and_tried_without_a_text_editor(panel, service):
     card.get_by_role("button", name="Save the drivers").click()
     card.get_by_role("button", name="Try the tracker").click()
     expect(card.get_by_role("status")).to_contain_text(
-        "42 samples, 0 lost, target 1.2 m away"
+        "6,233 samples, 0 lost, target 0.5 m away"
     )
     (devices,) = [body for method, _, body in service.requests if method == "PUT"]
     assert devices == {
@@ -509,4 +512,4 @@ def test_drivers_of_the_settings_are_only_tried(panel, service):
     expect(card).to_contain_text("in den Einstellungen des Dienstes")
     expect(card.locator("form")).to_have_count(0)
     card.get_by_role("button", name="Tracker erproben").click()
-    expect(card).to_contain_text("Reflektor in 1,2 m Abstand")
+    expect(card).to_contain_text("Reflektor in 0,5 m Abstand")

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
-from page_steps import assert_fits, choose, go
+from page_steps import STREAM, assert_fits, choose, go, overlapping
 from scripted_data import TURNTABLE, estimate, turntable_estimate
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
@@ -67,26 +67,19 @@ def test_numbers_that_do_not_count_or_are_left_out_say_so(panel, service):
     expect(notice).to_have_count(0)
 
 
-LATE_STREAM = """
-const Real = WebSocket;
-window.WebSocket = class extends EventTarget {
-  constructor(url) {
-    super();
-    if (!url.includes("/events")) return new Real(url);
-    this.close = () => {};
-    window.openStream = () => {
-      const source = new Real(url);
-      source.addEventListener("open", () => this.dispatchEvent(new Event("open")));
-    };
-  }
-};
-"""
+APART = (  # of the card, and what stands about it
+    ".run-chooser, .estimate-tools .segments, .estimate-age, .course, "
+    ".estimate-singles, .charts .chart, .chart h3, .chart header > strong, "
+    "main .card > .big-progress, #pause, #resume, .readout"
+)
+OPENED = """window.openStream = () => new Real(url).addEventListener("open", () =>
+  this.dispatchEvent(new Event("open")));"""
 
 
 def test_what_was_told_before_the_stream_opens_is_shown(panel, service):
     job = service.measuring(started=STARTED)
     service.estimate(job, 12)
-    page = panel.open(before=LATE_STREAM, hears=False)
+    page = panel.open(before=STREAM % OPENED, hears=False)
     page.get_by_role("button", name="Error tables").click()
     age = page.locator(".estimate-age")
     expect(age).to_contain_text("From 12 of 22 lines")
@@ -107,7 +100,7 @@ def test_a_rotary_axis_is_shown_over_degrees_and_fits_anywhere(panel, service):
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
         assert_fits(page)
-        assert overlapping(page) == []
+        assert overlapping(page, APART) == []
     choose(page, "English")
     page.get_by_role("button", name="Error tables").click()
     page.get_by_role("button", name="Axis C").click()
@@ -206,25 +199,4 @@ def inked(page: Page) -> int:
             .getImageData(0, 0, canvas.width, canvas.height);
           return data.filter((v, i) => i % 4 === 3 && v > 0).length;
         }"""
-    )
-
-
-def overlapping(page: Page) -> list[str]:
-    """Pairs of controls, charts and texts of the card that lie over each other."""
-    return page.evaluate(
-        """(selector) => {
-          const found = [...document.querySelectorAll(selector)]
-            .filter((e) => e.checkVisibility() && e.getBoundingClientRect().width);
-          const over = (a, b) => {
-            const [p, q] = [a.getBoundingClientRect(), b.getBoundingClientRect()];
-            return p.left < q.right - 1 && q.left < p.right - 1
-              && p.top < q.bottom - 1 && q.top < p.bottom - 1;
-          };
-          return found.flatMap((a, i) => found.slice(i + 1)
-            .filter((b) => !a.contains(b) && !b.contains(a) && over(a, b))
-            .map((b) => `${a.className} ${a.textContent} / ${b.className}`));
-        }""",
-        ".run-chooser, .estimate-tools .segments, .estimate-age, .course, "
-        ".estimate-singles, .charts .chart, .chart h3, .chart header > strong, "
-        "main .card > .big-progress, #pause, #resume, .readout",
     )

@@ -1,11 +1,13 @@
-"""What may be asked of a measurement under way, and what is said of it."""
+"""What may be asked of a measurement under way and by whom, and what is said of it."""
 
 import re
+from contextlib import suppress
 
 import numpy as np
-from playwright.sync_api import Locator, expect
+import pytest
+from playwright.sync_api import Error, Locator, expect
 
-from page_steps import choose, follow, held
+from page_steps import NEXT, choose, expect_texts, follow, held
 from scripted_data import estimate
 
 
@@ -35,19 +37,26 @@ def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
     expect(page.locator("#state")).to_have_text("Läuft")
     service.change(job, state="faulted", error=failure("cell-died"), links=ways)
     said = page.locator(".notice.is-held")
-    expect(said).to_contain_text("Diese Messung kann weitergehen")
-    expect(said).to_contain_text("Schlussprüfung")
+    expect_texts(said, "Diese Messung kann weitergehen", "Schlussprüfung")
     follow(page, "Quittieren")
     page.wait_for_url(f"**/#/check/{job}")
     assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
 
 
-def test_who_has_no_control_sees_who_has_it_and_takes_it(panel, service, witness):
+def test_who_has_no_control_sees_who_has_it_and_takes_it_before_and_amid_the_motion(
+    panel, service, witness
+):
     witness.expect("409")
     service.controller = "berta"
-    job = service.measuring()
-    service.change(job, state="paused")
-    page = panel.open()
+    job = service.ready()
+    page = panel.open(f"#/check/{job}")
+    moves = page.locator(".card", has_text="What will move")
+    expect(moves).to_contain_text("berta")
+    moves.get_by_role("button", name="Take control").click()
+    expect(moves).to_contain_text("10.0 to 490.0 mm")
+    service.controller = "berta"
+    service.change(job, state="paused", stage="measuring")
+    page.wait_for_url(f"**/#/run/{job}")
     with held(page, page.locator("#resume")):
         expect(page.locator("#problems")).to_contain_text("berta has this job")
     page.get_by_role("button", name="Take control").click()
@@ -151,8 +160,7 @@ def test_what_the_tracker_has_lost_is_said_and_lines_are_planned_anew(panel, ser
     counts = page.locator(".stream .is-counts")
     expect(counts.locator("dd")).to_have_text(["900", "17", "2", "3"])
     expect(counts.locator("[data-tone=fault]")).to_have_count(3)
-    expect(page.locator(".notice")).to_contain_text("Verlorene Geraden sind neu")
-    expect(page.locator(".notice")).to_contain_text("bis jetzt 1")
+    expect_texts(page.locator(".notice"), "Verlorene Geraden sind neu", "bis jetzt 1")
     # So is a lost beam, and that it is back.
     service.advance(job, 2.5)
     service.change(job, state="paused", error=failure("beam-lost"))
@@ -184,7 +192,9 @@ def notice(**more) -> dict:
     return {**usual, **more}
 
 
-def test_a_notice_is_told_gets_its_name_and_stays_once_it_is_over(panel, service):
+def test_a_notice_is_told_gets_its_name_stays_once_it_is_over_and_may_ask(
+    panel, service
+):
     job = service.measuring()
     page = panel.open()
     said = page.locator(".notice")
@@ -197,17 +207,83 @@ def test_a_notice_is_told_gets_its_name_and_stays_once_it_is_over(panel, service
         for text in words:
             expect(said).to_contain_text(text)
         expect(page.locator("#then-check")).to_have_count(0)
-
-
-def test_who_is_asked_holds_a_button_and_lines_are_measured_again(panel, service):
-    job = service.measuring()
-    page = panel.open()
+    # Who is asked holds a button, and lines are measured again.
     asked = notice(kind="lost-motion-changed", axis="Y", grade="likely", action="pause")
     service.change(job, state="paused", notices=[asked])
-    expect(page.locator(".notice")).to_contain_text("lost motion of Y has changed")
+    expect(said).to_contain_text("lost motion of Y has changed")
     version = service.jobs[job]["version"]
     with held(page, page.locator("#then-check")):
         expect(page.locator("#state")).to_have_text("Running")
     sent = ("POST", f"/jobs/{job}/resume?then=check", f'"{version}"')
     assert sent in service.requests
     expect(page.locator("#then-check")).to_have_count(0)
+
+
+@pytest.fixture
+def closed(service, witness):
+    service.log_in_required = True
+    witness.expect("401")
+    return service
+
+
+def log_in(page, name, password="right"):
+    page.locator("#user-name").fill(name)
+    page.locator("#user-password").fill(password)
+    page.locator(".log-in button").click()
+
+
+def test_who_logs_in_is_named_in_the_bar(panel, closed):
+    page = panel.open(language="de", hears=False)
+    title = page.locator(".log-in h1")
+    expect(title).to_have_text("Anmelden")
+    expect(page.locator("#abort")).to_be_visible()
+    log_in(page, "operator", "wrong")
+    wrong = page.locator(".log-in .field-error")
+    expect(wrong).to_contain_text("gehören nicht zusammen")
+    log_in(page, "operator")
+    expect(page.locator("#user")).to_contain_text("operator ·")
+    expect(page.locator(NEXT)).to_be_visible()
+    choose(page, "English")
+    page.locator("#open-settings").click()
+    page.get_by_role("button", name="Log out").click()
+    expect(title).to_have_text("Log in")
+    assert closed.user is None
+    log_in(page, "operator", "wrong")
+    expect(wrong).to_contain_text("do not belong together")
+
+
+def test_a_viewer_is_not_offered_what_moves_the_machine_and_nobody_asked_in_vain(
+    panel, closed
+):
+    closed.user = "viewer", "viewer"
+    page = panel.open()
+    expect(page.locator("#reason")).to_contain_text("A viewer only looks on")
+    expect(page.locator("#next button")).to_have_count(0)
+    expect(page.locator("#abort")).to_be_visible()
+    closed.log_in_required, closed.user = False, None
+    page.reload()
+    expect(page.locator(NEXT)).to_be_visible()
+    expect(page.locator(".log-in")).to_have_count(0)
+    expect(page.locator("#user")).to_be_hidden()
+
+
+def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
+    panel, closed
+):
+    closed.user = "operator", "operator"
+    closed.new_job("measure-otf", state="running", stage="measuring")
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    closed.user = None
+    page.locator("#abort").click()
+    title = page.locator("#abort-title")
+    expect(title).to_contain_text("NOT CONFIRMED")
+    closed.stopped = "true"
+    expect(title).to_have_text("Motion stopped")
+    page.locator("#abort-close").click()
+    with suppress(Error):  # it turns to the log-in at that very moment
+        page.evaluate("document.querySelector('#next button')?.click()")
+    expect(page.locator(".log-in h1")).to_be_visible()
+    with page.expect_response("**/api/v1/stop") as stopped:
+        page.locator("#abort").click()
+    assert stopped.value.status == 202

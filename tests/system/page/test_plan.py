@@ -1,27 +1,19 @@
-"""What is chosen on Plan is what is ordered; what cannot be is not."""
+"""What is chosen on Plan is what is ordered; boxes are kept clear; what time buys."""
 
+import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
-from page_steps import NEXT, choose, follow, go, prepare
+from page_steps import NEXT, SLOW_MS, choose, expect_texts, follow, go, prepare
+from scripted_data import ASK, DISCOVERY, EXAMPLES, plan_curve, planned_path
 from scripted_service import ScriptedService
 
-WARM = {
-    "type": "temperature-steady",
-    "level": "false",
-    "reason": "temperature-drifts",
-    "message": "X has changed by 1.4 °C in 10 min; let it warm up",
-    "is_required": False,
-    "since": "2026-01-01T10:00:00.000Z",
-    "temperatures": [
-        {"channel": "X_degC", "value_degC": 22.4, "change_degC": 1.4, "over_s": 600.0}
-    ],
-}
+WARM = EXAMPLES["list_conditions"]["items"][-1]
 
 
 @contextmanager
@@ -42,7 +34,7 @@ def page(panel, service) -> Page:
     return panel.open("#/plan")
 
 
-def test_the_order_carries_what_was_chosen(page, service):
+def test_the_order_carries_what_was_chosen_and_nothing_without_a_wish(page, service):
     page.get_by_role("radio", name="At standstill").click()
     expect(page.locator("#feed")).to_be_hidden()
     page.get_by_role("checkbox").click()
@@ -60,9 +52,6 @@ def test_the_order_carries_what_was_chosen(page, service):
         assert order["kind"] == "measure-adaptive"
         assert order["planning"]["minutes"] == 8
         assert service.orders("/plans") == []
-
-
-def test_the_order_says_what_is_wanted_and_nothing_without_a_wish(page, service):
     wanted = []
     for name in (None, "Off", "On", "No wish"):
         if name:
@@ -220,31 +209,315 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, servi
     expect(card).to_contain_text("One station is enough.")
 
 
-def _option(count: int, um: float, pays: bool, because: str | None) -> dict:
-    return {
-        "count": count,
-        "minutes": 3.0,
-        "volumetric_uncertainty_um": um,
-        "one_place_as_long": {"volumetric_uncertainty_um": 2.0},
-        "pays": pays,
-        "because": because,
-    }
+def leave(um: float, **more: Any) -> dict:
+    return {"volumetric_uncertainty_um": um, **more}
 
 
+STAYED = {"minutes": 3.0, "one_place_as_long": leave(2.0)}
+PLACES = [1200.0, 300.0, -80.0], [-650.0, 200.0, 40.0]
+OPTIONS = [
+    leave(2.1, count=1, pays=False, because=None, **STAYED),
+    leave(1.3, count=2, pays=True, because="EBZ", **STAYED),
+]
 PLACE = {
-    "tracker": {"position_mm": [1200.0, 300.0, -80.0], "chosen": True},
+    "tracker": {"position_mm": PLACES[0], "chosen": True},
     "at_stations": [
-        {
-            "position_mm": place,
-            "rows": 20,
-            "duration_s": 90.0,
-            "volumetric_uncertainty_um": um,
-        }
-        for place, um in (([1200.0, 300.0, -80.0], 1.8), ([-650.0, 200.0, 40.0], 1.2))
+        leave(um, position_mm=place, duration_s=90.0)
+        for place, um in zip(PLACES, (1.8, 1.2), strict=True)
     ],
-    "stations": {
-        "recommended": 2,
-        "move_minutes": 10.0,
-        "options": [_option(1, 2.1, False, None), _option(2, 1.3, True, "EBZ")],
-    },
+    "stations": {"recommended": 2, "move_minutes": 10.0, "options": OPTIONS},
 }
+
+
+VICE = {"name": "vice", "min_mm": [100, 50, -300], "max_mm": [220.5, 180, -200]}
+KEPT = f"localStorage.setItem('truepath.keep_out', '{json.dumps({'default': [VICE]})}')"
+
+
+def fill_box(page: Page, box: dict) -> None:
+    card = page.locator("[data-card=keep-out]")
+    card.get_by_role("button", name="Add a box").click()
+    card.get_by_label("Name").last.fill(box["name"])
+    for axis, low, high in zip("XYZ", box["min_mm"], box["max_mm"], strict=True):
+        card.locator(f"[data-end='{axis} min_mm']").last.fill(str(low))
+        card.locator(f"[data-end='{axis} max_mm']").last.fill(str(high))
+
+
+def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    minutes = page.locator("#minutes")
+    expect(minutes).to_have_value("")
+    fill_box(page, VICE)
+    # The usual path is not planned: it would go through the box.
+    expect(minutes).to_have_value("3")
+    page.reload()
+    expect(page.get_by_label("X, to (mm)")).to_have_value("220.5")
+    expect(minutes).to_have_value("3")
+    minutes.fill("")
+    expect(page.locator("#reason")).to_contain_text("need a time to plan for")
+    expect(page.locator(NEXT)).to_be_disabled()
+    minutes.fill("3")
+    for end, typed, whole in (("X max_mm", "", "220.5"), ("Y max_mm", "50", "180")):
+        page.locator(f"[data-end='{end}']").fill(typed)
+        expect(page.locator("#box-0-error")).to_contain_text("Give all six numbers")
+        reason = page.locator("#reason")
+        expect(reason).to_have_text("A keep-out box is not complete.")
+        expect(page.locator(NEXT)).to_be_disabled()
+        page.locator(f"[data-end='{end}']").fill(whole)
+        expect(page.locator(NEXT)).to_be_enabled()
+    page.locator("[data-place=chosen]").click()
+    prepare(page)
+    (order,) = service.orders("/plans")
+    assert order["workspace"]["keep_out"] == [VICE]
+    assert len(order["workspace"]["tracker"]["areas"]) == 4
+    assert order["stations"] == 1
+    assert service.orders()[0]["plan_id"] == "plan-1"
+
+
+def test_what_plans_as_it_goes_and_extra_lines_keep_clear_as_well(panel, service):
+    service.connected = True
+    service.discovery = DISCOVERY | {"ask": ASK}
+    page = panel.open("#/plan", before=KEPT)
+    page.locator("[data-kind=measure-adaptive]").click()
+    job = prepare(page)
+    assert service.orders()[0]["planning"]["workspace"] == {"keep_out": [VICE]}
+    service.change(job, state="aborted")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    go(page, f"#/discover/{service.done('discover')}")
+    expect(page.locator("[data-card=keep-out]")).to_contain_text("and these as well")
+    prepare(page)
+    order = service.orders()[-1]
+    assert order["kind"] == "measure-extra"
+    assert order["keep_out"] == [VICE]
+    assert "keep_out_replaces" not in order
+
+
+def test_a_box_in_inch_is_sent_in_mm_and_not_once_it_is_removed(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    choose(page, "inch")
+    fill_box(page, {"name": "vice", "min_mm": [1, 2, -4], "max_mm": [3, 4, -2]})
+    job = prepare(page)
+    (box,) = service.orders("/plans")[0]["workspace"]["keep_out"]
+    assert box["min_mm"] == pytest.approx([25.4, 50.8, -101.6])
+    service.change(job, state="aborted")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    go(page, "#/plan")
+    page.locator("#minutes").fill("")
+    expect(page.locator(NEXT)).to_be_disabled()
+    page.get_by_role("button", name="Remove the box").click()
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
+@pytest.mark.parametrize("stated", [[VICE], []], ids=["a box", "none"])
+def test_a_box_of_the_measurement_holds_until_somebody_says_that_it_is_gone(
+    panel, service, stated
+):
+    usual, other = "These as well", "As in the measurement"
+    if not stated:
+        usual, other = other, usual
+    ways = {
+        None: {"keep_out": stated} if stated else {},
+        other: {},
+        "Only these": {"keep_out": stated, "keep_out_replaces": True},
+    }
+    page = panel.open("#/records", before=KEPT if stated else "")
+    card = page.locator("[data-card=keep-out]")
+    pressed = card.locator("[aria-pressed=true]")
+    for way, sent in ways.items():
+        go(page, f"#/verify/{service.measured()}")
+        expect(pressed).to_have_text(usual)
+        if way:
+            card.get_by_role("button", name=way).click()
+            expect(pressed).to_have_text(way)
+        job = prepare(page)
+        order = service.orders()[-1]
+        assert {key: order[key] for key in order if "keep_out" in key} == sent
+        service.change(job, state="aborted")
+        expect(page.locator("#state")).to_have_text("Aborted")
+
+
+def test_the_check_says_and_shows_what_is_kept_clear(panel, service):
+    page = panel.open("#/records")
+    for boxes, said in (
+        ([VICE, {**VICE, "name": None}], "vice; Box 2"),
+        ([], "Keep-out boxesnone"),
+    ):
+        service.plan["keep_out"] = boxes
+        job = service.ready()
+        go(page, f"#/check/{job}")
+        expect(page.locator(".card", has_text="This run").last).to_contain_text(said)
+        page.locator(".path-view[data-drawn]").wait_for()
+        some = 1 if boxes else 0
+        expect(page.locator(".path-legend .is-box")).to_have_count(some)
+        edges = page.locator('.path-view [data-trace="4"] path')
+        expect(edges).to_have_count(some)
+        if boxes:
+            assert edges.get_attribute("d").count("M") == 12 * len(boxes)
+        service.change(job, state="aborted")
+        expect(page.locator("#state")).to_have_text("Aborted")
+
+
+POINTS = plan_curve()["points"]
+
+
+def show(
+    panel, service: ScriptedService, predicted=None, **more
+) -> tuple[Page, Locator]:
+    service.connected = True
+    service.planned = {
+        "id": "plan-1",
+        "state": "succeeded",
+        "progress": 1.0,
+        "commanded": planned_path(),
+        "document": {"stations": None, "predicted": predicted},
+    }
+    page = panel.open("#/plan", **more)
+    card = page.locator("[data-card=curve]")
+    card.get_by_role("button", name="Compute the curve").click()
+    expect(card.locator(".handle")).to_be_visible()
+    return page, card
+
+
+def plans(service: ScriptedService) -> list:
+    return [order["minutes"] for order in service.orders("/plans")]
+
+
+def driven(service: ScriptedService) -> dict:
+    """Return what the newest job says of a plan."""
+    job = service.orders()[-1]
+    return {name: job[name] for name in ("plan_id", "plan_rows") if name in job}
+
+
+def test_everything_follows_the_handle_by_keys_without_another_plan(panel, service):
+    _, card = show(panel, service)
+    handle = card.get_by_role("slider", name="Time and uncertainty")
+    expect(handle).to_have_attribute("aria-valuetext", "1:55 min, U 1.04 µm")
+    expect_texts(card, "0.07: good", "EXX (Positioning of X), U 1.00 µm")
+    handle.press("Home")
+    expect(handle).to_have_attribute("aria-valuetext", "0:15 min, U 8.00 µm")
+    expect_texts(card, "0.50: usable", "ECX (Tilt of X about Z), U 1.00 µm")
+    handle.press("ArrowRight")
+    expect(handle).to_have_attribute("aria-valuenow", "2")
+    assert plans(service) == [6]
+
+
+def test_what_of_it_is_the_trackers_and_what_takes_that_away_is_said(panel, service):
+    usual = {"position_mm": [700, -900, 50], "minutes": 12}
+    names = ("change", "turn_deg", "expanded_volumetric_uncertainty_um")
+    remedies = [
+        usual | dict(zip(names, values, strict=True))
+        for values in (("second-place", 0, 1.5), ("turned-base", 90, 1.7))
+    ]
+    errors = {"random_um": 0.6, "remedies": remedies}
+    predicted = {"expanded_volumetric_uncertainty_um": 2.4, "tracker_errors": errors}
+    page, _ = show(panel, service, predicted)
+    card = page.locator(".card", has_text="Errors of the tracker itself").last
+    for text in (
+        "with a perfect tracker it would be 1.20 µm",
+        "The same again from X 700",
+        "U = 1.50 µm, 12 min more",
+        "base turned by 90°",
+        "U = 1.70 µm, 12 min more",
+    ):
+        expect(card).to_contain_text(text)
+
+
+def test_the_handle_is_dragged_and_the_plan_up_to_it_is_what_is_driven(panel, service):
+    page, card = show(panel, service)
+    card.locator(".plan-curve").evaluate("e => e.scrollIntoView({block: 'center'})")
+    grip = card.locator(".handle circle").last.bounding_box()
+    box = card.locator(".plan-curve").bounding_box()
+    page.mouse.move(grip["x"] + 5, grip["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.55 * box["width"], box["y"] + 60, steps=4)
+    page.mouse.up()
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
+    minutes = page.get_by_label("Plan lines or points for at most")
+    expect(minutes).to_have_value("1")
+    prepare(page)
+    assert plans(service) == [6]
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
+
+
+def test_an_uncertainty_is_planned_for_instead_of_a_time(panel, service):
+    page, card = show(panel, service)
+    card.get_by_role("button", name="an uncertainty").click()
+    card.locator(".handle").press("PageDown")
+    expect(card.locator("[data-level]")).to_have_attribute("d", re.compile("^M"))
+    expect(page.locator("#minutes")).to_be_hidden()
+    level = card.locator(".handle").get_attribute("aria-valuenow")
+    prepare(page)
+    assert len(plans(service)) == 1
+    row = POINTS[int(level) - 1]["row"]
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": row}
+
+
+def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
+    page, card = show(panel, service)
+    expect(card).to_contain_text("1:55 min")
+    expect(page.locator("#minutes")).to_have_value("2")
+    job = prepare(page)
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
+    service.change(job, state="aborted")
+    go(page, "#/plan")
+    page.locator("#minutes").fill("1")  # the handle follows a time that is typed
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
+    expect(card.locator(".notice")).to_be_hidden()
+    job = prepare(page)
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
+    service.change(job, state="aborted")
+    go(page, "#/plan")
+    page.reload()
+    expect(page.locator("#minutes")).to_have_value("")
+    prepare(page)
+    assert driven(service) == {}
+
+
+def test_a_curve_that_is_not_driven_says_so(panel, service):
+    page, card = show(panel, service)
+    notice, plan = card.locator(".notice"), [6]
+    expect(notice).to_be_hidden()
+    across = page.get_by_role("checkbox", name="Only deviations across the path")
+    on_the_fly = page.locator("[data-kind=measure-otf]")
+    for other, back in (
+        (across, across),
+        (page.locator("[data-kind=measure-standstill]"), on_the_fly),
+    ):
+        other.click()
+        expect(notice).to_contain_text("compute it again")
+        back.click()
+        expect(notice).to_be_hidden()
+    for minutes, more in (("", []), ("12", [12])):
+        page.locator("#minutes").fill(minutes)
+        expect(notice).to_contain_text("not what will be driven")
+        job = prepare(page)
+        plan += more
+        assert plans(service) == plan
+        assert "plan_rows" not in driven(service)
+        service.change(job, state="aborted")
+        expect(page.locator("#state")).to_have_text("Aborted")
+        go(page, "#/plan")
+
+
+VERTICES = {
+    True: "document.querySelector('.curve-space').data[2].x.length",
+    False: "document.querySelector('.curve-space [data-trace=\"2\"] path')"
+    ".attributes.d.value.split('L').length",
+}
+
+
+@pytest.mark.parametrize(
+    "has_card", [pytest.param(True, marks=pytest.mark.long), False]
+)
+def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
+    panel, service, has_card
+):
+    page, card = show(panel, service, card=has_card)
+    expect(card.locator(".curve-space")).to_have_attribute(
+        "data-drawn", "", timeout=SLOW_MS
+    )
+    chosen = VERTICES[has_card]
+    page.wait_for_function(f"() => {chosen} === {POINTS[-1]['row']}")
+    card.locator(".handle").press("Home")
+    page.wait_for_function(f"() => {chosen} === {POINTS[0]['row']}")

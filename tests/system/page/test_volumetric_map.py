@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Page, expect
 
-from page_steps import DESK, PHONE, SLOW_MS, choose, go
+from page_steps import DESK, PHONE, SLOW_MS, choose, expect_texts, go, overlapping
 from scripted_data import verification, volumetric_error
 from scripted_service import ScriptedService
 
@@ -42,9 +42,7 @@ def test_a_verification_of_this_result_stands_last_in_the_first_line(panel, serv
     page = show(panel, service)  # the third job
     values = page.locator(".headline-value")
     expect(values).to_have_count(3)
-    expect(values.nth(2)).to_contain_text("0.9µm± 0.2 µm")
-    expect(values.nth(2)).to_contain_text("as left")
-    expect(values.nth(2)).to_contain_text("every place within 5.0 µm")
+    expect_texts(values.nth(2), "0.9µm± 0.1 µm", "as left", "every place within 5.0 µm")
 
 
 def test_the_tolerance_of_the_machine_is_decided_without_asking(panel, service):
@@ -112,23 +110,7 @@ def test_without_a_graphics_processor_arrows_are_drawn_flat_and_turn(panel, serv
         for view, axes in {"Space": 3, "Top": 2, "Front": 2, "Side": 2}.items():
             card.get_by_role("button", name=view).click()
             expect(card.locator(".flat-scene .axis")).to_have_count(axes)
-            assert page.evaluate(OVERLAPS) == []
-
-
-OVERLAPS = """() => {
-  const frame = document.querySelector(".flat-scene").getBoundingClientRect();
-  const texts = [...document.querySelectorAll(".flat-scene text")].map((element) =>
-    ({ text: element.textContent, box: element.getBoundingClientRect() }));
-  const isCut = ({ box }) => box.left < frame.left || box.right > frame.right
-    || box.bottom > frame.bottom;
-  const shared = (a, b, low, high) =>
-    Math.min(a[high], b[high]) - Math.max(a[low], b[low]);
-  const meet = (a, b) => shared(a.box, b.box, "left", "right") > 1
-    && shared(a.box, b.box, "top", "bottom") > 1;
-  return texts
-    .filter((one, i) => isCut(one) || texts.slice(i + 1).some((b) => meet(one, b)))
-    .map(({ text }) => text);
-}"""
+            assert overlapping(page, ".flat-scene text", ".flat-scene") == []
 
 
 def test_a_plane_shows_what_lies_in_it_and_is_moved_by_keys(panel, service):

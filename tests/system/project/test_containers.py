@@ -44,7 +44,7 @@ def test_the_dockerfile_passes_hadolint(root):
     assert linted.returncode == 0, linted.stdout + linted.stderr
 
 
-def test_every_source_that_is_copied_exists_and_is_in_the_build_context(
+def test_what_is_copied_is_in_the_build_context_and_all_that_the_distribution_needs(
     dockerfile, root
 ):
     ignored = (root / "docker" / "Dockerfile.dockerignore").read_text().split()
@@ -54,17 +54,9 @@ def test_every_source_that_is_copied_exists_and_is_in_the_build_context(
     for source in sources:
         assert (root / source).exists(), source
         assert f"!{source}" in ignored, f"{source} is kept out of the build context"
-
-
-def test_the_image_holds_what_the_distribution_needs(dockerfile, root):
     pyproject = tomllib.loads((root / "pyproject.toml").read_text())
-    sources = pyproject["tool"]["setuptools"]["packages"]["find"]["where"]
-    copied = {words.split()[0] for words in instructions(dockerfile, "COPY")}
-    assert set(sources) <= copied
-
-
-def test_the_service_does_not_run_as_root(dockerfile):
-    assert instructions(dockerfile, "USER")[-1] == "10001:10001"
+    needed = pyproject["tool"]["setuptools"]["packages"]["find"]["where"]
+    assert set(needed) <= set(sources)
 
 
 def environment_of(dockerfile):
@@ -72,7 +64,10 @@ def environment_of(dockerfile):
     return dict(word.split("=", 1) for word in words)
 
 
-def test_the_ports_are_those_of_the_service(dockerfile, compose):
+def test_ports_and_data_folder_are_those_of_the_service_which_does_not_run_as_root(
+    dockerfile, compose
+):
+    assert instructions(dockerfile, "USER")[-1] == "10001:10001"
     port = str(Settings.model_fields["port"].default)
     assert instructions(dockerfile, "EXPOSE") == [port]
     assert environment_of(dockerfile)["TRUEPATH_PORT"] == port
@@ -80,9 +75,6 @@ def test_the_ports_are_those_of_the_service(dockerfile, compose):
     for service in compose["services"].values():
         for published in service.get("ports", []):
             assert published == f"127.0.0.1:{port}:{port}"
-
-
-def test_the_data_volume_is_the_data_folder(dockerfile, compose):
     (volume,) = instructions(dockerfile, "VOLUME")
     assert environment_of(dockerfile)["TRUEPATH_DATA_DIR"] == volume
     serving = [s for s in compose["services"].values() if s.get("ports")]
@@ -90,46 +82,32 @@ def test_the_data_volume_is_the_data_folder(dockerfile, compose):
     assert all(f"data:{volume}" in service["volumes"] for service in serving)
 
 
-@pytest.fixture(scope="module")
-def compose_schema():
+def test_the_compose_file_is_valid_and_a_mistake_in_it_would_be_seen(compose):
     # Named, since the schema spells its draft with https where jsonschema has http.
-    return jsonschema.Draft7Validator(json.loads(VENDORED.read_text()))
-
-
-def test_the_compose_file_is_valid(compose, compose_schema):
-    compose_schema.validate(compose)
-
-
-def test_a_mistake_in_the_compose_file_would_be_seen(compose, compose_schema):
+    schema = jsonschema.Draft7Validator(json.loads(VENDORED.read_text()))
+    schema.validate(compose)
     wrong = {**compose, "services": {"truepath": {"imagine": "truepath"}}}
     with pytest.raises(jsonschema.ValidationError, match="imagine"):
-        compose_schema.validate(wrong)
+        schema.validate(wrong)
 
 
-def test_every_setting_in_the_environment_exists(dockerfile, compose):
-    named = set(environment_of(dockerfile))
-    for service in compose["services"].values():
-        named |= service.get("environment", {}).keys()
-    ours = {n.removeprefix("TRUEPATH_") for n in named if n.startswith("TRUEPATH_")}
-    assert ours
-    assert {name.lower() for name in ours} <= set(Settings.model_fields)
-
-
-def test_the_environment_of_each_service_makes_good_settings(
+def test_the_environment_of_each_service_is_of_settings_and_makes_good_ones(
     dockerfile, compose, monkeypatch, tmp_path
 ):
     secret = tmp_path / "database_password"
     secret.write_text("pass/word\n")
     for service in compose["services"].values():
+        given = environment_of(dockerfile) | service.get("environment", {})
+        ours = {name: v for name, v in given.items() if name.startswith("TRUEPATH_")}
+        named = {name.removeprefix("TRUEPATH_").lower() for name in ours}
+        assert named <= set(Settings.model_fields)
         if not service.get("ports"):
             continue
-        given = environment_of(dockerfile) | service.get("environment", {})
-        if "TRUEPATH_DATABASE_PASSWORD_FILE" in given:
-            given["TRUEPATH_DATABASE_PASSWORD_FILE"] = str(secret)
+        if "TRUEPATH_DATABASE_PASSWORD_FILE" in ours:
+            ours["TRUEPATH_DATABASE_PASSWORD_FILE"] = str(secret)
         with monkeypatch.context() as context:
-            for name, value in given.items():
-                if name.startswith("TRUEPATH_"):
-                    context.setenv(name, value)
+            for name, value in ours.items():
+                context.setenv(name, value)
             settings = load_settings()
         assert settings.host == "0.0.0.0"
         if settings.database_url:
@@ -159,16 +137,15 @@ def test_secrets_come_from_files_that_git_does_not_keep(compose, root):
     assert "PASSWORD:" not in (root / "docker" / "compose.yaml").read_text()
 
 
-def test_what_depends_on_a_service_shares_its_profile(compose):
+def test_services_share_the_profile_of_what_they_need_and_are_of_this_version(
+    compose, root
+):
     services = compose["services"]
     for name, service in services.items():
         for other in service.get("depends_on", {}):
             theirs = set(services[other].get("profiles", []))
             assert not theirs or theirs & set(service.get("profiles", [])), name
-
-
-def test_the_image_is_of_this_version(compose, root):
     pyproject = tomllib.loads((root / "pyproject.toml").read_text())
     version = pyproject["project"]["version"]
-    ours = [s for s in compose["services"].values() if "build" in s]
+    ours = [s for s in services.values() if "build" in s]
     assert {service["image"] for service in ours} == {f"truepath:{version}"}

@@ -3,6 +3,7 @@
 import re
 import shlex
 import subprocess
+import sys
 from importlib.util import find_spec
 
 import pytest
@@ -14,6 +15,7 @@ PARTS = {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs"}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
+OF_DEVICES = (*range(1, 24), 30, 31)  # rows of reliability.md
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +78,7 @@ def test_every_file_and_folder_that_documents_name_exists(documents, root):
     assert not missing, "\n".join(missing)
 
 
-def test_the_way_of_a_sample_names_its_files(root):
+def test_the_way_of_a_sample_and_what_is_below_the_service_name_files_that_exist(root):
     """The table in architecture.md names a file in each row, and files beside it."""
     text = (root / "docs" / "architecture.md").read_text()
     section = text.partition("## One tracker sample")[2].partition("\n## ")[0]
@@ -88,17 +90,12 @@ def test_the_way_of_a_sample_names_its_files(root):
         for name in beside:
             folder = root if "/" in name else (root / first).parent
             assert (folder / name).is_file(), name
-
-
-@pytest.mark.parametrize("heading", ["A job, an analysis", "Where logic lives"])
-def test_what_is_named_below_the_service_is_there(heading, root):
-    text = (root / "docs" / "architecture.md").read_text()
-    section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
-    named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
-    assert len(named) > 10
-    near = (root / "app" / "truepath", root)
-    missing = [n for n in named if not any((place / n).exists() for place in near)]
-    assert not missing
+    for heading in ("A job, an analysis", "Where logic lives"):  # below the service
+        section = text.partition(f"## {heading}")[2].partition("\n## ")[0]
+        named = re.findall(r"`([\w./-]+(?:/|\.py)[\w.-]*)`", section)
+        assert len(named) > 10
+        near = (root / "app" / "truepath", root)
+        assert not [n for n in named if not any((place / n).exists() for place in near)]
 
 
 def test_the_tree_of_rooms_is_the_one_on_disk(root):
@@ -186,6 +183,15 @@ def test_every_route_of_the_documents_exists_and_none_is_left_out(root):
     assert not left_out
 
 
-@pytest.mark.parametrize("kind", sorted(set(SENTENCES) - {STATED}))
-def test_every_reason_of_a_verdict_is_explained_to_the_operator(kind, root):
-    assert f"| `{kind}` |" in (root / "docs" / "verdict.md").read_text()
+def test_every_reason_of_a_verdict_is_explained_to_the_operator(root):
+    page = (root / "docs" / "verdict.md").read_text()
+    assert not [kind for kind in {*SENTENCES} - {STATED} if f"| `{kind}` |" not in page]
+
+
+def test_the_page_of_faults_is_that_of_the_marks_and_all_of_devices_have_tests(root):
+    script = root / "docs" / "write_reliability.py"
+    checked = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert checked.returncode == 0, "python docs/write_reliability.py writes it"
+    page = (root / "docs" / "reliability.md").read_text(encoding="utf-8")
+    for number in OF_DEVICES:
+        assert re.search(rf"^\| {number} \| .*::test_", page, re.MULTILINE), number

@@ -1,7 +1,6 @@
 """The container image is built, and every service of the compose file runs from it."""
 
 import io
-import json
 import os
 import re
 import shutil
@@ -10,8 +9,8 @@ import sys
 import zipfile
 from contextlib import contextmanager
 from pathlib import Path
-from urllib.request import Request, urlopen
 
+import httpx2
 import psycopg
 import pytest
 import yaml
@@ -19,6 +18,7 @@ import yaml
 from container_image import USER, build_image
 from postgres_server import PostgresServer
 from processes import until
+from service_process import arm, create, follow
 
 pytestmark = pytest.mark.long
 
@@ -56,7 +56,7 @@ def volume(tmp_path):
 
 @pytest.fixture
 def serve(image, compose, volume, tmp_path, free_port):
-    """Run the service of a compose entry; yield a function that asks it."""
+    """Run the service of a compose entry; yield a client of it."""
 
     @contextmanager
     def start(name, *words, volumes=(), **environment):
@@ -66,68 +66,30 @@ def serve(image, compose, volume, tmp_path, free_port):
         mounts = {volume: "/data", **dict(volumes)}
         log = tmp_path / f"{name}.log"
         with image.running(command, given, mounts, log) as running:
-            running.wait_until_healthy(health_check(free_port))
-            yield lambda path, **body: ask(free_port, path, **body)
+            address = f"http://127.0.0.1:{free_port}"
+            line = (
+                f"import urllib.request as r; r.urlopen('{address}/healthz', None, 4)"
+            )
+            running.wait_until_healthy(["python", "-c", line])
+            with httpx2.Client(base_url=address, timeout=30.0) as client:
+                yield client
 
     return start
 
 
-def health_check(port):
-    address = f"http://127.0.0.1:{port}/healthz"
-    line = f"import urllib.request; urllib.request.urlopen({address!r}, timeout=4)"
-    return ["python", "-c", line]
+def end_first_job(client):
+    """Return the job that the service takes on by itself, once it has succeeded."""
+    first = until(lambda: client.get("/api/v1/jobs").json()["items"], JOB_S)[0]
+    return follow(client, first["id"], "succeeded", patience_s=JOB_S)
 
 
-def ask(port, path, **body):
-    request = Request(f"http://127.0.0.1:{port}{path}")
-    if body:
-        request.data = json.dumps(body["json"]).encode()
-        request.add_header("Content-Type", "application/json")
-    for name, value in body.get("headers", {}).items():
-        request.add_header(name, value)
-    with urlopen(request, timeout=30) as answer:
-        return answer.read()
-
-
-def wait_for(job, get, *states):
-    def reached():
-        told = json.loads(get(f"/api/v1/jobs/{job}"))
-        assert told["state"] not in ("failed", "faulted", "interrupted"), told
-        return told if told["state"] in states else None
-
-    return until(reached, JOB_S)
-
-
-def find_first_job(get):
-    """Return the job that the service takes on by itself."""
-    return until(lambda: json.loads(get("/api/v1/jobs"))["items"], JOB_S)[0]
-
-
-def measure(get):
-    job = json.loads(get("/api/v1/jobs", json={"kind": "measure-otf"}))
-    ready = wait_for(job["id"], get, "ready")
-    version = {"If-Match": f'"{ready["version"]}"'}
-    arming = json.loads(get(f"/api/v1/jobs/{job['id']}/arming", json={}))
-    token = {"token": arming["token"]}
-    get(f"/api/v1/jobs/{job['id']}/arm", json=token, headers=version)
-    return wait_for(job["id"], get, "succeeded")
-
-
-def check_tables(job, get):
+def check_tables(job, client):
     """Error tables stand, the report opens, and the Run comes as a bundle."""
     result = f"/api/v1/jobs/{job['id']}/result"
-    assert b"EXX" in get(f"{result}/error-tables.json")
-    assert b"EXX" in get(f"{result}/report.html")
-    bundle = get(f"/api/v1/runs/{job['run_id']}/bundle")
+    assert "EXX" in client.get(f"{result}/error-tables.json").text
+    assert "EXX" in client.get(f"{result}/report.html").text
+    bundle = client.get(f"/api/v1/runs/{job['run_id']}/bundle").content
     assert zipfile.is_zipfile(io.BytesIO(bundle))
-
-
-@pytest.fixture
-def postgres_server():
-    """With a password, reached over TCP as in the compose file."""
-    server = PostgresServer("pass/word")
-    yield server
-    server.close()
 
 
 def test_the_image_is_small(image, root):
@@ -145,9 +107,8 @@ def test_the_image_is_small(image, root):
 def test_the_main_job_runs_in_the_image(serve):
     """The service of the compose file, with its simulated devices and sped up."""
     speed = {"TRUEPATH_SIMULATED_SPEED": "10"}
-    with serve("truepath", "--simulated", "--measure", **speed) as get:
-        job = find_first_job(get)
-        check_tables(wait_for(job["id"], get, "succeeded"), get)
+    with serve("truepath", "--simulated", "--measure", **speed) as client:
+        check_tables(end_first_job(client), client)
 
 
 def test_the_service_measures_simulators_of_another_container(
@@ -168,13 +129,17 @@ def test_the_service_measures_simulators_of_another_container(
     with image.running(command, {}, {}, log) as simulators:
         simulators.wait_until_healthy(entry["healthcheck"]["test"][1:])
         mounts = {copy: "/machine.json"}
-        with serve("truepath-bench", volumes=mounts, **local) as get:
-            check_tables(measure(get), get)
+        with serve("truepath-bench", volumes=mounts, **local) as client:
+            job = create(client)
+            arm(client, job)
+            ended = follow(client, job["id"], "succeeded", patience_s=JOB_S)
+            check_tables(ended, client)
 
 
-def test_the_service_keeps_its_catalogue_in_postgresql(
-    serve, postgres_server, tmp_path
-):
+def test_the_service_keeps_its_catalogue_in_postgresql(serve, tmp_path, request):
+    # With a password, reached over TCP as in the compose file.
+    postgres_server = PostgresServer("pass/word")
+    request.addfinalizer(postgres_server.close)
     secret = tmp_path / "database_password"
     secret.write_text(postgres_server.password)
     secret.chmod(0o444)
@@ -184,9 +149,8 @@ def test_the_service_keeps_its_catalogue_in_postgresql(
     }
     mounts = {secret: "/run/secrets/database_password"}
     options = ("--simulated", "--measure")
-    with serve("truepath-postgres", *options, volumes=mounts, **environment) as get:
-        job = find_first_job(get)
-        wait_for(job["id"], get, "succeeded")
+    with serve("truepath-postgres", *options, volumes=mounts, **environment) as client:
+        end_first_job(client)
         words = {"password": postgres_server.password}
         address = postgres_server.url().replace("+psycopg", "")
         with psycopg.connect(address, **words) as connection:

@@ -46,13 +46,11 @@ def required(name, extras):
     return {name for name, _ in seen}
 
 
-def test_constraints_pin_everything_that_is_needed(pins):
+def test_constraints_pin_everything_that_is_needed_as_it_is_installed(pins):
     needed = required("truepath", {"dev", "pg"}) - {"truepath"}
     assert needed <= set(pins), f"not pinned: {sorted(needed - set(pins))}"
     assert set(pins) <= needed, f"pinned, not needed: {sorted(set(pins) - needed)}"
 
-
-def test_what_is_installed_is_what_is_pinned(pins):
     def installed(name):
         try:
             return distribution(name).version
@@ -106,11 +104,6 @@ def packed(wheel):
         }
 
 
-def test_the_wheel_carries_the_licence(packed, root):
-    texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
-    assert texts == [(root / "LICENSE").read_text()]
-
-
 def test_hooks_before_a_commit_run_what_make_check_runs(root):
     text = (root / "Makefile").read_text().partition("\ncheck: ")[2]
     lines = text.splitlines()[1:]
@@ -121,9 +114,11 @@ def test_hooks_before_a_commit_run_what_make_check_runs(root):
     assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
-def test_the_wheel_holds_every_file_of_the_rooms_and_takes_no_other_names(
+def test_the_wheel_holds_the_licence_and_every_file_of_the_rooms_and_no_other_names(
     packed, project_files, root
 ):
+    texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
+    assert texts == [(root / "LICENSE").read_text()]
     places = [path.relative_to(root).parts for path in project_files]
     wanted = {"/".join(names) for room, *names in places if room in SOURCES}
     assert wanted <= packed.keys(), f"left out: {sorted(wanted - packed.keys())}"

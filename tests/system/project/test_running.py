@@ -14,8 +14,6 @@ from urllib.error import URLError
 from urllib.parse import urljoin
 from urllib.request import urlopen
 
-import pytest
-
 from processes import until
 
 START_S = 30.0
@@ -86,19 +84,14 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         assert b"swagger-ui" in fetched(f"{address}/docs")
 
 
-@pytest.fixture(scope="module")
-def instruction(root):
+def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
+    root, tmp_path, free_port
+):
     text = re.sub(r"\\\n\s*", " ", (root / "docker" / "Dockerfile").read_text())
 
-    def read(name):
+    def instruction(name):
         return re.findall(rf"^{name} (.*)$", text, re.MULTILINE)[-1]
 
-    return read
-
-
-def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
-    instruction, tmp_path, free_port
-):
     (tmp_path / "data").mkdir()
     words = json.loads(instruction("ENTRYPOINT")) + json.loads(instruction("CMD"))
     words[0] = str(Path(sys.executable).with_name(words[0]))

@@ -69,13 +69,6 @@ def discovered(installed, run):
     return discover_runs([run])
 
 
-@pytest.fixture(scope="module")
-def model(discovered):
-    """The model, as it comes back from disk."""
-    content = json.loads(json.dumps(discovered.model.content))
-    return PriorModel(result_from_json(content, file="model.json"), "model.json", "ab")
-
-
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_the_example_of_the_page_conforms(check, example):
     check(example.BendingBeamFamily(), example_conditions())
@@ -95,7 +88,10 @@ def test_it_is_discovered_with_its_own_keys_and_words_and_the_page_has_these(
     assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")
 
 
-def test_analysis_and_plan_by_the_model_file_tell_it_apart_and_name_it(run, model):
+def test_analysis_and_plan_by_the_model_file_tell_it_apart_and_name_it(run, discovered):
+    content = json.loads(json.dumps(discovered.model.content))
+    result = result_from_json(content, file="model.json")
+    model = PriorModel(result, "model.json", "ab")
     (known,) = model.result.model.catalogue_effects
     assert (dict(known.keys), known.title) == (KEYS, TITLE)
     found = render_analysis(analyse(run, model=model))

@@ -5,30 +5,19 @@ driven as any other motion: armed by whoever has looked at them.
 """
 
 import json
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, NamedTuple
 
-import httpx2
 import numpy as np
 import pytest
 
-from real_services import drive, service_of, write_machine
-from service_process import (
-    ENDS,
-)
-from truepath.settings import load_settings
-from truepath_simulators.hidden.effect import HiddenEffect
+from real_services import drive, simulated_service
+from service_process import ENDS
+from truepath.files.bundle.bundle import zip_bundle
 from truepath_simulators.hidden.effects_by_name import as_json
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import LateralBacklash
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
@@ -39,23 +28,16 @@ CONTENT = load_machine("demo")
 LOW, HIGH = parse_machine(CONTENT).low_mm + 15.0, parse_machine(CONTENT).high_mm - 15.0
 
 
-@contextmanager
-def bench_that_hides(hidden: HiddenEffect, folder: Path) -> Iterator[httpx2.Client]:
-    """Run the service over a bench whose machine has an effect that no model knows."""
-    settings = load_settings(
-        data_dir=folder / "data",
-        simulated=True,
-        machine_file=write_machine(folder.with_name("machine.json"), 500),
-        simulated_speed=15.0,
-        simulated_seed=MACHINE,
-        simulated_hidden=(json.dumps(as_json(hidden)),),
-        port=0,
-    )
-    with service_of(settings) as (_, client):
+@pytest.fixture
+def client(hidden, tmp_path):
+    """A service over a bench whose machine has an effect that no model knows."""
+    bench = {"simulated_speed": 15.0, "simulated_seed": MACHINE}
+    bench["simulated_hidden"] = (json.dumps(as_json(hidden)),)
+    with simulated_service(tmp_path / "data", 500, **bench) as (_, client):
         yield client
 
 
-def two_sides_of_y() -> list[dict[str, float]]:
+def two_sides_of_y():
     """Points at the ends of Y, each approached from the other: play looks like a lean.
 
     The first point, approached from nowhere, is in the middle, where no lean shows.
@@ -69,39 +51,18 @@ def two_sides_of_y() -> list[dict[str, float]]:
     return [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.8} for x, y, z in places]
 
 
-def calibration(folder: Path) -> bytes:
-    """Return a bundle of the machine before anything happened to it."""
-    program = paths.chord_path(parse_machine(CONTENT), 9, 40, 6000.0)
-    setting = synthetic.Setting(machine_seed=MACHINE)
-    files = folder / "bundle"
-    files.mkdir()
-    write_bundle_files(files, synthetic.record(CONTENT, program, 9, setting=setting))
-    return Path(shutil.make_archive(str(files), "zip", files)).read_bytes()
-
-
-class Discovered(NamedTuple):
-    """A model of before, a Run of points, and the discovery of that Run."""
-
-    model_id: str
-    run_id: str
-    discovery_id: str
-
-
-def discover_at_points(client: httpx2.Client, folder: Path) -> Discovered:
-    sent = {"bundle": ("r.zip", calibration(folder))}
+@pytest.fixture
+def first(client, record):
+    """A discovery at points by a model of before, that has asked for lines."""
+    how = {"feed": 6000.0, "chain": CONTENT["kinematic_chain"]}
+    calibrated, _ = record(9, rows=40, setting=Setting(MACHINE), **how)
+    sent = {"bundle": ("r.zip", zip_bundle(calibrated))}
     before = client.post("/api/v1/runs", files=sent).json()["id"]
     model_id = drive(client, kind="discover", run_id=before)["id"]
     points = two_sides_of_y()
     run_id = drive(client, kind="measure-standstill", points=points)["run_id"]
     job = drive(client, kind="discover", run_id=run_id, model_id=model_id)
-    return Discovered(model_id, run_id, job["id"])
-
-
-def read_discovery(client: httpx2.Client, job_id: str) -> dict[str, Any]:
-    return client.get(f"/api/v1/jobs/{job_id}/discovery").json()
-
-
-def check_what_is_asked(found: dict[str, Any]) -> None:
+    found = read_discovery(client, job["id"])
     effect = found["effects"][0]
     names = {effect["name"], *(e["name"] for e in effect["indistinguishable_from"])}
     assert names == LEANS
@@ -110,11 +71,14 @@ def check_what_is_asked(found: dict[str, Any]) -> None:
     assert asked["lines"] == len(asked["rows"]) - 1
     assert asked["decides"]
     assert all(name in asked["reason"] for name in LEANS)
+    return {"id": job["id"], "run_id": run_id, "model_id": model_id, "ask": asked}
 
 
-def check_what_is_decided(
-    found: dict[str, Any], hidden: HiddenEffect, parameter: str = "half_width"
-) -> None:
+def read_discovery(client, job_id):
+    return client.get(f"/api/v1/jobs/{job_id}/discovery").json()
+
+
+def check_what_is_decided(found, hidden, parameter):
     effect, *others = found["effects"]
     assert effect["name"] == hidden.name
     assert effect["indistinguishable_from"] == []
@@ -128,33 +92,25 @@ def check_what_is_decided(
     assert gap["after"] < 1.1 * gap["expected"]
 
 
+PLAY = LateralBacklash("Y", "EXY", 5.0, 0.3)
+
+
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
-    [
-        (LateralBacklash("Y", "EXY", 5.0, 0.3), "half_width"),
-        (Squareness("C0Y", -27.0), "value_urad"),
-    ],
+    [(PLAY, "half_width"), (Squareness("C0Y", -27.0), "value_urad")],
     ids=["lateral-backlash", "squareness"],
 )
 def test_lateral_backlash_and_squareness_are_told_apart_by_the_machine(
-    tmp_path, hidden, parameter
+    client, first, hidden, parameter
 ):
-    with bench_that_hides(hidden, tmp_path) as client:
-        first = discover_at_points(client, tmp_path)
-        check_what_is_asked(read_discovery(client, first.discovery_id))
-        extra = {"kind": "measure-extra", "discovery_id": first.discovery_id}
-        found = read_discovery(client, drive(client, **extra)["id"])
-        check_what_is_decided(found, hidden, parameter)
+    job = drive(client, kind="measure-extra", discovery_id=first["id"])
+    check_what_is_decided(read_discovery(client, job["id"]), hidden, parameter)
 
 
-def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
-    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
-    with bench_that_hides(hidden, tmp_path) as client:
-        first = discover_at_points(client, tmp_path)
-        found = read_discovery(client, first.discovery_id)
-        check_what_is_asked(found)
-        # So few lines need not determine tables of their own; their Run stands.
-        extra = drive(client, *ENDS, path=found["ask"]["rows"])
-        order = {"run_ids": [first.run_id, extra["run_id"]], "model_id": first.model_id}
-        second = drive(client, kind="discover", **order)
-        check_what_is_decided(read_discovery(client, second["id"]), hidden)
+@pytest.mark.parametrize("hidden", [PLAY], ids=["lateral-backlash"])
+def test_the_lines_may_be_driven_as_a_path_of_ones_own(client, first, hidden):
+    # So few lines need not determine tables of their own; their Run stands.
+    extra = drive(client, *ENDS, path=first["ask"]["rows"])
+    both = {"run_ids": [first["run_id"], extra["run_id"]]}
+    job = drive(client, kind="discover", model_id=first["model_id"], **both)
+    check_what_is_decided(read_discovery(client, job["id"]), hidden, "half_width")

@@ -8,7 +8,6 @@ still, and nothing moves before it is armed anew.
 import itertools
 import random
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -19,8 +18,8 @@ import pytest
 from arming import arm_over_http
 from processes import runs
 from real_services import environment_of, find_child, process
-from service_process import ENDS, ROWS, SPEED, arm, create, follow, moving, wait_for
-from truepath_simulators.bench.rig import Rig, running_rig
+from service_process import ENDS, ROWS, arm, begin_moving, create, follow, wait_for
+from service_with_devices import connect, running_devices
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 
@@ -34,9 +33,7 @@ STANDS_S = 5.0
 SETTLED = ENDS | {"paused", "ready"}  # nothing moves, or somebody has to say so
 
 
-def find_process(
-    parent: int, role: str, patience_s: float = BEGIN_S
-) -> psutil.Process | None:
+def find_process(parent, role, patience_s):
     found, end_s = None, time.monotonic() + patience_s
     while found is None and time.monotonic() < end_s:
         found = find_child(parent, role)
@@ -44,39 +41,28 @@ def find_process(
     return found
 
 
-def has_to_run(role: str, state: str) -> bool:
-    """Whether it is there then: a live estimator of a machine under way.
-
-    A worker is there once it was needed.
-    """
-    return role in ("cell", *DEVICES) or (
-        role == "live" and state in ("running", "paused")
-    )
+def has_to_run(role, state):
+    """Whether it is there then: a worker is once it was needed."""
+    is_under_way = state in ("running", "paused")
+    return role in ("cell", *DEVICES) or (role == "live" and is_under_way)
 
 
-def state_of(client: httpx2.Client, job: str) -> dict:
+def state_of(client, job):
     return client.get(f"/api/v1/jobs/{job}").json()
 
 
-def make_ready(client: httpx2.Client) -> str:
+def make_ready(client):
     return create(client, path=ROWS)["id"]
 
 
-def make_moving(client: httpx2.Client) -> str:
-    job = create(client, path=ROWS)
-    arm(client, job)
-    moving(client, job["id"])
-    return job["id"]
-
-
-def make_paused(client: httpx2.Client) -> str:
-    job = make_moving(client)
+def make_paused(client):
+    job = begin_moving(client)
     client.post(f"/api/v1/jobs/{job}/pause")
     follow(client, job, "paused")
     return job
 
 
-def make_computing(client: httpx2.Client) -> str:
+def make_computing(client):
     job = create(client, path=ROWS[:6])
     arm(client, job)
     stages = {"aligning", "estimating", "reporting"}
@@ -84,15 +70,15 @@ def make_computing(client: httpx2.Client) -> str:
     return job["id"]
 
 
-STATES: dict[str, Callable[[httpx2.Client], str]] = {
+STATES = {
     "ready": make_ready,
-    "running": make_moving,
+    "running": begin_moving,
     "paused": make_paused,
     "computing": make_computing,
 }
 
 
-def harm(found: psutil.Process, is_kill: bool, frozen_s: float = FROZEN_S) -> None:
+def harm(found, is_kill, frozen_s=FROZEN_S):
     with suppress(psutil.NoSuchProcess):  # it may have ended by itself
         if is_kill:
             found.kill()
@@ -102,22 +88,22 @@ def harm(found: psutil.Process, is_kill: bool, frozen_s: float = FROZEN_S) -> No
         found.resume()
 
 
-def settle(client: httpx2.Client, job: str) -> str:
-    """Wait until the job has ended, waits for somebody, or has gone on to its end."""
+def settle(client, job):
+    """Wait until the job has ended or waits for somebody; return its state."""
     wait_for(lambda: state_of(client, job)["state"] in SETTLED, "a settled job")
     return state_of(client, job)["state"]
 
 
-def current_job(client: httpx2.Client) -> str | None:
+def current_job(client):
     return client.get("/api/v1/system").json()["current_job"]
 
 
-def stop(client: httpx2.Client) -> None:
+def stop(client):
     assert client.post("/api/v1/stop").status_code == 202
     wait_for(lambda: current_job(client) is None, "the end of the job")
 
 
-def require_in_order(client: httpx2.Client, job: str) -> None:
+def require_in_order(client, job):
     """Nothing moves after a stop; what failed says why; the service is there."""
     settle(client, job)
     stop(client)
@@ -130,7 +116,7 @@ def require_in_order(client: httpx2.Client, job: str) -> None:
         assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["samples"] >= 0
 
 
-def require_anew(client: httpx2.Client, job: str) -> None:
+def require_anew(client, job):
     """The job of a service that died has ended, and another can be made."""
     wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
     assert state_of(client, job)["state"] in ("interrupted", "succeeded")
@@ -141,26 +127,12 @@ def require_anew(client: httpx2.Client, job: str) -> None:
     follow(client, again, "aborted")
 
 
-def connect(client: httpx2.Client) -> None:
-    wait_for(
-        lambda: client.post("/api/v1/machines/current:connect").status_code == 200,
-        "the devices",
-    )
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory):
-    """A real service that every test leaves in order, and a client of it."""
-    with process(tmp_path_factory.mktemp("service")) as opened:
-        yield opened
-
-
-def harm_each(running, client, state: str, roles: tuple[str, ...]) -> set[str]:
+def harm_each(running, client, state, roles):
     """Freeze and kill each process in a state of a job; return which were there.
 
     A job that stands as before is harmed on, unless it has lost its cell.
     """
-    job, harmed = None, set[str]()
+    job, harmed = None, set()
     harms = list(itertools.product(roles, (False, True)))
     for role, is_kill in harms:
         if job is None:
@@ -180,19 +152,13 @@ def harm_each(running, client, state: str, roles: tuple[str, ...]) -> set[str]:
 
 @pytest.mark.fault_row(30)
 @pytest.mark.parametrize("state", STATES)
-def test_no_process_of_ours_that_stands_or_dies_leaves_a_job_or_a_motion(
-    service, state
+@pytest.mark.parametrize("roles", [OURS, ("cnc",), ("tracker",)], ids="-".join)
+def test_no_process_or_device_that_stands_or_dies_leaves_a_job_or_a_motion(
+    tmp_path, roles, state
 ):
-    harmed = harm_each(*service, state, OURS)
-    assert {role for role in OURS if has_to_run(role, state)} <= harmed
-
-
-@pytest.mark.fault_row(30)
-@pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("device", DEVICES)
-def test_no_device_that_stands_or_dies_does(tmp_path, state, device):
     with process(tmp_path) as opened:
-        assert harm_each(*opened, state, (device,))
+        harmed = harm_each(*opened, state, roles)
+    assert {role for role in roles if has_to_run(role, state)} <= harmed
 
 
 @pytest.mark.fault_row(25)
@@ -215,10 +181,10 @@ class Ledger:
     versions: dict[str, int] = field(default_factory=dict)
     events: int = 0
 
-    def note(self, *jobs: dict) -> None:
+    def note(self, *jobs):
         self.versions |= {job["id"]: job["version"] for job in jobs}
 
-    def require_kept(self, client: httpx2.Client) -> None:
+    def require_kept(self, client):
         """Whatever was answered is there, as it was or later, once, and has ended.
 
         Every Run can be read. Nothing is under way, no device was opened again.
@@ -241,8 +207,8 @@ class Ledger:
         self.events = len(ids)
 
 
-def list_event_ids(client: httpx2.Client) -> list[int]:
-    ids: list[int] = []
+def list_event_ids(client):
+    ids = []
     with client.stream("GET", "/api/v1/events", headers={"Last-Event-ID": "0"}) as got:
         for line in got.iter_lines():
             if line.startswith("id: "):
@@ -252,19 +218,16 @@ def list_event_ids(client: httpx2.Client) -> list[int]:
     return ids
 
 
-def list_jobs(client: httpx2.Client) -> list[dict]:
-    jobs, after = [], ""
-    while after is not None:
-        page = client.get(f"/api/v1/jobs?limit=50{after and f'&after={after}'}").json()
-        jobs += page["items"]
-        after = page["next"]
-    return jobs
+def list_jobs(client):
+    page = client.get("/api/v1/jobs?limit=200").json()
+    assert page["next"] is None
+    return page["items"]
 
 
 @pytest.fixture
 def rig():
     """Devices that are no children of the service: they go on when it dies."""
-    with running_rig({"speed": SPEED, "tracker": "tcp", "seed": 3}) as started:
+    with running_devices(speed=12.0) as started:
         yield started
 
 
@@ -290,7 +253,7 @@ def test_nothing_answered_is_lost_and_nothing_moves_after_kills_and_freezes(
     measured(f"{kills} kills and {done - kills} freezes, nothing lost, nothing moved")
 
 
-def harm_once(rng, running, client, ledger) -> bool:
+def harm_once(rng, running, client, ledger):
     """Work for a while, harm a process, bring all in order; say whether it was killed.
 
     A service that was killed stays dead: the caller starts it anew.
@@ -316,7 +279,7 @@ def harm_once(rng, running, client, ledger) -> bool:
     return is_kill
 
 
-def work(client, ledger, end_s) -> None:
+def work(client, ledger, end_s):
     client.post("/api/v1/machines/current:connect")
     answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", "path": ROWS})
     if answer.status_code != 202:  # a cell that begins anew
@@ -331,7 +294,7 @@ def work(client, ledger, end_s) -> None:
         time.sleep(0.01)
 
 
-def require_standstill(rig: Rig) -> None:
+def require_standstill(rig):
     """The machine comes to rest by itself and stays there."""
 
     def rests():

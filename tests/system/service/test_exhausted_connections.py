@@ -9,8 +9,10 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from real_services import process
-from service_process import ROWS, arm, create, follow, moving, wait_for
+from service_process import begin_moving, follow
+from service_with_devices import connect
 from serving import serving
+from truepath.service.api.security import connections
 from truepath.users.certificates import create_certificate
 
 STOP = b"POST /api/v1/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
@@ -35,7 +37,7 @@ def hold(stack, place, begun):
 
 
 def stop(place):
-    """Return how long a stop has taken; fails if it is not answered."""
+    """Send a stop that has to be answered; return how long it has taken."""
     begun = time.monotonic()
     with socket.create_connection(place, timeout=8.0) as link:
         link.sendall(STOP)
@@ -65,46 +67,39 @@ def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descrip
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
     with process(tmp_path, 1024) as (_, client), ExitStack() as stack:
         place = client.base_url.host, client.base_url.port
-        connect = "/api/v1/machines/current:connect"
-        wait_for(lambda: client.post(connect).status_code == 200, "the devices")
-        job = create(client, path=ROWS)
-        arm(client, job)
-        moving(client, job["id"])
+        connect(client)
+        job_id = begin_moving(client)
         for _ in range(1400):
             hold(stack, place, UNFINISHED["head"])
         assert stop(place) < 2.0
-        follow(client, job["id"], "aborted")
+        follow(client, job_id, "aborted")
 
 
 @pytest.fixture
 def hasty(monkeypatch):
     """Deadlines that a test can wait for, and places for 16 connections."""
-    from truepath.service.api.security import connections
-
     monkeypatch.setattr(connections, "HEAD_S", 0.6)
     monkeypatch.setattr(connections, "BODY_S", 0.6)
     monkeypatch.setattr(connections, "SLOWEST_BYTES_PER_S", 100)
     monkeypatch.setattr(connections, "find_most_connections", lambda _: 16)
-    return connections
 
 
-def trickle(link, data, for_s):
-    """Send bytes one by one; tell when the other end had enough, or None."""
-    begun = time.monotonic()
+def is_ended(link, data, within_s):
+    """Send bytes one by one; tell whether the other end had enough in time."""
+    end = time.monotonic() + within_s
     link.settimeout(0.05)
-    for at in range(10_000):
-        passed_s = time.monotonic() - begun
-        if passed_s > for_s:
-            return None
+    for byte in data:
+        if time.monotonic() > end:
+            break
         try:
-            link.send(data[at : at + 1])
+            link.send(bytes([byte]))
             if link.recv(1) == b"":
-                return passed_s
+                return True
         except TimeoutError:
             pass
         except OSError:
-            return passed_s
-    return None
+            return True
+    return False
 
 
 def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_coming(
@@ -112,8 +107,7 @@ def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_comin
 ):
     with serving(service) as place:
         with socket.create_connection(place) as link:
-            ended_s = trickle(link, UNFINISHED["head"] + b"x" * 10_000, 8.0)
-            assert ended_s is not None
+            assert is_ended(link, UNFINISHED["head"] + b"x" * 10_000, 8.0)
         with socket.create_connection(place, timeout=8.0) as link:
             link.sendall(UNFINISHED["body"])
             assert link.recv(1) == b""
@@ -146,7 +140,7 @@ def test_a_handshake_of_tls_has_a_deadline_and_keeps_nobody_out(
 
 
 def test_one_address_leaves_half_of_the_places_to_others(service, hasty, monkeypatch):
-    monkeypatch.setattr(hasty, "HEAD_S", 60.0)
+    monkeypatch.setattr(connections, "HEAD_S", 60.0)
     with serving(service) as place, ExitStack() as stack:
         for _ in range(40):
             way = ("127.0.0.2", 0)

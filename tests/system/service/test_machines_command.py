@@ -21,63 +21,55 @@ def machines(live, capsys):
 
 
 @pytest.fixture
-def files(tmp_path):
-    machine, devices = tmp_path / "mill.json", tmp_path / "devices.json"
-    machine.write_text(json.dumps(load_machine("demo") | {"name": "mill 3"}))
-    chosen = {
-        "tracker_options": {"port": "/dev/tracker-7"},
-        "motion_options": {"host": "192.0.2.7"},
-    }
-    devices.write_text(json.dumps(chosen))
-    return str(machine), str(devices)
+def printed_of(machines):
+    """What the command has printed where it succeeds."""
+
+    def call(*words):
+        status, printed, _ = machines(*words)
+        assert status == 0
+        return printed
+
+    return call
 
 
 def test_list_history_and_comparison_state_calibrations_and_standing(
-    machines, calibrated
+    printed_of, calibrated
 ):
-    status, printed, _ = machines("list", "--json")
-    assert status == 0
-    (one,) = json.loads(printed)["machines"]
+    (one,) = json.loads(printed_of("list", "--json"))["machines"]
     newest = one["calibration"]
     assert (one["id"], newest["job_id"]) == ("default", calibrated[-1])
     assert newest["volumetric_error_p95_um"] == 30.0
     assert newest["expanded_uncertainty_um"] == 1.0
     assert newest["age_hours"] > 0.0
     assert one["standing"]["has_changed"] is False
-    status, printed, _ = machines("list")
-    assert "default" in printed
-    assert "30.0 ±" in " ".join(printed.split())
-    assert "unchanged" in printed
-    status, printed, _ = machines("history", "default", "--quantity", "EXX", "--json")
-    assert status == 0
-    found = json.loads(printed)
+    listed = " ".join(printed_of("list").split())
+    assert all(word in listed for word in ("default", "30.0 ±", "unchanged"))
+    history = ("history", "default", "--quantity", "EXX")
+    found = json.loads(printed_of(*history, "--json"))
     assert [c["job_id"] for c in found["calibrations"]] == list(calibrated)
     position = str(found["entries"][1]["position"])
-    at = ("--quantity", "EXX", "--position", position)
-    assert "EXX of default" in machines("history", "default", *at)[1]
-    status, printed, _ = machines("compare")
-    assert status == 0
-    assert "30.0 ± 1.0" in printed
+    assert "EXX of default" in printed_of(*history, "--position", position)
+    assert "30.0 ± 1.0" in printed_of("compare")
 
 
-def test_a_machine_is_added_shown_and_changed(machines, files, service):
-    machine, devices = files
+def test_a_machine_is_added_shown_and_changed(printed_of, tmp_path, service):
+    machine, devices = tmp_path / "mill.json", tmp_path / "devices.json"
+    machine.write_text(json.dumps(load_machine("demo") | {"name": "mill 3"}))
+    tracker, motion = {"port": "/dev/tracker-7"}, {"host": "192.0.2.7"}
+    chosen = {"tracker_options": tracker, "motion_options": motion}
+    devices.write_text(json.dumps(chosen))
     stated = ("--state", "serial_number=4711", "--state", "place=hall 3")
-    assert machines("add", "mill-3", machine, *stated)[0] == 0
-    status, printed, _ = machines("show", "mill-3")
-    assert status == 0
-    assert "4711" in printed
-    assert "never" in printed
-    taken = ("--state", "place=", "--state", "tolerance_um=12.5")
-    status, printed, _ = machines(
-        "change", "mill-3", *taken, "--devices", devices, "--json"
-    )
+    printed_of("add", "mill-3", str(machine), *stated)
+    shown = printed_of("show", "mill-3")
+    assert "4711" in shown
+    assert "never" in shown
+    taken = ("--state", "place=", "--state", "tolerance_um=12.5", "--json")
+    printed = printed_of("change", "mill-3", *taken, "--devices", str(devices))
     service.machines.get("mill-3").close()
-    assert status == 0
     changed = json.loads(printed)
     assert (changed["place"], changed["tolerance_um"]) == ("", 12.5)
     assert changed["serial_number"] == "4711"
-    assert changed["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
+    assert changed["devices"]["tracker_options"] == tracker
 
 
 def test_what_is_wrong_is_one_line_and_exit_status_2(machines, calibrated, tmp_path):

@@ -16,7 +16,7 @@ from described_answers import check_answer
 from processes import runs
 from real_services import process, service_of, write_machine
 from scripted_cell import wait_until
-from service_process import ROWS, SPEED, arm, create, follow, moving
+from service_process import ROWS, SPEED, arm, begin_moving, create, follow
 from serving import end_while_it_starts, hang_at_the_end
 from truepath.catalogue.errors import InUse
 from truepath.errors import BadInput
@@ -34,14 +34,6 @@ def settings(tmp_path):
     return load_settings(
         data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
     )
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory):
-    """A real service that leaves what it is told in order: process, client, data."""
-    folder = tmp_path_factory.mktemp("service")
-    with process(folder) as (running, client):
-        yield running, client, folder / "data"
 
 
 def check_now_and_then():
@@ -86,10 +78,8 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
         client.get(job["result"]["error_tables_json"])
         client.get("/api/v1/system")
         client.get("/api/v1/machines/current")
-        csv = client.get(job["result"]["error_tables_csv"]).text
-        assert "EXX" in csv
-        report = client.get(job["result"]["report_html"]).text
-        assert "</html>" in report
+        assert "EXX" in client.get(job["result"]["error_tables_csv"]).text
+        assert "</html>" in client.get(job["result"]["report_html"]).text
 
         bundle = client.get(f"/api/v1/runs/{job['run_id']}/bundle").content
         run = client.post("/api/v1/runs", files={"bundle": ("r.zip", bundle)}).json()
@@ -104,23 +94,22 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
 
 
 @pytest.mark.fault_row(30)
-def test_a_frozen_service_leaves_a_machine_that_stands(shared):
+def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
     """Nobody could stop it meanwhile; it goes on only when somebody says so."""
-    running, client, data = shared
-    job = create(client, path=LONG)
-    arm(client, job)
-    moving(client, job["id"])
-    os.kill(running.pid, signal.SIGSTOP)
-    frozen_s = time.monotonic()
-    try:
-        time.sleep(FROZEN_S)  # so long it stands still
-    finally:
-        os.kill(running.pid, signal.SIGCONT)
-    paused = follow(client, job["id"], "paused")
-    assert "service has stood still" in json.dumps(paused)
-    client.post("/api/v1/stop")
-    aborted = follow(client, job["id"], "aborted")
-    axes = open_run(data / "runs" / f"{aborted['run_id']}.sqlite").axis_samples
+    with process(tmp_path) as (running, client):
+        job = begin_moving(client, LONG)
+        os.kill(running.pid, signal.SIGSTOP)
+        frozen_s = time.monotonic()
+        try:
+            time.sleep(FROZEN_S)  # so long it stands still
+        finally:
+            os.kill(running.pid, signal.SIGCONT)
+        paused = follow(client, job, "paused")
+        assert "service has stood still" in json.dumps(paused)
+        client.post("/api/v1/stop")
+        run_id = follow(client, job, "aborted")["run_id"]
+    file = tmp_path / "data" / "runs" / f"{run_id}.sqlite"
+    axes = open_run(file).axis_samples
     time_s = axes.host_time_s
     is_meanwhile = (time_s > frozen_s + 3.0) & (time_s < frozen_s + FROZEN_S)
     meanwhile = axes.position_mm[is_meanwhile]
@@ -136,9 +125,7 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
     tmp_path, how, measured
 ):
     with process(tmp_path) as (running, client):
-        job = create(client, path=LONG)
-        arm(client, job)
-        moving(client, job["id"])
+        begin_moving(client, LONG)
         with client.stream("GET", "/api/v1/events") as stream:
             lines = stream.iter_lines()
             next(lines)
@@ -182,16 +169,14 @@ def test_an_end_that_hangs_is_forced_and_says_where_it_stood(tmp_path):
 @pytest.mark.fault_row(25)
 def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path, measured):
     with process(tmp_path) as (running, client):
-        job = create(client, path=LONG)
-        arm(client, job)
-        moving(client, job["id"])
+        job = begin_moving(client, LONG)
         children = _children(running.pid)
         assert len(children) >= 4
         running.kill()
         running.wait(10)
     wait_until(lambda: not any(map(runs, children)), "their end")
     with process(tmp_path, TRUEPATH_SIMULATED="0") as (_, client):
-        found = client.get(f"/api/v1/jobs/{job['id']}").json()
+        found = client.get(f"/api/v1/jobs/{job}").json()
         assert found["state"] == "interrupted"
         assert found["error"]["code"] == "interrupted"
         run = client.get(found["links"]["run"]).json()
@@ -202,17 +187,10 @@ def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path, mea
     measured(f"killed in motion: {run['samples']} samples kept, no device opened again")
 
 
-def test_data_in_use_are_refused(settings):
-    plain = settings.model_copy(update={"simulated": False})
-    with (
-        open_service(plain),
-        pytest.raises(InUse, match="another instance works on"),
-        open_service(plain),
-    ):
-        pass
-
-
 def test_a_service_that_cannot_be_as_it_is_set_says_why(settings, tmp_path):
+    plain = settings.model_copy(update={"simulated": False})
+    with open_service(plain), pytest.raises(InUse, match="another instance works on"):
+        open_service(plain).__enter__()
     (tmp_path / "file").write_text("in the way")
     for change, said in (
         ({"data_dir": tmp_path / "file"}, "setting data_dir"),

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from api_builders import KNOWN_LENGTHS
 from scripted_cell import wait_until
 from truepath.catalogue.transitions import FINAL, State
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "rest-api.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
-BASE = "http://127.0.0.1:8411/api/v1"
 
 
 def section(heading):
@@ -27,7 +27,12 @@ def section(heading):
     return [words[a + 1 : b] for a, b in zip(starts, ends, strict=True)]
 
 
-def test_the_tables_of_codes_are_those_of_the_service(monkeypatch):
+def test_address_states_and_tables_of_codes_are_those_of_the_service(monkeypatch):
+    assert "B=http://127.0.0.1:8411/api/v1\n" in TEXT
+    body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
+    assert {f"`{state}`" for state in State} <= set(re.findall(r"`[\w-]+`", body))
+    ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
+    assert ends == {str(state) for state in FINAL}
     script = str(DOCUMENT.with_name("write_problem_codes.py"))
     monkeypatch.setattr(sys, "argv", [script, "--check"])
     monkeypatch.syspath_prepend(DOCUMENT.parent)
@@ -41,12 +46,11 @@ class Curl:
 
     def __init__(self, client, cells, tmp_path):
         self.client, self.cells, self.folder = client, cells, tmp_path
-        self.names = {"$B": "/api/v1", "JOB": "", "RUN": "", "VERSION": ""}
+        self.names = {"$B": "/api/v1"}
 
     def __call__(self, words):
-        words = [self._filled(word) for word in words]
         method, headers, options, target, output = "GET", {}, {}, "", None
-        rest = iter(words)
+        rest = map(self._filled, words)
         for word in rest:
             match word:
                 case "-i" | "-N":
@@ -68,7 +72,9 @@ class Curl:
                 case _:
                     target = word
         if "/events" in target:
-            return self._first_line(target, headers)
+            with self.client.stream("GET", target, headers=headers) as answer:
+                next(answer.iter_lines())
+                return answer
         answer = self.client.request(method, target, headers=headers, **options)
         if target.endswith("/arming"):
             self.names["TOKEN"] = answer.json()["token"]
@@ -92,7 +98,7 @@ class Curl:
 
         job = wait_until(reached, state)
         self.names["VERSION"] = str(job["version"])
-        self.names["RUN"] = job["run_id"] or self.names["RUN"]
+        self.names |= {"RUN": job["run_id"]} if job["run_id"] else {}
         return job
 
     def arm(self, look, show, arm):
@@ -115,11 +121,6 @@ class Curl:
             word = word.replace(name, value)
         return word
 
-    def _first_line(self, target, headers):
-        with self.client.stream("GET", target, headers=headers) as answer:
-            next(answer.iter_lines())
-            return answer
-
 
 @pytest.fixture
 def curl(live, make_cell, tmp_path):
@@ -128,7 +129,6 @@ def curl(live, make_cell, tmp_path):
 
 @pytest.fixture
 def sent_in(curl, bundle, tmp_path):
-
     def sent(**members):
         (tmp_path / "run.zip").write_bytes(bundle(**members))
         answer = curl(section("Analyse a measurement from elsewhere")[0])
@@ -136,10 +136,6 @@ def sent_in(curl, bundle, tmp_path):
         return answer.json()["id"]
 
     return sent
-
-
-def test_the_address_of_the_examples_is_the_default():
-    assert f"B={BASE}\n" in TEXT
 
 
 def test_a_machine_is_measured_and_its_result_taken_away(curl, tmp_path):
@@ -217,21 +213,14 @@ def test_a_measurement_ends_at_its_target(curl, estimates):
     assert f"`{json.dumps(job['early_end'])}`" in TEXT
 
 
-_KNOWN_LENGTHS = (
-    "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
-    "1000,0,0,3000.02,0,0,2000.01,0.001\n"
-)
-
-
 def test_a_measurement_from_elsewhere_is_analysed(curl, sent_in, tmp_path):
     _, alone, lengths, several = section("Analyse a measurement from elsewhere")
     for name in ("OTHER", "RUN"):
         curl.names[name] = sent_in()
     curl.order(alone)
-    (tmp_path / "known_lengths.csv").write_text(_KNOWN_LENGTHS)
+    (tmp_path / "known_lengths.csv").write_text(KNOWN_LENGTHS)
     assert curl(lengths).json() == {"count": 1}
-    job = curl.order(several)
-    assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
+    assert curl.order(several)["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 
 
 @pytest.mark.usefixtures("few_places")
@@ -298,10 +287,3 @@ def test_the_example_of_a_refusal_is_what_is_answered(curl):
     body = {"kind": "measure-otf", "path": rows}
     problem = curl.client.post("/api/v1/jobs", json=body).json()
     assert {**problem, "request_id": ""} == {**example, "request_id": ""}
-
-
-def test_every_state_of_the_document_exists():
-    body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
-    assert {f"`{state}`" for state in State} <= set(re.findall(r"`[\w-]+`", body))
-    ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
-    assert ends == {str(state) for state in FINAL}

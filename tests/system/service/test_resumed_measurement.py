@@ -10,6 +10,7 @@ import random
 import numpy as np
 import pytest
 
+from real_services import drive, environment_of
 from service_process import (
     acknowledge,
     arm,
@@ -33,26 +34,13 @@ SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
 RNG = random.Random(1)
-ROWS = [
-    {
-        "x_mm": round(RNG.uniform(10, 490), 1),
-        "y_mm": round(RNG.uniform(10, 390), 1),
-        "z_mm": round(RNG.uniform(10, 290), 1),
-        "dwell_s": 0.6,
-    }
-    for _ in range(24)
+ENDS_MM = (490, 390, 290)
+PLACES = [[round(RNG.uniform(10, end), 1) for end in ENDS_MM] for _ in range(24)]
+ROWS = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.6} for x, y, z in PLACES]
+AREAS = [
+    {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
+    {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
 ]
-
-AREAS = {
-    "tracker": {
-        "areas": [
-            {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
-            {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
-        ],
-        "nearest_mm": 300,
-        "move_minutes": 3,
-    }
-}
 
 TOOLS = {
     "T1": {"on": "tool", "offset_mm": [20.0, 30.0, -150.0]},
@@ -86,22 +74,16 @@ def rig(machine):
 @pytest.fixture
 def start(tmp_path, rig, machine):
     """Starts the service on the devices of the rig, again and again on one folder."""
-    environment = {
-        "TRUEPATH_SIMULATED": "0",
-        "TRUEPATH_MACHINE_FILE": str(machine),
-        "TRUEPATH_TRACKER_OPTIONS": json.dumps(rig.tracker_options),
-        "TRUEPATH_MOTION_OPTIONS": json.dumps(rig.motion_options),
-    }
+    environment = environment_of(rig.motion_options, rig.tracker_options, machine)
     return lambda: process(tmp_path, **environment)
 
 
-def kill_in_motion(start, **order):
-    """Measure until some lines are done, then kill the service; return the job."""
-    with start() as (service, client):
-        job = create(client, **order)
-        arm(client, job)
-        wait_until_done(client, job["id"], DONE, order.get("kind", "measure-otf"))
-        kill(service)
+def kill_in_motion(service, client, done=DONE, **order):
+    """Measure until so many rows are done, then kill the service; return the job."""
+    job = create(client, **order)
+    arm(client, job)
+    wait_until_done(client, job["id"], done, order.get("kind", "measure-otf"))
+    kill(service)
     return job["id"]
 
 
@@ -110,7 +92,8 @@ def kill_in_motion(start, **order):
 @pytest.mark.parametrize("kind", ["measure-otf", "measure-standstill"])
 def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig, kind):
     rows = "path" if kind == "measure-otf" else "points"
-    job_id = kill_in_motion(start, **{"kind": kind, rows: ROWS})
+    with start() as opened:
+        job_id = kill_in_motion(*opened, **{"kind": kind, rows: ROWS})
     with start() as (_, client):
         job = client.get(f"/api/v1/jobs/{job_id}").json()
         assert job["state"] == "interrupted"
@@ -130,7 +113,8 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
 def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size(
     start, rig
 ):
-    job_id = kill_in_motion(start, path=ROWS)
+    with start() as opened:
+        job_id = kill_in_motion(*opened, path=ROWS)
     rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
     with start() as (_, client):
         arm(client, acknowledge(client, job_id))
@@ -143,10 +127,6 @@ def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size
         assert client.get(f"/api/v1/runs/{job_id}/bundle").status_code == 200
         assert acknowledge(client, job_id)["error"] is None
         client.post("/api/v1/stop")
-
-
-def read_rows(client, job_id):
-    return client.get(f"/api/v1/jobs/{job_id}/plan").json()["position"]
 
 
 def go_on(client, rig, job_id):
@@ -164,12 +144,6 @@ def go_on(client, rig, job_id):
     first, _ = ended["run_ids"]
     assert first == job_id
     return ended, plan["resumption"]["first_row"]
-
-
-def list_digests(folder, run_ids):
-    """Return what results name Runs by: the digest of what was commanded and seen."""
-    files = [folder / "data" / "runs" / f"{run_id}.sqlite" for run_id in run_ids]
-    return [digest_run(open_run(file)) for file in files]
 
 
 def compare_with_places(found, rig):
@@ -192,32 +166,29 @@ def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_r
 ):
     verify = {"kind": "verify", "what": ["random-points"], "seed": 5}
     with start() as (service, client):
-        calibrated = create(client, path=ROWS)
-        arm(client, calibrated)
-        result_id = follow(client, calibrated["id"], "succeeded")["id"]
-        job = create(client, **verify, result_id=result_id)
-        arm(client, job)
-        wait_until_done(client, job["id"], DONE, "measure-standstill")
-        kill(service)
+        result_id = drive(client, path=ROWS)["id"]
+        job_id = kill_in_motion(service, client, **verify, result_id=result_id)
     with start() as (_, client):
-        rows = read_rows(client, job["id"])
-        ended, first_row = go_on(client, rig, job["id"])
+        rows = client.get(f"/api/v1/jobs/{job_id}/plan").json()["position"]
+        ended, first_row = go_on(client, rig, job_id)
         assert DONE - 1 <= first_row <= DONE + 4
         found = client.get(ended["verification"]["verification"]).json()
-        used = [run["input_sha256"] for run in found["runs"]]
-        assert used == list_digests(tmp_path, ended["run_ids"])
+        for run_id, run in zip(ended["run_ids"], found["runs"], strict=True):
+            file = tmp_path / "data" / "runs" / f"{run_id}.sqlite"
+            assert run["input_sha256"] == digest_run(open_run(file))
         assert found["places"]["row"] == list(range(len(rows)))
         assert found["agreement"]["chance"] > 0.001
         assert found["places"]["run"] == sorted(found["places"]["run"])
         assert found["places"]["run"].index(1) in (first_row, first_row + 1)
         off_um, expanded_um = compare_with_places(found, rig)
-        print(f"off {np.abs(off_um).mean():.2f} of {expanded_um.mean():.2f}")
         assert (np.abs(off_um) <= expanded_um).mean() > 0.8
 
 
 def plan_stations(client):
     """Plan a minute of lines from two places; return the job's order and the places."""
-    asked = {"mode": "otf", "minutes": 1.0, "workspace": AREAS, "stations": 2}
+    tracker = {"areas": AREAS, "nearest_mm": 300, "move_minutes": 3}
+    asked = {"mode": "otf", "minutes": 1.0, "workspace": {"tracker": tracker}}
+    asked["stations"] = 2
     answer = client.post("/api/v1/plans", json=asked)
     assert answer.status_code == 202, answer.text
     at = f"/api/v1/plans/{answer.json()['id']}"
@@ -295,16 +266,9 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
 def test_two_tools_whose_service_was_killed_go_on_and_agree_with_the_truth(
     start, rig, done
 ):
-    with start() as (service, client):
-        job = create(client, path=TWO_TOOLS)
-        arm(client, job)
-        wait_until_done(client, job["id"], done)
-        kill(service)
+    with start() as opened:
+        job_id = kill_in_motion(*opened, done, path=TWO_TOOLS)
     with start() as (_, client):
-        ready = acknowledge(client, job["id"])
-        resumption = client.get(f"/api/v1/jobs/{job['id']}/plan").json()["resumption"]
-        assert resumption["first_row"] >= done - 4
-        arm(client, ready)
-        ended = follow(client, job["id"], "succeeded")
-        assert len(ended["run_ids"]) == 2
+        ended, first_row = go_on(client, rig, job_id)
+        assert first_row >= done - 4
         assert_agrees_with_truth(client, ended, rig)

@@ -18,34 +18,26 @@ from truepath.service.api.service_manager import ServiceManager
 WATCHDOG_S = 1.5
 
 
-class Notices:
-    """A notify socket: what came, and when."""
-
-    def __init__(self, place):
-        self.link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.link.bind(place)
-        self.received = []
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def _read(self):
-        while message := self.link.recv(4096):
-            self.received.append((time.monotonic(), message.decode()))
-
-    def count(self, text):
-        return sum(text in message for _, message in self.received)
-
-    def close(self):
-        self.link.shutdown(socket.SHUT_RD)
-        self._thread.join(5)
-        self.link.close()
-
-
 @pytest.fixture
 def notices(tmp_path):
-    found = Notices(str(tmp_path / "notify"))
-    yield found
-    found.close()
+    """What came to a notify socket, and when."""
+    received = []
+
+    def read():
+        while message := link.recv(4096):
+            received.append((time.monotonic(), message.decode()))
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        link.bind(str(tmp_path / "notify"))
+        thread = threading.Thread(target=read, daemon=True)
+        thread.start()
+        yield received
+        link.shutdown(socket.SHUT_RD)
+        thread.join(5)
+
+
+def count(notices, text):
+    return sum(text in message for _, message in notices)
 
 
 def test_a_frozen_event_loop_gives_no_sign_of_life_and_one_that_runs_does(
@@ -57,20 +49,19 @@ def test_a_frozen_event_loop_gives_no_sign_of_life_and_one_that_runs_does(
         "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6)),
     }
     with process(tmp_path, **watched) as (running, client):
-        wait_for(lambda: notices.count("READY=1"), "READY")
-        wait_for(lambda: notices.count("WATCHDOG=1") >= 2, "signs of life")
-        assert "READY=1" in notices.received[0][1]
+        wait_for(lambda: count(notices, "WATCHDOG=1") >= 2, "signs of life")
+        assert "READY=1" in notices[0][1]
         client.get("/freeze")
         wait_for(lambda: _longest_pause_s(notices) > 3.5, "the pause")
-        before = notices.count("WATCHDOG=1")
-        wait_for(lambda: notices.count("WATCHDOG=1") > before, "signs of life")
+        before = count(notices, "WATCHDOG=1")
+        wait_for(lambda: count(notices, "WATCHDOG=1") > before, "signs of life")
         running.send_signal(signal.SIGTERM)
-        wait_for(lambda: notices.count("STOPPING=1") == 1, "STOPPING")
+        wait_for(lambda: count(notices, "STOPPING=1") == 1, "STOPPING")
         assert running.wait(30) in (0, -signal.SIGTERM)
 
 
 def _longest_pause_s(notices):
-    at = [at for at, message in list(notices.received) if "WATCHDOG" in message]
+    at = [at for at, message in list(notices) if "WATCHDOG" in message]
     return max((b - a for a, b in pairwise(at)), default=0.0)
 
 

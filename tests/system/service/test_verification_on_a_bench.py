@@ -5,26 +5,14 @@ import pytest
 from real_services import drive, simulated_service
 from service_process import SPEED
 
-JOBS = "/api/v1/jobs"
-
-
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bench") / "data"
-    with simulated_service(folder, simulated_speed=SPEED) as (_, client):
-        yield client
-
-
-@pytest.fixture(scope="module")
-def job(bench):
-    return drive(bench)["id"]
-
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_circles_are_driven_on_the_fly_and_held_against_the_result(bench, job):
-    proved = drive(bench, kind="verify", result_id=job, what=["circles-in-motion"])
-    found = bench.get(proved["verification"]["verification"]).json()
+def test_circles_are_driven_on_the_fly_and_held_against_the_result(tmp_path):
+    with simulated_service(tmp_path / "data", simulated_speed=SPEED) as (_, client):
+        order = {"kind": "verify", "result_id": drive(client)["id"]}
+        proved = drive(client, **order, what=["circles-in-motion"])
+        found = client.get(proved["verification"]["verification"]).json()
     assert found["circles_missing"] == []
     assert [one["plane"] for one in found["circles_in_motion"]] == ["XY", "YZ", "ZX"]
     for one in found["circles_in_motion"]:

@@ -83,13 +83,16 @@ def test_no_sample_is_lost_and_a_fault_costs_what_it_says(plain):
     assert health.device_overflows == 0
 
 
-def test_the_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
+def test_a_fast_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
     running, motion, _ = fast
     motion.load(LINE)
     assert drive(motion).state is MotionState.FINISHED
     with StreamingTracker(**running.tracker_options) as tracker:
         tracker.start(500.0)
-        seen = read_for(tracker, 0.5).position_mm.mean(axis=0)
+        samples = read_for(tracker, 1.0)
+    assert 1900 < len(samples) < 2750  # its clock is fast
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)
+    seen = samples.position_mm.mean(axis=0)
     machine = parse_machine(running.machine)
     pose = tracker_head.random_pose(machine, 6)
     q = LINE.position[-1:]
@@ -102,15 +105,8 @@ def test_the_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
     np.testing.assert_allclose(off, [-0.1, -0.05, 0.0], atol=6e-3)
 
 
-def test_a_fast_clock_measures_more_in_a_second(fast):
-    with StreamingTracker(**fast[0].tracker_options) as tracker:
-        tracker.start(500.0)
-        samples = read_for(tracker, 1.0)
-    assert 1900 < len(samples) < 2750
-    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)
-
-
-def test_tcp_and_serial_masters_see_one_machine(fast):
+@pytest.mark.fault_row(21)
+def test_masters_see_one_machine_and_drive_only_what_they_loaded_last(fast):
     _, tcp, rtu = fast
     assert tcp.connect() == rtu.connect()
     tcp.load(LINE)
@@ -119,11 +115,6 @@ def test_tcp_and_serial_masters_see_one_machine(fast):
         rtu.start()  # it does not know the path
     assert drive(tcp).state is MotionState.FINISHED
     assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
-
-
-@pytest.mark.fault_row(21)
-def test_a_path_that_another_master_has_loaded_meanwhile_is_not_driven(fast):
-    _, tcp, rtu = fast
     here = tcp.status().position
     tcp.load(LINE)
     rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
@@ -143,17 +134,6 @@ def test_an_operator_holds_the_feed_and_lets_it_go(fast):
     status = until(lambda: stands(tcp, moving))
     assert status.state is MotionState.FINISHED
     assert status.position == pytest.approx(tuple(LINE.position[-1]))
-
-
-def test_an_alarm_strikes_on_its_row(fast):
-    running, motion, _ = fast
-    motion.load(LINE)
-    running.inject("cnc:alarm@row1+0.1s")
-    status = drive(motion)
-    assert status.state is MotionState.ALARM
-    assert "Servo alarm" in status.alarm
-    time.sleep(0.1)  # its cause is over
-    motion.reset()
 
 
 def test_broken_connections_can_be_made_anew(plain):
@@ -213,13 +193,6 @@ def test_a_pulled_cable_is_noticed_and_the_port_comes_back(plain):
         assert len(read_for(tracker, 0.3)) > 50
 
 
-def test_what_cannot_be_is_refused_by_name():
-    with pytest.raises(SimulatorError, match="fault"):
-        Bench(faults=["tracker:explode"])
-    with pytest.raises(SimulatorError, match="speed"):
-        Bench(speed=0.0)
-
-
 @pytest.mark.long
 def test_a_port_in_use_is_named():
     with (
@@ -258,7 +231,6 @@ def test_simulators_and_rigs_do_not_outlive_their_parent(number):
     words, nowhere = [sys.executable, "-c", ORPHANS], subprocess.DEVNULL
     how = {"stdout": subprocess.PIPE, "stderr": nowhere, "text": True}
     with subprocess.Popen(words, **how) as parent:
-        assert parent.stdout is not None
         pids = [int(pid) for pid in parent.stdout.readline().split()]
         assert all(runs(pid) for pid in pids)
         os.kill(parent.pid, number)

@@ -30,31 +30,21 @@ def find_target(tracker):
     return tracker.read(2.0).position_mm.mean(axis=0)
 
 
-def test_state_follows_the_devices(rig):
-    with (
-        StreamingTracker(**rig.tracker_options) as tracker,
-        ModbusController(**rig.motion_options) as motion,
-    ):
-        assert not rig.read_state()["tracker"]["streaming"]
-        tracker.start(200.0)
-        motion.move_to((30.0, 20.0, 10.0), 3000.0)
-        assert motion.wait(10.0).state is MotionState.FINISHED
-        state = rig.read_state()
-    assert state["tracker"]["rate_hz"] == 200.0
-    assert state["cnc"]["state"] == "finished"
-    assert state["cnc"]["position"] == pytest.approx([30.0, 20.0, 10.0])
-
-
-def test_a_table_loaded_while_the_axes_stand_moves_the_measured_point(rig, tmp_path):
+def test_state_follows_the_devices_and_a_table_moves_the_measured_point(rig, tmp_path):
     table = tmp_path / "shift-X.tbl"
     table.write_text("0 0.05 0.05\n500 500.05 500.05\n")  # 50 µm too far everywhere
     with (
         StreamingTracker(**rig.tracker_options) as tracker,
         ModbusController(**rig.motion_options) as motion,
     ):
+        assert not rig.read_state()["tracker"]["streaming"]
+        tracker.start(500.0)
         motion.move_to((60.0, 20.0, 10.0), 3000.0)
         assert motion.wait(10.0).state is MotionState.FINISHED
-        tracker.start(500.0)
+        state = rig.read_state()
+        assert state["tracker"]["rate_hz"] == 500.0
+        assert state["cnc"]["state"] == "finished"
+        assert state["cnc"]["position"] == pytest.approx([60.0, 20.0, 10.0])
         before, seen = rig.read_position(), find_target(tracker)
         assert rig.load_compensation([table]) == ["shift-X.tbl"]
         after, error_um = rig.read_position(), rig.truth_at(PLACE)
@@ -124,7 +114,7 @@ def test_the_page_shows_the_example_that_is_a_test():
     assert f"```python\n{example}```" in page.read_text()
 
 
-def test_only_its_user_opens_it_and_one_left_behind_is_replaced(tmp_path):
+def test_only_its_user_opens_it_and_what_is_not_its_own_is_never_taken(tmp_path):
     path = tmp_path / "control"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
@@ -134,17 +124,10 @@ def test_only_its_user_opens_it_and_one_left_behind_is_replaced(tmp_path):
         ControlSocket(path, dict)
     control.close()
     assert not path.exists()
-
-
-def test_it_never_takes_what_is_not_its_own(tmp_path):
-    path = tmp_path / "control"
     path.write_text("a letter")
     with pytest.raises(SimulatorError, match="give another path"):
         ControlSocket(path, dict)
     assert path.read_text() == "a letter"
-
-
-def test_a_rig_that_is_not_there_is_said(tmp_path):
     with pytest.raises(SimulatorError, match="no rig answers"):
         Rig(tmp_path / "nowhere")
 

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import psutil
@@ -19,8 +18,6 @@ from truepath_drivers.tracker.geocom.driver import GeoComTracker
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.command import main
 
-Command = tuple["subprocess.Popen[str]", dict[str, Any]]
-
 
 @contextmanager
 def simulating(*options):
@@ -28,18 +25,11 @@ def simulating(*options):
     words = [sys.executable, "-m", module, "--json", *options]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     process = subprocess.Popen(words, **pipes)
-    assert process.stdout is not None
     try:
         yield process, json.loads(process.stdout.readline())
     finally:
         process.kill()
         process.communicate()
-
-
-@pytest.fixture
-def by_tcp():
-    with simulating("--tracker", "tcp") as command:
-        yield command
 
 
 @pytest.fixture(scope="module")
@@ -55,24 +45,24 @@ def polled(lines):
         yield command
 
 
-def test_it_serves_by_tcp_and_takes_orders_by_standard_input_until_ctrl_c(by_tcp):
-    process, where = by_tcp
-    with ModbusController(**where["modbus_tcp"]) as motion:
-        assert motion.status().state is MotionState.IDLE
-    with StreamingTracker(**where["tracker"]) as tracker:
-        tracker.start(500.0)
-        with pytest.raises(DeviceError):  # a second host does not take it over
-            StreamingTracker(**where["tracker"]).connect()
-        before_mm = measure_range_mm(tracker)
-        order(process, "move here", "move 3000,200,0")
-        until(lambda: abs(measure_range_mm(tracker) - before_mm) > 500.0)
-        assert measure_range_mm(tracker) == pytest.approx(3000.0, abs=400.0)
-    with StreamingTracker(**where["tracker"]) as tracker:
-        tracker.start(500.0)
-        assert len(tracker.read(0.5)) > 0
-        order(process, "tracker:beam-break")
-        until(lambda: bool(tracker.read(0.1).status.any()))
-    leaves_nothing(process, where, signal.SIGINT)
+def test_it_serves_by_tcp_and_takes_orders_by_standard_input_until_ctrl_c():
+    with simulating("--tracker", "tcp") as (process, where):
+        with ModbusController(**where["modbus_tcp"]) as motion:
+            assert motion.status().state is MotionState.IDLE
+        with StreamingTracker(**where["tracker"]) as tracker:
+            tracker.start(500.0)
+            with pytest.raises(DeviceError):  # a second host does not take it over
+                StreamingTracker(**where["tracker"]).connect()
+            before_mm = measure_range_mm(tracker)
+            order(process, "move here", "move 3000,200,0")
+            until(lambda: abs(measure_range_mm(tracker) - before_mm) > 500.0)
+            assert measure_range_mm(tracker) == pytest.approx(3000.0, abs=400.0)
+        with StreamingTracker(**where["tracker"]) as tracker:
+            tracker.start(500.0)
+            assert len(tracker.read(0.5)) > 0
+            order(process, "tracker:beam-break")
+            until(lambda: bool(tracker.read(0.1).status.any()))
+        leaves_nothing(process, where, signal.SIGINT)
 
 
 def leaves_nothing(process, where, number):
@@ -98,9 +88,7 @@ def test_an_instrument_that_is_asked_point_by_point_follows_the_machine(polled):
 
 
 @pytest.mark.long
-def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigterm(
-    polled, lines, capsys
-):
+def test_another_rig_leaves_the_lines_of_the_first_until_sigterm(polled, lines, capsys):
     process, where = polled
     assert where["tracker"]["port"] == str(lines / "tracker")
     assert main(["--rtu", "--links", str(lines)]) == 2
@@ -111,7 +99,6 @@ def test_a_second_rig_leaves_the_named_lines_of_the_first_which_lasts_until_sigt
 
 
 def order(process, *lines):
-    assert process.stdin is not None
     process.stdin.writelines(f"{line}\n" for line in lines)
     process.stdin.flush()
 

@@ -2,14 +2,15 @@
 
 import os
 import socket
-import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from processes import until
 from truepath_drivers.interfaces.errors import BeamLost, NotHomed, Refused
+from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import Air
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
@@ -25,10 +26,8 @@ def bench():
     """The demonstration machine with two targets."""
     content = load_machine("demo")
     x, y, z = content.pop("tool_offset_mm")
-    offsets = {"T1": [x, y, z], "T2": [x + APART_MM, y, z]}
-    content["targets"] = {
-        name: {"on": "tool", "offset_mm": offset} for name, offset in offsets.items()
-    }
+    first, second = ({"on": "tool", "offset_mm": [x + d, y, z]} for d in (0, APART_MM))
+    content["targets"] = {"T1": first, "T2": second}
     with Bench(content, seed=3) as running:
         yield running
 
@@ -54,7 +53,7 @@ def to_direction(place_mm):
     return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
 
 
-def test_it_measures_the_target_that_was_selected_and_stays_at_it(tracker):
+def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tracker):
     tracker.select_target("T1")
     first = read_valid(tracker).mean(axis=0)
     tracker.select_target("T2")
@@ -64,6 +63,8 @@ def test_it_measures_the_target_that_was_selected_and_stays_at_it(tracker):
         tracker.select_target("T9")
     after = read_valid(tracker).mean(axis=0)
     assert np.linalg.norm(after - second) < 0.1
+    tracker.push_air(Air(21.5, 990.0, 40.0))
+    assert tracker.read_air() == Air(21.5, 990.0, 40.0)
 
 
 def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
@@ -78,11 +79,6 @@ def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
     with pytest.raises(BeamLost, match="no target near the beam"):
         tracker.search()
     tracker.select_target("T1")
-
-
-def test_the_air_that_is_pushed_is_the_air_in_use(tracker):
-    tracker.push_air(Air(21.5, 990.0, 40.0))
-    assert tracker.read_air() == Air(21.5, 990.0, 40.0)
 
 
 def test_one_that_is_not_initialised_measures_once_it_is_homed(bench, tracker):
@@ -107,80 +103,40 @@ def is_refused(tracker):
 
 
 def test_a_source_is_a_file_or_a_socket(tmp_path):
-    (tmp_path / "moves.txt").write_text("0.5 1 2\n")
+    file = tmp_path / "moves.txt"
+    file.write_text("0.5 1 2\n")
     with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-
-        def send():
-            with server.accept()[0] as peer:
-                peer.sendall(b"0.5 1 2\n")
-
-        sender = threading.Thread(target=send)
-        sender.start()
-        for name in (str(tmp_path / "moves.txt"), address):
-            followed = FollowedPositions(open_source(name), 2)
-            deadline = time.monotonic() + 5.0
-            while (seen := followed.timeline()) is None:
-                assert time.monotonic() < deadline
-            assert seen.origin.tolist() == [[1.0, 2.0]]
-            followed.close()
-        sender.join()
+        remote = open_source(f"127.0.0.1:{server.getsockname()[1]}")
+        with server.accept()[0] as peer:
+            peer.sendall(b"0.5 1 2\n")
+        for source in (open_source(str(file)), remote):
+            with closing(FollowedPositions(source, 2)) as followed:
+                assert until(followed.timeline).origin.tolist() == [[1.0, 2.0]]
     with pytest.raises(SimulatorError, match="no-such"):
         open_source(str(tmp_path / "no-such"))
-
-
-def read_until(tracker, is_enough):
-    blocks, deadline = [], time.monotonic() + 30.0
-    names = ("sequence", "device_time_s", "position_mm")
-    while not blocks or not is_enough(np.vstack([b.position_mm for b in blocks])):
-        assert time.monotonic() < deadline, "what was waited for was not seen"
-        blocks.append(tracker.read(1.0))
-    return [np.concatenate([getattr(b, name) for b in blocks]) for name in names]
 
 
 @pytest.mark.long
 def test_the_tracker_streams_what_it_follows():
     read, write = os.pipe()
-    ended, stepped = threading.Event(), threading.Event()
-
-    def drive():
-        number = 0
-        while not ended.wait(0.01):
-            x = 300.0 if stepped.is_set() else 100.0
-            lines = (f"{number + k} {x} 50 20\n" for k in range(10))
+    blocks = []
+    with (
+        Bench(error_scale=0.0, source=read, source_unit_s=1e-3) as bench,
+        StreamingTracker(**bench.tracker_options) as tracker,
+    ):
+        with pytest.raises(SimulatorError, match="no simulated cnc"):
+            bench.inject("cnc:alarm")
+        tracker.start(500.0)
+        for begin_ms in range(0, 1000, 10):
+            x = 100 if begin_ms < 500 else 300
+            lines = [f"{begin_ms + k} {x} 50 20\n" for k in range(10)]
             os.write(write, "".join(lines).encode())
-            number += 10
-
-    thread = threading.Thread(target=drive)
-    try:
-        with (
-            Bench(error_scale=0.0, source=read, source_unit_s=1e-3) as bench,
-            StreamingTracker(**bench.tracker_options) as tracker,
-        ):
-            with pytest.raises(SimulatorError, match="no simulated cnc"):
-                bench.inject("cnc:alarm")
-            # Not before: what waits in the pipe would all be streamed at once.
-            thread.start()
-            tracker.start(500.0)
-            before = read_until(tracker, lambda seen: len(seen) >= 50)
-            stepped.set()
-            stood = before[2][:20].mean(0)
-            after = read_until(
-                tracker,
-                lambda seen: (
-                    len(seen) >= 20
-                    and (np.linalg.norm(seen[-20:] - stood, axis=1) > 10.0).all()
-                ),
-            )
-    finally:
-        ended.set()
-        if thread.ident is not None:
-            thread.join()
-        os.close(read)
-        os.close(write)
-    sequence, time_s, position = map(np.concatenate, zip(before, after, strict=True))
-    assert (np.diff(sequence) == 1).all()
-    np.testing.assert_allclose(np.diff(time_s), 2e-3, atol=2e-6)
-    assert np.linalg.norm(position[-20:].mean(0) - stood) == pytest.approx(
-        200.0, abs=0.02
-    )
+            blocks.append(tracker.read(1.0))
+    os.close(read)
+    os.close(write)
+    seen = TrackerSamples.join(blocks)
+    assert len(seen) > 450
+    assert (np.diff(seen.sequence) == 1).all()
+    np.testing.assert_allclose(np.diff(seen.device_time_s), 2e-3, atol=2e-6)
+    way_mm = seen.position_mm[-20:].mean(axis=0) - seen.position_mm[:20].mean(axis=0)
+    assert np.linalg.norm(way_mm) == pytest.approx(200.0, abs=0.02)

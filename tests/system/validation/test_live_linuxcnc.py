@@ -1,10 +1,7 @@
 """A calibration live on LinuxCNC leaves little of the error, and says how much."""
 
-import importlib
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -20,14 +17,8 @@ pytestmark = [
 
 
 @pytest.fixture
-def live(monkeypatch):
-    folder = str(Path(__file__).resolve().parents[3] / "validation")
-    monkeypatch.syspath_prepend(folder)
-    before = set(sys.modules)
-    yield importlib.import_module("live_linuxcnc")
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(folder):
-            del sys.modules[name]
+def live(validation):
+    return validation("live_linuxcnc")
 
 
 @pytest.mark.parametrize(

@@ -84,25 +84,17 @@ def test_cells_are_short_in_length_time_and_turn():
         assert turn.max(initial=0.0) < 3.1
 
 
-def test_stops_after_a_full_turn_are_kept_apart():
-    start = [300.0, 250.0, 250.0, 0.0]
-    turns = ([*start, c] for c in (0.0, 360.0, 120.0, 240.0))
-    program = rows_of(*turns, [*start[:3], 40.0, 0.0])
-    run, made = record_run(load_machine("head-table"), program)
-    seen = align(run)
-    assert [p.row for p in seen.passes] == [1, 2, 3, 4]
-    place = commanded_at(made, seen.at.time_s)
-    assert np.abs(place - seen.at.position_mm)[:, 4].max() < 0.05
-
-
-def test_two_turns_on_one_line_are_told_from_one():
+@pytest.mark.parametrize(
+    "turns", [(0.0, 360.0, 120.0, 240.0), (-300.0, 300.0, 100.0, 0.0)]
+)
+def test_stops_after_a_full_turn_are_kept_apart_and_two_turns_told_from_one(turns):
     content = load_machine("head-table")
     content["axes"]["C"] |= {"min_deg": -360.0, "max_deg": 360.0}
     start = [300.0, 250.0, 250.0, 0.0]
-    program = rows_of([*start, -300.0], [*start, 300.0], [*start, 100.0], [*start, 0.0])
+    program = rows_of(*([*start, c] for c in turns), [*start[:3], 40.0, 60.0])
     run, made = record_run(content, program)
     seen = align(run)
-    assert [p.row for p in seen.passes] == [1, 2, 3]
+    assert [p.row for p in seen.passes] == [1, 2, 3, 4]
     place = commanded_at(made, seen.at.time_s)
     assert np.abs(place - seen.at.position_mm)[:, 4].max() < 0.05
 

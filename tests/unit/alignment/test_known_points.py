@@ -30,7 +30,6 @@ FIRST, SECOND = (1300.0, 100.0, 50.0), (200.0, -900.0, 0.0)
 
 
 def measured(place_mm, seed, *, nudge_mm=0.0, poses=reposition, **defects):
-    """Return the known points of the demonstration machine from a place."""
     content = load_machine("demo")
     n = len(POINTS)
     program = Program(POINTS, np.full(n, 100.0), np.full(n, 1.8))
@@ -85,9 +84,7 @@ def test_a_reflector_that_moves_meanwhile_or_is_out_of_sight_is_told(before):
 
 
 @pytest.mark.parametrize(("planned", "problem"), [(FIRST, ""), (SECOND, "not-moved")])
-def test_the_first_station_is_held_against_its_place_in_the_plan(
-    before, planned, problem
-):
+def test_the_first_station_is_held_against_its_planned_place(before, planned, problem):
     found = hold_against_plan(before, np.array(planned), ASKED_MM)
     assert found.problem == problem
     assert ("of station 1" in found.text) == bool(problem)

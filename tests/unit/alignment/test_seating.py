@@ -7,18 +7,14 @@ import pytest
 
 from recorded import load_small, record_run, stream
 from truepath.alignment.align import align
-from truepath.alignment.observations.observations import Observations
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import Run
-from truepath.kinematics.machine.machine import Machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import turning_paths
 
 OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
 
 
-def move_targets(machine: Machine, off: dict[str, tuple[float, ...]]) -> Machine:
-    """Return the machine whose file states targets so far off."""
+def move_targets(machine, off):
     targets = [
         replace(t, offset_mm=tuple(np.add(t.offset_mm, off.get(t.name, (0.0,) * 3))))
         for t in machine.targets
@@ -26,7 +22,7 @@ def move_targets(machine: Machine, off: dict[str, tuple[float, ...]]) -> Machine
     return replace(machine, targets=tuple(targets))
 
 
-def measure(mode: str, shown: dict[str, str] | None = None) -> Run:
+def measure(mode, shown=None):
     """Return a Run.
 
     shown : targets that the tracker is on where others should be measured
@@ -43,12 +39,12 @@ def measure(mode: str, shown: dict[str, str] | None = None) -> Run:
 
 
 @pytest.fixture(scope="module", params=["standstill", "otf"])
-def run(request: pytest.FixtureRequest) -> Run:
+def run(request):
     return measure(request.param)
 
 
 @pytest.fixture(scope="module")
-def stated(run: Run) -> Observations:
+def stated(run):
     return align(run)
 
 

@@ -34,9 +34,7 @@ def assert_same_cells(a, b, *, place_mm=0.02):
     ],
     ids=["lines", "standstills", "corner to corner"],
 )
-def test_blocks_of_a_tenth_of_a_second_give_the_cells_of_the_whole_run(
-    record, seed, mode, kind
-):
+def test_short_blocks_give_the_cells_of_the_whole_run(record, seed, mode, kind):
     run, _ = record(seed, mode, **kind)
     live, parts = stream(run)
     assert_same_cells(live.observations(parts), align(run))

@@ -98,28 +98,15 @@ def test_the_written_file_predicts_what_the_analysis_does_and_removes_the_error(
     assert 0.8 < (np.abs(left) < 2 * sigma).mean() <= 1.0
 
 
-def test_a_result_that_cannot_be_one_is_refused(folder, tmp_path):
-    cut = tmp_path / "cut.json"
-    cut.write_bytes((folder / "result.json").read_bytes()[:5000])
-    with pytest.raises(BundleError, match=r"cut\.json, row 1: is not JSON"):
-        read_result(cut)
+def test_a_result_too_large_or_points_that_are_not_there_are_refused(folder, tmp_path):
     large = tmp_path / "large.json"
     with large.open("wb") as file:
         file.truncate((1 << 30) + 1)
     with pytest.raises(BundleError, match="larger than 1024 MiB"):
         read_result(large)
-
-
-def test_points_or_a_result_that_are_not_there_or_bad_are_named(folder, tmp_path):
-    asked, answered = tmp_path / "p.csv", tmp_path / "d.csv"
-    asked.write_text("x_mm,y_mm,z_mm\n1,2,nan\n")
-    with pytest.raises(BundleError, match=r"p\.csv, row 2, column z_mm"):
-        predict_points(folder / "result.json", asked, answered)
-    assert not answered.exists()
-    asked.write_text("x_mm,y_mm,z_mm\n1,2,3\n")
-    for files in (("none.json", asked), ("result.json", tmp_path / "none.csv")):
-        with pytest.raises(BundleError, match=r"none\..*: cannot be read \(No such"):
-            predict_points(folder / files[0], files[1], answered)
+    files = folder / "result.json", tmp_path / "none.csv", tmp_path / "d.csv"
+    with pytest.raises(BundleError, match=r"none\.csv: cannot be read \(No such"):
+        predict_points(*files)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +121,9 @@ def of_both(runs):
     return render_analysis(analyse(*runs))
 
 
-def test_the_mode_is_that_of_the_run_with_most_samples_used(of_both):
+def test_every_run_has_its_part_of_result_and_report_and_the_longest_gives_the_mode(
+    of_both, runs
+):
     result = json.loads(json.dumps(of_both.result, allow_nan=False))
     used = {run["mode"]: run["used_samples"] for run in result["runs"]}
     assert set(used) == {"otf", "standstill"}
@@ -142,12 +131,6 @@ def test_the_mode_is_that_of_the_run_with_most_samples_used(of_both):
     main = next(run for run in result["runs"] if run["mode"] == result["mode"])
     assert result["alignment"] == main["alignment"]
     assert result_from_json(result).mode == result["mode"]
-
-
-def test_every_run_has_alignment_residuals_noise_and_origin_and_its_part_of_the_report(
-    of_both, runs
-):
-    result = of_both.result
     left = result["volumetric_uncertainty_um"]
     digest = result["provenance"]["input_sha256"]
     for stated, run in zip(result["runs"], runs, strict=True):

@@ -1,6 +1,7 @@
 """Charts with round ticks and nothing outside the frame; templates compiled once."""
 
 import re
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -91,15 +92,11 @@ def test_a_template_is_compiled_once(environment, tmp_path, monkeypatch):
     assert again.get_template("page.html").render(text="<") == "<p>&lt;</p>"
 
 
-def test_a_page_is_made_where_nothing_can_be_kept(environment, tmp_path):
+def test_a_page_is_made_where_nothing_can_be_kept(environment, tmp_path, monkeypatch):
     tmp_path.rmdir()
     assert environment.get_template("page.html").render(text="a") == "<p>a</p>"
-
-
-@pytest.mark.parametrize("error", [RuntimeError, PermissionError])
-def test_a_user_without_a_folder_has_no_kept_templates(monkeypatch, error):
-    def refuse(self):
-        raise error
-
-    monkeypatch.setattr(templating.CompiledTemplates, "_get_default_cache_dir", refuse)
-    assert templating.find_compiled() is None
+    for error in (RuntimeError, PermissionError):  # a user without a folder
+        refuse = Mock(side_effect=error)
+        kept = templating.CompiledTemplates
+        monkeypatch.setattr(kept, "_get_default_cache_dir", refuse)
+        assert templating.find_compiled() is None

@@ -5,6 +5,7 @@ points and of results in tests/unit/results: here stand a few, as a user meets t
 """
 
 import shutil
+from math import nan
 
 import pytest
 
@@ -91,12 +92,8 @@ def test_bad_points_and_a_bad_result_are_one_line(refuse, analysed, points, tmp_
     [
         ("length_scale_ppm", "0.6", 'length_scale_ppm is "0.6"; write a number'),
         ("length_scale_ppm", -5.0, "length_scale_ppm is -5; it must be"),
-        ("measured_s", float("nan"), "measured_s is not finite; write a finite"),
-        (
-            "temperature_degC",
-            {"X": [float("nan"), 20.0]},
-            "temperature_degC.X[0] is not finite; write a finite number",
-        ),
+        ("measured_s", nan, "measured_s is not finite; write a finite"),
+        ("temperature_degC", {"X": [nan, 20.0]}, "temperature_degC.X[0] is not finite"),
         ("temperature_degC", "warm", 'temperature_degC is "warm"; write an'),
         ("runs", [{"name": "a", "sketch": "123"}], 'runs[0].sketch is "123"'),
         ("runs", "monday", 'runs is "monday"'),
@@ -109,11 +106,8 @@ def test_a_result_of_bad_provenance_is_one_line(key, value, line, refuse, result
 
 @pytest.mark.parametrize("value", [1e12, -1e308])
 def test_an_error_that_no_machine_has_is_one_line(value, refuse, result, keep):
-    place, effect = next(
-        (number, one)
-        for number, one in enumerate(result["model"]["effects"])
-        if "values_um" in one
-    )
-    effect["values_um"][2] = value
+    effects = result["model"]["effects"]
+    place = next(k for k, one in enumerate(effects) if "values_um" in one)
+    effects[place]["values_um"][2] = value
     line = refuse(keep(result))
     assert f"result.json: model.effects[{place}].values_um[2] is {value:g}" in line

@@ -5,10 +5,7 @@ import pytest
 from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.cli.command import run
 
-
-@pytest.fixture(autouse=True)
-def logged_plainly(plain_log):
-    """The command sets the log up; it is put back."""
+pytestmark = pytest.mark.usefixtures("plain_log")  # the command sets the log up
 
 
 @pytest.fixture
@@ -34,16 +31,19 @@ def test_a_damaged_catalogue_is_one_line_with_the_way_out(command, folder, capsy
     assert (folder / "catalogue.sqlite").read_bytes() == b"garbage " * 99
 
 
-def test_rebuilding_says_what_came_back_and_where_the_old_one_is(
-    folder, command, words
-):
+def test_rebuilding_says_what_came_back_and_where_the_old_is(folder, command, words):
     said = command.run(*words("rebuild")).out
     (aside,) = folder.glob("catalogue.aside-*.sqlite")
     assert str(aside) in said
     assert "added: 0 Runs, 0 jobs" in said
     assert "in order, schema" in command.run(*words("check")).out
-    assert command.json(*words("rebuild"))["schema"] == "catalogue-rebuild/1"
     assert command.json(*words("check"))["jobs"] == 0
+    (folder / "runs" / "left.sqlite").write_bytes(b"no Run")
+    said = command.run(*words("check")).err
+    assert "Run left is on disk and in no row" in said
+    told = command.json(*words("rebuild"))
+    assert told["schema"] == "catalogue-rebuild/1"
+    assert "left.sqlite: is not a Run file" in told["unreadable"]["run left"]
 
 
 def test_a_folder_without_a_catalogue_has_none_yet(command, words, tmp_path):
@@ -55,12 +55,3 @@ def test_nothing_is_rebuilt_under_a_running_service(folder, command, words):
     with hold_folder(folder):
         said = command.refuse(*words("rebuild"), status=1)
     assert "another instance works on" in said
-
-
-def test_runs_that_do_not_fit_the_catalogue_are_told(folder, command, words):
-    command.run(*words("rebuild"))
-    (folder / "runs" / "left.sqlite").write_bytes(b"no Run")
-    said = command.run(*words("check")).err
-    assert "Run left is on disk and in no row" in said
-    unreadable = command.json(*words("rebuild"))["unreadable"]
-    assert "left.sqlite: is not a Run file" in unreadable["run left"]

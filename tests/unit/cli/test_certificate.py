@@ -4,30 +4,22 @@ import copy
 import json
 import math
 import re
-from datetime import date
 from itertools import zip_longest
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import pytest
 import tinyhtml5
 
 from truepath.answers.certificate import pdf
-from truepath.answers.certificate.issue import gather_certificate, read_result_source
 from truepath.cli.command import run
-from truepath.errors import BundleError
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 ISSUED = ("--issued", "2026-11-24")
-
-
-class Page(NamedTuple):
-    """The text of a certificate, and the cells of its tables by their section."""
-
-    text: str
-    tables: dict[str, list[list[list[str]]]]
+ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
 
 
 def read_page(file):
+    """The text of a certificate, and the cells of its tables by their section."""
     tree = tinyhtml5.parse(file, namespace_html_elements=False)
     tables = {
         section.get("id"): [
@@ -36,7 +28,7 @@ def read_page(file):
         ]
         for section in tree.iter("section")
     }
-    return Page("".join(tree.itertext()), tables)
+    return SimpleNamespace(text="".join(tree.itertext()), tables=tables)
 
 
 def numbers(text):
@@ -91,15 +83,24 @@ def refuse(command, words, tmp_path):
     return ask
 
 
-def half_a_digit(text):
-    decimals = re.search(r"[.,](\d+)", text)
-    return 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
+@pytest.fixture
+def verified(keep):
+    def write(**content):
+        content = {"schema": "verification/1", **content}
+        return "--verification", keep(content, "v.json")
+
+    return write
+
+
+def assert_shown(cell, value, sigma):
+    """A cell states value and expanded uncertainty, rounded in the last digit."""
+    decimals = re.search(r"[.,](\d+)", cell)
+    half_a_digit = 0.5000001 * 10.0 ** -(len(decimals[1]) if decimals else 0)
+    assert numbers(cell)[:2] == pytest.approx([value, 2.0 * sigma], abs=half_a_digit)
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_every_number_of_the_tables_is_the_results_and_u_is_twice_u(
-    issued, result, language
-):
+def test_every_number_of_tables_is_the_results_and_u_twice_u(issued, result, language):
     seen = set()
     for table in read_page(issued / f"{language}.html").tables["tables"]:
         head, *rows = table
@@ -111,16 +112,11 @@ def test_every_number_of_the_tables_is_the_results_and_u_is_twice_u(
             seen.add(symbol)
             unit = "um" if "value_um" in stated else "urad"
             rest = (stated["position_mm"], stated[f"value_{unit}"])
-            every = zip_longest(rows, *rest, stated[f"uncertainty_{unit}"])
-            for (row, at, value, sigma), beyond in zip(
-                every, stated["extrapolated"], strict=True
-            ):
+            rest += (stated[f"uncertainty_{unit}"], stated["extrapolated"])
+            for row, at, value, sigma, beyond in zip_longest(rows, *rest):
                 assert row[0].endswith("*") == beyond
                 assert numbers(row[0])[0] == pytest.approx(at, abs=0.0500001)
-                shown, expanded = numbers(row[column])
-                digit = half_a_digit(row[column])
-                assert shown == pytest.approx(value, abs=digit)
-                assert expanded == pytest.approx(2.0 * sigma, abs=digit)
+                assert_shown(row[column], value, sigma)
     assert seen == set(result["error_tables"])
 
 
@@ -128,12 +124,9 @@ def test_squareness_volume_and_budget_are_those_of_the_result(issued, result):
     tables = read_page(issued / "en.html").tables
     for symbol, _, cell in tables["single"][0][1:]:
         stated = result["squareness_urad"][symbol]
-        both = [stated["value"], 2.0 * stated["uncertainty"]]
-        assert numbers(cell)[:2] == pytest.approx(both, abs=half_a_digit(cell))
-    shown = tables["brief"][0][1][1]
+        assert_shown(cell, stated["value"], stated["uncertainty"])
     mean = result["volumetric_error"]["before"]["mean"]
-    both = [mean["value_um"], 2.0 * mean["uncertainty_um"]]
-    assert numbers(shown) == pytest.approx(both, abs=half_a_digit(shown))
+    assert_shown(tables["brief"][0][1][1], mean["value_um"], mean["uncertainty_um"])
     *sources, total, expanded = tables["budget"][0][1:]
     squares = sum(numbers(row[4])[0] ** 2 for row in sources)
     stated = result["volumetric_uncertainty_um"]
@@ -142,9 +135,7 @@ def test_squareness_volume_and_budget_are_those_of_the_result(issued, result):
     assert numbers(expanded[4])[0] == pytest.approx(2.0 * stated, abs=6e-4)
 
 
-def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
-    issue, result, keep
-):
+def test_the_reversal_value_is_twice_the_half_difference_stated(issue, result, keep):
     position = result["error_tables"]["EYY"]["position_mm"]
     columns = {"value_um": -3.0, "uncertainty_um": 0.05}
     half = {name: [value] * len(position) for name, value in columns.items()}
@@ -161,17 +152,16 @@ def test_the_reversal_value_is_twice_the_half_difference_of_the_result(
     assert rows["Y"][1] == f"{own['from_mm']:.0f}\u00a0… {own['to_mm']:.0f}\u00a0mm"
 
 
-@pytest.mark.parametrize(
-    ("language", "operator", "serial", "unknown"),
-    [
-        ("en", "Operator", "Serial number of the tracker", "not stated"),
-        ("de", "Bediener", "Seriennummer des Trackers", "nicht angegeben"),
-    ],
-)
-def test_what_nobody_has_stated_is_shown_as_not_stated(
-    issued, language, operator, serial, unknown
-):
+UNKNOWN = {
+    "en": ("Operator", "Serial number of the tracker", "not stated"),
+    "de": ("Bediener", "Seriennummer des Trackers", "nicht angegeben"),
+}
+
+
+@pytest.mark.parametrize("language", UNKNOWN)
+def test_what_nobody_stated_is_not_stated(issued, language):
     identity = dict(read_page(issued / f"{language}.html").tables["identity"][0])
+    operator, serial, unknown = UNKNOWN[language]
     assert identity[operator] == "Jörg Weiß"
     assert identity[serial] == unknown
 
@@ -182,9 +172,7 @@ def test_the_html_fetches_nothing_and_has_no_script(issued):
     assert html.splitlines()[0] == "<!DOCTYPE html>"
 
 
-def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
-    issue, refuse, result, keep
-):
+def test_a_bad_result_gives_no_certificate_unless_accepted(issue, refuse, result, keep):
     verdict = {"state": "not-usable", "reasons": ["The table shook."]}
     file = keep({**result, "verdict": verdict})
     assert "--accept-verdict" in refuse("c.html", result=file)
@@ -193,9 +181,7 @@ def test_a_result_not_to_be_used_gives_no_certificate_unless_that_is_accepted(
     assert "The table shook." in page.text
 
 
-def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_remedy(
-    command, words, refuse, monkeypatch
-):
+def test_without_a_printer_html_alone_is_made(command, words, refuse, monkeypatch):
     def is_missing():
         raise pdf.PdfUnavailable(f"no PDF can be made here (…): {pdf.REMEDY}")
 
@@ -204,15 +190,13 @@ def test_where_the_printer_is_missing_html_is_made_and_pdf_refused_with_the_reme
     assert "not stated: machine_maker" in command.run(*words("c.html")).err
 
 
-def test_files_beside_the_result_are_stated_and_held_against_it(
-    issue, account, result, keep, measure_again
-):
+def test_files_beside_it_are_checked(issue, account, result, verified, measure_again):
     other = {"result": {"input_sha256": "f" * 64}}
-    check = {"schema": "verification/1", "provenance": other}
+    check = {"provenance": other, "statements": ["It fails."]}
     measured = {"conformity": "outside", "tolerance_um": 3.25}
-    check |= {"conformity": {"measured": measured}, "statements": ["It fails."]}
+    check |= {"conformity": {"measured": measured}}
     left = ("--as-left", measure_again(result))
-    beside = ("--compensation", account, "--verification", keep(check, "v.json"))
+    beside = ("--compensation", account, *verified(**check))
     page = read_page(issue("c.html", *beside, *left))
     assert "IT WAS MADE FOR ANOTHER RESULT" in page.text
     assert "THE FILES WERE MADE FROM ANOTHER" not in page.text
@@ -222,14 +206,10 @@ def test_files_beside_the_result_are_stated_and_held_against_it(
     after = json.loads(account.read_text())["volumetric_error_um"]["after"]
     rows = dict(page.tables["compensation"][0])
     shown = rows["With the files, as the control reads them"]
-    both = [after["mean"], 2.0 * after["mean_uncertainty"]]
-    assert numbers(shown)[:2] == pytest.approx(both, abs=half_a_digit(shown))
+    assert_shown(shown, after["mean"], after["mean_uncertainty"])
     assert [row[0] for row in page.tables["brief"][0][1:]][-1] == "As left, measured"
     assert "the control has not said it" in page.text
     assert any(result["provenance"]["input_sha256"] in c for c in page.text.split())
-
-
-ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
 
 
 @pytest.mark.parametrize(
@@ -243,23 +223,15 @@ ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
         ({"compensated": False}, "No account of compensation files was given."),
     ],
 )
-def test_files_that_a_verification_names_are_named_without_their_account(
-    issue, keep, content, said
-):
-    verification = keep({"schema": "verification/1", **content}, "v.json")
-    assert said in read_page(issue("c.html", "--verification", verification)).text
+def test_a_verification_names_its_files_without_account(issue, verified, content, said):
+    assert said in read_page(issue("c.html", *verified(**content))).text
 
 
-def test_a_verification_with_other_files_than_the_account_states_is_an_alarm(
-    issue, account, keep
-):
+def test_a_verification_with_files_of_another_account_alarms(issue, account, verified):
     made = json.loads(account.read_text())["files_sha256"]
-    for digests, is_other in ((made, False), (ACTIVE["files_sha256"], True)):
-        active = {"format": "json", "files_sha256": digests}
-        content = {"schema": "verification/1", "compensated": True}
-        verification = keep({**content, "compensation": active}, "v.json")
-        beside = ("--compensation", account, "--verification", verification)
-        page = read_page(issue("c.html", *beside))
+    for active, is_other in (({**ACTIVE, "files_sha256": made}, False), (ACTIVE, True)):
+        check = verified(compensated=True, compensation=active)
+        page = read_page(issue("c.html", "--compensation", account, *check))
         assert ("MADE WITH OTHER FILES" in page.text) == is_other
 
 
@@ -271,10 +243,7 @@ def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
     found = keep(result, "found.json")
 
     def explain(left):
-        source, at = read_result_source(found), date(2026, 3, 3)
-        with pytest.raises(BundleError) as refused:
-            gather_certificate(source, issued=at, left=left, identity={})
-        return str(refused.value)
+        return refuse("c.html", "--as-left", left, result=found)
 
     assert "a measurement of the result as found" in explain(found)
     earlier = measure_again(result, started="2026-03-01T08:00:00+00:00")
@@ -282,16 +251,12 @@ def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
     later = {"started": "2026-03-02T12:00:00+00:00"}
     off = measure_again(result, **later, control_compensation="off")
     assert "its compensation is off" in explain(off)
-    said = refuse("c.html", "--as-left", found, result=found)
-    assert "a measurement of the result as found" in said
     on = measure_again(result, **later, control_compensation="on")
-    page = read_page(issue("c.html", "--as-left", on))
+    page = read_page(issue("c.html", "--as-left", on, result=found))
     assert "The control stated that its compensation was on" in page.text
 
 
-def test_a_result_as_left_that_is_not_to_be_used_states_nothing(
-    issue, refuse, result, measure_again
-):
+def test_a_bad_result_as_left_states_nothing(issue, refuse, result, measure_again):
     def leave(kind, values):
         verdict = verdict_json(Verdict((Reason(kind, "not-usable", values),)))
         started = "2026-11-20T08:00:00+00:00"
@@ -307,9 +272,7 @@ def test_a_result_as_left_that_is_not_to_be_used_states_nothing(
     assert "Date of measurement as left" in page.text
 
 
-def test_another_tool_or_travel_is_not_the_machine_as_left(
-    refuse, result, measure_again
-):
+def test_another_tool_or_travel_is_no_machine_as_left(refuse, result, measure_again):
     again = copy.deepcopy(result)
     again["machine"]["axes"]["X"]["max_mm"] = 300.0
     assert "has other travel" in refuse("c.html", "--as-left", measure_again(again))
@@ -331,9 +294,7 @@ def test_a_file_of_another_kind_is_refused_by_its_name(refuse, analysed):
         (lambda a: a["left_um"].update(map=math.inf), "left_um.map is not finite"),
     ],
 )
-def test_an_account_that_cannot_be_stated_is_refused_with_its_place(
-    refuse, account, keep, change, said
-):
+def test_a_damaged_account_is_refused_by_its_key(refuse, account, keep, change, said):
     content = json.loads(account.read_text())
     change(content)
     line = refuse("c.html", "--compensation", keep(content, "t.json"))

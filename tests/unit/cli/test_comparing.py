@@ -70,21 +70,25 @@ def compared(analysed, laser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared")
     arguments = [str(analysed / "result.json"), str(laser), "-o", str(folder)]
     assert run(["compare", *arguments]) == 0
-    return folder, json.loads((folder / "comparison.json").read_text())
+    return folder
 
 
-def test_compare_writes_table_figures_and_page_and_names_what_it_leaves_out(compared):
-    folder, content = compared
+@pytest.fixture(scope="module")
+def content(compared):
+    return json.loads((compared / "comparison.json").read_text())
+
+
+def test_compare_writes_table_figures_page_and_what_is_left_out(compared, content):
     names = {f"comparison.{kind}" for kind in ("json", "csv", "html")}
-    assert {path.name for path in folder.iterdir()} == names
+    assert {path.name for path in compared.iterdir()} == names
     assert content["schema"] == "comparison/1"
-    page = (folder / "comparison.html").read_text()
+    page = (compared / "comparison.html").read_text()
     assert page.count("<svg") == 4  # three axes and the volume
     assert "http" not in page.replace("http-equiv", "")
     assert len(content["errors"]) == 14
     assert len(content["not_compared"]) == 4
     assert "does not tell it" in content["not_compared"]["EAZ"]
-    rows = list(csv.DictReader((folder / "comparison.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((compared / "comparison.csv").read_text().splitlines()))
     assert len(rows) == sum(len(e["en"]) for e in content["errors"].values())
     row = next(r for r in rows if r["error"] == "EXX")
     assert row["unit"] == "um"
@@ -92,20 +96,21 @@ def test_compare_writes_table_figures_and_page_and_names_what_it_leaves_out(comp
     assert float(last["en"]) == pytest.approx(content["errors"]["ECX"]["en"][-1], 1e-3)
 
 
-def test_both_methods_agree_within_their_stated_uncertainties(compared):
-    _, content = compared
+def test_both_methods_agree_within_their_stated_uncertainties(content):
     shares = [error["share_within"] for error in content["errors"].values()]
     assert np.mean(shares) > 0.9
     assert content["kinds"]["straightness"]["largest_difference_um"] < 3.0
     assert content["kinds"]["positioning"]["largest_difference_um"] < 4.0
     volume = content["volumetric"]
     assert volume["difference_mean_um"] < 0.15 * volume["reference_mean_um"]
+    # The spread of runs, ten values a position; the gauge adds that of two end points.
+    stated = content["errors"]["EYX"]["reference_uncertainty_um"][3]
+    alone = REPEATABILITY["um"] / np.sqrt(2 * RUNS)
+    assert alone < stated < 1.6 * alone
 
 
-def test_motions_that_one_target_cannot_tell_are_merged_before_comparing(
-    compared, compare, truth_measured
-):
-    merged = compared[1]["errors"]["EXZ"]
+def test_motions_that_cannot_be_told_apart_are_merged(content, compare, truth_measured):
+    merged = content["errors"]["EXZ"]
     assert merged["merged"] == ["EBZ", "ECZ"]
     lone = [m for m in truth_measured if m.error not in ("EAZ", "EBZ", "ECZ")]
     alone = compare(lone)["errors"]["EXZ"]
@@ -114,8 +119,7 @@ def test_motions_that_one_target_cannot_tell_are_merged_before_comparing(
     assert alone["largest_difference_um"] > 1.5 * merged["largest_difference_um"]
 
 
-def test_values_stand_in_the_papers_convention(compared):
-    _, content = compared
+def test_values_stand_in_the_papers_convention_reversal_in_the_directions(content):
     for symbol, error in content["errors"].items():
         unit = "urad" if is_turn(symbol) else "um"
         for side in ("result", "reference"):
@@ -124,10 +128,6 @@ def test_values_stand_in_the_papers_convention(compared):
             assert abs(values[0]) < 1e-9
             assert (abs(values[-1]) < 1e-9) == straight
         assert error["en"][0] == 0.0
-
-
-def test_the_reversal_is_seen_in_the_directions_not_in_the_mean(compared):
-    _, content = compared
     error = content["errors"]["EXX"]
     reversal = np.subtract(error["forward_um"], error["backward_um"])
     assert np.mean(reversal) == pytest.approx(REVERSAL["um"], abs=0.3)
@@ -135,17 +135,7 @@ def test_the_reversal_is_seen_in_the_directions_not_in_the_mean(compared):
     np.testing.assert_allclose(mean, error["reference_um"], atol=1e-9)
 
 
-def test_the_spread_of_runs_is_the_uncertainty_of_the_reference(compared):
-    _, content = compared
-    stated = content["errors"]["EYX"]["reference_uncertainty_um"][3]
-    # Ten values a position; the gauge adds what its two end points scatter.
-    alone = REPEATABILITY["um"] / np.sqrt(2 * RUNS)
-    assert alone < stated < 1.6 * alone
-
-
-def test_uncertainty_of_the_instrument_widens_what_agrees(
-    command, analysed, laser, tmp_path
-):
+def test_uncertainty_of_the_laser_widens_agreement(command, analysed, laser, tmp_path):
     wide = ["--reference-um", "5", "--reference-urad", "20", "-o", tmp_path / "out"]
     said = command.json("compare", analysed / "result.json", laser, *wide)
     assert said["schema"] == "comparison-summary/1"
@@ -164,19 +154,17 @@ def words(analysed, tmp_path):
     return spell
 
 
-def test_squareness_is_compared_where_the_reference_has_it(command, words, result):
+def test_squareness_is_compared_and_what_one_side_lacks_is_not(command, words, result):
     ours = result["squareness_urad"]["C0Y"]["value"]
     rows = [f"C0Y,0,+,{ours + d},urad" for d in (9.0, 10.0, 11.0)]
-    order = words(*rows, "EXX,50,+,0,um", "EXX,50,-,0,um", "EXX,450,+,2,um")
+    rows += ["EXX,50,+,0,um", "EXX,50,-,0,um", "EXX,450,+,2,um", "EXQ,1,+,1,um"]
+    order = words(*rows)
     said = command.json(*order)
     assert said["numbers"]["C0Y"]["difference_urad"] == pytest.approx(-10.0)
     assert "fewer than two positions" in said["not_compared"]["EXX"]
-    assert "C0Y" in command.run(*order).out
-
-
-def test_what_the_result_does_not_state_is_not_compared(command, words):
-    said = command.run(*words("EXX,1,+,1,um", "EXX,2,+,1,um", "EXQ,1,+,1,um")).out
-    assert "not compared: EXQ: the result does not state it" in said
+    shown = command.run(*order).out
+    assert "C0Y" in shown
+    assert "not compared: EXQ: the result does not state it" in shown
 
 
 @pytest.mark.parametrize(
@@ -197,9 +185,7 @@ def test_a_file_in_the_way_of_the_folder_is_refused(command, words, tmp_path):
     assert "name a folder" in command.refuse(*words("EXX,1,+,1,um"))
 
 
-def test_another_scale_of_lengths_is_no_disagreement_beyond_what_is_stated(
-    compare, truth_measured, result
-):
+def test_another_scale_as_stated_is_no_disagreement(compare, truth_measured, result):
     longer = [
         replace(one, value=one.value + 0.02 * one.position_mm * (one.error == "EXX"))
         for one in truth_measured

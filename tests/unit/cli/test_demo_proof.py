@@ -12,12 +12,6 @@ from truepath.results.prediction import predict
 from truepath_simulators.scenario import load_machine
 
 
-def test_an_unknown_fault_is_bad_input(command, tmp_path):
-    fault = ("--fault", "tracker:boredom")
-    said = command.refuse("demo", "-o", tmp_path / "out", *fault)
-    assert "'tracker:boredom': unknown; known are" in said
-
-
 def test_the_path_takes_the_minutes_that_were_asked_or_says_the_least():
     machine = machine_from_json(load_machine("demo"))
     path = plan_path(machine, 6000.0, 1.5)

@@ -14,16 +14,13 @@ def discovered(recorded, tmp_path_factory):
     return folder
 
 
-def test_the_files_of_the_contract_are_written(discovered):
+def test_files_are_written_and_points_predicted(command, discovered, points, tmp_path):
     names = {path.name for path in discovered.iterdir() if path.is_file()}
     assert names == {"discovery.json", "model.json", "report.html"}
     content = json.loads((discovered / "discovery.json").read_text())
     assert content["schema"] == "discovery/1"
     assert content["effects"] == []
     assert content["unnamed"] == []
-
-
-def test_points_are_predicted_from_the_model(command, discovered, points, tmp_path):
     out, model = tmp_path / "predicted.csv", discovered / "model.json"
     command.run("predict", model, "--points", points, "-o", out)
     header, *rows = out.read_text().splitlines()
@@ -31,9 +28,7 @@ def test_points_are_predicted_from_the_model(command, discovered, points, tmp_pa
     assert len(rows) == 3
 
 
-def test_a_model_that_cannot_be_used_is_refused_in_one_line(
-    command, recorded, discovered, keep, tmp_path
-):
+def test_a_model_of_no_use_is_refused(command, recorded, discovered, keep, tmp_path):
     content = json.loads((discovered / "model.json").read_text())
 
     def refuse(file):
@@ -47,9 +42,3 @@ def test_a_model_that_cannot_be_used_is_refused_in_one_line(
     assert "version is 1.5" in refuse(keep({**content, "version": 1.5}))
     content["machine"]["axes"]["X"]["max_mm"] += 100.0
     assert "machine.axes" in refuse(keep(content))
-
-
-def test_a_bundle_without_a_stream_is_refused(command, bundle, tmp_path):
-    for file in bundle.glob("tracker.*"):
-        file.unlink()
-    assert "tracker" in command.refuse("discover", bundle, "-o", tmp_path / "out")

@@ -27,14 +27,13 @@ def test_a_format_of_one_file_is_written_where_it_is_asked(command, words, names
     assert "carries: positioning of each axis" in said.out
     assert "µm, with these tables" in said.out
     assert "sign is not verified" not in said.err
-    command.run(*words("siemens-lec", "other.arc"))
+    for output in ("axes.ini", "other.arc"):
+        command.run(*words("siemens-lec", output))
     assert names() == {"axes.ini", "axes.json", "other.arc", "other.json"}
 
 
 @pytest.mark.parametrize("output", ["c.json", "c"])
-def test_tables_and_their_account_are_two_files_where_both_are_json(
-    command, words, names, tmp_path, output
-):
+def test_tables_and_account_in_json_are_two(command, words, names, tmp_path, output):
     command.run(*words("json", output))
     assert names() == {"c.tables.json", "c.json"}
     assert json.loads((tmp_path / "c.json").read_text())["format"] == "json"
@@ -42,14 +41,14 @@ def test_tables_and_their_account_are_two_files_where_both_are_json(
     assert tables["schema"] == "compensation-tables/1"
 
 
-def test_formats_are_listed_with_what_each_carries(command):
+def test_formats_say_what_each_carries_and_whose_sign_is_to_be_tried(command, words):
     said = command.run("formats").out
-    assert (
-        "siemens-lec: Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
-        in said
-    )
+    title = "Siemens 840D sl, leadscrew error compensation, 1000 rows\n"
+    assert f"siemens-lec: {title}" in said
     assert "isg-csv: ISG kernel, Beckhoff TF5280, 1000 rows; the sign is to be" in said
     assert "carries      positioning of each axis, forward and reverse" in said
+    said = command.run(*words("heidenhain", "comp"))
+    assert "try one deliberate value before first use" in said.err
     listed = [one["name"] for one in command.json("formats")["formats"]]
     assert listed == sorted(listed)
 
@@ -65,11 +64,6 @@ def test_a_format_of_a_file_an_axis_begins_their_names(command, words, names, tm
     assert len(said["unobservable"]) == 4
 
 
-def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(command, words):
-    said = command.run(*words("heidenhain", "comp"))
-    assert "try one deliberate value before first use" in said.err
-
-
 @pytest.mark.parametrize(
     ("name", "output", "more", "said"),
     [
@@ -79,21 +73,12 @@ def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(command, words):
         ("heidenhain", "Fräse.com", [], "letters A to Z"),
     ],
 )
-def test_what_cannot_be_written_says_why(
-    command, words, names, name, output, more, said
-):
+def test_what_is_not_written_says_why(command, words, names, name, output, more, said):
     assert said in command.refuse(*words(name, output, *more))
     assert not names()
 
 
-def test_a_file_that_is_no_result_is_refused(command, words, keep):
-    said = command.refuse(*words("linuxcnc", "comp", result=keep({})))
-    assert "schema" in said
-
-
-def test_lost_motion_that_the_result_states_is_in_both_directions(
-    command, words, result, keep, tmp_path
-):
+def test_stated_lost_motion_is_for_both_ways(command, words, result, keep, tmp_path):
     table = {"position_mm": [0.0, 500.0], "value_um": [3.0, 5.0]}
     result["direction"] = {"half_difference": {"EXX": table}}
     command.run(*words("linuxcnc", "comp.tbl", result=keep(result)))
@@ -123,11 +108,7 @@ def test_the_result_itself_is_never_written_over(command, words, result, keep, n
         assert file.read_bytes() == before
 
 
-def test_an_account_replaces_an_account_and_no_other_file(
-    command, words, names, tmp_path
-):
-    for _ in range(2):
-        command.run(*words("siemens-lec", "axes.ini"))
+def test_an_account_replaces_nothing_but_accounts(command, words, names, tmp_path):
     machine = tmp_path / "machine.json"
     for text in ('{"schema": "machine/1"}', "not JSON"):
         machine.write_text(text)

@@ -14,6 +14,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
+CONTENT = load_machine("demo")
 pytestmark = [
     pytest.mark.timeout(240),  # two measurements are analysed
     pytest.mark.usefixtures("few_places"),
@@ -70,12 +71,12 @@ def combined(left, given, tmp_path_factory):
 
 
 def find_left_um(truth, files, q, rigid_free):
-    """What a control with these files leaves of the machine's own errors, µm."""
-    machine = parse_machine(load_machine("demo"))
-    control = LoadedTables.from_paths(files).correct(machine)
-    added = control.added(q, np.ones_like(q))
-    left = rigid_free(q, truth.deviation_mm(q) + added[:, :3])
-    return 1e3 * np.sqrt(np.mean(np.sum(left**2, axis=1)))
+    """What a control with these files, or with none, leaves of the errors, µm."""
+    left = truth.deviation_mm(q)
+    if files:
+        control = LoadedTables.from_paths(files).correct(parse_machine(CONTENT))
+        left = left + control.added(q, np.ones_like(q))[:, :3]
+    return 1e3 * np.sqrt(np.mean(np.sum(rigid_free(q, left) ** 2, axis=1)))
 
 
 @pytest.fixture
@@ -87,35 +88,26 @@ def words(tmp_path):
     return spell
 
 
-def test_files_that_would_undo_the_active_tables_are_refused(
-    command, words, left, tmp_path
-):
+def test_active_tables_are_kept_or_a_difference_is_said(command, words, left, tmp_path):
     said = command.refuse(*words(left[0]))
     assert "the control compensated while this was measured" in said
     assert "--active FILE" in said
     assert not (tmp_path / "t").exists()
-
-
-def test_combined_files_take_the_true_errors_away_in_place_of_the_active_ones(
-    left, active, combined, volume, rigid_free
-):
-    account = json.loads((combined / "t.json").read_text())
-    assert account["basis"]["holds"] == "combined"
-    assert any(line.startswith("holds combined") for line in account["stamp"])
-    truth, q = left[1], volume(machine_from_json(load_machine("demo")))
-    before = find_left_um(truth, active, q, rigid_free)
-    after = find_left_um(truth, list_files(combined), q, rigid_free)
-    bare = rigid_free(q, truth.deviation_mm(q))
-    bare_um = 1e3 * np.sqrt(np.mean(np.sum(bare**2, axis=1)))
-    assert after < 1.1 * before < 0.2 * bare_um
-    assert after < 1.5 * account["volumetric_error_um"]["after"]["mean"] + 0.3
-
-
-def test_the_difference_is_said_to_be_one(command, words, left, tmp_path):
     basis = command.json(*words(left[0], "--difference"))["basis"]
     assert basis["holds"] == "difference"
     assert "to be added to these" in basis["text"]
     assert "holds difference" in (tmp_path / "t" / "t-lec.ini").read_text()
+
+
+def test_combined_files_take_errors_away(left, active, combined, volume, rigid_free):
+    account = json.loads((combined / "t.json").read_text())
+    assert account["basis"]["holds"] == "combined"
+    assert any(line.startswith("holds combined") for line in account["stamp"])
+    q = volume(machine_from_json(CONTENT))
+    each = ([], active, list_files(combined))
+    bare, before, after = (find_left_um(left[1], f, q, rigid_free) for f in each)
+    assert after < 1.1 * before < 0.2 * bare
+    assert after < 1.5 * account["volumetric_error_um"]["after"]["mean"] + 0.3
 
 
 @pytest.mark.parametrize(
@@ -129,20 +121,13 @@ def test_the_difference_is_said_to_be_one(command, words, left, tmp_path):
 def test_tables_that_were_not_active_are_refused(
     command, words, result, active, keep, state, more, said
 ):
-    files = more and [*more, active[0]]
-    assert said in command.refuse(*words(keep(say_control(result, state)), *files))
+    files, file = more and [*more, active[0]], keep(say_control(result, state))
+    assert said in command.refuse(*words(file, *files))
+    if state == "off":
+        assert command.json(*words(file))["basis"]["holds"] == "as-found"
 
 
-def test_a_result_with_the_control_off_is_the_whole_correction(
-    command, words, result, keep
-):
-    account = command.json(*words(keep(say_control(result, "off"))))
-    assert account["basis"]["holds"] == "as-found"
-
-
-def test_a_machine_with_combined_files_is_verified_as_what_they_leave(
-    left, combined, record, tmp_path
-):
+def test_combined_files_verify_as_what_they_leave(left, combined, record, tmp_path):
     files = list_files(combined)
     tables = LoadedTables.from_paths(files)
     setting = synthetic.Setting(machine_seed=1, compensation=tables)

@@ -11,13 +11,15 @@ def files(recorded):
     return recorded / "machine.json", recorded / "path.csv"
 
 
-def test_a_path_is_graded_in_one_object(command, files):
-    said = command.json("grade", *files, "--tracker=-900,0,200")
+def test_a_path_is_graded_in_one_object_better_with_along_path(command, files):
+    order = ["grade", *files, "--tracker=-900,0,200"]
+    said = command.json(*order)
     assert said["schema"] == "grade/1"
     assert said["verdict"] in ("good", "usable", "poor")
     assert said["tracker"]["position_mm"] == [-900.0, 0.0, 200.0]
     assert said["tracker"]["assumed"] is False
     assert all(s[0] == "E" for s in said["unobservable"])
+    assert command.json(*order, "--perpendicular-only")["number"] > said["number"]
 
 
 def test_a_person_gets_a_sentence_and_what_cannot_be_seen(command, files):
@@ -25,12 +27,6 @@ def test_a_person_gets_a_sentence_and_what_cannot_be_seen(command, files):
     assert said.startswith("grade of the set-up: 0.")
     assert "worst of four usual places" in said
     assert "cannot be seen: EBZ (turn of Z about Y) cannot be told from" in said
-
-
-def test_along_path_information_is_worth_a_better_grade(command, files):
-    order = ["grade", *files, "--tracker=-900,0,200"]
-    both = command.json(*order)["number"]
-    assert command.json(*order, "--perpendicular-only")["number"] > both
 
 
 def test_rows_without_a_feed_are_standstill_points(command, files, tmp_path):
@@ -43,10 +39,3 @@ def test_rows_without_a_feed_are_standstill_points(command, files, tmp_path):
 def test_half_a_place_is_refused(command, files, place):
     said = command.refuse("grade", *files, f"--tracker={place}")
     assert f"--tracker {place}: not a place; write X,Y,Z in mm" in said
-
-
-def test_a_row_out_of_travel_is_named(command, files, tmp_path):
-    path = tmp_path / "far.csv"
-    path.write_text("x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n0,0,0,900,0\n9999,0,0,900,0\n")
-    said = command.refuse("grade", files[0], path)
-    assert "far.csv, row 3, column x_mm: is out of travel" in said

@@ -1,14 +1,23 @@
 """`import`: files as several makers' software writes them, made by hand from truth."""
 
+import io
 import re
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from exports_of_makers import clock, french, german, leica, of_stream, plain, spatial
+from recorded import record_run
+from truepath.cli import command as command_line
 from truepath.files.bundle.bundle import read_bundle, write_bundle
+from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.interfaces.records import Path
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +35,10 @@ def source(truth, tmp_path_factory):
 
 @pytest.fixture
 def words(source, tmp_path):
-    def spell(data, *options, path=source / "path.csv"):
+    def spell(data, *options, place=source, path=source / "path.csv"):
         export = tmp_path / "export.txt"
         export.write_bytes(data)
-        given = ["--machine", source / "machine.json", "--path", path]
+        given = ["--machine", place / "machine.json", "--path", path]
         return ["import", export, *given, "-o", tmp_path / "bundle", *options]
 
     return spell
@@ -64,10 +73,8 @@ def written(truth):
 
 
 def assert_times(read, truth):
-    time_s = truth.tracker.device_time_s
-    np.testing.assert_allclose(
-        read.tracker.device_time_s, time_s - time_s[0], atol=1.1e-6
-    )
+    time_s = truth.tracker.device_time_s - truth.tracker.device_time_s[0]
+    np.testing.assert_allclose(read.tracker.device_time_s, time_s, atol=1.1e-6)
 
 
 @pytest.mark.parametrize("style", [leica, german, spatial, french])
@@ -81,9 +88,7 @@ def test_the_stream_of_an_export_is_the_one_that_was_recorded(style, bring, trut
     assert_times(read, truth)
 
 
-def test_an_nc_program_is_the_path_that_it_drives_and_temperatures_come_along(
-    bring, truth, tmp_path
-):
+def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp_path):
     program = tmp_path / "program.h"
     program.write_text(write_program(truth.commanded, truth.machine, "heidenhain"))
     read, _ = bring(of_stream(german, truth.tracker)[0], path=program)
@@ -107,41 +112,20 @@ def test_a_temperature_that_cannot_be_is_left_out_with_a_note(bring, written):
     assert any("X_degC" in e.text for e in read.events)
 
 
-def test_a_list_of_points_is_a_bundle_of_points(bring, shots):
-    _, seen, path = shots
-    text = ["Name;X [mm];Y [mm];Z [mm]"]
-    for k, place in enumerate(seen):
-        for shot in (-1, 1):
-            cells = ";".join(f"{v + shot * 1e-3:.4f}" for v in place)
-            text.append(f"P{k + 1};{cells}".replace(".", ","))
-    points = bring("\n".join(text).encode(), path=path)[0].points
-    assert points.row.tolist() == list(range(len(seen)))
-    assert set(points.count.tolist()) == {2}
-    np.testing.assert_allclose(points.covariance_mm2, 2e-6, rtol=1e-3)
-
-
 def beside(data, head, cell):
     first, *rows = data.split(b"\n")
     return b"\n".join([first + b"," + head, *(row + b"," + cell for row in rows)])
 
 
 AMBIGUOUS = {
-    "a unit that is not usual": (
-        lambda w: w(0.1, head="t_s,x,y,z", d=6),
-        "--unit",
-        "--unit cm",
-    ),
-    "wrong unit": (lambda w: w(head="t_s,x_m,y_m,z_m"), "extend over", "--unit mm"),
+    "an unusual unit": (lambda w: w(0.1, head="t_s,x,y,z", d=6), "--unit", "--unit cm"),
+    "metres": (lambda w: w(head="t_s,x_m,y_m,z_m"), "they look like mm", "--unit mm"),
     "more decimals without names than x, y, z": (
         lambda w: w(head="").replace(b"\n", b",0.5\n"),
         "--column x=NUMBER",
         "--column time=1 --column x=2 --column y=3 --column z=4",
     ),
-    "two columns of x": (
-        lambda w: beside(w(), b"x measured", b"4.0"),
-        "'x measured' (5)",
-        "--column x=2",
-    ),
+    "x twice": (lambda w: beside(w(), b"x m", b"4.0"), "'x m' (5)", "--column x=2"),
     "left-handed": (lambda w: w((1, -1, 1)), "--axes", "--axes x,-y,z"),
     "midnight": (
         lambda w: w(
@@ -150,18 +134,12 @@ AMBIGUOUS = {
         "--across-midnight",
         "--across-midnight",
     ),
-    "a status nobody knows": (
-        lambda w: beside(w(), b"Status", b"4"),
-        "--valid",
-        "--valid 4",
-    ),
+    "unknown status": (lambda w: beside(w(), b"Status", b"4"), "--valid", "--valid 4"),
 }
 
 
 @pytest.mark.parametrize("case", AMBIGUOUS)
-def test_what_is_ambiguous_is_refused_and_the_named_option_settles_it(
-    case, bring, refuse, written
-):
+def test_what_is_ambiguous_is_refused_until_it_is_settled(case, bring, refuse, written):
     make, said, option = AMBIGUOUS[case]
     data = make(written)
     assert said in refuse(data)
@@ -189,9 +167,7 @@ def test_a_row_that_came_twice_is_one_sample(bring, written, truth):
     assert len(read.tracker) == len(truth.tracker)
 
 
-def test_a_dry_run_shows_what_is_recognised_and_writes_nothing(
-    command, words, truth, tmp_path
-):
+def test_a_dry_run_shows_all_and_writes_nothing(command, words, truth, tmp_path):
     data, _ = of_stream(leica, truth.tracker)
     shown = command.run(*words(data, "--dry-run")).out
     assert "X [mm]" in shown
@@ -223,9 +199,7 @@ def test_a_clock_that_is_set_back_is_refused_at_its_row(refuse, written):
         assert word in said
 
 
-def test_a_long_gap_and_a_position_that_stays_are_noted_with_their_rows(
-    command, words, written
-):
+def test_a_gap_and_a_position_that_stays_are_noted_with_rows(command, words, written):
     data = written(head=BY_CLOCK, stamp=lambda t: local(t if t < 10 else t + 3600))
     lines = data.split(b"\n")
     stuck = lines[801].partition(b",")[2]
@@ -236,26 +210,19 @@ def test_a_long_gap_and_a_position_that_stays_are_noted_with_their_rows(
     assert "rows 802 to 901 repeat one position" in said
 
 
-def test_all_that_is_wrong_is_told_at_once_with_what_settles_it(
-    command, words, written, tmp_path
-):
+def test_all_that_is_wrong_is_told_to_all_at_once(command, words, written, tmp_path):
     data = beside(written((1, -1, 1), head="t,x,y,z"), b"Status", b"4")
     data = data.replace(b"\n", b"\nnot a row\n", 3)
     told = command.list_problems(*words(data))
     assert len(told) == 3
     remedies = ("remove the line", "--valid", "--axes")
     assert all(map(str.count, told, remedies))
-    assert not (tmp_path / "bundle").exists()
-
-
-def test_problems_and_what_was_recognised_are_in_the_summary_for_programs(
-    command, words, written
-):
-    data = beside(written(), b"Status", b"4")
     found = command.json(*words(data), status=2)
-    assert ["--valid" in problem for problem in found["problems"]] == [True]
-    assert found["unit"] == "mm"
-    assert found["rows"] == str(len(data.splitlines()) - 1)
+    assert len(found["problems"]) == 3
+    assert all(map(str.count, found["problems"], remedies))
+    assert found["unit"].startswith("mm: ")
+    assert found["rows"] == str(len(written().splitlines()) - 1)
+    assert not (tmp_path / "bundle").exists()
 
 
 def test_a_program_recorded_twice_is_said_with_what_is_used(bring, written, truth):
@@ -267,9 +234,7 @@ def test_a_program_recorded_twice_is_said_with_what_is_used(bring, written, trut
     assert "The program was recorded more than once: " in said
 
 
-def test_a_rate_against_times_and_drive_is_said_and_not_taken_for_the_feed(
-    bring, written
-):
+def test_a_rate_against_times_and_drive_is_said_and_no_feed(bring, written):
     said = bring(written(), "--rate", "200")[1].err
     assert "--rate 200 contradicts the times of the file: 100 Hz" in said
     assert "took 50.0 % of the time" in said
@@ -297,9 +262,7 @@ def list_shots(seen, rows, names=None):
     return (head + "\n".join(lines)).encode()
 
 
-def test_shots_without_names_are_at_their_points_though_some_are_missing_or_doubled(
-    bring, shots
-):
+def test_shots_without_names_find_their_points_though_some_are_missing(bring, shots):
     _, seen, path = shots
     rows = [0, 1, 2, 2, 3, 6, *range(7, 20), 19, 19, *range(21, len(seen))]
     read, said = bring(list_shots(seen, rows), path=path)
@@ -308,9 +271,7 @@ def test_shots_without_names_are_at_their_points_though_some_are_missing_or_doub
     assert "points without a shot: 5, 6, 21\n" in said.err
 
 
-def test_names_that_slipped_are_said_to_be_shifted_and_points_are_taken_by_place(
-    bring, shots
-):
+def test_names_that_slipped_are_said_to_be_shifted_and_not_taken(bring, shots):
     _, seen, path = shots
     names = [k + 1 + (k >= 12) for k in range(len(seen))]
     read, said = bring(list_shots(seen, range(len(seen)), names), path=path)
@@ -347,12 +308,64 @@ def test_row_numbers_tell_where_rows_are_missing(numbered, bring, truth):
         stamp = clock(float(int(t)), "02:00:00", "%m/%d/%Y %I:%M:%S %p")
         if k not in gone:
             number = k + 1 if numbered else k + 1 - 20 * (k > 1010)
-            text.append(
-                f"A, run, {number}, {p[0]:.4f}, {p[1]:.4f}, {p[2]:.4f}, {stamp}"
-            )
+            text.append(f"A,run,{number}, {p[0]:.4f}, {p[1]:.4f}, {p[2]:.4f}, {stamp}")
     read, said = bring("\n".join(text).encode())
     used = read.tracker.status == 0
     late_s = read.tracker.device_time_s - np.delete(time_s, gone)
     assert np.ptp(late_s[used]) < 1e-3
     assert used.all() == numbered
     assert "20 rows are missing" in said.err or "20 samples are missing" in said.err
+
+
+@pytest.mark.parametrize("gone", [[7], [7, 8]])
+def test_points_beside_lost_ones_and_a_stray_keep_their_place(gone, bring, shots):
+    _, seen, path = shots
+    seen[gone] = 0.0
+    seen[20] += [30.0, -20.0, 10.0]
+    lines = ["x_mm,y_mm,z_mm", *(f"{x:.4f},{y:.4f},{z:.4f}" for x, y, z in seen)]
+    read, said = bring("\n".join(lines).encode(), path=path)
+    kept = [k for k in range(len(seen)) if k not in (*gone, 20)]
+    assert read.points.row.tolist() == kept
+    assert f"{len(gone)} rows of 0, 0, 0" in said.err
+
+
+def test_a_name_in_points_csv_is_the_whole_name(bring, shots):
+    _, seen, path = shots
+    head, *rows = path.read_text().splitlines()
+    named = [f"{row},P12-{k}" for k, row in enumerate(rows, 1)]
+    path.write_text("\n".join([f"{head},name", *named]) + "\n")
+    lines = ["Name;x_mm;y_mm;z_mm"]
+    for k, (x, y, z) in enumerate(seen, 1):
+        lines.append(f"A::b::P12-{k};{x:.4f};{y:.4f};{z:.4f}")
+    _, said = bring("\n".join(lines).encode(), path=path)
+    assert "A::b::P12-3 is 3" in " ".join(said.out.replace("│", " ").split())
+
+
+def test_a_rotary_axis_that_is_counted_the_other_way_is_named(command, words, tmp_path):
+    content = load_machine("trunnion")
+    program = turning_path(parse_machine(content), 5, 16, 9000.0)
+    run, _ = record_run(content, program)
+    position = run.commanded.position.copy()
+    position[:, run.commanded.axes.index("C")] *= -1.0
+    content["axes"]["C"] |= {"min_deg": -3600.0, "max_deg": 3600.0}
+    commanded = replace(run.commanded, position=position)
+    run = replace(run, machine=machine_from_json(content), commanded=commanded)
+    write_bundle(run, tmp_path)
+    data = plain(run.tracker.device_time_s, run.tracker.position_mm, d=5)
+    order = words(data, place=tmp_path, path=tmp_path / "path.csv")
+    said = command.refuse(*order, shows=True)
+    assert "axis C counted the other way" in said
+
+
+def test_what_is_shown_survives_a_terminal_of_ascii(words, written, monkeypatch):
+    data = beside(written(), "Lufttemperatur [°C]".encode(), b"20.5")
+    order = words(beside(data, "Δ".encode(), b"1"), "--dry-run")
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", shown)
+    monkeypatch.setattr(sys, "argv", ["truepath", *map(str, order)])
+    monkeypatch.setattr(command_line, "choose_thread_limits", dict)
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    shown.flush()
+    assert ended.value.code == 0
+    assert b"Lufttemperatur" in shown.buffer.getvalue()

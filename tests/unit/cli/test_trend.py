@@ -46,9 +46,8 @@ def find_growth_um(content):
     far_end_um = np.array([table["value_um"][-1] for table in tables])
     length_mm = tables[0]["position_mm"][-1] - tables[0]["position_mm"][0]
     hours = np.array([at["time_h"] for at in times])
-    return far_end_um - far_end_um[0], -1e3 * GROWTH * length_mm * np.expm1(
-        -hours / TAU_H
-    )
+    grown_um = -1e3 * GROWTH * length_mm * np.expm1(-hours / TAU_H)
+    return far_end_um - far_end_um[0], grown_um
 
 
 def test_a_scale_that_warms_is_followed_and_said_when_due(command, warming, tmp_path):
@@ -79,9 +78,7 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(command, warming, tmp_
         (["--at", AT, "--temperature", "X"], "NAME=DEGC"),
     ],
 )
-def test_what_is_wrong_with_times_and_temperatures_is_said(
-    command, warming, tmp_path, options, problem
-):
+def test_what_is_wrong_with_times_is_said(command, warming, tmp_path, options, problem):
     order = ["trend", *warming, "-o", tmp_path / "out", *options]
     assert problem in command.refuse(*order)
 

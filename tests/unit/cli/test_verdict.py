@@ -34,20 +34,27 @@ def judged(result, keep):
 
 @pytest.fixture
 def words(tmp_path):
-    def spell(file, *more, name="linuxcnc", output="comp.tbl"):
-        place = tmp_path / "tables" / output
-        return ["export", file, "--format", name, "-o", place, *more]
+    def spell(file, *more):
+        place = tmp_path / "tables" / "comp.ini"
+        return ["export", file, "--format", "siemens-lec", "-o", place, *more]
 
     return spell
 
 
 @pytest.fixture
-def account(tmp_path):
-    return lambda: json.loads((tmp_path / "tables" / "comp.json").read_text())
+def read(tmp_path):
+    """The files of the control and their account."""
+
+    def made():
+        folder = tmp_path / "tables"
+        account = json.loads((folder / "comp.json").read_text())
+        return (folder / "comp.ini").read_text(), account
+
+    return made
 
 
 def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
-    few_places, command, words, judged, account, tmp_path
+    few_places, command, words, judged, read, tmp_path
 ):
     file = judged("not-usable")
     line = command.refuse(*words(file))
@@ -59,37 +66,23 @@ def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
     assert line.endswith("--accept-verdict writes it all the same")
     said = command.run(*words(file, "--accept-verdict"))
     assert "warning: the result is not to be used: " in said.err
-    assert account()["verdict"] == verdict_json(VERDICTS["not-usable"])
+    text, account = read()
+    assert "; THE RESULT IS NOT TO BE USED" in text
+    assert account["verdict"] == verdict_json(VERDICTS["not-usable"])
 
 
-@pytest.mark.parametrize(
-    ("state", "title"), [("not-usable", "NOT TO BE USED"), ("doubtful", "DOUBTFUL")]
-)
-def test_files_of_a_control_that_takes_comments_say_it_themselves(
-    few_places, command, words, judged, tmp_path, state, title
-):
-    order = words(judged(state), name="siemens-lec", output="comp.ini")
-    command.run(*order, "--accept-verdict")
-    text = (tmp_path / "tables" / "comp.ini").read_text()
-    assert f"; THE RESULT IS {title}" in text
-
-
-def test_a_doubtful_result_is_exported_with_a_warning(
-    few_places, command, words, judged, account
-):
+def test_a_doubtful_result_alone_is_warned_of(few_places, command, words, judged, read):
     said = command.run(*words(judged("doubtful")))
     assert f"warning: the result is doubtful: {OPEN}" in said.err
-    assert account()["verdict"]["state"] == "doubtful"
-
-
-def test_a_usable_result_is_exported_without_a_word_of_its_verdict(
-    few_places, command, words, judged, account, tmp_path
-):
+    text, account = read()
+    assert "; THE RESULT IS DOUBTFUL" in text
+    assert account["verdict"]["state"] == "doubtful"
     said = command.run(*words(judged("usable")))
     (warning,) = re.findall("warning.*", said.err)
     assert "temperature of the measurement is not known" in warning
-    assert "THE RESULT IS" not in (tmp_path / "tables" / "comp-X.tbl").read_text()
-    assert account()["verdict"]["reasons"] == [str(LEFT_OUT)]
+    text, account = read()
+    assert "THE RESULT IS" not in text
+    assert account["verdict"]["reasons"] == [str(LEFT_OUT)]
 
 
 def test_a_comparison_says_it_of_the_result(command, judged, tmp_path):
@@ -127,9 +120,7 @@ def of_another_run(file):
 
 
 @pytest.mark.parametrize("order", ["analyse", "discover", "plan"])
-def test_a_model_that_is_not_to_be_used_is_refused(
-    command, judged, recorded, tmp_path, order
-):
+def test_a_model_not_to_be_used_is_refused(command, judged, recorded, tmp_path, order):
     model = of_another_run(judged("not-usable"))
     given = recorded / "machine.json" if order == "plan" else recorded
     out = tmp_path / "out"
@@ -138,9 +129,7 @@ def test_a_model_that_is_not_to_be_used_is_refused(
     assert not list(out.rglob("*.json"))
 
 
-def test_what_rests_on_a_doubtful_model_is_doubtful(
-    command, judged, recorded, tmp_path
-):
+def test_what_rests_on_a_doubtful_model_is_so_too(command, judged, recorded, tmp_path):
     model = of_another_run(judged("doubtful"))
     said = f"doubtful: It rests on the model {model}, which is doubtful itself."
     out = tmp_path / "out"
@@ -155,18 +144,14 @@ def test_what_rests_on_a_doubtful_model_is_doubtful(
     assert 'class="verdict doubtful"' in page
 
 
-def test_a_model_of_the_same_run_gives_no_numbers_and_is_taken(
-    command, judged, recorded, tmp_path
-):
+def test_a_bad_model_of_the_same_run_is_taken(command, judged, recorded, tmp_path):
     model, out = judged("not-usable"), tmp_path / "out"
     command.run("analyse", recorded, "--model", model, "-o", out)
     content = json.loads((out / "result.json").read_text())
     assert content["verdict"]["state"] == "usable"
 
 
-def test_the_terminal_begins_with_the_worst_and_many_reasons_do_not_hide_the_tables(
-    result, tmp_path, capsys
-):
+def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, capsys):
     print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "*** NOT TO BE USED ***"
@@ -179,9 +164,7 @@ def test_the_terminal_begins_with_the_worst_and_many_reasons_do_not_hide_the_tab
     assert "- and 28 more" in lines
 
 
-def test_analyse_warns_on_standard_error_and_succeeds(
-    command, recorded, tmp_path, monkeypatch
-):
+def test_analyse_warns_on_stderr_and_succeeds(command, recorded, tmp_path, monkeypatch):
     found = analysis.analyse(read_bundle(recorded))
     judged = replace(found, verdict=VERDICTS["not-usable"])
     monkeypatch.setattr(analysis, "analyse", lambda *runs, **options: judged)
@@ -193,9 +176,7 @@ def test_analyse_warns_on_standard_error_and_succeeds(
     assert verdict == verdict_json(VERDICTS["not-usable"])
 
 
-def test_the_last_lines_state_the_error_what_compensation_leaves_and_the_next_step(
-    result, tmp_path, capsys
-):
+def test_the_last_lines_state_error_rest_and_next_step(result, tmp_path, capsys):
     print_result(result | {"verdict": verdict_json(VERDICTS["doubtful"])}, tmp_path)
     verdict, before, after, following = capsys.readouterr().out.splitlines()[-4:]
     assert verdict == "verdict: doubtful"
@@ -206,7 +187,3 @@ def test_the_last_lines_state_the_error_what_compensation_leaves_and_the_next_st
     assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
     print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
     assert "next: " not in capsys.readouterr().out
-
-
-def test_the_command_alone_shows_its_help(command):
-    assert "Calibrates machine tools" in command.run().out

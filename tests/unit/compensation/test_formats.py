@@ -3,26 +3,22 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 from pyLSV2 import NCTable
 
-from known_machines import tabulate
+from known_machines import along, tabulate
 from plugin_site import NAME, install
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.formats.etalon_exchange import EtalonExchange
 from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
-from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.model import MachineModel, restore_effect
-from truepath_simulators.scenario import load_machine
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
@@ -75,22 +71,6 @@ def losing(source):
         return map_errors(replace(result, half_difference_um=half_um))
 
     return make
-
-
-@pytest.fixture(scope="module")
-def sagging():
-    """A machine that does nothing but sag: X under Y."""
-    machine = machine_from_json(load_machine("demo"), file="machine.json")
-    keys = {"axis": "X", "by": "Y", "direction": "Z"}
-    effect = restore_effect(ElasticSagFamily(), machine, keys, {})
-    model = MachineModel(machine, (effect,))
-    return map_errors(CalibrationResult(model, np.array([0.02]), 1e-12 * np.eye(1)))
-
-
-def along(source, axis, at):
-    place = np.tile(source.middle_mm, (len(at), 1))
-    place[:, source.machine.axis_names.index(axis)] = at
-    return place
 
 
 def flat(values):
@@ -169,16 +149,6 @@ def test_a_small_control_gets_no_more_tables_and_points_than_it_has(source, cont
     assert max(abs(float(line.partition("=")[2])) for line in factors) <= 0.1
 
 
-def test_sag_is_a_product_of_two_cross_tables_and_left_by_an_etalon_file(sagging):
-    account = export_result(sagging, "siemens-cec", "c").account
-    (effect,) = account["effects"]
-    assert effect["name"] == "elastic-sag"
-    assert effect["rms_um"]["after"] < 0.02 * effect["rms_um"]["before"]
-    with pytest.raises(BadInput, match="choose another format"):
-        export_result(sagging, "etalon-exchange", "c")
-    assert "sag" in EtalonExchange.not_carried
-
-
 def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(source):
     def refused(said, name="siemens", **choices):
         with pytest.raises(BadInput, match=said):
@@ -189,6 +159,11 @@ def test_formats_choices_and_errors_of_no_use_are_refused_with_what_there_is(sou
     refused("no choice of control; it has nothing", "linuxcnc", control="828d")
     refused("control of siemens: 'X=828d' is none", control="X=828d")
     refused("no axis A; it has X, Y, Z", measuring_system="A=2")
+    for word in ("3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"):
+        refused("1, 2", measuring_system=word)
+    for name, word in product(("siemens", "siemens-lec"), ("2", "X=1,Y=2")):
+        small = {"control": "808d", "measuring_system": word}
+        refused("the 808D has 1 alone, not 2", name, **small)
     tiny = replace(source.result, theta=2e-3 * source.result.theta)
     with pytest.raises(BadInput, match="below what it resolves"):
         export_result(map_errors(tiny), "fanuc", "comp")
@@ -324,22 +299,6 @@ def test_leadscrew_tables_are_of_the_measuring_system_of_each_axis(
     np.testing.assert_array_equal(chosen(place, 1.0), usual(place, 1.0))
 
 
-@pytest.mark.parametrize(
-    "word", ["3", "", "X=3", "X=1,X=2", "x=1", "X=1,", "X=1;Y=2", "=1", "X=1/../2"]
-)
-def test_a_measuring_system_that_is_none_is_refused(word):
-    with pytest.raises(BadInput, match="1, 2"):
-        load_format("siemens", {"measuring_system": word})
-
-
-@pytest.mark.parametrize("word", ["2", "X=1,Y=2"])
-@pytest.mark.parametrize("name", ["siemens", "siemens-lec"])
-def test_a_control_without_a_second_measuring_system_gets_no_tables_of_it(name, word):
-    choices = {"control": "808d", "measuring_system": word}
-    with pytest.raises(BadInput, match="the 808D has 1 alone, not 2"):
-        load_format(name, choices)
-
-
 def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
     steps = re.findall(r"\bN\d+P(-?\d+)", export("fanuc").files["comp-pitch.txt"])
     assert max(abs(int(step)) for step in steps) <= 7
@@ -364,13 +323,13 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
     assert "N03605A1P00000000" in mean.write(with_backlash)["c-parameters.txt"]
 
 
-def find_fanuc_points(files):
-    """Point numbers of the increments, and of the reference points."""
-    data = re.findall(r"N(1\d{4})P", files["c-pitch.txt"])
-    words = files["c-parameters.txt"].split()
-    reference = next(word for word in words if word.startswith("N03620"))
-    zero = [int(n) for n in re.findall(r"A\dP(\d+)", reference)]
-    return [int(n) - 10_000 for n in data], zero
+def read_fanuc(files):
+    """Points with their increments, and what each parameter is for each axis."""
+    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
+    words = files["c-parameters.txt"].split()[1:-1]
+    values = (map(float, re.findall(r"A\dP([\d.-]+)", word)) for word in words)
+    numbers = (int(word[1:6]) for word in words)
+    return np.array(data, int), dict(zip(numbers, map(list, values), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -383,9 +342,10 @@ def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
     errors = losing(length_mm)
     made = tabulate(errors, "fanuc", spacing_mm, directions=directions)
     files = made.write(errors)
-    points, zero = find_fanuc_points(files)
+    steps, words = read_fanuc(files)
+    points = steps[:, 0]
     assert len(set(points)) == len(points) > 850  # no number twice, most in use
-    assert min(zero) >= 0
+    assert min(words[3620]) >= 0
     assert max(points) <= 1023
     correction = Fanuc().read(files, errors.machine)
     middle = along(errors, "Z", np.linspace(-1.0, 1.0, 9) * length_mm / 4)
@@ -400,10 +360,8 @@ def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
 ):
     errors = losing(400.0, middle_mm)
     files = tabulate(errors, "fanuc", 10.0).write(errors)
-    data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
-    steps = {int(number): int(step) for number, step in data}
-    rows = files["c-parameters.txt"].split()[1:-1]
-    words = {int(row[1:6]): float(re.findall(r"A1P([\d.-]+)", row)[0]) for row in rows}
+    data, words = read_fanuc(files)
+    steps, words = dict(data), {number: of[0] for number, of in words.items()}
     # The section of a point ends at it, and comes out in its middle.
     numbers = np.arange(int(words[3621]), int(words[3622]) + 1)
     middles = (numbers - words[3620] - 0.5) * words[3624]
@@ -455,62 +413,42 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
         Heidenhain().read(cut, source.machine)
 
 
-FORMATS = """
+BROKEN = """
     import math
     from truepath.compensation.formats.generic import GenericCsv
-    from truepath.compensation.formats.linuxcnc import LinuxCnc
 
-    class Climbing(LinuxCnc):
-        def write(self, content):
-            return {"../" + name: text for name, text in super().write(content).items()}
-
-    class Hollow(GenericCsv):
-        def write(self, content):
-            files = super().write(content)
-            return {name: text.replace("0.0", "nan", 1) for name, text in files.items()}
-
-    class Raising(GenericCsv):
-        def write(self, content):
-            raise ZeroDivisionError("no axis")
-
-    class Nothing(GenericCsv):
-        def write(self, content):
-            return None
-
-    class Blind(GenericCsv):
-        def read(self, files, machine):
-            return lambda position, direction: math.nan * position[:, :3]
-
-    class Unread(GenericCsv):
-        def read(self, files, machine):
-            raise KeyError("X")
+    class Broken(GenericCsv):
+        def {verb}(self, *given):
+            return {answer}
 """
+TEXTS = "for name, text in super().write(*given).items()"
 
 
-def export_into(folder, loaded, name):
-    made = export_result(map_errors(loaded), name, "c", spacing_mm=50.0)
+def export_broken(folder, loaded):
+    made = export_result(map_errors(loaded), "broken", "c", spacing_mm=50.0)
     place, source = folder / "deep" / "out" / "c", folder / "result.json"
     write_output(made.files, made.account, place, "c", source=source)
 
 
 @pytest.mark.fault_row(49)
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("verb", "answer", "said"),
     [
-        ("climbing", "no plain file name"),
-        ("hollow", "nan"),
-        ("raising", "no axis"),
-        ("nothing", r"write\(\)"),
-        ("blind", "finite"),
-        ("unread", r"read\(\)"),
+        ("write", f'{{"../" + name: text {TEXTS}}}', "no plain file name"),
+        ("write", f'{{name: text.replace("0.0", "nan", 1) {TEXTS}}}', "nan"),
+        ("write", "1 / 0", "division"),
+        ("write", "None", r"write\(\)"),
+        ("read", "lambda position, direction: math.nan * position[:, :3]", "finite"),
+        ("read", '{}["X"]', r"read\(\)"),
     ],
+    ids=["climbing", "hollow", "raising", "nothing", "blind", "unread"],
 )
 def test_a_format_that_breaks_writes_nothing_and_is_named(
-    loaded, tmp_path, monkeypatch, name, said
+    loaded, tmp_path, monkeypatch, verb, answer, said
 ):
-    points = {"compensation_formats": {name: f"formats_here:{name.capitalize()}"}}
-    site = install(tmp_path / "site", points, formats_here=FORMATS)
-    monkeypatch.syspath_prepend(site)
-    with pytest.raises(BadInput, match=rf"{name}. of {NAME}.*{said}"):
-        export_into(tmp_path, loaded, name)
-    assert not [*tmp_path.rglob("*.csv"), *tmp_path.rglob("*.tbl")]
+    points = {"compensation_formats": {"broken": "formats_here:Broken"}}
+    code = BROKEN.format(verb=verb, answer=answer)
+    monkeypatch.syspath_prepend(install(tmp_path / "site", points, formats_here=code))
+    with pytest.raises(BadInput, match=rf"broken. of {NAME}.*{said}"):
+        export_broken(tmp_path, loaded)
+    assert not [*tmp_path.rglob("*.csv")]

@@ -3,14 +3,13 @@
 import csv
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from temperature_world import DEGC, World
 from truepath.answers.temperature.temperature_json import temperature_json
 from truepath.answers.temperature.temperature_model import (
-    ResultAtTemperature,
     study_temperature,
 )
 from truepath.compensation.account.residual_error import compute_residual_error
@@ -21,31 +20,15 @@ from truepath.compensation.tables.unmeasured_range import (
     find_measured_ranges,
 )
 from truepath.errors import BadInput
-from truepath.results.error_tables import choose_table_positions
 
 GROWS_UM_PER_M_K = 11.0
-DEGC = (18.0, 25.0, 20.0, 22.0)
-
-
-def make_results(loaded):
-    motion = next(m for m in loaded.model.identifiable_motions if m.symbol == "EXX")
-    at_mm = choose_table_positions(motion.axis)
-    wanted_mm = 1e-6 * GROWS_UM_PER_M_K * at_mm
-    change = np.zeros(loaded.model.size)
-    part = loaded.model.slices["EXX"]
-    change[part] = np.linalg.lstsq(motion.rows(at_mm), wanted_mm, rcond=None)[0]
-    made = []
-    for k, celsius in enumerate(DEGC):
-        theta = loaded.theta + (celsius - 20.0) * change
-        provenance = {"runs": [{"name": f"{k}", "input_sha256": f"{k}"}]}
-        result = replace(loaded, theta=theta, provenance=provenance)
-        made.append(ResultAtTemperature(f"r{k}", result, celsius, 0.0, 3600.0 * k))
-    return made
 
 
 @pytest.fixture(scope="module")
 def study(loaded):
-    return study_temperature(make_results(loaded))
+    world = World(loaded, 1e-6).grow(GROWS_UM_PER_M_K)
+    times = 3600.0 * np.arange(len(DEGC))
+    return study_temperature(world.draw(1, sigma_k=0.0, times=times))
 
 
 @pytest.fixture

@@ -11,6 +11,8 @@ kernel manual (blocks, `//`, `#`), "List of parameters supported" and "Units of 
 ([NAME], VALUE, Gridpoints) and "Units of measure" (mm, rad).
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -33,21 +35,16 @@ RESOLUTION_MM = {"fanuc": 1.1e-3}
 RESOLUTION_DEG = 1.01e-6
 
 
-def simulate(order, files, position, direction):
-    """What the simulated controller adds, (n, 3)."""
+def simulate(order, files, position, direction, machine=SIMULATED):
+    """What the simulated controller adds, (n, axes)."""
     reading = "difference" if order == "heidenhain-difference" else "negative-value"
     systems = {"siemens-system-2": 2, "siemens-system-by-axis": "X=2"}
     rules = Rules(reading, tool_length_mm=100.0, measuring_system=systems.get(order, 1))
-    correction = LoadedTables(files, rules).correct(SIMULATED)
+    correction = LoadedTables(files, rules).correct(machine)
     return correction.added(position, np.full_like(position, direction))
 
 
-def simulate_trunnion(files, position, direction):
-    rules = Rules(tool_length_mm=100.0)
-    correction = LoadedTables(files, rules).correct(SIMULATED_TRUNNION)
-    return correction.added(position, np.full_like(position, direction))
-
-
+simulate_trunnion = partial(simulate, "usual", machine=SIMULATED_TRUNNION)
 GOLDEN_FOLDERS = {order: (tables.write_files, order) for order in tables.ORDERS} | {
     f"{order}-rotary": (tables.write_rotary_files, order)
     for order in tables.ROTARY_ORDERS

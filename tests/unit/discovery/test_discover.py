@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.alignment.observations.observations import Observations
 from truepath.answers.discovery.discovery_json import discovery_json, effect_json
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
@@ -61,7 +60,7 @@ def test_an_effect_below_what_a_control_corrects_needs_nothing_done(knocked):
     assert stated["remedy"].endswith("it moves the target by 0.20 µm at most.")
 
 
-def test_a_knock_is_named_with_its_moment_and_size(knocked):
+def test_a_knock_is_named_with_its_moment_and_size_and_closes_the_gap(knocked):
     (found,) = knocked.findings
     assert found.candidate.family == "setup-step"
     assert not found.alternatives
@@ -75,14 +74,10 @@ def test_a_knock_is_named_with_its_moment_and_size(knocked):
         step = said[f"step_um[{axis}]"]
         assert abs(step.value - value) < 3.0 * step.uncertainty
         assert step.uncertainty < 0.5
-
-
-def test_the_gap_on_lines_not_seen_falls_to_the_noise_by_the_one_effect(knocked):
-    gap = knocked.gap
+    gap = knocked.gap  # on lines that were not seen it falls to the noise
     open_before = gap.before_um - gap.noise_floor_um
     assert open_before > 2.0 * (gap.after_um - gap.noise_floor_um)
     assert gap.after_um < 1.05 * gap.noise_floor_um
-    (found,) = knocked.findings
     assert 0.9 < found.evidence.share <= 1.0
     (shown,) = knocked.residuals
     shares = shown.before.shares
@@ -127,9 +122,8 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
 def settling(record):
     """A Run during which the tracker's stand leans, in no shape of the catalogue."""
     setting = Setting(hidden=(SettlingStand((20.0, -14.0), 15.0),))
-    return discovery_json(
-        discover([record(11, rows=20, travel_mm=150.0, setting=setting)[0]])
-    )
+    run, _ = record(11, rows=20, travel_mm=150.0, setting=setting)
+    return discovery_json(discover([run]))
 
 
 def test_a_cause_that_nobody_listed_gets_no_name(settling):
@@ -161,8 +155,7 @@ def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(re
 SMALL = {"rows": 30, "travel_mm": 150.0}
 
 
-def moment_within(seen: Observations, line: int, share: float) -> float:
-    """Return a moment of a line's share, on the tracker's clock."""
+def moment_within(seen, line, share):
     time_s = seen.at.time_s[seen.at.line == line]
     return float(time_s.min() + share * np.ptp(time_s))
 
@@ -170,9 +163,7 @@ def moment_within(seen: Observations, line: int, share: float) -> float:
 @pytest.mark.parametrize(
     ("line", "share"), [(12, 0.37), pytest.param(17, 0.8, marks=pytest.mark.long)]
 )
-def test_a_knock_while_a_line_is_driven_is_not_taken_for_one_in_a_pause(
-    record, line, share
-):
+def test_a_knock_on_a_line_is_not_taken_for_one_in_a_pause(record, line, share):
     quiet, truth = record(11, **SMALL)
     clock = truth.recording.clock
     moment_s = moment_within(align_runs([quiet])[0].observations, line, share)

@@ -54,7 +54,6 @@ class Circle:
 
 
 def circle(run_of, program, mode, hidden, given):
-    """Measure, ask, drive what was asked, decide."""
     setting = Setting(machine_seed=MACHINE, hidden=hidden)
     run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
     first = discover([run], given)
@@ -210,9 +209,7 @@ def test_the_lines_and_the_reason_are_said_in_file_report_and_order(leaning):
     assert (path.feed_mm_min > 0.0).all()
 
 
-def test_from_which_side_the_first_point_was_reached_explains_nothing(
-    run_of, calibrated
-):
+def test_from_where_the_first_point_was_reached_explains_nothing(run_of, calibrated):
     points = two_sides_of_y(24, 0.1)
     home = np.vstack([LOW, points.position])
     way = Program(home, np.full(len(home), 100.0), np.full(len(home), 0.8))

@@ -12,8 +12,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 @pytest.fixture
 def search(record):
-    """Find what lacks in a Run by seed of a machine that hides effects."""
-
     def searched(seed, *hidden):
         setting = Setting(hidden=hidden)
         return discover([record(seed, rows=40, travel_mm=150.0, setting=setting)[0]])
@@ -22,7 +20,6 @@ def search(record):
 
 
 def draw(seed, longest_mm):
-    """Draw a period of no more than the ranges of a Run, an amplitude and a phase."""
     rng = np.random.default_rng(seed)
     amplitude_um = rng.uniform(1.5, 4.0)
     period_mm = np.exp(rng.uniform(np.log(5.0), np.log(longest_mm)))
@@ -50,8 +47,3 @@ def test_a_real_vibration_is_still_one(search):
     (found,) = search(1, Vibration("Y", 12.0, 2.0)).findings
     assert found.candidate.label == "vibration Y"
     assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_nothing_is_named_where_nothing_is_hidden(search, seed):
-    assert search(seed).findings == ()

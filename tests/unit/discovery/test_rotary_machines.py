@@ -38,7 +38,6 @@ HEAD = {
 
 
 def drive(content, hidden, lines=None, reference=None):
-    """Drive the default path of a machine, arcs of its rotary axes included."""
     path = default_path(machine_from_json(content), 6000.0, lines=lines, seed=3)
     run, _ = record_path(content, path, setting=Setting(hidden=hidden))
     return discover([run], reference)
@@ -58,9 +57,7 @@ def require_named(found, hidden, label):
 
 
 @pytest.mark.long
-def test_a_scale_mounted_off_centre_since_the_model_was_made_is_named_and_no_other(
-    plain,
-):
+def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(plain):
     hidden = RotaryEccentricity("C", 40.0, 1.0)
     model = extend_model(plain)
     found = drive(HEAD, (hidden,), 28, model)
@@ -78,9 +75,7 @@ GEAR, SAG = GearCyclic("C", 6.0, 40.0, 1.0), SwivelSag("Y", "C", "Z", 8.0, 0.5)
         pytest.param(SAG, "swivel-sag Y C Z", id="sag", marks=pytest.mark.long),
     ],
 )
-def test_an_error_of_a_gear_or_a_sag_that_turns_is_named_where_there_is_one(
-    plain, hidden, said
-):
+def test_a_gears_error_or_a_sag_that_turns_is_named_where_it_is(plain, hidden, said):
     assert not plain.findings
     require_named(drive(HEAD, (hidden,), 28), hidden, said)
 

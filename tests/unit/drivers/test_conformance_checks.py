@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from measurement_fixtures import FakeMotion
 from truepath_drivers import host_clock
 from truepath_drivers.conformance import device, motion, tracker
 from truepath_drivers.conformance.checking import NotConforming, on_terms
@@ -18,7 +19,6 @@ from truepath_drivers.interfaces.errors import (
     OutOfTravel,
     Refused,
 )
-from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import (
     UNABLE,
     Identity,
@@ -82,117 +82,86 @@ class GoodTracker(Tracker):
             raise ConnectionLost("connect first")
 
 
-class GoodController(MotionController):
-    """Keeps everything, in memory; motions end when somebody waits for them."""
+class GoodController(FakeMotion):
+    """Keeps everything, in memory."""
 
-    limits = ((0.0, 100.0),)
-    watches = True
-    brakes = 0.0
+    watches = counts_lines = ends = True
+    feeds = blocked = connected = False  # feeds: piece by piece
     first_line = 0
-    counts_lines = True
-    names = ("X",)
-    feeds = blocked = False  # piece by piece
-    ends = True
+    brakes = 0.0
 
     def __init__(self) -> None:
-        self.connected = False
-        self.at = MotionStatus(MotionState.IDLE, (50.0,), 0)
-        self.target = self.path = self.feed = None
-
-    axes = property(lambda self: self.names)
-    travel = property(lambda self: self.limits)
+        super().__init__(speed=1.0)
+        self.fed_s = 0.0
 
     def connect(self) -> Identity:
         self.connected = True
-        who = Identity("maker", "model", "1", "0")
-        return replace(who, has_watchdog=not self.feeds, stops_unasked=self.feeds)
+        self.has_watchdog, self.stops_unasked = not self.feeds, self.feeds
+        return super().connect()
 
     def close(self) -> None:
-        if self.at.state is MotionState.RUNNING:
-            self.abort()
+        super().close()
         self.connected = False
 
     def status(self) -> MotionStatus:
         if not self.connected:
             raise ConnectionLost("connect first")
-        if self.at.state is MotionState.HELD:
-            moved = tuple(x + self.brakes for x in self.at.position)
-            self.at = replace(self.at, position=moved)
         if self.blocked:
             raise DeviceTimeout("no answer")
-        running = self.at.state is MotionState.RUNNING
-        if running and self.feeds and host_clock.now_s() > self.fed_s + 1.0:
-            driven_s = 1.0 if self.ends else host_clock.now_s() - self.fed_s
-            gone = driven_s * self.feed / 60.0
-            self.at = replace(self.at, position=(self.at.position[0] + gone,))
-        if running and self.watches and host_clock.now_s() > self.fed_s + 0.1:
-            self.at = replace(self.at, state=MotionState.HELD, hold_reason="watchdog")
-        return self.at
+        silent_s = host_clock.now_s() - self.fed_s
+        if self.feeds and self.ends and silent_s > 1.0:
+            self._since_s += silent_s - 1.0  # it stands since
+        elif self.watches and silent_s > 0.1:
+            self.stand("watchdog")
+        status = super().status()
+        if status.state is MotionState.HELD:
+            self.here = self.here + self.brakes
+        return replace(status, line=self.first_line + status.line * self.counts_lines)
 
     def move_to(self, position, feed_mm_min) -> None:
         self.need_able()
         self.check(np.atleast_2d(position))
-        self.target, self.feed = tuple(position), feed_mm_min
-        self.fed_s, self.beats = host_clock.now_s(), 0
-        self.at = replace(self.at, state=MotionState.RUNNING)
+        super().move_to(position, feed_mm_min)
 
     def load(self, path) -> None:
         self.status()
         if path.axes != self.axes:
             raise Refused("other axes")
         self.check(path.position)
-        self.path = path
-        self.at = replace(self.at, state=MotionState.READY)
+        super().load(path)
 
     def check(self, rows) -> None:
-        (low, high), *_ = self.limits
+        low, high = np.array(self.travel).T
         if not ((rows >= low) & (rows <= high)).all():
             raise OutOfTravel("beyond")
 
     def start(self) -> None:
-        self.status()
-        if self.path is None:
+        self.need_able()
+        if self.loaded is None:
             raise Refused("no path")
-        self.move_to(self.path.position[-1], self.path.feed_mm_min[-1])
+        super().start()
+
+    def go_on(self) -> None:
+        self.fed_s = host_clock.now_s()
+        super().go_on()
+
+    def send_heartbeat(self) -> None:
+        super().send_heartbeat()
+        self.fed_s = host_clock.now_s()
 
     def need_able(self) -> None:
         if self.status().state in UNABLE:
-            raise MotionFault(self.at.alarm)
+            raise MotionFault(self.alarm)
 
     def wait(self, timeout_s) -> MotionStatus:
-        self.need_able()
-        if self.at.state is MotionState.RUNNING:
-            if timeout_s < 1:
+        end_s = host_clock.now_s() + timeout_s
+        while self.status().state is MotionState.RUNNING:
+            if host_clock.now_s() > end_s:
                 raise DeviceTimeout("still runs")
-            if self.path is not None and self.path.feed_mm_min[-1] < 100:
-                host_clock.sleep_s(0.05)
-            if self.at.state is MotionState.RUNNING:
-                self.finish()
-        return self.at
-
-    def hold(self) -> None:
-        if self.at.state is MotionState.RUNNING:
-            self.at = replace(self.at, state=MotionState.HELD, hold_reason="command")
-
-    def resume(self) -> None:
-        if self.at.state is MotionState.HELD:
-            self.at = replace(self.at, state=MotionState.RUNNING, hold_reason="")
-
-    def abort(self) -> None:
-        self.path = None
-        self.at = replace(self.at, state=MotionState.ABORTED)
-
-    def send_heartbeat(self) -> None:
-        self.fed_s = host_clock.now_s()
-        self.beats += 1
-        if self.beats > 3 and self.at.state is MotionState.RUNNING:
-            self.finish()
-
-    def finish(self) -> None:
-        line = 0 if self.path is None else len(self.path) - 1
-        line = self.first_line + line * self.counts_lines
-        ended = MotionState.FINISHED
-        self.at = replace(self.at, state=ended, position=self.target, line=line)
+            self.send_heartbeat()
+            host_clock.sleep_s(0.05)
+        self.need_able()
+        return self.status()
 
 
 def share_machine(make):
@@ -242,7 +211,7 @@ def forget_what_waits(self):
 
 
 def move_unasked(self):
-    self.at = MotionStatus(MotionState.IDLE, (51.0,), 0)
+    self.here = np.add(self.here, [1.0, 1.0, -1.0])
 
 
 def always(value):
@@ -253,6 +222,7 @@ def does(value=None):
     return lambda self, *_: value
 
 
+STANDS = MotionStatus(MotionState.IDLE, (0.0, 0.0, 0.0), 0)
 TIMES = tracker.times_are_those_of_the_samples
 COUNTS = tracker.health_counts_what_has_come
 FAULTY_TRACKERS = [
@@ -287,25 +257,21 @@ FAULTY_TRACKERS = [
     (tracker.stop_from_another_thread_ends_the_stream, "stop", does()),
 ]
 FAULTY_CONTROLLERS = [
-    (motion.axes_and_travel_are_known, "limits", ((5.0, 5.0),)),
-    (motion.axes_and_travel_are_known, "names", ()),
+    (motion.axes_and_travel_are_known, "travel", ((5.0, 5.0),) * 3),
+    (motion.axes_and_travel_are_known, "axes", ()),
     (motion.out_of_travel_is_refused, "check", does()),
     (motion.a_path_of_other_axes_is_refused, "load", does()),
     (motion.hold_and_resume_are_absolute, "hold", does()),
     (motion.resume_of_nothing_does_nothing, "resume", move_unasked),
-    (
-        motion.resume_of_nothing_does_nothing,
-        "resume",
-        lambda self: None if self.path is None else self.start(),
-    ),
+    (motion.resume_of_nothing_does_nothing, "resume", lambda m: m.loaded and m.start()),
     (motion.abort_from_another_thread_ends_the_motion, "abort", does()),
-    (motion.wait_ends_in_time, "wait", lambda self, timeout_s: self.at),
+    (motion.wait_ends_in_time, "wait", does(STANDS)),
     (motion.hold_means_standstill, "brakes", 0.2),
     (motion.the_line_is_the_row_moved_towards, "first_line", 1),
     (motion.the_line_is_the_row_moved_towards, "counts_lines", False),
     (motion.a_claimed_watchdog_holds_the_feed, "watches", False),
     (motion.close_stops_the_motion, "close", does()),
-    (motion.a_closed_controller_moves_nothing, "status", lambda self: self.at),
+    (motion.a_closed_controller_moves_nothing, "status", does(STANDS)),
     (motion.a_move_ends_where_it_was_sent, "move_to", does()),
     (motion.a_path_runs_to_its_last_row, "load", does()),
 ]
@@ -313,7 +279,7 @@ FAULTY_CONTROLLERS = [
 
 def bring(state):
     def provoke(machine):
-        machine.at = replace(machine.at, state=MotionState(state), alarm="as provoked")
+        machine._state, machine.alarm = MotionState(state), "as provoked"
 
     return provoke
 
@@ -330,8 +296,8 @@ ALARM, DOOR, UNHOMED, LOST, BLOCKED = motion.PROVOKED_CHECKS
 def run_again(self):
     """Send the start again, since its reply was lost."""
     status = GoodController.status(self)
-    if status.state is MotionState.FINISHED and self.path is not None:
-        self.at = replace(status, position=(status.position[0] + 0.1,))
+    if status.state is MotionState.FINISHED and self.loaded is not None:
+        self.here = self.here + 0.1
     return status
 
 
@@ -364,7 +330,7 @@ FAULTY_IN_TROUBLE = [
     (UNHOMED, "need_able", does()),
     (LOST, "status", run_again),
     (LOST, "status", fall_back),
-    (BLOCKED, "status", lambda self: self.at),
+    (BLOCKED, "status", does(STANDS)),
     (BLOCKED, "status", take_time),
 ]
 
@@ -396,13 +362,10 @@ def test_a_controller_that_is_faulty_in_trouble_is_caught(clock, check, name, fa
         in_trouble(check, with_fault(GoodController, name, fault))
 
 
-@pytest.mark.parametrize("ends", [True, False])
-def test_a_motion_that_goes_on_unasked_is_caught(clock, ends):
+def test_a_motion_that_goes_on_unasked_is_caught(clock):
     kind = type("Fed", (GoodController,), {"feeds": True, "watches": False})
-    make = share_machine(with_fault(kind, "ends", ends))
-    if ends:
-        motion.a_motion_that_nobody_asks_for_ends(make)
-        return
+    motion.a_motion_that_nobody_asks_for_ends(share_machine(kind))
+    make = share_machine(with_fault(kind, "ends", False))
     with pytest.raises(NotConforming, match="nobody asked"):
         motion.a_motion_that_nobody_asks_for_ends(make)
 

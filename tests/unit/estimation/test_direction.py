@@ -21,7 +21,6 @@ def seen(record):
 
 
 def pushed(seen, offset_mm):
-    """Displace the measured points, given in the workpiece frame."""
     return replace(seen, tracker_mm=seen.tracker_mm + offset_mm @ seen.pose.rotation.T)
 
 

@@ -36,7 +36,6 @@ def course_of(*hours, celsius=None):
 
 
 def tell(model, theta, rng):
-    """Return what a Run tells of parameters that it measures with some noise."""
     usual = [1e-2 if p.unit == "mm" else 2e-5 for p in model.parameters]
     sigma = SIGMA * np.array(usual)
     measured = theta + sigma * rng.standard_normal(len(theta))

@@ -37,7 +37,6 @@ def part_of_travel(content, seed):
 
 @cache
 def partly_driven(seed):
-    """Estimate a random machine of which only a part of the travel was driven."""
     content = load_machine("demo")
     driven = parse_machine(part_of_travel(content, seed))
     run, made = record_run(content, paths.chord_path(driven, seed, 24, 10_000.0), seed)
@@ -63,7 +62,6 @@ def true_theta(model, truth):
 
 
 def held(found, true):
-    """Tell of every extrapolated table value whether its 95 % interval holds truth."""
     mine = build_error_tables(found, found.measured).tables
     exact = build_error_tables(replace(found, theta=true), found.measured).tables
     hits = []

@@ -7,17 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimating import estimate
+from estimating import estimate, estimate_one
 from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks import short_wave_variance
 from truepath.estimation.checks.lack_of_fit import assess_misfit
-from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
-from truepath.kinematics.coarse_model import build_baseline_models, build_run_models
+from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.results.analysis import analyse
 from truepath_simulators.hidden.screws import ScrewCyclic
@@ -33,7 +32,6 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    """Drive random lines at 24 m/min; `level` holds Z there."""
     content = load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     content["axes"] = {
@@ -120,12 +118,11 @@ def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
 def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     run, _ = _record(LONG, 30)
     seen = add_surroundings(align(run), run.commanded)
-    models = build_run_models(run.machine, [seen.at])
     line = np.flatnonzero((seen.row == 17) & ~seen.is_ramp)
     burst = line[len(line) // 2 : len(line) // 2 + 12]
     moved = seen.tracker_mm.copy()
     moved[burst] += [0.1, -0.1, 0.1]
-    checked = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    checked = estimate_one(replace(seen, tracker_mm=moved))
     fitted = checked.estimate.fit.runs[0].observations
     assert len(fitted) < 0.6 * len(seen)
     left_out = checked.left_out[0]

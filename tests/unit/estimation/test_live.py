@@ -51,7 +51,6 @@ def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
 
 
 def spoil(run, share, shift_mm, last=None):
-    """Displace samples from a share of a Run on; return it and when that begins."""
     first = int(share * len(run.tracker))
     off_mm = np.zeros((len(run.tracker), 3))
     off_mm[first : first + last if last else None] = shift_mm
@@ -125,9 +124,7 @@ def test_samples_in_the_wrong_place_are_left_out_at_once(run, clean):
         assert np.sqrt(np.mean(compare_tables(now, clean.last) ** 2)) < 1.5
 
 
-def test_nothing_is_said_before_the_pose_is_known_and_it_goes_on_where_nothing_fits(
-    run,
-):
+def test_nothing_is_said_before_a_pose_is_known_and_it_goes_on_where_nothing_fits(run):
     live = LiveEstimator(run.machine, run.commanded)
     assert live.estimate() is None
     assert not live.finish()

@@ -13,7 +13,6 @@ ROWS = tuple(range(1, 21))
 
 
 def follow_lines(run):
-    """Return the time of the newest sample and the notices after each line."""
     return follow(run, blocks=list_blocks(run, 100), with_notices=True).noticed
 
 

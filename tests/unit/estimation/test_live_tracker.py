@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from estimating import judge_map
+from estimating import estimate_one, judge_map
 from following import follow, list_blocks
 from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.alignment.align import align_all
 from truepath.estimation.checks.change_detection import KNOCK, RANGE
-from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
@@ -49,9 +47,7 @@ def follow_lines(run):
 
 
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
-def test_the_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(
-    mode,
-):
+def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(mode):
     inside = []  # of the live estimate and of the analysis
     for seed in (11, 12, 13):
         run, truth = measure(seed, mode)
@@ -119,11 +115,6 @@ RANGE_MM = -0.06
 LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
-def check(run):
-    (seen,) = align_all([run], ["run"])
-    return estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
-
-
 # What is done, how large it is, and which reason of the verdict says it.
 KINDS = {
     "place": (
@@ -171,7 +162,7 @@ def disturb(run, kind, share, broken_s=0.0):
 def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     run, truth = measure(51, mode, rows=20, defects=Defects())
     moved, at_s = disturb(run, kind, 0.57, broken_s)
-    found = check(moved)
+    found = estimate_one(*align_all([moved], ["run"]))
     (knock,) = found.knocks
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
@@ -186,6 +177,6 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
 def test_a_new_lock_within_the_specification_is_no_step():
     lost = Defects(beam_breaks=((30.0, 0.4),))
     run, truth = measure(53, rows=20, defects=lost)
-    found = check(run)
+    found = estimate_one(*align_all([run], ["run"]))
     assert found.knocks == ()
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75

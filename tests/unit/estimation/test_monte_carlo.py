@@ -42,7 +42,6 @@ def under(trials, noise):
 
 
 def squareness(fit):
-    """The three squarenesses as outputs, and their standard deviations."""
     model = fit.model
     rows = [model.slices[symbol].start for symbol in ("C0Y", "B0Z", "A0Z")]
     outputs = np.eye(model.size)[rows]
@@ -51,14 +50,11 @@ def squareness(fit):
 
 
 def of_noise_alone(trials, noise):
-    """Return the trials with another noise and nothing that only the prior knows."""
     silent = tuple(replace(x, root=0.0 * x.root, log_sigma=0.0) for x in trials.prior)
     return replace(under(trials, noise), prior=silent)
 
 
-def test_trials_confirm_the_linear_uncertainty_whether_precisions_are_known_or_not(
-    fit, trials
-):
+def test_trials_confirm_linear_uncertainty_with_precisions_known_or_not(fit, trials):
     outputs, linear = squareness(fit)
     told = propagate(partial(run_block, trials), FEW)
     assert (np.abs(told.mean) < 0.2 * linear).all()

@@ -5,11 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from estimating import judge_map
+from estimating import estimate_one, judge_map
 from truepath.alignment.align import align
 from truepath.estimation.checks.lack_of_fit import assess_misfit
-from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.kinematics.coarse_model import build_run_models
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.worlds.synthetic import Setting
@@ -31,15 +29,12 @@ def bends(amount_um, frequency_hz=0.0):
 
 @pytest.fixture(scope="module")
 def judge(record):
-    """Return error left in mm, share inside 2u, and the estimate, of a fast machine."""
-
     def judged(seed, hidden=(), *, ramps=True):
         run, truth = record(seed, **FAST, setting=Setting(limits=LIMITS, hidden=hidden))
         seen = align(run)
         if not ramps:
             seen = seen.exclude_ramps()
-        models = build_run_models(run.machine, [seen.at])
-        checked = estimate_checked(models, [seen])
+        checked = estimate_one(seen)
         left = judge_map(checked.estimate, truth.deviation_mm)
         return left.left_mm.mean(), left.inside, checked
 
@@ -68,9 +63,7 @@ def test_the_acceleration_of_the_axes_is_measured_on_ramps(record):
     assert not seen.at.acceleration[~seen.is_ramp].any()
 
 
-def test_ramps_of_a_sound_machine_are_used_as_other_cells_are_and_none_is_left_out(
-    clean, without
-):
+def test_ramps_of_a_sound_machine_are_used_as_other_cells_are(clean, without):
     left_mm, inside, checked = clean
     assert inside > 0.88
     assert not checked.left_out[0]
@@ -80,9 +73,7 @@ def test_ramps_of_a_sound_machine_are_used_as_other_cells_are_and_none_is_left_o
     assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
 
 
-def test_carriages_that_bend_cost_next_to_nothing_and_swinging_counts_less(
-    clean, judge, without
-):
+def test_bending_carriages_cost_little_and_swinging_counts_less(clean, judge, without):
     left_mm, inside, _ = judge(31, bends(8.0))
     assert inside > 0.88
     assert left_mm < 1.2 * clean[0]

@@ -36,7 +36,6 @@ def machine(travel):
 
 
 def every_motion(of):
-    """All 18 error motions without any gauge."""
     motions = []
     for axis in of.linear_axes:
         spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))
@@ -72,9 +71,7 @@ def on_lines(model, lines, travel, points=60):
 @pytest.mark.parametrize("travel", TRAVELS)
 @pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
 @pytest.mark.fault_row(39)
-def test_rank_of_one_two_and_three_tool_offsets(
-    rng, travel, offsets, expected, measured
-):
+def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measured):
     model = every_motion(machine(travel))
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
     rows = [
@@ -91,9 +88,7 @@ def test_rank_of_one_two_and_three_tool_offsets(
     ("lines", "expected"),
     [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
-def test_rank_of_corner_paths_with_and_without_a_line_that_is_none(
-    travel, lines, expected
-):
+def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expected):
     model = every_motion(machine(travel))
     full, across = on_lines(model, lines, travel)
     assert rank(full) == 73
@@ -125,9 +120,7 @@ CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ
 @pytest.mark.parametrize(
     ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
-def test_tool_offsets_decide_how_many_motions_are_told_apart(
-    sides, offsets, known, rank
-):
+def test_tool_offsets_say_how_many_motions_are_told_apart(sides, offsets, known, rank):
     """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
 
     And less the turns of how the targets sit: each sits by itself.
@@ -137,20 +130,11 @@ def test_tool_offsets_decide_how_many_motions_are_told_apart(
     mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])
     model, merged = build_identifiable_model(mill, lengths, intervals=5)
     motions = model.identifiable_motions
+    shares = ("another tool length", "does not move the target")
+    assert all(any(said in str(one) for said in shares) for one in merged)
     assert len(motions) == known
     assert len(motions) + len(merged) == 18
     assert model.size == rank + 3 * (len(offsets) - 1)
-
-
-def test_what_merges_is_named_with_what_it_merges_into_or_that_it_moves_nothing():
-    aside, on_axis = (
-        {m.symbol: str(m) for m in build_identifiable_model(machine(TRAVELS[0]), at)[1]}
-        for at in (np.array([(30.0, 20.0, -100.0)]), np.array(ONE))
-    )
-    assert set(aside) == {"ECY", "EAZ", "EBZ", "ECZ"}
-    assert "EXZ" in aside["EBZ"]
-    assert "another tool length" in aside["EBZ"]
-    assert "does not move the target" in on_axis["ECZ"]
 
 
 def test_how_other_targets_sit_is_no_error_of_the_first_one():

@@ -74,9 +74,7 @@ def test_any_split_into_additions_gives_the_batch(moving, expected, share):
     assert_same(sums.information(), expected)
 
 
-def test_a_line_at_a_time_gives_the_batch_and_asking_on_the_way_changes_nothing(
-    moving, expected
-):
+def test_a_line_at_a_time_gives_the_batch_and_asking_changes_nothing(moving, expected):
     sums = RecursiveEstimator.start(about_of(moving))
     ends = np.flatnonzero(np.diff(moving.at.line)) + 1
     for part in np.split(np.arange(len(moving)), ends):
@@ -99,9 +97,7 @@ def test_the_sums_do_not_grow_with_the_lines_and_refuse_cells_out_of_order(movin
 
 
 @pytest.mark.parametrize("cells", [1, 60, 10_000])
-def test_the_batch_made_part_by_part_is_one_dense_problem(
-    moving, expected, cells, monkeypatch
-):
+def test_a_batch_in_parts_is_one_dense_problem(moving, expected, cells, monkeypatch):
     monkeypatch.setattr("truepath.estimation.problem.design_matrix._CELLS", cells)
     about = about_of(moving)
     parts = list(about.split(moving))

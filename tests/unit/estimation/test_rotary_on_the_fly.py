@@ -43,9 +43,7 @@ def from_base(name, share=0.4):
 @pytest.mark.parametrize(
     "name", ["head-table", pytest.param("trunnion", marks=pytest.mark.long)]
 )
-def test_a_planned_path_recovers_all_tables_within_their_uncertainties(
-    name, deviations
-):
+def test_a_planned_path_recovers_all_tables_within_their_uncertainty(name, deviations):
     result, truth = from_base(name).result, from_base(name).truth
     names = {e.name for e in result.model.effects}
     assert set(truth.locations()) | set(truth.error_motions()) <= names

@@ -157,7 +157,6 @@ def told_but(model, shape, left):
 
 
 def shape_of(model, symbol):
-    """Return that which bends least."""
     return np.eye(model.size)[model.slices[symbol].start]
 
 
@@ -173,10 +172,7 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
     untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
     assert len(find_poorly_observable(untold, model, gram)) == 1
     assert find_poorly_observable(untold, model, gram, blind=False) == ()
-
-
-def test_motions_that_share_a_shape_are_named_together(known):
-    model, gram = known
+    # Motions that share a shape are named together.
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
     (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimating import judge_map
+from estimating import estimate_one, judge_map
 from following import shift
 from truepath.alignment.align import align, align_all
-from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
 from truepath.estimation.checks.setup_shifts import Step
-from truepath.kinematics.coarse_model import build_run_models
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +26,7 @@ def check(run, shift_mm):
     """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    (seen,) = align_all([shift(run, shift_mm(share))], ["run"])
-    found = estimate_checked(build_run_models(run.machine, [seen.at]), [seen])
+    found = estimate_one(*align_all([shift(run, shift_mm(share))], ["run"]))
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
@@ -81,21 +78,18 @@ POINT = 30
 
 @pytest.fixture(scope="module")
 def clean(record):
-    """Return a Run's observations, its models, its truth, and what is found in it."""
     run, truth = record(22, "standstill", rows=60)
     seen = align(run)
-    models = build_run_models(run.machine, [seen.at])
-    return seen, models, truth, estimate_checked(models, [seen])
+    return seen, truth, estimate_one(seen)
 
 
 def judge_moved(clean, rows, by_mm):
-    """Return what is found where some rows lie elsewhere, and what it leaves."""
-    seen, models, truth, checked = clean
+    seen, truth, checked = clean
     assert checked.left_out == ((),)
     assert checked.knocks == ()
     moved = seen.tracker_mm.copy()
     moved[rows] += by_mm * np.array([0.6, -0.64, 0.48])
-    found = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    found = estimate_one(replace(seen, tracker_mm=moved))
     pair = found.estimate, checked.estimate
     left, usual = (judge_map(each, truth.deviation_mm) for each in pair)
     assert left.inside > 0.85

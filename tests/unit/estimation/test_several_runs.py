@@ -79,9 +79,7 @@ def volumetric_sigma(result):
     return float(np.sqrt(np.sum(gram * result.covariance)))
 
 
-def test_both_modes_together_leave_less_than_each_alone_in_any_order(
-    alone, standing, both, moving
-):
+def test_both_modes_in_any_order_leave_less_than_each(alone, standing, both, moving):
     left = judge(both)
     assert left.share < min(judge(alone).share, judge(estimate(standing)).share)
     assert 0.85 < left.inside <= 1.0
@@ -106,9 +104,7 @@ def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
     assert 0.3 < noisy.ou_time_s < 1.2
 
 
-def test_a_loud_or_short_run_beside_another_adds_and_does_not_spoil_it(
-    moving, alone, standing
-):
+def test_a_loud_or_short_run_adds_and_does_not_spoil_another(moving, alone, standing):
     loud = seen_of(4, rows=12, noise_scale=5.0)
     joined = estimate(moving, loud)
     assert judge(joined).share < 1.1 * judge(alone).share
@@ -121,9 +117,7 @@ def test_a_loud_or_short_run_beside_another_adds_and_does_not_spoil_it(
     assert joined.runs[1].lines == 5
 
 
-def test_a_repeated_run_shrinks_the_uncertainty_and_halves_the_variance_of_noise(
-    moving, alone
-):
+def test_a_repeated_run_shrinks_uncertainty_and_halves_variance_of_noise(moving, alone):
     noise, at = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 1e-4), moving.at
     run = RunInput(moving, moving.pose, noise)
     model, _ = build_identifiable_model(at.machine, at.offset_mm, intervals=5)
@@ -202,9 +196,7 @@ def by_source(estimate):
     return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
 
 
-def test_the_sources_add_up_to_the_uncertainty_and_every_run_takes_some_away(
-    longer_and_shorter,
-):
+def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(longer_and_shorter):
     found = longer_and_shorter
     parts = by_source(found)
     total = sum(parts.values())
@@ -237,6 +229,5 @@ def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(at_points):
     gain = gain.reshape(size, -1, 3)
     spread = np.einsum("pni,nij,qnj->pq", gain, np.linalg.inv(precision), gain)
     gram = compute_volumetric_gram(fit.model)
-    assert by_source(at_points)["tracker"] == pytest.approx(
-        np.sum(gram * spread), rel=1e-3
-    )
+    expected = pytest.approx(np.sum(gram * spread), rel=1e-3)
+    assert by_source(at_points)["tracker"] == expected

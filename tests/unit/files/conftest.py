@@ -25,10 +25,8 @@ def run(mill, square, stream):
     warm = TemperatureSamples(("X", "air"), time_s, celsius)
     scale = np.array([0.0, 100.0]), np.array([0.0, 1.5])
     roll = np.array([50.0]), np.array([2.25])
-    measured = (
-        DirectMeasurement("EXX", "+", "um", *scale),
-        DirectMeasurement("EAX", "-", "urad", *roll),
-    )
+    straight = DirectMeasurement("EXX", "+", "um", *scale)
+    measured = (straight, DirectMeasurement("EAX", "-", "urad", *roll))
     return Run("monday", mill, square, stream, temperature=warm, reference=measured)
 
 

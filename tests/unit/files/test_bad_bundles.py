@@ -3,9 +3,7 @@
 import json
 import os
 import pickle
-from collections.abc import Callable
 from functools import reduce
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,14 +12,9 @@ import pytest
 
 from truepath.errors import BundleError
 from truepath.files import tables
+from truepath.files.bundle import machine_file
 from truepath.files.bundle.bundle import read_bundle
-from truepath.files.bundle.machine_file import (
-    decode_machine,
-    encode_machine,
-    read_machine,
-)
-
-Edit = Callable[[Path], None]
+from truepath.files.bundle.machine_file import decode_machine, encode_machine
 
 
 def without(name):
@@ -103,7 +96,8 @@ def targets(**placed):
 
 
 def streamed(text):
-    """Put a stream of this text in place of the tracker's Parquet file."""
+    """Put a stream of these rows in place of the tracker's Parquet file."""
+    text = "t_s,x_mm,y_mm,z_mm\n" + text
     return both(without("tracker.parquet"), holding("tracker.csv", text))
 
 
@@ -114,7 +108,8 @@ def turning(stated):
 
 
 HEADER = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
-TRACKER_HEADER = "t_s,x_mm,y_mm,z_mm\n"
+TARGETED = "target," + HEADER
+POINTS = "x_mm,y_mm,z_mm,dwell_s\n0,0,0,2\n0,0,1,2\n"
 ROTARY = {"type": "rotary", "min_deg": 0, "max_deg": 360}
 
 # Keys of machine.json, what they are set to, and what is said of it.
@@ -148,11 +143,7 @@ KEYS = [
     ("kinematic_chain", "w-b-X-Y-t", "but the axes are X, Y, Z"),
     ("kinematic_chain", "w-X-b-X-Y-Z-t", "name every axis once"),
     ("tool_offset_mm", None, 'missing; add it, as "tool_offset_mm": [20, 30, -150]'),
-    (
-        "approach",
-        {"clearance_mm": {"Z": 900}},
-        "clearance_mm.Z is 900; it must be from",
-    ),
+    ("approach", {"clearance_mm": {"Z": 900}}, "clearance_mm.Z is 900; it mus"),
     ("approach", {"clearance_mm": {"C": 0}}, "approach.clearance_mm.C is no linear"),
     ("approach", {"order": ["Z", "X"]}, "approach.order is"),
     ("approach", {"feed_mm_min": 0}, "approach.feed_mm_min is 0"),
@@ -196,10 +187,7 @@ FILES = [
     (targets(), "targets is empty"),
     (targets(T1="roof"), 'targets.T1.on is "roof"; write one of tool, workpiece'),
     (targets(**{"": "tool"}), "targets. has no name; name every target"),
-    (
-        turning({"direction": [0, 0, 0]}),
-        "axes.C.direction is [0, 0, 0]; write a direction",
-    ),
+    (turning({"direction": [0, 0, 0]}), "axes.C.direction is [0, 0, 0]; write"),
     (
         both(key("tracker.transverse_sigma_um", 0), key("tracker.angle_sigma_urad", 0)),
         "transverse_sigma_um and angle_sigma_urad are both 0",
@@ -211,10 +199,7 @@ FILES = [
     (holding("path.csv", ""), "path.csv, row 1: has no header"),
     (holding("path.csv", " , \n"), "path.csv, row 1: has no header"),
     (holding("path.csv", b"\xff\xfe\x00"), "path.csv, row 1: is not te"),
-    (
-        holding("path.csv", HEADER.encode() + b"\xe9,1,1,1,1\n"),
-        "path.csv, row 2: is not text",
-    ),
+    (holding("path.csv", HEADER.encode() + b"\xe9,1,1,1,1\n"), "row 2: is not te"),
     (holding("path.csv", HEADER), "path.csv: has no rows"),
     (holding("path.csv", HEADER + "0,0,0,1,0\n"), "has one row, and no line"),
     (cell("path.csv", 1, "feed_mm_min", "feed"), "feed_mm_min: is missing; the"),
@@ -226,20 +211,11 @@ FILES = [
     (row("path.csv", 3, "\n110,10,-10,6000"), "row 4: has 4 cells, the header 5"),
     (row("path.csv", 4, "110.0,10.0,-10.0,6000.0,0.1"), "row 4: the line starts"),
     (
-        holding("path.csv", "target," + HEADER + "T9,0,0,0,1,0\nT9,1,0,0,1,0\n"),
+        holding("path.csv", TARGETED + "T9,0,0,0,1,0\nT9,1,0,0,1,0\n"),
         "path.csv, row 2, column target: is 'T9', unknown; machine.json has no named",
     ),
-    (
-        holding("path.csv", "target," + HEADER + ",0,0,0,1,0\n,1,0,0,1,0\n"),
-        "path.csv, row 2, column target: is empty",
-    ),
-    (
-        both(
-            without("path.csv"),
-            holding("points.csv", "x_mm,y_mm,z_mm,dwell_s\n0,0,0,2\n0,0,1,2\n"),
-        ),
-        "points.csv, row 3, column z_mm: is out of travel",
-    ),
+    (holding("path.csv", TARGETED + ",0,0,0,1,0\n,1,0,0,1,0\n"), "target: is empty"),
+    (both(without("path.csv"), holding("points.csv", POINTS)), "column z_mm: is out"),
     (cut("tracker.parquet", 2000), "tracker.parquet: is truncated or not a"),
     (holding("tracker.parquet", b""), "tracker.parquet: is truncated"),
     (column("y_mm", None), "tracker.parquet, column y_mm: is missing"),
@@ -250,21 +226,12 @@ FILES = [
     (column("t_s", 1234.5, at=1), "row 2, column t_s: does not increase"),
     (column("point", [1] * 400), "column point: names points of a path"),
     (column("point", [0] * 400), "row 1, column point: is 0, no row"),
-    (
-        both(column("point", [1] * 400), column("shots", [0.5] * 400)),
-        "row 1, column shots: is 0.5, no number",
-    ),
+    (both(column("point", [1] * 400), column("shots", [0.5] * 400)), "shots: is 0.5"),
     (column("status", [0.5] * 400), "row 1, column status: is 0.5, no wh"),
     (column("status", [1] * 400), "column status: holds no valid sam"),
-    (streamed(TRACKER_HEADER), "tracker.csv: holds no samples"),
-    (
-        streamed(TRACKER_HEADER + "0,1,1,1\n1,x,1,1\n"),
-        "tracker.csv, row 3, column x_mm: is 'x'",
-    ),
-    (
-        streamed(TRACKER_HEADER + "0,1,1,1\n1,1,,1\n"),
-        "row 3, column y_mm: is empty or NaN",
-    ),
+    (streamed(""), "tracker.csv: holds no samples"),
+    (streamed("0,1,1,1\n1,x,1,1\n"), "tracker.csv, row 3, column x_mm: is 'x'"),
+    (streamed("0,1,1,1\n1,1,,1\n"), "row 3, column y_mm: is empty or NaN"),
     (cell("environment.csv", 1, "t_s", "t"), "environment.csv, column t_s: is"),
     (holding("environment.csv", "t_s,X_C\n1,2\n"), "has no temperatures; co"),
     (holding("environment.csv", "t_s,X_degC\n"), "nment.csv: has no ro"),
@@ -299,24 +266,24 @@ def test_a_stream_of_too_many_rows_is_refused(bundle, monkeypatch):
         read_bundle(bundle)
 
 
-def test_the_error_carries_its_place_as_fields(bundle):
+def test_the_error_carries_its_place_as_fields_also_to_another_process(bundle):
     cell("path.csv", 4, "y_mm", "abc")(bundle)
     with pytest.raises(BundleError) as caught:
         read_bundle(bundle)
     error = caught.value
     assert (error.file, error.row, error.column) == ("path.csv", 4, "y_mm")
+    error = BundleError("is odd", file="a.csv", row=3, column="x", remedy="mend it")
+    copy = pickle.loads(pickle.dumps(error))
+    assert (str(copy), vars(copy)) == (str(error), vars(error))
 
 
-def test_unknown_keys_are_kept_out_and_a_tracker_of_usual_noise_may_be_unsaid(bundle):
+def test_unknown_keys_and_columns_are_left_out_and_usual_noise_may_be_unsaid(bundle):
     good = read_bundle(bundle).machine
     for path in ("colour", "axes.X.pitch_mm", "tracker.serial_number"):
         key(path, "blue")(bundle)
     assert read_bundle(bundle).machine == good
     key("tracker", None)(bundle)
     assert read_bundle(bundle).machine == good
-
-
-def test_unknown_columns_are_tolerated(bundle):
     cell("environment.csv", 1, "air_degC", "humidity_percent")(bundle)
     assert read_bundle(bundle).temperature.names == ("X",)
 
@@ -324,24 +291,22 @@ def test_unknown_columns_are_tolerated(bundle):
 def test_a_row_may_repeat_the_one_before_to_change_the_target(bundle):
     targets(T1="tool", T2="workpiece")(bundle)
     rows = "T1,0,0,0,1,0\nT2,0,0,0,1,0\nT2,1,0,0,1,0\n"
-    (bundle / "path.csv").write_text("target," + HEADER + rows)
+    (bundle / "path.csv").write_text(TARGETED + rows)
     assert read_bundle(bundle).commanded.target == ("T1", "T2", "T2")
 
 
 def test_a_machine_file_is_read_from_disk(bundle):
-    assert read_machine(bundle / "machine.json") == read_bundle(bundle).machine
+    machine = machine_file.read_machine(bundle / "machine.json")
+    assert machine == read_bundle(bundle).machine
     with pytest.raises(BundleError, match=r"none\.json: cannot be read"):
-        read_machine(bundle / "none.json")
+        machine_file.read_machine(bundle / "none.json")
 
 
-@pytest.mark.parametrize(
-    "stated",
-    [
-        {"order": ["Z", "Y", "X"]},
-        {"clearance_mm": {}, "feed_mm_min": 300.0},
-        {"clearance_mm": {"Y": 0.0, "Z": 0.0}},
-    ],
-)
+APPROACHES = [{"order": ["Z", "Y", "X"]}, {"clearance_mm": {}, "feed_mm_min": 300.0}]
+APPROACHES += [{"clearance_mm": {"Y": 0.0, "Z": 0.0}}]
+
+
+@pytest.mark.parametrize("stated", APPROACHES)
 def test_how_an_nc_program_begins_survives_the_machine_file(bundle, stated):
     content = json.loads((bundle / "machine.json").read_text()) | {"approach": stated}
     machine = decode_machine(json.dumps(content).encode())
@@ -386,12 +351,10 @@ def test_a_small_file_of_very_many_rows_is_refused_before_it_is_unpacked(bundle)
 def test_lists_are_refused_and_unknown_columns_are_not_unpacked(bundle, monkeypatch):
     table = pq.read_table(bundle / "tracker.parquet")
     bomb = pa.array(["0" * 100_000] * table.num_rows)
-    write_packed(
-        bundle, {**dict(zip(table.column_names, table.columns, strict=True)), "w": bomb}
-    )
+    kept = dict(zip(table.column_names, table.columns, strict=True))
+    write_packed(bundle, {**kept, "w": bomb})
     assert len(read_bundle(bundle).tracker) == table.num_rows
-    lists = pa.array([[0.0] * 100] * table.num_rows)
-    write_packed(bundle, {"t_s": lists})
+    write_packed(bundle, {"t_s": pa.array([[0.0] * 100] * table.num_rows)})
     with pytest.raises(BundleError, match="column t_s: holds list<"):
         read_bundle(bundle)
     texts = dict.fromkeys(("t_s", "x_mm", "y_mm", "z_mm"), bomb)
@@ -399,9 +362,3 @@ def test_lists_are_refused_and_unknown_columns_are_not_unpacked(bundle, monkeypa
     monkeypatch.setattr(tables, "SMALL_BYTES", 1 << 20)
     with pytest.raises(BundleError, match="column t_s: holds long texts"):
         read_bundle(bundle)
-
-
-def test_the_error_crosses_to_another_process_whole():
-    error = BundleError("is odd", file="a.csv", row=3, column="x", remedy="mend it")
-    copy = pickle.loads(pickle.dumps(error))
-    assert (str(copy), vars(copy)) == (str(error), vars(error))

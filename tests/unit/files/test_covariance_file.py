@@ -11,9 +11,8 @@ from truepath.files.earlier.covariance_file import pack_symmetric, unpack_symmet
 
 @pytest.mark.parametrize("size", [0, 1, 2, 37])
 def test_what_was_packed_comes_back_bit_for_bit(rng, size):
-    square = rng.standard_normal((size, size)) * 10.0 ** rng.integers(
-        -200, 200, (size, size)
-    )
+    scale = 10.0 ** rng.integers(-200, 200, (size, size))
+    square = rng.standard_normal((size, size)) * scale
     symmetric = np.tril(square) + np.tril(square, -1).T
     assert (unpack_symmetric(pack_symmetric(symmetric), size) == symmetric).all()
 

@@ -5,11 +5,7 @@ import json
 import pytest
 
 from truepath.errors import BadInput, BundleError
-from truepath.files.bundle.identity_file import (
-    read_assignments,
-    read_identity,
-    read_stored_identities,
-)
+from truepath.files.bundle import identity_file
 
 
 @pytest.mark.parametrize(
@@ -27,16 +23,13 @@ def test_a_wrong_identity_is_refused_by_its_key(tmp_path, content, place):
     file = tmp_path / "identity.json"
     file.write_text(json.dumps(content))
     with pytest.raises(BundleError, match=place):
-        read_identity(file)
+        identity_file.read_identity(file)
 
 
-def test_a_word_that_states_nothing_is_refused():
-    with pytest.raises(BadInput, match="FIELD=TEXT"):
-        read_assignments(["operator"])
-
-
-def test_a_damaged_file_of_earlier_versions_is_named(tmp_path):
+def test_a_damaged_file_of_earlier_versions_and_a_word_of_nothing_are_named(tmp_path):
     (tmp_path / "identities.json").write_text("{}")
     with pytest.raises(BundleError, match="holds no machines"):
-        read_stored_identities(tmp_path / "identities.json")
-    assert read_stored_identities(tmp_path / "none.json") == {}
+        identity_file.read_stored_identities(tmp_path / "identities.json")
+    assert identity_file.read_stored_identities(tmp_path / "none.json") == {}
+    with pytest.raises(BadInput, match="FIELD=TEXT"):
+        identity_file.read_assignments(["operator"])

@@ -18,9 +18,8 @@ def run(mill, rng):
     stream = TrackerSamples(np.arange(n), time_s, position_mm, np.zeros(n, int))
     places, feeds = rng.uniform(20.0, 300.0, (4, 3)), [500.0, 2500.0, 800.0, 1000.0]
     path = Path(("X", "Y", "Z"), places, np.array(feeds), np.full(4, 0.5))
-    warm = TemperatureSamples(
-        ("X", "air"), np.arange(2.0), np.array([[20, 21], [22, 19]])
-    )
+    celsius = np.array([[20, 21], [22, 19]])
+    warm = TemperatureSamples(("X", "air"), np.arange(2.0), celsius)
     return Run("monday", mill, path, stream, warm, provenance={"source": "a"})
 
 

@@ -16,12 +16,9 @@ def timed(name, span_s, started_s=None, machine=MACHINE, digest=None):
     return TimedRun(name, machine, digest or name, started_s, span_s)
 
 
-def test_a_tracker_clock_that_has_run_on_tells_the_middles():
-    runs = [timed("a", (0.0, 10.0)), timed("b", (100.0, 120.0))]
+def test_the_computers_clock_counts_where_every_run_has_it_else_the_trackers():
+    runs = [timed("a", (0.0, 10.0)), timed("b", (100.0, 120.0), 5000.0)]
     assert order_in_time(runs, None).time_s == (5.0, 110.0)
-
-
-def test_the_computers_clock_counts_where_every_run_has_it():
     runs = [timed("a", (0.0, 10.0), 1000.0), timed("b", (0.0, 20.0), 5000.0)]
     assert order_in_time(runs, None).time_s == (1005.0, 5010.0)
     runs[1] = replace(runs[1], started_s=None)

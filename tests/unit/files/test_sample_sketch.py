@@ -27,9 +27,7 @@ def recorded(rng):
     return place(rng, 0.002)
 
 
-@pytest.mark.parametrize(
-    "part", [slice(200, None), slice(0, N // 2), slice(N // 3, N // 3 + N // 25)]
-)
+@pytest.mark.parametrize("part", [slice(200, N), slice(N // 2), slice(20_000, 22_400)])
 def test_a_part_is_known_whatever_its_clock_and_its_losses_say(recorded, rng, part):
     whole = sketch_samples(stream(recorded))
     cut = recorded[part]
@@ -39,10 +37,8 @@ def test_a_part_is_known_whatever_its_clock_and_its_losses_say(recorded, rng, pa
 
 
 def test_recordings_that_overlap_are_known_from_either(recorded):
-    one, other = (
-        sketch_samples(stream(recorded[part]))
-        for part in (slice(0, 40_000), slice(10_000, 50_000))
-    )
+    parts = recorded[:40_000], recorded[10_000:50_000]
+    one, other = (sketch_samples(stream(part)) for part in parts)
     assert share_samples(one, other)
     assert share_samples(other, one)
 
@@ -59,9 +55,8 @@ def test_a_beginning_that_a_simulated_tracker_repeats_is_no_sign(recorded, rng):
 @pytest.mark.parametrize("noise_mm", [0.0005, 0.01])
 def test_another_recording_of_the_same_places_has_nothing_of_it(rng, noise_mm, step_mm):
     """A coarse tracker reads the same once in a while, not often in succession."""
-    one, other = (
-        sketch_samples(stream(place(rng, noise_mm, step_mm))) for _ in range(2)
-    )
+    seen = (place(rng, noise_mm, step_mm) for _ in range(2))
+    one, other = (sketch_samples(stream(each)) for each in seen)
     assert not share_samples(one, other)
 
 

@@ -1,22 +1,13 @@
 """Exports as the software of the field writes them, made by hand from truth."""
 
-import io
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from recorded import record_run
-from truepath.cli import command
 from truepath.errors import BundleError
-from truepath.files.bundle.bundle import write_bundle
-from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.imports.options import TextOptions
 from truepath.files.imports.recording import read_recording
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.turning_paths import turning_path
-from truepath_simulators.scenario import load_machine
 
 
 @pytest.fixture(scope="module")
@@ -107,10 +98,7 @@ STREAMS = {
         ),
     ),
     "exponents": (None, lambda k, *p: join("{:.9e}", "  ", *p)),
-    "exponents of Fortran": (
-        None,
-        lambda k, *p: join("{:.9E}", "  ", *p).replace("E", "D"),
-    ),
+    "Fortran": (None, lambda k, *p: join("{:.9E}", "  ", *p).replace("E", "D")),
     "trailing commas": (MM_HEAD, trailing),
     "a column mostly empty": (
         f"{MM_HEAD},Comment",
@@ -169,13 +157,6 @@ def test_the_one_unit_that_fits_is_taken_and_said(unit, drive):
     assert {1e3: "ms", 1e6: "us"}[unit] in got.facts["time"]
 
 
-def test_metres_that_are_stated_as_mm_are_refused_with_file_and_factor(drive):
-    metres = replace(drive.tracker, position_mm=1e-3 * drive.tracker.position_mm)
-    text = stamped(replace(drive, tracker=metres), lambda k, t: t)
-    with pytest.raises(BundleError, match=r"export.txt.* 1000 times .*look like m\b"):
-        read(text, drive.commanded)
-
-
 @pytest.mark.parametrize("beam", ["alone", "side by side"])
 def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
     gone = {500, 501, 502} if beam == "side by side" else {500, 900, 1500}
@@ -186,23 +167,6 @@ def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
     text = lines_of(drive, form, MM_HEAD)
     got = read(text, drive.commanded)
     assert set(np.flatnonzero(got.samples.status).tolist()) == gone
-
-
-def name_points(seen, form, count=None):
-    return "\n".join(form(k, *p) for k, p in enumerate(seen[:count]))
-
-
-@pytest.mark.parametrize("gone", [(), (7,), (7, 8)])
-def test_points_keep_their_place_beside_lost_ones(gone, spots):
-    commanded, seen = spots
-    text = "x_mm,y_mm,z_mm\n" + name_points(
-        seen,
-        lambda k, x, y, z: "0.0,0.0,0.0" if k in gone else f"{x:.4f},{y:.4f},{z:.4f}",
-    )
-    got = read(text, commanded)
-    assert got.points.row.tolist() == [
-        k for k in range(len(commanded)) if k not in gone
-    ]
 
 
 @pytest.mark.parametrize("tick", [0.016, 0.1])
@@ -235,15 +199,11 @@ def test_rounded_stamps_beside_a_hole_are_not_smoothed_over(tick, first, end, dr
 
 
 @pytest.mark.parametrize(
-    ("size", "unit", "head", "lowest"),
-    [
-        (2**32, 1e6, "us", 0),
-        (2**16, 1e3, "ms", 0),
-        (3600, 1.0, "s", 0),
-        (2**32, 1e6, "us", -(2**31)),
-    ],
+    ("size", "head", "lowest"),
+    [(2**32, "us", 0), (2**16, "ms", 0), (3600, "s", 0), (2**32, "us", -(2**31))],
 )
-def test_a_counter_that_wraps_goes_on(size, unit, head, lowest, drive):
+def test_a_counter_that_wraps_goes_on(size, head, lowest, drive):
+    unit = {"s": 1.0, "ms": 1e3, "us": 1e6}[head]
     begin = size + lowest - 9.0 * unit  # it wraps after nine seconds
     text = stamped(drive, lambda k, t: (t * unit + begin - lowest) % size + lowest)
     text = text.replace("t_s", f"t_{head}")
@@ -285,10 +245,7 @@ SEEN = {
         nine("// AXES = SPHERICAL: R, THETA, PHI (mm, deg)\n", "A,g,pK,2.K,12.K,3.K"),
         "SPHERICAL",
     ),
-    "polar": (
-        nine("Nr;Hz [gon];V [gon];D [mm]\n", "K;K.5;99.K;2000.K"),
-        r"Hz \[gon\]",
-    ),
+    "polar": (nine("Nr;Hz [gon];V [gon];D [mm]\n", "K;K.5;99.K;2000.K"), r"Hz \[gon\]"),
     "an interferometer": (
         "HEADER::\nFile type 0-RTL\nTARGETS:: 5\nTarget-data: \nDEVIATIONS::\n"
         "Run Target Data:\n1 0.0012\n2 0.0013\nEOF::\n",
@@ -307,9 +264,8 @@ def test_what_is_no_export_of_x_y_z_is_refused_naming_what_was_seen(case, spots)
 
 def test_names_are_matched_whole(spots):
     commanded, seen = spots
-    few = replace(
-        commanded, position=commanded.position[:3], dwell_s=commanded.dwell_s[:3]
-    )
+    three = {"position": commanded.position[:3], "dwell_s": commanded.dwell_s[:3]}
+    few = replace(commanded, **three)
     head = "Name;x_mm;y_mm;z_mm\n"
 
     def named(*names):
@@ -330,89 +286,12 @@ def test_names_are_matched_whole(spots):
 
 def test_shots_within_one_second_are_shots(spots):
     commanded, seen = spots
-    shots = (
-        f"A,run,P{k + 1},{x:.4f},{y:.4f},{z + shot:.4f},11/28/2026 2:{k:02d}:05"
-        for k, (x, y, z) in enumerate(seen)
-        for shot in (0.0, 0.001, 0.002)
-    )
-    got = read("\n".join([SA_HEAD, *shots]), commanded)
+    lines = [SA_HEAD]
+    for k, place in enumerate(seen):
+        for x, y, z in (place - 1e-3, place, place + 1e-3):
+            stamp = f"11/28/2026 2:{k:02d}:05"
+            lines.append(f"A,run,P{k + 1},{x:.4f},{y:.4f},{z:.4f},{stamp}")
+    got = read("\n".join(lines), commanded)
     assert got.points.row.tolist() == list(range(len(commanded)))
     assert set(got.points.count.tolist()) == {3}
-
-
-def import_export(capsys, folder, lines, run, path):
-    if not (folder / "truth").exists():
-        write_bundle(run, folder / "truth")
-    (folder / "export.txt").write_text("\n".join(lines), encoding="utf-8")
-    status = command.run(arguments(folder, path))
-    return status, capsys.readouterr()
-
-
-def test_a_name_in_points_csv_is_the_whole_name(spots, tmp_path, record, capsys):
-    truth = record(2, "standstill", rows=30)[0]
-    write_bundle(truth, tmp_path / "truth")
-    points = tmp_path / "truth" / "points.csv"
-    head, *rows = points.read_text().splitlines()
-    named = [f"{row},P12-{k}" for k, row in enumerate(rows, 1)]
-    points.write_text("\n".join([f"{head},name", *named]) + "\n")
-    lines = ["Name;x_mm;y_mm;z_mm"]
-    for k, (x, y, z) in enumerate(spots[1], 1):
-        lines.append(f"A::b::P12-{k};{x:.4f};{y:.4f};{z:.4f}")
-    status, said = import_export(capsys, tmp_path, lines, truth, "points.csv")
-    assert status == 0, said.err
-    assert "A::b::P12-3 is 3" in " ".join(said.out.replace("│", " ").split())
-
-
-def test_points_beside_lost_ones_and_a_stray_fit_what_was_commanded(
-    spots, tmp_path, record, capsys
-):
-    seen = spots[1].copy()
-    seen[[7, 8]] = 0.0
-    seen[20] += [30.0, -20.0, 10.0]
-    lines = ["x_mm,y_mm,z_mm", *(f"{x:.4f},{y:.4f},{z:.4f}" for x, y, z in seen)]
-    truth = record(2, "standstill", rows=30)[0]
-    status, said = import_export(capsys, tmp_path, lines, truth, "points.csv")
-    assert status == 0, said.err
-    assert "2 rows of 0, 0, 0" in said.err
-
-
-def test_a_rotary_axis_that_is_counted_the_other_way_is_named(tmp_path, capsys):
-    content = load_machine("trunnion")
-    program = turning_path(parse_machine(content), 5, 16, 9000.0)
-    run, _ = record_run(content, program)
-    position = run.commanded.position.copy()
-    position[:, run.commanded.axes.index("C")] *= -1.0
-    content["axes"]["C"] |= {"min_deg": -3600.0, "max_deg": 3600.0}
-    commanded = replace(run.commanded, position=position)
-    run = replace(run, machine=machine_from_json(content), commanded=commanded)
-    lines = lines_of(
-        run, lambda k, t, x, y, z: f"{t:.6f},{x:.5f},{y:.5f},{z:.5f}", MM_HEAD
-    )
-    status, said = import_export(capsys, tmp_path, [lines], run, "path.csv")
-    assert status == 2
-    assert "axis C counted the other way" in said.err
-
-
-def arguments(folder, path):
-    truth, out = folder / "truth", folder / "bundle"
-    given = ["--machine", truth / "machine.json", "--path", truth / path, "-o", out]
-    return [*map(str, ["import", folder / "export.txt", *given, "--dry-run"])]
-
-
-def test_what_is_shown_survives_a_terminal_of_ascii(drive, tmp_path, monkeypatch):
-    write_bundle(drive, tmp_path / "truth")
-    text = lines_of(
-        drive,
-        lambda k, t, x, y, z: f"{t:.6f};{x:.4f};{y:.4f};{z:.4f};20.5;1",
-        "t [s];x [mm];y [mm];z [mm];Lufttemperatur [°C];Δ",
-    )
-    (tmp_path / "export.txt").write_text(text, encoding="utf-8")
-    shown = io.BytesIO()
-    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
-    monkeypatch.setattr(sys, "argv", ["truepath", *arguments(tmp_path, "path.csv")])
-    monkeypatch.setattr(command, "choose_thread_limits", dict)
-    with pytest.raises(SystemExit) as ended:
-        command.main()
-    sys.stdout.flush()
-    assert ended.value.code == 0
-    assert b"Lufttemperatur" in shown.getvalue()
+    np.testing.assert_allclose(got.points.covariance_mm2, 1e-6, rtol=1e-3)

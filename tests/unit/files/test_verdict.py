@@ -20,20 +20,17 @@ LEFT_OUT = Reason("samples-left-out", "usable", ASIDE)
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
 
 
-def test_a_reason_is_a_sentence_with_its_numbers_and_units():
+def test_a_reason_is_a_sentence_with_its_numbers_units_and_run_of_several():
     assert str(LEFT_OUT) == (
         "42 samples of line 8, from 61.2 s to 61.3 s on the tracker's clock, are left "
         "out: they lie 5012.0 µm aside from the others."
     )
     assert "3.50 times that of noise; up to 1.30" in str(BEYOND)
-
-
-def test_a_reason_names_its_run_where_there_are_several():
     reason = Reason(LEFT_OUT.kind, "usable", LEFT_OUT.values, "monday")
     assert str(reason) == f"Run monday: {LEFT_OUT}"
 
 
-def test_the_state_is_the_worst_that_any_reason_asks_for():
+def test_the_state_is_the_worst_that_any_reason_asks_for_and_the_worst_is_refused():
     doubtful = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
     assert Verdict().state == "usable"
     assert Verdict((LEFT_OUT,)).state == "usable"
@@ -41,6 +38,10 @@ def test_the_state_is_the_worst_that_any_reason_asks_for():
     both = Verdict.merge([Verdict((BEYOND,)), Verdict((LEFT_OUT, doubtful))])
     assert both.state == "not-usable"
     assert both.reasons == (BEYOND, LEFT_OUT, doubtful)
+    Verdict((LEFT_OUT, doubtful)).require_usable("the result")
+    with pytest.raises(NotUsable) as caught:
+        Verdict((LEFT_OUT, BEYOND)).require_usable("model.json")
+    assert str(caught.value) == f"model.json is not to be used: {BEYOND}"
 
 
 def test_a_verdict_is_restored_from_its_file():
@@ -65,9 +66,8 @@ def test_a_state_stands_whatever_its_reasons_are(state, texts, known):
     details = [asdict(reason) for reason in known]
     restored = verdict_from_json({"state": state, "reasons": texts, "details": details})
     assert restored.state == state
-    assert [str(r) for r in restored.reasons] == (
-        texts or ["The file states no reason."]
-    )
+    said = [str(reason) for reason in restored.reasons]
+    assert said == (texts or ["The file states no reason."])
 
 
 @pytest.mark.parametrize(
@@ -87,19 +87,9 @@ def test_a_verdict_of_others_stands_without_their_details(details):
 
 
 def test_the_worst_comes_first_and_what_to_do_is_said_once():
-    ranked = list(Verdict((LEFT_OUT, LEFT_OUT, BEYOND)).rank())
-    assert ranked == [
-        (BEYOND, BEYOND.remedy),
-        (LEFT_OUT, LEFT_OUT.remedy),
-        (LEFT_OUT, ""),
-    ]
-
-
-def test_what_is_not_to_be_used_is_refused_by_name():
-    Verdict((LEFT_OUT,)).require_usable("the result")
-    with pytest.raises(NotUsable) as caught:
-        Verdict((LEFT_OUT, BEYOND)).require_usable("model.json")
-    assert str(caught.value) == f"model.json is not to be used: {BEYOND}"
+    first, *others = Verdict((LEFT_OUT, LEFT_OUT, BEYOND)).rank()
+    assert first == (BEYOND, BEYOND.remedy)
+    assert others == [(LEFT_OUT, LEFT_OUT.remedy), (LEFT_OUT, "")]
 
 
 @pytest.mark.parametrize("kind", sorted(SENTENCES))

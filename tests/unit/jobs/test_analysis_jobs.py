@@ -65,9 +65,7 @@ def test_uploaded_runs_are_analysed_together_and_the_stages_are_told(
 
 @pytest.mark.fault_row(26)
 @pytest.mark.parametrize("kind", [JobKind.ANALYSE, JobKind.DISCOVER])
-def test_a_run_whose_file_was_changed_is_not_analysed(
-    analysing, context, run, other, science, until, kind
-):
+def test_a_changed_run_is_refused(analysing, context, run, other, science, until, kind):
     file = context.runs.file(other.id)
     file.write_bytes(file.read_bytes() + b"changed")
     ended = until(analysing.create(RequestedJob(kind, [run.id, other.id]))[0])
@@ -79,9 +77,7 @@ def test_a_run_whose_file_was_changed_is_not_analysed(
     assert not science.calls
 
 
-def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
-    analyse, open_dispatcher, until
-):
+def test_an_unknown_stage_leaves_the_stage_as_it_is(analyse, open_dispatcher, until):
     def dreaming(run_files, folder, *_, on_progress):
         on_progress(0.5, "dreaming")
 
@@ -89,9 +85,7 @@ def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(
     assert until(analyse(alone)).stage == "aligning"
 
 
-def test_a_bad_bundle_fails_the_analysis_with_its_place_and_an_end_ends_it(
-    analyse, science, until
-):
+def test_a_bad_bundle_fails_and_an_end_ends_an_analysis(analyse, science, until):
     science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
     failure = until(analyse(), "failed").failure
     assert failure.family == "BundleError"
@@ -100,9 +94,7 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place_and_an_end_ends_it(
     until(analyse(), "aborted")
 
 
-def test_more_jobs_than_can_wait_are_refused(
-    analysing, analyse, science, monkeypatch, until
-):
+def test_a_job_too_many_is_refused(analysing, analyse, science, monkeypatch, until):
     monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
     science.hold = threading.Event()
     jobs = [analyse() for _ in range(2)]
@@ -113,9 +105,7 @@ def test_more_jobs_than_can_wait_are_refused(
         until(job)
 
 
-def test_a_standstill_run_steps_through_its_points_and_is_packed_once_as_a_bundle(
-    context, dispatcher, begin, cell, until
-):
+def test_a_standstill_run_is_packed_only_once(context, dispatcher, begin, cell, until):
     places = (1.0, 2.0, 3.0), (90.0, 2.0, 3.0), (1.0, 90.0, 3.0)
     points = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.5} for x, y, z in places]
     request = RequestedJob(JobKind.MEASURE_STANDSTILL, rows=points)
@@ -139,7 +129,7 @@ def test_what_interrupted_uploads_left_is_swept_away(context, analysing):
     assert not left.exists()
 
 
-class _CancelledFuture:
+class _Cancelled:
     """A computation that ends as a future does that somebody has cancelled."""
 
     def __init__(self, started):
@@ -155,13 +145,9 @@ class _CancelledFuture:
 
 
 @pytest.mark.parametrize("verb", ["abort", "close"])
-def test_what_a_cancelled_job_trips_over_is_no_failure(
-    context, analyse, open_dispatcher, monkeypatch, verb
-):
+def test_a_cancel_is_no_failure(context, analyse, open_dispatcher, monkeypatch, verb):
     """The future ends before the catalogue has taken the abort."""
-    executor = SimpleNamespace(
-        submit=lambda *_, started, **__: _CancelledFuture(started)
-    )
+    executor = SimpleNamespace(submit=lambda *_, started, **__: _Cancelled(started))
     dispatcher = open_dispatcher(machines=Machines(), executor=executor)
     errors = []
     monkeypatch.setattr(workflow.log, "error", lambda *told, **_: errors.append(told))
@@ -177,9 +163,7 @@ def test_what_a_cancelled_job_trips_over_is_no_failure(
     assert errors == []
 
 
-def test_a_discovery_tells_its_stage_is_done_again_after_a_restart_and_can_be_aborted(
-    context, run, open_dispatcher, until
-):
+def test_a_discovery_is_done_again_and_aborted(context, run, open_dispatcher, until):
     explorer = Explorer()
     explorer.hold = threading.Event()
     parts = {"machines": Machines(), "discoverer": explorer}

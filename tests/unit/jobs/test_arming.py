@@ -6,13 +6,7 @@ import pytest
 
 from job_builders import ROWS
 from scripted_cell import wait_until
-from truepath.catalogue.errors import (
-    ArmTokenExpired,
-    ArmTokenOther,
-    ArmTokenUsed,
-    NotInControl,
-    StaleVersion,
-)
+from truepath.catalogue import errors
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
@@ -46,8 +40,6 @@ def changed(ready, context):
 
 @pytest.fixture
 def refused(dispatcher, ready, make_cell):
-    """Sees arming refused, and that nothing moves by it."""
-
     def see(error, token, match, *, by=None, version=None):
         with pytest.raises(error, match=match):
             dispatcher.arm(ready.id, version or ready.version, token, by=by)
@@ -57,9 +49,7 @@ def refused(dispatcher, ready, make_cell):
 
 
 @pytest.mark.fault_row(34)
-def test_a_token_of_this_plan_moves_the_machine_once_and_then_nothing_is_armed(
-    dispatcher, ready, make_cell
-):
+def test_a_token_of_this_plan_moves_the_machine_once(dispatcher, ready, make_cell):
     arming = dispatcher.prepare_arming(ready.id)
     # Its stored state counts, which its thread may not know yet.
     dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
@@ -76,9 +66,9 @@ def test_a_token_of_this_plan_moves_the_machine_once_and_then_nothing_is_armed(
 @pytest.mark.fault_row(34)
 @pytest.mark.parametrize("token", ["", "x" * 200, "\udcff", "0"])
 def test_a_token_that_nobody_was_given_moves_nothing(refused, dispatcher, ready, token):
-    refused(ArmTokenOther, token, "knows no such token")
+    refused(errors.ArmTokenOther, token, "knows no such token")
     dispatcher.prepare_arming(ready.id)
-    refused(ArmTokenOther, token, "knows no such token")
+    refused(errors.ArmTokenOther, token, "knows no such token")
 
 
 @pytest.mark.fault_row(33)
@@ -98,29 +88,25 @@ def test_a_token_that_nobody_was_given_moves_nothing(refused, dispatcher, ready,
 def test_a_token_is_bound_to_each_part_of_its_purpose_and_good_once(change, named):
     tokens = ArmTokens()
     token = tokens.issue(PURPOSE)
-    with pytest.raises(ArmTokenOther, match=f"for another {named}"):
+    with pytest.raises(errors.ArmTokenOther, match=f"for another {named}"):
         tokens.use(token, replace(PURPOSE, **change))
     tokens.use(token, PURPOSE)  # it was not used up
-    with pytest.raises(ArmTokenUsed):
+    with pytest.raises(errors.ArmTokenUsed):
         tokens.use(token, PURPOSE)
 
 
 @pytest.mark.fault_row(34)
-def test_a_token_that_has_expired_or_is_of_the_plan_before_moves_nothing(
-    refused, dispatcher, ready, hand_clock, changed
-):
+def test_an_old_token_moves_nothing(refused, dispatcher, ready, hand_clock, changed):
     token = dispatcher.prepare_arming(ready.id).token
     hand_clock.time_s += 60.0
-    refused(ArmTokenExpired, token, "60 s, which have passed")
+    refused(errors.ArmTokenExpired, token, "60 s, which have passed")
     token = dispatcher.prepare_arming(ready.id).token
     changed()
-    refused(ArmTokenOther, token, "for another plan")
+    refused(errors.ArmTokenOther, token, "for another plan")
 
 
 @pytest.mark.fault_row(34)
-def test_rows_that_are_not_those_armed_are_not_driven(
-    dispatcher, ready, changed, until, make_cell
-):
+def test_only_the_rows_armed_are_driven(dispatcher, ready, changed, until, make_cell):
     """The plan was changed before the summary was asked for, after the job read it."""
     changed()
     arming = dispatcher.prepare_arming(ready.id)
@@ -133,22 +119,22 @@ def test_rows_that_are_not_those_armed_are_not_driven(
 def test_a_token_of_another_user_moves_nothing(dispatcher, ready, refused):
     dispatcher.take_control(ready.id, "anna")
     token = dispatcher.prepare_arming(ready.id, by="anna").token
-    with pytest.raises(NotInControl):
+    with pytest.raises(errors.NotInControl):
         dispatcher.prepare_arming(ready.id, by="ben")
     dispatcher.take_control(ready.id, "ben")
-    refused(ArmTokenOther, token, "another user", by="ben")
+    refused(errors.ArmTokenOther, token, "another user", by="ben")
 
 
 @pytest.mark.fault_row(33)
 def test_a_stale_version_leaves_the_token_good(refused, dispatcher, ready):
     token = dispatcher.prepare_arming(ready.id).token
-    refused(StaleVersion, token, "not the current one", version=ready.version - 1)
+    refused(
+        errors.StaleVersion, token, "not the current one", version=ready.version - 1
+    )
     assert dispatcher.arm(ready.id, ready.version, token).state is State.RUNNING
 
 
-def test_a_service_that_was_started_anew_knows_no_token(
-    dispatcher, ready, open_dispatcher
-):
+def test_a_service_started_anew_knows_no_token(dispatcher, ready, open_dispatcher):
     token = dispatcher.prepare_arming(ready.id).token
     dispatcher.close()
     with pytest.raises(IllegalTransition):

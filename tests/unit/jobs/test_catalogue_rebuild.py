@@ -42,7 +42,6 @@ def open_catalogue(folder):
 
 @pytest.fixture(scope="module")
 def history(tmp_path_factory, empty_catalogue):
-    """A data folder with a history, to be copied."""
     folder = tmp_path_factory.mktemp("history")
     shutil.copyfile(empty_catalogue, folder / "catalogue.sqlite")
     with open_catalogue(folder) as database:
@@ -221,9 +220,7 @@ def test_what_cannot_be_read_is_named_and_kept(folder):
     assert len(rows["runs"]) == 5
 
 
-def test_a_catalogue_damaged_anew_is_made_the_same_and_none_aside_is_overwritten(
-    folder, monkeypatch
-):
+def test_a_catalogue_damaged_anew_is_the_same_and_none_overwritten(folder, monkeypatch):
     spoil(folder)
     recovered, first = rebuild(folder)
     spoil(folder)

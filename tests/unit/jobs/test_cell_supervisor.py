@@ -48,9 +48,7 @@ def test_a_new_cell_opens_no_port_and_connecting_names_the_devices(running, make
     running.ignore_events()
 
 
-def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
-    running, maker, monkeypatch
-):
+def test_only_a_fresh_word_says_that_a_machine_stands(running, maker, monkeypatch):
     def read(state):
         status = state and MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0)
         maker.cell.say(ControllerRead(status, "" if status else "no answer"))
@@ -81,9 +79,7 @@ def test_a_machine_stands_only_by_the_fresh_word_of_its_controller(
         (MeasurementFailed("the cell process did not answer"), CellDown),
     ],
 )
-def test_a_device_that_refuses_is_named_and_not_connected(
-    running, maker, refusal, family
-):
+def test_a_device_that_refuses_is_named_not_connected(running, maker, refusal, family):
     running.connect()
     maker.cell.refuses = refusal
     with pytest.raises(family, match=str(refusal)):
@@ -101,9 +97,7 @@ def test_a_fault_of_the_machine_makes_connecting_necessary(running, maker):
 
 
 @pytest.mark.parametrize("end", ["die", "kill"])
-def test_a_cell_that_dies_or_is_killed_is_made_anew_and_connects_to_nothing(
-    running, maker, end
-):
+def test_a_cell_that_dies_or_is_killed_is_made_anew_unconnected(running, maker, end):
     first = maker.cell
     running.connect()
     if end == "die":
@@ -119,9 +113,7 @@ def test_a_cell_that_dies_or_is_killed_is_made_anew_and_connects_to_nothing(
     running.connect()
 
 
-def test_a_cell_that_does_not_start_is_tried_again_with_growing_pauses(
-    supervisor, maker
-):
+def test_a_cell_that_does_not_start_is_tried_with_growing_pauses(supervisor, maker):
     maker.fails = 2
     supervisor.start()
     wait_until(lambda: supervisor.status.state == "disconnected")
@@ -143,9 +135,7 @@ def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, super
 
 
 @pytest.mark.parametrize("asked", ["connect", "begin"])
-def test_a_cell_that_hangs_is_reported_and_killed_where_it_may_have_begun(
-    clock, running, maker, monkeypatch, asked
-):
+def test_a_hanging_cell_is_told_and_killed(clock, running, maker, monkeypatch, asked):
     monkeypatch.setattr("truepath.machines.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     first, hold = maker.cell, threading.Event()
     setattr(first, asked, lambda *_: host_clock.wait(hold, 5.0) and {})

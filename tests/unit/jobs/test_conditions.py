@@ -66,7 +66,6 @@ def test_a_machine_in_order_fulfils_every_condition():
 
 
 def find(board, kind):
-    """Return what a board reads of one condition."""
     (found,) = [one for one in board.read() if one.type is kind]
     return found
 
@@ -154,9 +153,7 @@ def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
         (None, True, Level.UNKNOWN, "not-told-on"),
     ],
 )
-def test_compensation_stands_in_the_way_only_of_a_job_that_asks_for_another(
-    told, wants, level, reason
-):
+def test_compensation_hinders_only_who_asks_for_another(told, wants, level, reason):
     seen = replace(GOOD, controller=shown(compensation=told))
     board = ConditionLog(lambda: seen, wants_compensation=wants)
     asked = ConditionType.COMPENSATION_AS_ASKED
@@ -297,9 +294,7 @@ def test_a_station_that_goes_on_is_come_to_round_what_its_plan_avoids(machine):
         (None, "place-not-told"),
     ],
 )
-def test_the_way_to_the_first_row_is_judged_from_where_the_machine_stands(
-    machine, here, reason
-):
+def test_the_way_to_the_first_row_is_judged_from_where_it_begins(machine, here, reason):
     """By the names of the controller's axes, in whatever order it has them."""
     axes = machine.axis_names
     place = None if here is None else MotionStatus(MotionState.IDLE, here[::-1], 0)

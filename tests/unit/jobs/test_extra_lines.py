@@ -36,14 +36,8 @@ def lives():
 
 
 @pytest.fixture
-def context(context, explorer, lives, resumer, closer):
-    return replace(
-        context,
-        discoverer=explorer,
-        live=lambda *_: lives.append(1),
-        resumer=resumer,
-        closer=closer,
-    )
+def context(context, explorer, lives):
+    return replace(context, discoverer=explorer, live=lambda *_: lives.append(1))
 
 
 @pytest.fixture
@@ -58,8 +52,6 @@ def discover(dispatcher, run, until):
 
 @pytest.fixture
 def ask(dispatcher, discover):
-    """Ask for the extra lines of a discovery, of a new one unless it is named."""
-
     def asked(discovery=None, **order):
         of = (discovery or discover()).id
         asked = {"discovery_id": of, "plan_request": order}
@@ -117,9 +109,7 @@ def test_extra_lines_that_were_cut_short_go_on_and_both_runs_are_explained(
     assert ended.has_discovery
 
 
-def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
-    run, discover, drive, explorer
-):
+def test_what_is_open_is_asked_again_of_the_same_model(run, discover, drive, explorer):
     model = discover()
     first = drive(discover(model_id=model.id))
     second = drive(first)
@@ -128,9 +118,7 @@ def test_what_is_still_open_is_asked_again_and_held_against_the_same_model(
     assert len(explorer.calls[-1][0]) == 3
 
 
-def test_lines_of_no_discovery_or_another_machine_or_out_of_bounds_are_refused(
-    ask, explorer, dispatcher, run, until
-):
+def test_lines_out_of_place_are_refused(ask, explorer, dispatcher, run, until):
     analysed = until(dispatcher.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0])
     with pytest.raises(NotFound, match="has no discovery"):
         ask(analysed)

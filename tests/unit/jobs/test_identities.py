@@ -87,9 +87,7 @@ def test_what_was_recorded_here_stands_in_its_order_whatever_the_clock_said():
     back = calibration("back", "1970-01-01T00:00:00Z")
     assert names((wrong, 5), (newest, 7), (first, 3)) == ["first", "wrong", "newest"]
     assert names((back, 8), (newest, 7), (first, 3)) == ["first", "newest", "back"]
-
-
-def test_what_was_uploaded_stands_by_its_time():
+    # What was uploaded stands by its time.
     recorded = calibration("recorded", "2026-03-01T00:00:00Z")
     older = calibration("older", "2026-01-01T00:00:00Z")
     newer = calibration("newer", "2026-04-01T00:00:00Z")

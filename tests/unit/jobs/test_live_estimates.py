@@ -11,16 +11,11 @@ from truepath.catalogue.job import JobEvent
 from truepath.catalogue.live_notice import OnNotice
 from truepath.estimation.live.live_estimate import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
+from truepath.jobs.running import live_process
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.event_bus import JOBS, EventBus
 from truepath.jobs.running.live_alerts import LiveAlerts
 from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
-from truepath.jobs.running.live_process import (
-    LiveCommand,
-    LiveEstimateOrder,
-    estimate_json,
-    estimate_live,
-)
 from truepath.kinematics.effects.location_error import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
@@ -31,7 +26,7 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture
 def order(mill, square):
-    return LiveEstimateOrder(mill, square)
+    return live_process.LiveEstimateOrder(mill, square)
 
 
 def test_what_has_no_room_is_dropped_and_counted_at_once(order):
@@ -45,8 +40,8 @@ def test_what_has_no_room_is_dropped_and_counted_at_once(order):
 def test_a_stream_that_is_no_measurement_ends_without_a_word(order):
     ours, theirs = Pipe()
     ours.send(TrackerSamples.empty())
-    ours.send(LiveCommand.END)
-    estimate_live(order, theirs)
+    ours.send(live_process.LiveCommand.END)
+    live_process.estimate_live(order, theirs)
     assert not ours.poll()
 
 
@@ -74,13 +69,14 @@ def test_the_newest_estimates_of_a_few_jobs_are_remembered_each_with_its_course(
 
 
 def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
-    """An estimate of a five-axis machine, every number of it different."""
     machine = machine_from_json(load_machine("head-table"))
     offsets = {t.name: np.array([t.offset_mm]) for t in machine.targets}
     model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
-    told = estimate_json(LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5))
+    told = live_process.estimate_json(
+        LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
+    )
     tables, places = told["error_tables"], told["axis_location"]
     for symbol, table in tables.items():
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"
@@ -185,9 +181,7 @@ def test_a_notice_is_told_when_it_is_new_and_when_its_name_changes(followed, boa
 @pytest.mark.parametrize(
     ("may_move", "asked"), [(True, ["cell pause", "pause"]), (False, ["pause"])]
 )
-def test_a_pause_holds_the_machine_once_and_first_unless_the_job_ends(
-    followed, board, may_move, asked
-):
+def test_a_pause_first_holds_once_unless_the_job_ends(followed, board, may_move, asked):
     """A hold while the last line is driven would end the job there."""
     followed.may_move = may_move
     shown, _ = board(OnNotice.PAUSE)
@@ -243,9 +237,7 @@ def test_the_parts_are_the_whole_plan_and_end_however_often_lines_are_asked_for(
     ],
     ids=["before the rest", "the last lines", "points", "points behind a box"],
 )
-def test_what_is_driven_again_comes_between_by_ways_that_were_driven_and_counts(
-    plan, repeated, driven
-):
+def test_rows_driven_again_come_between_by_known_ways_and_count(plan, repeated, driven):
     planned = PlannedRows(*plan)
     planned.next()
     planned.repeat(repeated)

@@ -71,9 +71,7 @@ def summary_of(context, job):
 
 
 @pytest.mark.database
-def test_every_run_is_analysed_and_those_that_fail_are_named(
-    context, runs, dispatcher, analyst, until
-):
+def test_runs_are_analysed_failures_named(context, runs, dispatcher, analyst, until):
     analyst.failing, analyst.defects = {runs[3]}, {runs[4]}
     gone = context.runs.file(runs[5])
     gone.unlink()
@@ -117,9 +115,7 @@ def test_a_service_that_starts_again_goes_on_with_what_is_left(
 
 
 @pytest.mark.database
-def test_runs_are_chosen_by_machine_and_time(
-    context, runs, open_dispatcher, analyst, until
-):
+def test_machine_and_time_choose_runs(context, runs, open_dispatcher, analyst, until):
     assert context.runs.get(runs[0]).machine == context.require_machine().name
     dispatcher = open_dispatcher(reanalyser=analyst)
     since = {"since": datetime(2000, 1, 1, tzinfo=UTC)}

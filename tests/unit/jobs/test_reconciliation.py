@@ -29,7 +29,6 @@ def begin_run(context, machine):
 
 @pytest.fixture
 def ended(context):
-    """A measurement that has ended without its Run."""
     job, _ = context.store.create(Job(JobKind.MEASURE_OTF))
     return context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
 
@@ -40,9 +39,7 @@ def reconciliation(context):
 
 
 @pytest.mark.database
-def test_a_run_on_disk_joins_its_job_once_while_the_service_runs(
-    context, ended, begin_run, reconciliation
-):
+def test_a_run_on_disk_joins_its_job_once(context, ended, begin_run, reconciliation):
     begin_run(ended.id).close("failed")
     reconciliation.start()
     try:
@@ -71,9 +68,7 @@ def test_a_run_that_its_job_does_not_name_is_named_at_the_next_start(
     assert context.store.get(ended.id).version == joined.version
 
 
-def test_nothing_is_touched_while_a_measurement_is_under_way(
-    context, ended, begin_run, dispatcher, until
-):
+def test_nothing_is_touched_in_motion(context, ended, begin_run, dispatcher, until):
     begin_run(ended.id).close("failed")
     reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
     job, _ = dispatcher.create(OTF)
@@ -99,9 +94,7 @@ def test_a_run_that_a_stopped_cell_held_open_is_catalogued_once_it_is_free(
 
 
 @pytest.mark.database
-def test_the_run_of_a_further_station_joins_the_job_that_its_file_names(
-    context, begin_run, reconciliation
-):
+def test_a_further_stations_run_joins_its_job(context, begin_run, reconciliation):
     plan = {"kind": "path", "stations": [{"run_id": "one"}, {"run_id": "two"}]}
     job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan=plan)
     context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
@@ -218,9 +211,7 @@ def test_an_analysis_that_was_queued_again_in_order_has_all_its_attempts(
 
 
 @pytest.mark.fault_row(38)
-def test_a_job_that_takes_the_service_with_it_is_given_up_after_two_attempts(
-    context, run_id, restart, science
-):
+def test_a_job_that_kills_the_service_is_given_up(context, run_id, restart, science):
     job = leave(context, run_id, State.RUNNING, 2)
     restart()
     given_up = context.store.get(job.id)

@@ -25,8 +25,6 @@ def measure(machine):
 
 
 class Fleet:
-    """Two machines over scripted cells, and verbs that wait for what they ask."""
-
     def __init__(self, machine, open_dispatcher, until):
         self.makers = {"mill": CellMaker(), "lathe": CellMaker()}
         cells = [
@@ -57,9 +55,7 @@ def fleet(machine, open_dispatcher, until):
 
 
 @pytest.mark.database
-def test_two_machines_measure_at_once_each_only_once_and_one_outlives_the_other(
-    fleet, context
-):
+def test_two_machines_measure_at_once_each_once_one_outlives_the_other(fleet, context):
     mill, lathe = fleet.begin("mill"), fleet.begin("lathe")
     assert (mill.machine, lathe.machine) == ("mill", "lathe")
     for job in (mill, lathe):

@@ -36,9 +36,7 @@ class Checker:
     def __init__(self):
         self.calls, self.answers = [], []
 
-    def __call__(
-        self, file, before, planned_mm, asked_mm, specification, *, on_progress
-    ):
+    def __call__(self, file, before, planned_mm, asked_mm, specified, *, on_progress):
         self.calls.append((file, before, asked_mm, planned_mm))
         return self.answers.pop(0) if self.answers else GOOD
 
@@ -71,16 +69,12 @@ def planner(machine):
 
 
 @pytest.fixture
-def context(context, planner, checker, resumer, closer):
-    return replace(
-        context, planner=planner, checker=checker, resumer=resumer, closer=closer
-    )
+def context(context, planner, checker):
+    return replace(context, planner=planner, checker=checker)
 
 
 @pytest.fixture
 def restart(dispatcher, open_dispatcher):
-    """Opens the service anew on the same catalogue, after its end or after a kill."""
-
     def restart(*, is_killed=False):
         if not is_killed:
             dispatcher.close()
@@ -99,8 +93,6 @@ def plan_id(dispatcher, until):
 
 @pytest.fixture
 def prepare(dispatcher, until, plan_id):
-    """Give a job, of the plan unless it is another; return it once it can be armed."""
-
     def prepare(dispatcher=dispatcher, **request):
         request = request or {"plan_id": plan_id}
         job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, **request))
@@ -111,8 +103,6 @@ def prepare(dispatcher, until, plan_id):
 
 @pytest.fixture
 def measure(dispatcher, cell, until):
-    """Arm a job and let the cell finish so many Runs; return the job then."""
-
     def measured(job, *runs, then=State.AWAITING_MOVE, dispatcher=dispatcher):
         armed = arm_at_once(dispatcher, job.id, job.version)
         for kind in runs:
@@ -127,7 +117,6 @@ def measure(dispatcher, cell, until):
 
 @pytest.fixture
 def moved(prepare, measure):
-    """A job that has measured its first station and asks for the second."""
     return measure(prepare(), POINTS, LINES)
 
 
@@ -139,6 +128,7 @@ def test_stations_are_asked_for_one_after_another_and_each_is_armed(
 ):
     job = prepare()
     assert (job.station.number, job.station.total) == (1, 3)
+    assert context.store.read_plan(job.id)["place"] == ADVICE
     for number in (2, 3):
         job = measure(job, POINTS, LINES)
         assert job.station.number == number
@@ -154,9 +144,7 @@ def test_stations_are_asked_for_one_after_another_and_each_is_armed(
     assert checker.calls[1][2] == pytest.approx(1500.8, abs=0.1)
 
 
-def test_a_station_that_the_known_points_contradict_is_asked_for_again(
-    moved, measure, checker
-):
+def test_a_station_that_known_points_contradict_is_asked_again(moved, measure, checker):
     checker.answers = [BAD, GOOD]
     again = measure(moved, POINTS)
     assert again.station.number == 2
@@ -166,9 +154,7 @@ def test_a_station_that_the_known_points_contradict_is_asked_for_again(
     assert [check.problem for check in last.station.checks] == ["", ""]
 
 
-def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
-    prepare, begin, cell, until
-):
+def test_known_points_not_seen_are_no_fault_of_the_job(prepare, begin, cell, until):
     job = begin(prepare())
     cell.begun.clear()
     cell.fault("beam-lost")
@@ -181,9 +167,7 @@ def test_known_points_that_are_not_seen_are_no_fault_of_the_job(
 VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
-def test_what_a_plan_avoids_is_avoided_on_the_way_to_its_rows(
-    open_watched, measure, until, cell
-):
+def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, cell):
     behind_the_vice = (300.0, 10.0, 10.0)  # it is between here and the known points
     place = [behind_the_vice]
 
@@ -208,9 +192,7 @@ def test_what_a_plan_avoids_is_avoided_on_the_way_to_its_rows(
         arm_at_once(dispatcher, waits.id, waits.version)
 
 
-def test_while_the_tracker_is_moved_a_job_is_not_continued_and_can_be_aborted(
-    moved, prepare, dispatcher, until, plan_id
-):
+def test_in_a_move_a_job_is_only_aborted(moved, prepare, dispatcher, until, plan_id):
     with pytest.raises(IllegalTransition, match="goes on by itself"):
         prepare(continues=moved.id)
     with pytest.raises(NotFound, match="from stations"):
@@ -238,9 +220,7 @@ def test_a_service_that_ends_meanwhile_loses_nothing_and_another_job_goes_on(
         prepare(second, continues=last.id)
 
 
-def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_again(
-    moved, measure, restart, until
-):
+def test_a_job_that_waits_for_the_tracker_asks_it_again(moved, measure, restart, until):
     second = restart()
     until(moved, State.INTERRUPTED)
     second.acknowledge(moved.id)
@@ -253,7 +233,6 @@ def test_a_job_that_waits_for_the_tracker_when_the_service_ends_asks_for_it_agai
 
 @pytest.fixture
 def cut_short(moved, dispatcher, cell, end_in_motion):
-    """A job that a fault has ended on the lines of its second station."""
     arm_at_once(dispatcher, moved.id, moved.version)
     for what in ("the known points", "the lines"):
         wait_until(cell.begun.is_set, what)
@@ -265,8 +244,6 @@ def cut_short(moved, dispatcher, cell, end_in_motion):
 
 @pytest.fixture
 def go_on(cut_short, dispatcher, until):
-    """Acknowledges it; returns it once it can be armed."""
-
     def done():
         dispatcher.acknowledge(cut_short.id)
         return until(cut_short, State.READY)
@@ -316,9 +293,7 @@ def test_a_station_that_was_moved_meanwhile_is_measured_on_as_a_new_one_unless_p
     assert asked_mm == 0.0
 
 
-def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_out(
-    go_on, measure, cell, resumer, science
-):
+def test_a_run_that_tells_nothing_is_left_out(go_on, measure, cell, resumer, science):
     resumer.next_row = None
     asked = measure(go_on(), POINTS, LINES)
     assert len(cell.order.commanded) == len(LONG)
@@ -327,18 +302,14 @@ def test_a_station_whose_run_tells_nothing_is_measured_whole_and_its_run_left_ou
     assert len(science.calls[-1][0]) == 3
 
 
-def test_a_job_that_continues_one_that_was_cut_short_measures_that_station_whole(
-    cut_short, prepare, measure, cell
-):
+def test_a_continued_job_measures_its_station_whole(cut_short, prepare, measure, cell):
     again = prepare(continues=cut_short.id)
     assert again.station.number == 2
     measure(again, POINTS, LINES)
     assert len(cell.order.commanded) == len(LONG)
 
 
-def test_a_beginning_of_a_plan_ends_at_its_last_station(
-    prepare, plan_id, context, dispatcher, until
-):
+def test_a_beginning_of_a_plan_ends_early(prepare, plan_id, context, dispatcher, until):
     job = prepare(plan_id=plan_id, plan_rows=15)
     assert job.station.total == 2
     plan = context.store.read_plan(job.id)
@@ -347,20 +318,17 @@ def test_a_beginning_of_a_plan_ends_at_its_last_station(
     assert plan["predicted_um"] == pytest.approx(0.6)
     shares = plan["place"]["at_stations"]
     assert [(one["rows"], one["duration_s"]) for one in shares] == [(11, 9.0), (4, 6.0)]
-    for rows, why in ((34, "33 rows"), (2, "add rows"), (12, "1 place")):
+    for order, why in (
+        ({"plan_rows": 34}, "33 rows"),
+        ({"plan_rows": 2}, "add rows"),
+        ({"plan_rows": 12}, "1 place"),
+        ({"target_um": 1.0}, "leave target_um out"),
+    ):
         with pytest.raises(PlanningError, match=why):
-            prepare(plan_id=plan_id, plan_rows=rows)
+            prepare(plan_id=plan_id, **order)
     dispatcher.abort(job.id)
     until(job)
     first = prepare(plan_id=plan_id, plan_rows=6)
     plan = context.store.read_plan(first.id)
     assert (first.station, len(plan["position"])) == (None, 6)
     assert "stations" not in plan
-
-
-def test_a_job_keeps_what_its_plan_says_of_places_and_has_no_target(
-    prepare, plan_id, context
-):
-    with pytest.raises(PlanningError, match="leave target_um out"):
-        prepare(plan_id=plan_id, target_um=1.0)
-    assert context.store.read_plan(prepare().id)["place"] == ADVICE

@@ -157,7 +157,6 @@ def test_a_key_with_another_body_is_refused_and_a_refused_job_leaves_none(store)
 
 
 def let_keys_be(age_s, database):
-    """Let the keys that there are have been made so long ago."""
     query = idempotency_keys.update().values(created_s=int(time.time()) - age_s)
     database.write(lambda c: c.execute(query).rowcount)
 

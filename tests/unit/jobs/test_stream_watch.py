@@ -3,49 +3,34 @@
 import numpy as np
 import pytest
 
-from truepath.machines.conditions.stream_status import (
-    COURSE_S,
-    HEARD_S,
-    StreamLevels,
-    StreamStatus,
-)
-from truepath.measurement.messages import (
-    CellState,
-    FaultReported,
-    LivePoints,
-    MeasurementProgress,
-    StateChanged,
-    TemperaturesRead,
-    TrackerTried,
-)
+from truepath.machines.conditions import stream_status
+from truepath.measurement import messages
 
 
 @pytest.fixture
 def watch(hand_clock):
-    watch = StreamStatus()
-    watch.follow(StateChanged(CellState.RUNNING))
+    watch = stream_status.StreamStatus()
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     return watch
 
 
 def progress(lost=0, damaged=0):
-    return MeasurementProgress(
+    return messages.MeasurementProgress(
         1, 4, "lines", "measuring", 1.0, 3.0, lost_samples=lost, crc_errors=damaged
     )
 
 
 def seen(**readings):
-    return LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
+    return messages.LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
 
 
-def test_a_lost_beam_is_told_until_the_machine_moves_again_and_points_come(
-    watch, hand_clock
-):
+def test_a_lost_beam_is_told_until_the_machine_moves_and_points_come(watch, hand_clock):
     watch.follow(seen())
     assert watch.read().has_beam is True
-    watch.follow(FaultReported("beam-lost", "the beam is lost", "lock it"))
-    watch.follow(StateChanged(CellState.PAUSED))
+    watch.follow(messages.FaultReported("beam-lost", "the beam is lost", "lock it"))
+    watch.follow(messages.StateChanged(messages.CellState.PAUSED))
     assert watch.read().has_beam is False
-    watch.follow(StateChanged(CellState.RUNNING))
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     watch.follow(seen())
     assert watch.read().has_beam is True
     hand_clock.time_s += 60.0
@@ -76,12 +61,12 @@ def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
         assert (known.drift_degC is None) == (step < 12)
     assert known.drift_degC == pytest.approx(1.9)
     assert known.drifting == "X_degC"
-    hand_clock.time_s += COURSE_S + 1.0
+    hand_clock.time_s += stream_status.COURSE_S + 1.0
     assert watch.read().drift_degC is None
 
 
 def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
-    return TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
+    return messages.TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
 
 
 @pytest.mark.parametrize(
@@ -99,32 +84,31 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
         (heard(samples=0, streams=False), False, {"has_beam": None, "failure": ""}),
     ],
 )
-def test_a_moment_of_a_stream_at_rest_tells_beam_and_samples(
-    hand_clock, tried, aims, level
-):
-    watch = StreamStatus()
+def test_a_moment_at_rest_tells_beam_and_samples(hand_clock, tried, aims, level):
+    watch = stream_status.StreamStatus()
     watch.record_trial(tried, 500.0, aims=aims)
     read = watch.read()
     assert {name: getattr(read, name) for name in level} == level
 
 
 def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
-    watch = StreamStatus()
-    assert watch.read() == StreamLevels()
+    watch = stream_status.StreamStatus()
+    assert watch.read() == stream_status.StreamLevels()
     watch.record_failure("it is mute")
     assert watch.read().failure == "it is mute"
-    hand_clock.time_s += HEARD_S + 1.0
-    assert watch.read() == StreamLevels()
+    hand_clock.time_s += stream_status.HEARD_S + 1.0
+    assert watch.read() == stream_status.StreamLevels()
     watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
-    watch.follow(StateChanged(CellState.RUNNING))
-    assert watch.read() == StreamLevels()
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
+    assert watch.read() == stream_status.StreamLevels()
 
 
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
-    watch = StreamStatus()
+    watch = stream_status.StreamStatus()
     for n in range(10):
-        watch.follow(TemperaturesRead({"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}))
+        readings = {"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}
+        watch.follow(messages.TemperaturesRead(readings))
         hand_clock.time_s += 10.0
     (shown,) = watch.read().temperatures
     assert (shown.channel, shown.over_s) == ("X_degC", 90.0)

@@ -7,22 +7,10 @@ import pytest
 
 from mills import build_mill
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects import conformance, free_form
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.conformance import (
-    CHECKS,
-    NotConforming,
-    effects_are_values,
-    example_conditions,
-    jacobian_is_the_slope_of_the_displacement,
-    words_are_there,
-)
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.family import list_families
-from truepath.kinematics.effects.free_form import (
-    PlaneTurnFamily,
-    SideShapeFamily,
-    TiltWanderFamily,
-)
 from truepath.kinematics.effects.look_error import LookErrorFamily
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
@@ -73,7 +61,7 @@ def test_pose_is_a_shift_and_a_turn_about_its_centre(rng):
     assert np.allclose(moved, shift + np.cross(turn, at.point_mm - [100.0, 50.0, 0.0]))
 
 
-def test_effects_that_differ_in_the_ninth_digit_have_parameters_of_their_own():
+def test_effects_alike_to_the_ninth_digit_are_two_and_two_of_one_name_are_refused():
     axis = MACHINE.linear_axes[0]
     effects = ScrewCyclic(axis, 10.0), ScrewCyclic(axis, 10.00000001)
     model = MachineModel(MACHINE, effects)
@@ -81,9 +69,6 @@ def test_effects_that_differ_in_the_ninth_digit_have_parameters_of_their_own():
     assert [s.start for s in model.slices.values()] == [0, 4]
     assert effects[0] == ScrewCyclic(axis, 10.0) != effects[1]
     assert hash(effects[0]) == hash(ScrewCyclic(axis, 10.0))
-
-
-def test_two_effects_of_one_name_are_refused():
     pose = TrackerPose((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="tracker-pose"):
         MachineModel(MACHINE, (pose, pose))
@@ -91,7 +76,7 @@ def test_two_effects_of_one_name_are_refused():
 
 @pytest.fixture(scope="module")
 def seen():
-    return example_conditions()
+    return conformance.example_conditions()
 
 
 def propose(family, at, **keys):
@@ -99,7 +84,7 @@ def propose(family, at, **keys):
 
 
 def test_a_tilt_moves_points_across_its_axis_and_by_their_distance(seen):
-    tilt = propose(TiltWanderFamily(), seen, direction="Z")
+    tilt = propose(free_form.TiltWanderFamily(), seen, direction="Z")
     moved = tilt.jacobian(seen)[:, :, 0]
     arm = seen.point_mm - seen.point_mm.mean(axis=0)
     assert np.abs(moved[:, 2]).max() == 0.0
@@ -108,37 +93,34 @@ def test_a_tilt_moves_points_across_its_axis_and_by_their_distance(seen):
     assert size.max() == pytest.approx(size[0], rel=1e-6)
 
 
-def test_a_turn_of_one_axis_by_another_is_nothing_without_the_other(seen):
-    turn = propose(PlaneTurnFamily(), seen, motion="ECX", by="Y")
+def test_a_turn_by_another_axis_needs_it_and_lost_motion_that_varies_has_two_sides(
+    seen,
+):
+    turn = propose(free_form.PlaneTurnFamily(), seen, motion="ECX", by="Y")
     products = turn.shapes(seen)
     share = seen.axis_mm("Y") / 500.0
     np.testing.assert_allclose(products[:, 0], 2.0 * share - 1.0)
-
-
-def test_lost_motion_that_varies_changes_side_with_the_direction(seen):
-    shape = propose(SideShapeFamily(), seen, axis="X", direction="Y")
+    shape = propose(free_form.SideShapeFamily(), seen, axis="X", direction="Y")
     ahead = seen.approach[:, 0] * shape.jacobian(seen)[:, 1, 0]
     np.testing.assert_allclose(ahead, 2.0 * seen.axis_mm("X") / 500.0 - 1.0)
 
 
-def test_an_error_of_the_range_is_along_the_beam(seen):
+def test_errors_of_the_range_are_along_the_beam_and_a_drift_moves_far_points_more(seen):
     moved = propose(LookErrorFamily(), seen, quantity="range").jacobian(seen)
     beam = seen.recorded.tracker_mm
     across = np.cross(moved[:, :, 0], beam)
     assert np.abs(across).max() < 1e-9 * np.linalg.norm(beam, axis=1).max()
 
-
-def test_a_drifting_scale_moves_far_points_more(seen):
     assert read_air_degc(seen) is None
     drift = propose(ScaleDriftFamily(), seen).jacobian(seen)[:, :, 0]
     late = seen.time_s - 0.5 * (seen.time_s.min() + seen.time_s.max())
     np.testing.assert_allclose(drift, seen.recorded.tracker_mm * late[:, None])
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("check", conformance.CHECKS, ids=lambda check: check.__name__)
 @pytest.mark.parametrize("family", list_families(), ids=lambda family: family.name)
 def test_an_installed_effect_conforms(family, check):
-    check(family, example_conditions())
+    check(family, conformance.example_conditions())
 
 
 @dataclass(frozen=True)
@@ -166,20 +148,19 @@ class CrookedFamily(ServoMismatchFamily):
         ]
 
 
-@pytest.mark.parametrize(
-    ("check", "complaint"),
-    [
-        (jacobian_is_the_slope_of_the_displacement, "is not the slope"),
-        (effects_are_values, "share names"),
-        (words_are_there, "no words in de"),
-    ],
-)
-def test_an_effect_that_breaks_the_contract_is_told_so(check, complaint):
-    with pytest.raises(NotConforming, match=complaint):
-        check(CrookedFamily(), example_conditions())
-
-
-def test_a_family_that_proposes_nothing_is_not_checked_silently():
-    at = replace(example_conditions(), recorded=None)
-    with pytest.raises(NotConforming, match="proposes nothing"):
-        words_are_there(ServoMismatchFamily(), at)
+def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen):
+    slope = conformance.jacobian_is_the_slope_of_the_displacement
+    values, words = conformance.effects_are_values, conformance.words_are_there
+    for check, family, at, complaint in (
+        (slope, CrookedFamily(), seen, "is not the slope"),
+        (values, CrookedFamily(), seen, "share names"),
+        (words, CrookedFamily(), seen, "no words in de"),
+        (
+            words,
+            ServoMismatchFamily(),
+            replace(seen, recorded=None),
+            "proposes nothing",
+        ),
+    ):
+        with pytest.raises(conformance.NotConforming, match=complaint):
+            check(family, at)

@@ -46,14 +46,9 @@ CHAINS = [
 ]
 INCLINED = {"B": [0.0, 1.0, 1.0], "C": [0.2, -0.1, -1.0], "A": [-1.0, 0.0, 0.0]}
 TURNING = {
-    "A": {
-        "type": "rotary",
-        "min_deg": -100,
-        "max_deg": 30,
-        "origin_mm": [200, 150, -60],
-    },
-    "B": {"type": "rotary", "min_deg": -30, "max_deg": 110, "origin_mm": [10, -20, 40]},
-    "C": {"type": "rotary", "min_deg": 0, "max_deg": 360, "origin_mm": [240, 190, -90]},
+    "A": {"min_deg": -100, "max_deg": 30, "origin_mm": [200, 150, -60]},
+    "B": {"min_deg": -30, "max_deg": 110, "origin_mm": [10, -20, 40]},
+    "C": {"min_deg": 0, "max_deg": 360, "origin_mm": [240, 190, -90]},
 }
 
 
@@ -63,7 +58,7 @@ def content(chain, stands_on="workpiece", *, inclined=False):
     for name in chain.split("-"):
         if name in TURNING:
             direction = {"direction": INCLINED[name]} if inclined else {}
-            axes[name] = TURNING[name] | direction
+            axes[name] = {"type": "rotary", **TURNING[name], **direction}
     made |= {"kinematic_chain": chain, "axes": axes}
     made["tracker"] |= {"stands_on": stands_on}
     return made

@@ -5,13 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from measurement_fixtures import FakeMotion, Running, along
-from truepath.files.bundle.run import Run, summarize_run
-from truepath.measurement.messages import (
-    LinesDamaged,
-    MeasurementOrder,
-    MeasurementProgress,
-)
+from measurement_fixtures import FakeMotion, along
+from truepath.files.bundle.run import summarize_run
+from truepath.measurement import messages
 from truepath.motion.configurations import append_part
 from truepath.service.api.models.results.result_run import InterruptionsOut
 from truepath_drivers import host_clock
@@ -28,46 +24,45 @@ class SlowMotion(FakeMotion):
 
     begins_slowly = True
 
-    def start(self) -> None:
+    def start(self):
         self.speed = 3.0 if self.begins_slowly else self.speed
         super().start()
 
 
 @pytest.fixture
-def motion() -> SlowMotion:
+def motion():
     return SlowMotion()
 
 
 @pytest.fixture
-def arc_order(order) -> MeasurementOrder:
+def arc_order(order):
     """A straight line, half a turn, and straight lines; the last row has no arc."""
     corners = [[10, 110, -10], [110, 110, -10], [310, 110, -10], [310, 10, -10]]
     return along(order, corners, 3000.0, arc=(None, None, HALF, None))
 
 
-def reach_line(running: Running, line: int) -> None:
+def reach_line(running, line):
     """Wait for the motion along a line, counted from 1."""
     running.until(
-        lambda: any(p.done == line - 1 for p in running.told(MeasurementProgress)[-1:])
+        lambda: any(
+            p.done == line - 1 for p in running.told(messages.MeasurementProgress)[-1:]
+        )
     )
 
 
-def finish(running: Running, motion: SlowMotion) -> Run:
-    """Let the rest be driven fast; return the Run."""
+def finish(running, motion):
     motion.begins_slowly, motion.speed = False, 2000.0
     assert running.ended() == "finished"
     return running.run
 
 
-def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
-    begin, arc_order, motion
-):
+def test_a_circle_that_was_held_is_driven_whole_at_the_end(begin, arc_order, motion):
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
     running.pause_and_resume()
     run = finish(running, motion)
     rows = len(arc_order.commanded)
-    (damaged,) = running.told(LinesDamaged)
+    (damaged,) = running.told(messages.LinesDamaged)
     assert damaged.row == ARC_ROW
     assert [arc for arc in run.commanded.arc[rows:] if arc][-1] == HALF
     assert np.array_equal(
@@ -82,9 +77,7 @@ def test_a_circle_that_was_held_is_driven_again_whole_at_the_end(
     assert motion.calls.count("start") == 2
 
 
-def test_a_circle_with_a_short_loss_of_the_beam_is_driven_again(
-    begin, arc_order, motion, tracker
-):
+def test_a_circle_with_a_short_loss_is_driven_again(begin, arc_order, motion, tracker):
     running = begin(arc_order)
     reach_line(running, ARC_ROW)
     tracker.beam = False
@@ -106,22 +99,20 @@ def test_a_hold_on_a_straight_line_costs_no_circle(begin, arc_order, motion):
     reach_line(running, 1)
     running.pause_and_resume()
     run = finish(running, motion)
-    assert running.told(LinesDamaged) == []
+    assert running.told(messages.LinesDamaged) == []
     assert len(run.commanded) == len(arc_order.commanded)
 
 
-def test_a_circle_that_is_broken_again_and_again_is_given_up_without_a_fault(
-    begin, arc_order, motion
-):
+def test_a_circle_ever_broken_is_given_up_without_a_fault(begin, arc_order, motion):
     running, driven = begin(arc_order), arc_order.commanded
     reach_line(running, ARC_ROW)
     for times in range(1, 4):
         running.pause_and_resume()
         motion.speed = 2000.0
-        running.until(lambda n=times: len(running.told(LinesDamaged)) == n)
-        driven = append_part(driven, running.told(LinesDamaged)[-1].again)
+        running.until(lambda n=times: len(running.told(messages.LinesDamaged)) == n)
+        driven = append_part(driven, running.told(messages.LinesDamaged)[-1].again)
         reach_line(running, len(driven) - 1)
     running.pause_and_resume()
     finish(running, motion)
-    assert len(running.told(LinesDamaged)) == 3
+    assert len(running.told(messages.LinesDamaged)) == 3
     assert running.faults == []

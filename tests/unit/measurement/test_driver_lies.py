@@ -1,7 +1,5 @@
 """What a driver of somebody else breaks or lies about is found at its border."""
 
-from pathlib import Path
-
 import pytest
 
 from hostile_drivers import POINTS
@@ -16,7 +14,7 @@ pytestmark = pytest.mark.fault_row(49)
 
 
 @pytest.fixture(autouse=True)
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def site(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(install(tmp_path / "site", POINTS))
 
 
@@ -28,6 +26,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("tracker", "read", "flat"),
         ("tracker", "take_link_bytes", "tuple"),
         ("tracker", "start", "exit"),
+        ("motion", "connect", "exit"),
         ("motion", "connect", "raise"),
         ("motion", "connect", "unpicklable"),
         ("motion", "status", "none"),
@@ -38,9 +37,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("thermometer", "read", "tuple"),
     ],
 )
-def test_what_breaks_or_lies_is_an_error_that_names_driver_call_and_remedy(
-    device, verb, fault
-):
+def test_what_breaks_or_lies_is_an_error_of_driver_call_and_remedy(device, verb, fault):
     made = make_device(device, "hostile", {"verb": verb, "fault": fault})
     given = {"read": (0.1,), "start": (500.0,)} if device == "tracker" else {}
     with pytest.raises(DeviceError, match=rf"{NAME}.* {verb}\(\).*; update"):

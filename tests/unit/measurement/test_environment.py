@@ -41,17 +41,15 @@ HENE = Light(633.0, is_group=False)
 
 
 class FakeThermometers(Thermometers):
-    """Sensors in this process."""
-
     channels = tuple(Channel(name) for name in NAMES)
     period_s = 0.02
 
     def __init__(self):
-        self.shows, self.faults = dict(USUAL), dict[str, str]()
+        self.shows, self.faults = dict(USUAL), {}
         self.dead = self.is_open = False
         self.hangs = threading.Event()
         self.hangs.set()
-        self.broken: Exception | None = None
+        self.broken = None
 
     def connect(self):
         if self.dead:
@@ -74,7 +72,6 @@ class FakeThermometers(Thermometers):
 
 
 def judged(values, *, step_s=1.0, channel=None):
-    """Return values and kinds of what is told, of readings a step apart."""
     judge = SensorPlausibility(channel or Channel("X_degC"))
     found, told = [], []
     for number, value in enumerate(values):
@@ -232,9 +229,7 @@ def test_sensors_that_are_dead_or_of_a_broken_driver_cost_themselves(
 
 
 @pytest.mark.fault_row(14)
-def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
-    measure, sensors, motion
-):
+def test_a_driver_that_hangs_delays_no_stream_no_beat_no_end(measure, sensors, motion):
     sensors.hangs.clear()
     begin_s = host_clock.now_s()
     run = measure(sensors)
@@ -245,9 +240,7 @@ def test_a_driver_that_hangs_delays_neither_stream_nor_beat_nor_end(
 
 
 @pytest.mark.fault_row(43)
-def test_what_was_left_out_is_counted_in_the_run_with_its_reason(
-    measure, sensors, journal
-):
+def test_what_is_left_out_is_counted_in_the_run_with_reason(measure, sensors, journal):
     sensors.shows["X_degC"] = swap_words(20.5)
     sensors.shows["pressure_hPa"] = 746.0  # of mercury, in mm
     run = measure(sensors)
@@ -269,8 +262,6 @@ def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path
 
 
 class WithStation(AirExchange):
-    """Makes a tracker tell its air."""
-
     def push_air(self, air):
         raise NotImplementedError
 
@@ -290,11 +281,11 @@ def test_the_station_of_a_tracker_is_read_where_nothing_else_is(measure, tracker
 
 
 @pytest.fixture
-def header(mill, square) -> RunHeader:
+def header(mill, square):
     return RunHeader("monday", mill, square, 500.0, {}, ("X", "Y", "Z"), NAMES)
 
 
-def block(first: int) -> TrackerSamples:
+def block(first):
     sequence = np.arange(first, first + 50)
     time_s = 1000.0 + 0.002 * sequence
     place = np.tile([3000.0, 400.0, 1200.0], (50, 1))
@@ -360,9 +351,7 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
 
 
 @pytest.mark.parametrize("altitude_m", [None, 400.0])
-def test_ranges_are_corrected_by_usual_air_where_it_was_not_measured(
-    tmp_path, header, altitude_m
-):
+def test_usual_air_corrects_ranges_if_none_was_measured(tmp_path, header, altitude_m):
     machine = replace(header.machine, altitude_m=altitude_m)
     header = replace(header, machine=machine, channels=("X_degC", "air_degC"))
     run = corrected(tmp_path, header, HENE)
@@ -379,12 +368,9 @@ def test_ranges_are_corrected_by_usual_air_where_it_was_not_measured(
     assert read_bundle(tmp_path / "bundle").refraction == run.refraction
 
 
-def test_the_live_estimate_sees_ranges_in_usual_air(
-    measure, order, journal, calm, sensors
-):
-    run = measure(
-        sensors, replace(order, live=True), settings=replace(calm, light=HENE)
-    )
+def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, sensors):
+    settings = replace(calm, light=HENE)
+    run = measure(sensors, replace(order, live=True), settings=settings)
     shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
     kept_mm = run.tracker.position_mm[0]
     np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)

@@ -18,19 +18,16 @@ ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 
 @pytest.fixture
 def part(order):
-    """A part that begins where the square ends."""
     return along(order, ON).commanded
 
 
 @pytest.fixture
 def until_asked(journal):
-    """Wait until so many parts were asked for."""
     return lambda times: journal.wait(lambda: len(journal.of(PartRequested)) == times)
 
 
 @pytest.fixture
 def waiting(begin, order, until_asked):
-    """A measurement that has driven its path and waits for a part."""
     running = begin(replace(order, grows=True))
     until_asked(1)
     return running
@@ -38,8 +35,6 @@ def waiting(begin, order, until_asked):
 
 @pytest.fixture
 def conclude(until_asked):
-    """Say that the second part was the last one; it ends in order."""
-
     def conclude(running, parts=2):
         until_asked(parts)
         running.obey(CellVerb.CONCLUDE)
@@ -49,9 +44,7 @@ def conclude(until_asked):
     return conclude
 
 
-def test_a_path_grows_in_the_same_run(
-    waiting, part, square, motion, until_asked, conclude
-):
+def test_a_path_grows_in_one_run(waiting, part, square, motion, until_asked, conclude):
     np.testing.assert_array_equal(motion.status().position, square.position[-1])
     assert motion.calls[-1] == "start"  # it stands while it waits
     waiting.obey(part)
@@ -86,9 +79,7 @@ def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
         (ON[1:], ("failed", "faulted"), ""),  # begins elsewhere
     ],
 )
-def test_a_part_out_of_travel_or_elsewhere_is_never_loaded(
-    waiting, order, motion, rows, states, said
-):
+def test_a_part_elsewhere_is_never_loaded(waiting, order, motion, rows, states, said):
     waiting.obey(along(order, rows).commanded)
     assert waiting.ended() in states
     assert said in waiting.fault.text
@@ -96,9 +87,7 @@ def test_a_part_out_of_travel_or_elsewhere_is_never_loaded(
     assert len(waiting.run.commanded) == 4
 
 
-def test_a_pause_between_parts_keeps_the_next_one_waiting_though_it_is_moved_by_hand(
-    waiting, part, motion, conclude
-):
+def test_a_pause_between_parts_keeps_the_next_waiting(waiting, part, motion, conclude):
     waiting.pause()
     motion.here = motion.here + 2.0
     waiting.obey(part)
@@ -135,9 +124,7 @@ def test_how_long_a_machine_may_stand_counts_rows_that_came_later(square):
 
 
 @pytest.mark.parametrize("is_row_done", [True, False])
-def test_a_line_that_was_driven_to_its_end_counts_when_the_rest_is_left_out(
-    square, is_row_done
-):
+def test_a_line_driven_to_its_end_counts_when_the_rest_is_left_out(square, is_row_done):
     progress = ProgressEstimator(schedule_rows(square, 6000.0), 1.0)
     progress.begin()
     progress.follow(1)

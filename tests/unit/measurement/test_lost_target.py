@@ -11,13 +11,12 @@ import pytest
 from measurement_fixtures import (
     FakePolledTracker,
     FakeTracker,
-    Running,
     along,
     draw_rows,
     standing_at,
 )
 from truepath.files.bundle.run import summarize_run
-from truepath.measurement.messages import CellVerb, LinesDamaged, MeasurementOrder
+from truepath.measurement.messages import CellVerb, LinesDamaged
 from truepath.measurement.target import target_search
 from truepath.measurement.target.target_search import ObservedPoints
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
@@ -42,24 +41,24 @@ SETTINGS = EngineSettings(
 
 
 @pytest.fixture(autouse=True)
-def quick_tries(monkeypatch) -> None:
+def quick_tries(monkeypatch):
     monkeypatch.setattr(target_search, "_PAUSE_S", 0.2)
 
 
 class FindingTracker(FakeTracker, TargetFinder):
     """Follows the reflector of a machine in this process until a test takes it away."""
 
-    def __init__(self, motion) -> None:
+    def __init__(self, motion):
         super().__init__()
         self._motion = motion
-        self.aimed: list[tuple[float, float]] = []
+        self.aimed = []
         self.homed, self.is_mended_by_home = 0, True
-        self.failures: list[Exception] = []
+        self.failures = []
         self.finds_another = False
         self._off_mm = np.zeros(3)
 
     @property
-    def place_mm(self) -> np.ndarray:
+    def place_mm(self):
         return TO_TRACKER.apply(self._motion.here[None])[0]
 
     def _new(self):
@@ -67,16 +66,16 @@ class FindingTracker(FakeTracker, TargetFinder):
         places = np.tile(self.place_mm + self._off_mm, (len(samples), 1))
         return replace(samples, position_mm=places)
 
-    def home(self) -> None:
+    def home(self):
         self.homed += 1
         if self.is_mended_by_home:
             self.refusal = None
 
-    def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
+    def aim(self, azimuth_rad, elevation_rad):
         self.aimed.append((azimuth_rad, elevation_rad))
         self.beam = False
 
-    def search(self) -> None:
+    def search(self):
         if self.failures:
             raise self.failures.pop(0)
         self._off_mm = ELSEWHERE_MM if self.finds_another else np.zeros(3)
@@ -84,34 +83,32 @@ class FindingTracker(FakeTracker, TargetFinder):
 
 
 @pytest.fixture
-def tracker(motion) -> FindingTracker:
+def tracker(motion):
     motion.speed = 3.0
     return FindingTracker(motion)
 
 
 @pytest.fixture
-def calm() -> EngineSettings:
+def calm():
     return SETTINGS
 
 
 @pytest.fixture
-def order(order) -> MeasurementOrder:
+def order(order):
     """Return some seconds of motion round a square, 300 mm a second."""
     corners = [[10.0, 10.0, -10], [130, 10, -10], [130, 130, -90], [10, 130, -90]]
     return along(order, corners * 3)
 
 
 @pytest.fixture
-def moving(begin, order) -> Running:
+def moving(begin, order):
     running = begin(order)
     running.until_done()
     return running
 
 
-def until_resumed(running: Running) -> None:
-    """Ask until it goes on, and to the end."""
-
-    def resume() -> bool:
+def until_resumed(running):
+    def resume():
         running.obey(CellVerb.RESUME)
         return running.journal.states[-1] != "paused"
 
@@ -120,9 +117,7 @@ def until_resumed(running: Running) -> None:
 
 
 @pytest.mark.fault_row(9)
-def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
-    moving, tracker, motion, order, measured
-):
+def test_a_target_found_again_needs_nobody(moving, tracker, motion, order, measured):
     tracker.failures = [BeamLost("no target near the beam")]
     tracker.beam = False
     moving.until(lambda: "paused" in moving.states)
@@ -152,9 +147,7 @@ def test_a_target_that_is_found_again_needs_nobody_and_its_line_is_driven_again(
     assert suffered.breaks >= 1
 
 
-def test_a_target_that_stays_lost_is_told_with_its_tries_and_waits_for_somebody(
-    moving, tracker, motion
-):
+def test_a_target_that_stays_lost_is_told_with_its_tries(moving, tracker, motion):
     tracker.failures = [BeamLost("nothing there") for _ in range(9)]
     tracker.beam = False
     moving.until(lambda: len(moving.faults) == 2)
@@ -218,9 +211,7 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(begin, tracker, orde
     assert running.states[-1] == "paused"
 
 
-def test_a_standstill_point_is_measured_again_once_the_target_is_found(
-    begin, tracker, order, motion
-):
+def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motion):
     motion.speed = 2000.0
     position = draw_rows(5)
     running = begin(standing_at(order, position, 6.0))
@@ -240,21 +231,21 @@ def test_a_standstill_point_is_measured_again_once_the_target_is_found(
 class FindingPolled(FakePolledTracker, TargetFinder):
     """Measures where the machine stands, and loses it at the sixth point."""
 
-    def __init__(self, motion) -> None:
+    def __init__(self, motion):
         self._motion, self._asked, self._is_lost = motion, 0, False
 
-    def home(self) -> None:
+    def home(self):
         pass
 
-    def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
+    def aim(self, azimuth_rad, elevation_rad):
         x, y, z = TO_TRACKER.apply(self._motion.here[None])[0]
         assert azimuth_rad == pytest.approx(np.arctan2(y, x), abs=1e-6)
         assert elevation_rad == pytest.approx(np.arctan2(z, np.hypot(x, y)), abs=1e-6)
 
-    def search(self) -> None:
+    def search(self):
         self._is_lost = False
 
-    def measure(self, dwell_s: float) -> PointMeasurement:
+    def measure(self, dwell_s):
         self._asked += 1
         self._is_lost = self._is_lost or self._asked == 6
         if self._is_lost:
@@ -263,9 +254,7 @@ class FindingPolled(FakePolledTracker, TargetFinder):
         return PointMeasurement.average(np.array([host_clock.now_s()]), place)
 
 
-def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
-    begin, motion, order
-):
+def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion, order):
     motion.speed, position = 2000.0, draw_rows(6)
     running = begin(
         standing_at(order, position, 0.02),
@@ -276,19 +265,16 @@ def test_a_lost_target_of_a_polled_tracker_is_found_and_its_point_measured(
     run = running.run
     assert run.points.row.tolist() == list(range(6))
     assert running.faults == ["beam-lost"]
-    np.testing.assert_allclose(
-        run.tracker.position_mm, TO_TRACKER.apply(position), atol=1e-6
-    )
+    places = TO_TRACKER.apply(position)
+    np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
     assert summarize_run(run).interruptions.found == 1
 
 
-def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line_and_not_silent(
-    begin, tracker, motion, order
-):
+def test_a_tracker_is_homed_before_the_first_line(begin, tracker, motion, order):
     motion.speed = 5000.0
     tracker.refusal, home = NotHomed("not initialised"), tracker.home
 
-    def home_slowly() -> None:
+    def home_slowly():
         host_clock.sleep_s(20.0)
         home()
 
@@ -303,9 +289,7 @@ def test_a_tracker_that_asks_to_be_homed_is_before_the_first_line_and_not_silent
     assert kinds.index("tracker-homed") < kinds.index("start")
 
 
-def test_a_tracker_that_homing_does_not_mend_is_refused_before_the_first_line(
-    begin, tracker, motion, order
-):
+def test_a_tracker_that_homing_does_not_mend_is_refused(begin, tracker, motion, order):
     tracker.refusal, tracker.is_mended_by_home = NotHomed("not initialised"), False
     motion.speed = 5000.0
     assert begin(order).ended() == "failed"

@@ -7,27 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measurement_fixtures import JUDGED, Begin, Running, standing_at, there_and_back
+from measurement_fixtures import JUDGED, Running, standing_at, there_and_back
+from truepath.measurement import messages
 from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.faults import Fault
-from truepath.measurement.messages import (
-    CellVerb,
-    FaultReported,
-    LinesDamaged,
-    LivePoints,
-    MeasurementOrder,
-    MeasurementProgress,
-    RunClosed,
-    StateChanged,
-)
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceTimeout,
-    MotionFault,
-    OutOfTravel,
-    Refused,
-)
+from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 
@@ -35,19 +20,19 @@ pytestmark = pytest.mark.usefixtures("clock")
 
 
 @pytest.fixture
-def short_order(order) -> MeasurementOrder:
+def short_order(order):
     """Almost two seconds of motion, there and back again."""
     return there_and_back(order, 4)
 
 
 @pytest.fixture
-def long_order(order) -> MeasurementOrder:
+def long_order(order):
     """A minute of motion: no test is so slow that it misses it."""
     return there_and_back(order, 110)
 
 
 @pytest.fixture
-def moving(begin: Begin, long_order) -> Running:
+def moving(begin, long_order):
     """A measurement that moves, with more patience than any test."""
     running = begin(long_order)
     running.until_done()
@@ -55,7 +40,7 @@ def moving(begin: Begin, long_order) -> Running:
 
 
 @pytest.fixture
-def judged(begin: Begin, long_order) -> Running:
+def judged(begin, long_order):
     """A measurement that moves, with the patience of the service."""
     running = begin(long_order, settings=JUDGED)
     running.until_done()
@@ -65,6 +50,7 @@ def judged(begin: Begin, long_order) -> Running:
 def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     begin, order, motion, journal, read_link_bytes
 ):
+    motion.compensation = True
     running = begin(order)
     assert running.ended() == "finished"
     run = running.run
@@ -73,6 +59,7 @@ def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     assert (run.mode, run.name, run.machine) == ("otf", "monday", order.machine)
     assert run.provenance["outcome"] == "finished"
     assert run.provenance["tracker"] == "Us fake tracker T1 0"
+    assert run.provenance["control_compensation"] == "on"
     assert "watchdog" not in run.provenance, "it has one"
     # 3 lines of 100, 50, 105 mm at 100 mm/s and a second at both ends.
     assert np.ptp(run.tracker.device_time_s) > 2.55 + 2 * 0.9
@@ -84,20 +71,18 @@ def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
     assert np.ptp(axes.position_mm[:, 0]) == pytest.approx(110.0, abs=1.0)
     assert running.states == ["running", "finished"]
     kinds = [type(event) for event in journal.events]
-    assert kinds[-2:] == [StateChanged, RunClosed]
-    closed = running.told(RunClosed)[0]
+    assert kinds[-2:] == [messages.StateChanged, messages.RunClosed]
+    closed = running.told(messages.RunClosed)[0]
     assert (closed.run_file, closed.outcome) == (order.run_file, "finished")
     assert (closed.samples, closed.lost_samples) == (len(run.tracker), 0)
     assert len(closed.sha256) == 64
 
 
-def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
-    begin, short_order, journal, motion
-):
+def test_lines_are_counted_shown_and_watched(begin, short_order, journal, motion):
     motion.stale_looks = 3  # at the last line of the program before: not ours
     begin(short_order).ends("finished")
     assert motion.stale_looks == 0
-    progress = journal.of(MeasurementProgress)
+    progress = journal.of(messages.MeasurementProgress)
     assert [p.done for p in progress] == sorted(p.done for p in progress)
     last = progress[-1]
     assert (last.done, last.total, last.unit) == (7, 7, "lines")
@@ -107,7 +92,7 @@ def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
     half_way = next(p for p in progress if p.done >= 3)
     assert half_way.remaining_s < 6.0
     # Live points are a tenth of a second apart.
-    live = journal.of(LivePoints)
+    live = journal.of(messages.LivePoints)
     points = sum(len(body.tracker_mm) for body in live)
     device_s = live[-1].device_time_s - 100.0
     assert points == pytest.approx(10 * device_s, abs=3)
@@ -118,18 +103,18 @@ def test_lines_are_counted_shown_and_watched_while_the_machine_moves(
 
 
 def test_points_are_stepped_through_with_a_dwell_at_each(begin, order, square, motion):
+    motion.compensation = False
     running = begin(standing_at(order, square.position, 2.0))
     assert running.ended() == "finished"
     assert motion.calls == ["abort"] + 4 * ["move_to"]
     run = running.run
     assert run.mode == "standstill"
+    assert run.provenance["control_compensation"] == "off"
     done = running.texts("point")
-    assert [text.split(" until ")[0] for text in done] == [
-        f"row {i}" for i in (1, 2, 3, 4)
-    ]
+    assert [t.split(" until ")[0] for t in done] == [f"row {i}" for i in (1, 2, 3, 4)]
     until_s = [float(text.split()[3]) for text in done]
     assert (np.diff(until_s) > 2.3).all()
-    last = running.told(MeasurementProgress)[-1]
+    last = running.told(messages.MeasurementProgress)[-1]
     assert (last.done, last.total, last.unit) == (4, 4, "points")
 
 
@@ -145,8 +130,8 @@ def test_a_point_that_the_machine_leaves_is_measured_anew_or_never(
     running.until_seen(110.0)
     with motion._lock:
         motion.here = motion.here + 1.0
-        left_s = running.told(LivePoints)[-1].device_time_s
-    running.until(lambda: running.told(LivePoints)[-1].device_time_s > left_s + 10.0)
+        left_s = running.told(messages.LivePoints)[-1].device_time_s
+    running.until_seen(left_s + 10.0)
     if comes_back:
         with motion._lock:
             motion.here = motion.here - 1.0
@@ -184,12 +169,12 @@ def test_a_machine_that_runs_without_moving_is_told_once_and_goes_on(
 
 
 def test_pause_holds_and_resume_goes_on(moving, motion):
-    moving.obey(CellVerb.RESUME)  # without a pause it is nothing
+    moving.obey(messages.CellVerb.RESUME)  # without a pause it is nothing
     moving.pause()
     assert "resume" not in motion.calls
     here = motion.status().position
     assert motion.status().position == here
-    moving.obey(CellVerb.PAUSE)
+    moving.obey(messages.CellVerb.PAUSE)
     moving.resume_to_the_end()
     states = "running pausing paused resuming running finished"
     assert moving.states == states.split()
@@ -202,8 +187,8 @@ def test_a_pause_in_a_dwell_makes_the_dwell_start_over(begin, order, square, mot
     running.until_seen(110.0)
     running.pause()
     assert motion.calls.count("move_to") == 1
-    resumed_s = running.told(LivePoints)[-1].device_time_s
-    running.obey(CellVerb.RESUME)
+    resumed_s = running.told(messages.LivePoints)[-1].device_time_s
+    running.obey(messages.CellVerb.RESUME)
     assert running.ended() == "finished"
     assert float(running.texts("point")[0].split()[3]) > resumed_s + 59.0
 
@@ -212,11 +197,12 @@ def test_a_pause_in_a_dwell_makes_the_dwell_start_over(begin, order, square, mot
 def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
     if is_paused:
         moving.pause()
-    moving.obey(CellVerb.ABORT)
+    moving.obey(messages.CellVerb.ABORT)
     assert moving.ended() == "aborted"
     assert motion.calls[-1] == "abort"
     assert motion.status().state == "aborted"
     assert moving.run.provenance["outcome"] == "aborted"
+    assert "control_compensation" not in moving.run.provenance, "it was not told"
     assert len(moving.run.tracker) > 100
 
 
@@ -226,8 +212,8 @@ def test_abort_stops_the_machine_and_keeps_the_run(moving, motion, is_paused):
 def test_an_abort_that_does_not_arrive_is_told_and_a_fault(moving, motion, controller):
     motion.ignores_abort = controller == "ignores it"
     motion.out_of_reach = not motion.ignores_abort
-    with pytest.raises(DeviceTimeout) if motion.out_of_reach else nullcontext():
-        moving.obey(CellVerb.ABORT)
+    with pytest.raises(errors.DeviceTimeout) if motion.out_of_reach else nullcontext():
+        moving.obey(messages.CellVerb.ABORT)
     motion.out_of_reach = controller == "is gone"
     if controller == "comes back":
         assert moving.ended() == "aborted"
@@ -237,59 +223,52 @@ def test_an_abort_that_does_not_arrive_is_told_and_a_fault(moving, motion, contr
         assert moving.faults[-1] == "stop-unconfirmed"
 
 
-def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
-    order, tracker, motion, journal, calm
-):
+def test_verbs_too_early_or_too_late_do_no_harm(order, tracker, motion, journal, calm):
     running = Running(order, tracker, motion, journal, calm)
-    running.obey(CellVerb.PAUSE)
-    running.obey(CellVerb.RESUME)
-    running.obey(CellVerb.ABORT)
+    running.obey(messages.CellVerb.PAUSE)
+    running.obey(messages.CellVerb.RESUME)
+    running.obey(messages.CellVerb.ABORT)
     running.thread.start()
     assert running.ended() == "aborted"
     assert "start" not in motion.calls
-    running.obey(CellVerb.PAUSE)
-    running.obey(CellVerb.RESUME)
+    running.obey(messages.CellVerb.PAUSE)
+    running.obey(messages.CellVerb.RESUME)
     assert journal.states[-1] == "aborted"
 
 
-def test_enough_ends_the_path_in_order_after_the_line_under_way(moving, motion):
-    moving.obey(CellVerb.CONCLUDE)
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_enough_ends_the_path_in_order_after_its_line(moving, motion, is_paused):
+    if is_paused:
+        moving.pause()
+    moving.obey(messages.CellVerb.CONCLUDE)
+    if is_paused:
+        moving.look()
+        assert moving.states[-1] == "paused"
+        moving.obey(messages.CellVerb.RESUME)
     assert moving.ended() == "finished"
-    assert "enough is known" in moving.told(StateChanged)[-1].text
+    assert "enough is known" in moving.told(messages.StateChanged)[-1].text
     assert motion.calls[-1] == "abort"
     run = moving.run
     (text,) = moving.texts("concluded")
     assert "the rest is left out" in text
-    last = moving.told(MeasurementProgress)[-1]
+    last = moving.told(messages.MeasurementProgress)[-1]
     assert last.stage == "closing"
     assert 1 <= last.done < last.total
     assert run.provenance["outcome"] == "finished"
 
 
 @pytest.mark.parametrize("points", [4, 1])
-def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
-    begin, order, square, motion, points
-):
+def test_enough_ends_points_after_their_dwell(begin, order, square, motion, points):
     running = begin(standing_at(order, square.position[:points], 30.0))
     running.until_seen(105.0)
-    running.obey(CellVerb.CONCLUDE)
+    running.obey(messages.CellVerb.CONCLUDE)
     assert running.ended() == "finished"
     assert motion.calls.count("move_to") == 1
     kinds = [e.kind for e in running.run.events if e.kind in ("point", "concluded")]
     assert kinds == ["point", *["concluded"] * (points > 1)]  # else nothing is left out
     assert float(running.texts("point")[0].split()[3]) > 100.0 + 30.0
-    last = running.told(MeasurementProgress)[-1]
+    last = running.told(messages.MeasurementProgress)[-1]
     assert (last.done, last.total, last.unit) == (1, points, "points")
-
-
-def test_enough_while_paused_waits_for_resume(moving):
-    moving.pause()
-    moving.obey(CellVerb.CONCLUDE)
-    moving.look()
-    assert moving.states[-1] == "paused"
-    moving.obey(CellVerb.RESUME)
-    assert moving.ended() == "finished"
-    assert [e.kind for e in moving.run.events].count("concluded") == 1
 
 
 def test_halt_holds_the_feed_and_forgets_nothing(moving, motion):
@@ -311,25 +290,21 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(judged, tracker, m
     run = judged.run
     assert (np.diff(run.tracker.sequence) > 1).sum() == 1
     assert any(e.kind == "gap" for e in run.events)
-    assert judged.told(RunClosed)[0].lost_samples > 100
+    assert judged.told(messages.RunClosed)[0].lost_samples > 100
 
 
 @pytest.mark.fault_row(5)
-def test_a_silence_of_a_moment_costs_its_samples_and_asks_for_no_hold(
-    judged, tracker, motion
-):
+def test_a_silence_of_a_moment_costs_samples_and_no_hold(judged, tracker, motion):
     tracker.silent = True
     host_clock.sleep_s(0.45)
     tracker.silent = False
     judged.finished_after()
     assert "hold" not in motion.calls
-    assert judged.told(RunClosed)[0].lost_samples > 100
+    assert judged.told(messages.RunClosed)[0].lost_samples > 100
     assert any(event.kind == "gap" for event in judged.run.events)
 
 
-def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
-    judged, tracker, motion
-):
+def test_a_hold_is_seen_through_though_the_stream_is_back(judged, tracker, motion):
     motion.ignores_hold = True  # as one that still brakes
     tracker.silent = True
     judged.pass_until(lambda: judged.states[-1] == "pausing")
@@ -346,9 +321,7 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
 
 @pytest.mark.parametrize("who", ["operator", "watchdog"])
 @pytest.mark.parametrize("first", ["machine", "tracker"])
-def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
-    judged, tracker, motion, who, first
-):
+def test_a_silences_end_undoes_no_hold_by_hand(judged, tracker, motion, who, first):
     if first == "machine":
         motion.stand(who)
         judged.until_state("paused")
@@ -371,9 +344,7 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     judged.resume_to_the_end()
 
 
-def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
-    judged, tracker, motion
-):
+def test_a_hold_by_hand_while_a_stop_ends_by_itself_is_kept(judged, tracker, motion):
     tracker.silent = True
     judged.pass_until(lambda: judged.states[-1] == "paused")
     motion.ignores_resume = True
@@ -401,14 +372,14 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(judged, clock):
 
 
 @pytest.mark.fault_row(29)
-def test_a_wall_clock_that_jumps_changes_neither_durations_nor_order(
-    moving, clock, measured
-):
+def test_a_wall_clock_that_jumps_changes_no_duration_nor_order(moving, clock, measured):
     for jump_s in (3600.0, -3600.0, -host_clock.wall_s()):
         clock.wall_jump_s = jump_s
         moving.look(9)
     moving.finished_after()
-    told = [p for p in moving.told(MeasurementProgress) if p.stage == "measuring"]
+    told = [
+        p for p in moving.told(messages.MeasurementProgress) if p.stage == "measuring"
+    ]
     elapsed_s = [each.elapsed_s for each in told]
     assert (np.diff(elapsed_s) >= 0.0).all()
     assert elapsed_s[-1] < 60.0
@@ -424,7 +395,7 @@ def test_a_silence_does_not_undo_a_pause(judged, tracker):
     judged.pause()
     tracker.silent = True
     judged.pass_until(lambda: judged.faults == ["tracker-silent"])
-    judged.obey(CellVerb.RESUME)
+    judged.obey(messages.CellVerb.RESUME)
     judged.until_told("tracker-silent", "not-resumed")
     tracker.silent = False
     judged.see()
@@ -444,9 +415,7 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(judged, tracker, motion):
 
 
 @pytest.mark.fault_row(1)
-def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
-    begin, short_order, tracker, motion
-):
+def test_damage_holds_and_lines_are_driven_again(begin, short_order, tracker, motion):
     running = begin(short_order)
     running.until_done()
     tracker.damaged = True
@@ -462,28 +431,28 @@ def test_a_damaged_stream_holds_and_its_lines_are_driven_again(
     assert motion.calls.count("start") == 2
     assert "again" in [event.kind for event in running.run.events]
     assert "bad or lost" in running.run.provenance["stream"]
-    assert running.told(LinesDamaged)[0].again is not None
-    ends = [event for event in running.told(StateChanged) if event.state == "finished"]
+    assert running.told(messages.LinesDamaged)[0].again is not None
+    ends = [
+        event
+        for event in running.told(messages.StateChanged)
+        if event.state == "finished"
+    ]
     assert "some twice" in ends[0].text
 
 
-def test_a_stream_that_stays_damaged_is_a_fault_with_the_feed_held(
-    begin, long_order, tracker, motion, journal
-):
+def test_lasting_damage_is_a_held_fault(begin, long_order, tracker, motion, journal):
     tracker.speed = motion.speed = 1.0  # as the second in which damage is counted
     judged = begin(long_order, settings=JUDGED)
     judged.until_done()
     tracker.damaged = True
     judged.until_state("paused")
-    judged.pass_until(lambda: bool(journal.of(RunClosed)))
+    judged.pass_until(lambda: bool(journal.of(messages.RunClosed)))
     assert judged.ended() == "faulted"
     assert set(journal.faults) == {"stream-damaged"}
     assert motion.status().state == "held"
 
 
-def test_a_damaged_stream_before_the_path_costs_no_line(
-    begin, short_order, tracker, motion
-):
+def test_damage_before_the_path_costs_no_line(begin, short_order, tracker, motion):
     tracker.damaged = True
     running = begin(short_order)
     running.until_state("paused")
@@ -497,7 +466,7 @@ def test_a_lost_beam_holds_until_somebody_resumes(judged, tracker):
     tracker.beam = False
     judged.pass_until(lambda: "paused" in judged.states)
     assert judged.faults == ["beam-lost"]
-    judged.obey(CellVerb.RESUME)
+    judged.obey(messages.CellVerb.RESUME)
     judged.until(lambda: judged.faults[-1] == "not-resumed")
     tracker.beam = True
     judged.see(2)
@@ -515,7 +484,7 @@ def test_a_dwell_in_which_the_beam_was_lost_begins_anew(begin, order, square, tr
     assert running.faults == ["beam-lost"]
     tracker.beam = True
     running.see(2)
-    running.obey(CellVerb.RESUME)
+    running.obey(messages.CellVerb.RESUME)
     assert running.ended() == "finished"
     stream = running.run.tracker
     lost_s = stream.device_time_s[stream.status != 0].max()
@@ -529,7 +498,11 @@ def test_a_dwell_in_which_the_beam_was_lost_begins_anew(begin, order, square, tr
     [
         ({"silent": True}, "faulted", "tracker-silent"),
         ({"beam": False}, "failed", "beam-lost"),
-        ({"refusal": Refused("500 Hz is too fast for this one")}, "failed", "refused"),
+        (
+            {"refusal": errors.Refused("500 Hz is too fast for this one")},
+            "failed",
+            "refused",
+        ),
     ],
 )
 def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
@@ -537,7 +510,7 @@ def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
 ):
     vars(tracker).update(given)
     running = begin(order, settings=JUDGED)
-    running.pass_until(lambda: bool(running.told(RunClosed)))
+    running.pass_until(lambda: bool(running.told(messages.RunClosed)))
     assert running.ended() == state
     assert code in running.faults
     if code == "refused":
@@ -545,9 +518,7 @@ def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
     assert "start" not in motion.calls
 
 
-def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
-    begin, order, tracker, motion, monkeypatch
-):
+def test_no_path_is_driven_without_stamps(begin, order, tracker, motion, monkeypatch):
     stamps = TrackerCapabilities(clock=Clock.HOST)
     monkeypatch.setattr(type(tracker), "capabilities", stamps)
     begin(order).ends("failed", "no-times")
@@ -557,18 +528,16 @@ def test_no_path_is_driven_for_a_tracker_that_stamps_samples_as_they_arrive(
 @pytest.mark.parametrize(
     ("given", "state", "said"),
     [
-        ({"error": ConnectionLost("unplugged")}, "faulted", "link-lost"),
+        ({"error": errors.ConnectionLost("unplugged")}, "faulted", "link-lost"),
         ({"error": OSError("odd")}, "faulted", "internal"),
         ({"restarted": True}, "failed", "counter went back"),
     ],
 )
-def test_a_tracker_that_goes_away_or_begins_to_count_anew_ends_the_run(
-    moving, tracker, motion, given, state, said
-):
+def test_a_tracker_gone_or_reset_ends_it(moving, tracker, motion, given, state, said):
     vars(tracker).update(given)
     assert moving.ended() == state
     assert motion.status().state == "held"
-    (fault,) = moving.told(FaultReported)
+    (fault,) = moving.told(messages.FaultReported)
     assert said in f"{fault.code} {fault.text}"
 
 
@@ -579,6 +548,7 @@ def test_a_tracker_that_goes_away_or_begins_to_count_anew_ends_the_run(
         ({"_state": MotionState.UNHOMED}, "unhomed", ("not homed", "home it")),
         ({"_state": MotionState.NOT_READY}, "not-ready", ("drives are off", "switch")),
         ({"_state": MotionState.DOOR}, "door", ("door is open", "close it")),
+        ({"_state": MotionState.ALARM, "alarm": "1201 axis"}, "alarm", ("1201", "")),
         ({"referenced": False}, "unhomed", ("", "")),
     ],
 )
@@ -589,20 +559,10 @@ def test_a_machine_that_cannot_be_driven_is_not_and_says_why(
     vars(motion).update(told)
     assert begin(long_order).ended() == "failed"
     assert motion.calls == []
-    (fault,) = journal.of(FaultReported)
+    (fault,) = journal.of(messages.FaultReported)
     assert fault.code == f"motion-{code}"
     assert said[0] in fault.text
     assert said[1] in fault.action
-
-
-@pytest.mark.parametrize(
-    ("told", "noted"), [(True, "on"), (False, "off"), (None, None)]
-)
-def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told, noted):
-    motion.compensation = told
-    running = begin(order)
-    assert running.ended() == "finished"
-    assert running.run.provenance.get("control_compensation") == noted
 
 
 @pytest.mark.fault_row(19)
@@ -615,17 +575,19 @@ def test_a_run_tells_whether_the_control_compensated(begin, order, motion, told,
         (MotionState.ALARM, "1201 following error x"),
     ],
 )
-def test_a_machine_that_cannot_go_on_is_a_fault_that_says_why(
-    moving, motion, state, said
-):
+def test_what_cannot_go_on_is_a_fault_with_why(moving, motion, state, said, measured):
     if state is MotionState.ALARM:
         motion.raise_alarm("1201 following error X")
     else:
         motion._state = state
     moving.ends("faulted", f"motion-{state}")
-    (fault,) = moving.told(FaultReported)
+    (fault,) = moving.told(messages.FaultReported)
     assert said in f"{fault.text} {fault.action}".lower()
-    assert len(moving.run.tracker) > 100
+    run = moving.run
+    assert len(run.tracker) > 100
+    assert run.provenance["outcome"] == "faulted"
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    measured(f"{state}: {len(run.tracker)} samples kept, none lost")
 
 
 @pytest.mark.fault_row(21)
@@ -637,15 +599,15 @@ def test_a_motion_that_ends_early_is_a_fault(moving, motion):
 
 @pytest.mark.fault_row(21)
 @pytest.mark.parametrize("state", ["running", "finished"])
-def test_a_machine_that_moves_on_after_its_end_is_a_fault(
-    begin, order, motion, calm, state
-):
+def test_moving_on_after_the_end_is_a_fault(begin, order, motion, calm, state):
     motion.runs_on = state == "running"
     running = begin(order, settings=replace(calm, lead_s=5.0))
     if state == "finished":
         told = running.told
         running.until(
-            lambda: any(p.stage == "closing" for p in told(MeasurementProgress))
+            lambda: any(
+                p.stage == "closing" for p in told(messages.MeasurementProgress)
+            )
         )
         motion.here = motion.here + 2.0
     running.ends("faulted", "runs-on")
@@ -654,9 +616,7 @@ def test_a_machine_that_moves_on_after_its_end_is_a_fault(
 
 
 @pytest.mark.fault_row(22)
-def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
-    begin, order, square, motion, calm
-):
+def test_a_point_not_reached_is_never_measured(begin, order, square, motion, calm):
     """The controller says that it has finished, and stands elsewhere."""
     points = standing_at(order, square.position[:3], 0.2)
     motion.ends_after_s = 0.1
@@ -671,7 +631,8 @@ def test_a_point_that_the_machine_does_not_come_to_is_never_measured(
 def test_a_hold_at_the_machine_is_a_pause_that_ends_there_or_here(moving, motion, ends):
     motion.stand("operator")
     moving.until_state("paused")
-    assert "held at the machine: operator" in moving.told(StateChanged)[-1].text
+    said = moving.told(messages.StateChanged)[-1].text
+    assert "held at the machine: operator" in said
     moving.until_told("held-at-machine")
     assert "operator" in moving.fault.text
     if ends == "here":
@@ -687,12 +648,12 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there_or_here(moving, motion
 def test_a_hold_at_the_machine_may_last_for_hours(judged, tracker, motion, clock):
     motion.stand("operator")
     judged.until_told("held-at-machine")
-    left_s = judged.told(MeasurementProgress)[-1].remaining_s
+    left_s = judged.told(messages.MeasurementProgress)[-1].remaining_s
     for _ in range(4):
         tracker._begun_s += 3600.0  # nobody looks at the samples of hours
         clock.time_s += 3600.0
         judged.look()
-    assert judged.told(MeasurementProgress)[-1].remaining_s == left_s
+    assert judged.told(messages.MeasurementProgress)[-1].remaining_s == left_s
     assert judged.states == ["running", "paused"]
     motion.go_on()
     judged.finished_after("held-at-machine")
@@ -711,7 +672,7 @@ def test_a_pause_is_kept_against_a_release_at_the_machine(moving, motion):
 
 def test_a_hold_that_is_not_obeyed_is_a_fault(judged, motion):
     motion.ignores_hold = True
-    judged.obey(CellVerb.PAUSE)
+    judged.obey(messages.CellVerb.PAUSE)
     judged.pass_until(lambda: "hold-unconfirmed" in judged.faults)
     motion.ignores_hold = False
     assert judged.ended() == "faulted"
@@ -720,7 +681,7 @@ def test_a_hold_that_is_not_obeyed_is_a_fault(judged, motion):
 def test_a_resume_that_is_not_obeyed_stays_a_pause(judged, motion):
     judged.pause()
     motion.ignores_resume = True
-    judged.obey(CellVerb.RESUME)
+    judged.obey(messages.CellVerb.RESUME)
     judged.pass_until(lambda: judged.faults == ["resume-unconfirmed"])
     judged.until_state("paused")
     motion.ignores_resume = False
@@ -749,12 +710,10 @@ def test_nothing_moves_when_a_row_is_out_of_travel(begin, order, motion, square)
     assert running.ended() == "failed"
     assert motion.calls == []
     assert "X = 560 mm exceeds 500 mm" in running.fault.text
-    assert running.told(RunClosed)[0].run_file == ""
+    assert running.told(messages.RunClosed)[0].run_file == ""
 
 
-def test_a_machine_without_a_watchdog_is_moved_if_allowed_and_the_run_says_so(
-    begin, order, motion, calm, tmp_path
-):
+def test_a_missing_watchdog_is_allowed_and_told(begin, order, motion, calm, tmp_path):
     motion.has_watchdog = False
     begin(order).ends("failed", "no-watchdog")
     assert motion.calls == []
@@ -778,9 +737,7 @@ def test_a_program_of_somebody_else_is_left_alone(begin, order, motion, held):
 
 
 @pytest.mark.parametrize("reason", ["command", "watchdog"])
-def test_what_an_earlier_measurement_has_left_held_is_called_off(
-    begin, order, motion, reason
-):
+def test_what_was_left_held_before_is_called_off(begin, order, motion, reason):
     motion.begin_elsewhere()
     motion.stand(reason)
     begin(order).finished()
@@ -790,9 +747,9 @@ def test_what_an_earlier_measurement_has_left_held_is_called_off(
 @pytest.mark.parametrize(
     ("error", "code", "state"),
     [
-        (OutOfTravel("X beyond 400 mm"), "out-of-travel", "failed"),
-        (Refused("too many rows"), "refused", "failed"),
-        (MotionFault("read back differs"), "motion-alarm", "faulted"),
+        (errors.OutOfTravel("X beyond 400 mm"), "out-of-travel", "failed"),
+        (errors.Refused("too many rows"), "refused", "failed"),
+        (errors.MotionFault("read back differs"), "motion-alarm", "faulted"),
         (ZeroDivisionError("of ours"), "internal", "faulted"),  # not a hang
     ],
 )
@@ -805,19 +762,17 @@ def test_a_path_that_the_controller_does_not_take_ends_the_order(
     monkeypatch.setattr(motion, "load", load)
     assert begin(order).ended() == state
     assert journal.faults == [code]
-    assert str(error) in journal.of(FaultReported)[0].text
+    assert str(error) in journal.of(messages.FaultReported)[0].text
     assert "start" not in motion.calls
     assert ("defect while measuring" in caplog.text) == (code == "internal")
 
 
 @pytest.mark.fault_row(27)
 @pytest.mark.parametrize("said", ["No space left", "almost full"])
-def test_a_disk_that_fails_or_is_almost_full_holds_the_machine_and_keeps_the_run(
-    moving, motion, monkeypatch, said
-):
+def test_a_failing_or_full_disk_holds_and_keeps_all(moving, motion, monkeypatch, said):
     recorder = moving.measurement._recorder
 
-    def fail(_item) -> None:
+    def fail(_item):
         raise OSError(28, "No space left on device")
 
     if said == "almost full":
@@ -829,20 +784,18 @@ def test_a_disk_that_fails_or_is_almost_full_holds_the_machine_and_keeps_the_run
     assert moving.ended() == "failed"
     assert motion.status().state == "held"
     assert moving.faults[0] == "storage"
-    assert said in moving.told(FaultReported)[0].text
+    assert said in moving.told(messages.FaultReported)[0].text
     run = moving.run
     assert len(run.tracker) > 0
     assert said == "No space left" or run.provenance["outcome"] == "failed"
 
 
 @pytest.mark.fault_row(28)
-def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
-    moving, monkeypatch, measured
-):
+def test_a_slow_disk_holds_the_feed_until_it_catches_up(moving, monkeypatch, measured):
     recorder = moving.measurement._recorder
     slow, commit = threading.Event(), recorder._commit
 
-    def wait_then_commit(item) -> None:
+    def wait_then_commit(item):
         host_clock.wait(slow, 20.0)
         commit(item)
 
@@ -852,20 +805,18 @@ def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
     moving.until_state("paused")
     slow.set()
     moving.finished()
-    assert moving.told(RunClosed)[0].lost_samples == 0
-    measured(f"{moving.told(RunClosed)[0].samples} samples, none lost")
+    assert moving.told(messages.RunClosed)[0].lost_samples == 0
+    measured(f"{moving.told(messages.RunClosed)[0].samples} samples, none lost")
 
 
 def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_path):
     (tmp_path / "monday.sqlite").write_bytes(b"precious")
     assert begin(order).ended() == "failed"
-    assert "exists" in journal.of(FaultReported)[0].text
+    assert "exists" in journal.of(messages.FaultReported)[0].text
     assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
 
 
-def test_rows_are_put_into_the_axis_order_of_the_controller_or_the_axis_is_named(
-    square,
-):
+def test_rows_are_put_into_the_axis_order_of_the_control_or_the_axis_is_named(square):
     turned = arrange_axes(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
     np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
     np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))

@@ -22,15 +22,12 @@ from truepath_drivers.interfaces.records import LinkHealth, MotionState, Tracker
 RATE_HZ = 500.0
 
 
-def samples(number: np.ndarray) -> TrackerSamples:
+def samples(number):
     n = len(number)
-    return TrackerSamples(
-        number, number / RATE_HZ, np.zeros((n, 3)), np.zeros(n, np.int64)
-    )
+    return TrackerSamples(number, number / RATE_HZ, np.zeros((n, 3)), np.zeros(n, int))
 
 
-def judge(number: np.ndarray, crc_errors: int = 0) -> bool:
-    """Tell whether a stream of these numbers was ever damaged, in blocks of ten."""
+def judge(number, crc_errors=0):
     damage = StreamDamage(RATE_HZ, 0.01)
     found = False
     for i, block in enumerate(np.array_split(number, len(number) // 10)):
@@ -175,15 +172,13 @@ class Streaming(FakeTracker):
             return TrackerSamples.empty()
         return self.block()
 
-    def block(self, later_s=0.0):
+    def block(self, by_s=0.0):
         sequence = np.arange(self.next, self.next + 10)
         self.next += 10 + self.lost
         self.lost_samples += self.lost
-        place_mm = np.tile([0.0, 0.0, 2000.0], (10, 1))
+        place = np.tile([0.0, 0.0, 2000.0], (10, 1))
         status = np.full(10, self.status, np.int64)
-        return TrackerSamples(
-            sequence, later_s + sequence / self.rate_hz, place_mm, status
-        )
+        return TrackerSamples(sequence, by_s + sequence / self.rate_hz, place, status)
 
 
 class Polled(FakePolledTracker):

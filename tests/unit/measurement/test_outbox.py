@@ -1,37 +1,29 @@
 """What a cell says to its parent: in order, the latest, and no state is dropped."""
 
 import threading
-import time
-from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing import Pipe
 
 import numpy as np
 import pytest
 
-from truepath.measurement.messages import (
-    BlockRecorded,
-    CellEvent,
-    CellState,
-    FaultReported,
-    MeasurementProgress,
-    StateChanged,
-)
+from processes import until
+from truepath.measurement import messages
 from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox
 from truepath_drivers.interfaces.records import TrackerSamples
 
 
-def progress(done: int) -> MeasurementProgress:
-    return MeasurementProgress(done, 10, "lines", "measuring", 0.0, 0.0)
+def progress(done):
+    return messages.MeasurementProgress(done, 10, "lines", "measuring", 0.0, 0.0)
 
 
-def block(number: int) -> BlockRecorded:
+def block(number):
     samples = TrackerSamples.empty()
-    return BlockRecorded(replace(samples, sequence=np.array([number])))
+    return messages.BlockRecorded(replace(samples, sequence=np.array([number])))
 
 
-def state(text: str = "") -> StateChanged:
-    return StateChanged(CellState.PAUSED, text)
+def state(text=""):
+    return messages.StateChanged(messages.CellState.PAUSED, text)
 
 
 def test_a_parent_that_is_gone_does_not_hang_the_outbox():
@@ -47,19 +39,19 @@ def test_a_parent_that_is_gone_does_not_hang_the_outbox():
 class Reluctant:
     """A pipe's end whose other side takes nothing until it is told to."""
 
-    def __init__(self) -> None:
-        self.taken: list[CellEvent] = []
+    def __init__(self):
+        self.taken = []
         self.taking = threading.Event()
         self.asked = threading.Event()
 
-    def send(self, event: CellEvent) -> None:
+    def send(self, event):
         self.asked.set()
         assert self.taking.wait(20.0)
         self.taken.append(event)
 
 
 @pytest.fixture
-def reluctant() -> Iterator[tuple[Reluctant, Outbox]]:
+def reluctant():
     link = Reluctant()
     outbox = Outbox(link)
     outbox.report(state())
@@ -73,15 +65,19 @@ def test_blocks_that_nobody_takes_are_dropped_and_counted_and_nothing_else(reluc
     link, outbox = reluctant
     for number in range(MAX_BLOCKS + 7):
         outbox.report(block(number))
-    outbox.report(FaultReported("beam-lost", "", ""))
+    outbox.report(messages.FaultReported("beam-lost", "", ""))
     outbox.report(state())
     assert outbox.dropped_blocks == 7
     link.taking.set()
     outbox.close(5.0)
-    blocks = [e for e in link.taken if isinstance(e, BlockRecorded)]
+    blocks = [e for e in link.taken if isinstance(e, messages.BlockRecorded)]
     assert [b.block.sequence[0] for b in blocks] == list(range(MAX_BLOCKS))
-    others = [type(e) for e in link.taken if not isinstance(e, BlockRecorded)]
-    assert others == [StateChanged, FaultReported, StateChanged]
+    others = [type(e) for e in link.taken if not isinstance(e, messages.BlockRecorded)]
+    assert others == [
+        messages.StateChanged,
+        messages.FaultReported,
+        messages.StateChanged,
+    ]
 
 
 def test_a_slow_parent_gets_the_latest_and_every_state_however_many_wait(reluctant):
@@ -91,9 +87,9 @@ def test_a_slow_parent_gets_the_latest_and_every_state_however_many_wait(relucta
         outbox.report(state(str(number)))
     link.taking.set()
     outbox.close(5.0)
-    states = [e.text for e in link.taken[1:] if isinstance(e, StateChanged)]
+    states = [e.text for e in link.taken[1:] if isinstance(e, messages.StateChanged)]
     assert states == [str(n) for n in range(2000)]
-    done = [e.done for e in link.taken if isinstance(e, MeasurementProgress)]
+    done = [e.done for e in link.taken if isinstance(e, messages.MeasurementProgress)]
     assert done == [1999]
 
 
@@ -102,10 +98,7 @@ def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
     for number in range(MAX_BLOCKS):
         outbox.report(block(number))
     link.taking.set()
-    deadline_s = time.monotonic() + 10.0
-    while len(link.taken) <= MAX_BLOCKS:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+    until(lambda: len(link.taken) > MAX_BLOCKS)
     outbox.report(block(MAX_BLOCKS))
     outbox.close(5.0)
     assert outbox.dropped_blocks == 0

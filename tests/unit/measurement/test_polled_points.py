@@ -1,7 +1,6 @@
 """Standstill points by a tracker that is polled, on devices in this process."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +10,7 @@ from measurement_fixtures import NOISE_MM, PLACE_MM, QUICK, draw_rows, standing_
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
-from truepath.measurement.messages import (
-    BlockRecorded,
-    CellVerb,
-    FaultReported,
-    LivePoints,
-    MeasurementOrder,
-    RunClosed,
-)
+from truepath.measurement import messages
 from truepath.measurement.time_limits import StreamTimeouts
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, ConnectionLost, DeviceError
@@ -28,18 +20,8 @@ pytestmark = pytest.mark.usefixtures("clock")
 
 
 @pytest.fixture
-def order(order) -> MeasurementOrder:
+def order(order):
     return standing_at(order, draw_rows(4), 0.03)
-
-
-def failing(error: Exception, first: int, last: int = 99) -> Callable[[int], None]:
-    """Return what raises an error at some of the points that are asked for."""
-
-    def fail(asked: int) -> None:
-        if first <= asked <= last:
-            raise error
-
-    return fail
 
 
 def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
@@ -57,12 +39,12 @@ def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
     spread = np.sqrt(np.einsum("nii->ni", run.points.covariance_mm2)).mean()
     assert spread == pytest.approx(NOISE_MM, rel=0.4)
     assert run.temperature.celsius[:, 0].tolist() == [21.5] * 4
-    assert journal.of(RunClosed)[-1].samples == 4
-    blocks = [event.block for event in journal.of(BlockRecorded)]
+    assert journal.of(messages.RunClosed)[-1].samples == 4
+    blocks = [event.block for event in journal.of(messages.BlockRecorded)]
     assert [block.points.row.tolist() for block in blocks] == [[0], [1], [2], [3]]
     told = [block.samples.position_mm[0].tolist() for block in blocks]
     assert told == run.tracker.position_mm.tolist()
-    assert sum(len(event.tracker_mm) for event in journal.of(LivePoints)) == 4
+    assert sum(len(event.tracker_mm) for event in journal.of(messages.LivePoints)) == 4
     # A bundle keeps rows, shots and covariances.
     write_bundle(run, tmp_path / "bundle")
     again = read_bundle(tmp_path / "bundle")
@@ -75,13 +57,11 @@ def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
     assert first.scatter == pytest.approx(second.scatter)
 
 
-def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(
-    measure, polled, journal
-):
-    def lose(asked: int) -> None:
+def test_a_lost_target_holds_until_resumed_and_is_measured(measure, polled, journal):
+    def lose(asked):
         if asked == 3:
-            timer = threading.Timer(0.3, measure.running.obey, (CellVerb.RESUME,))
-            timer.start()
+            verb = (messages.CellVerb.RESUME,)
+            threading.Timer(0.3, measure.running.obey, verb).start()
             raise BeamLost("no prism in the field of view")
 
     polled.before = lose
@@ -93,21 +73,25 @@ def test_a_lost_target_holds_until_somebody_resumes_and_is_measured_again(
 
 
 def test_a_link_that_is_lost_is_connected_anew(measure, polled):
-    polled.before = failing(ConnectionLost("the cable was pulled"), 2, 2)
+    def pull(asked):
+        if asked == 2:
+            raise ConnectionLost("the cable was pulled")
+
+    polled.before = pull
     state, run = measure()
     assert (state, polled.connects) == ("finished", 2)
     assert run.points.row.tolist() == list(range(4))
 
 
 @pytest.mark.parametrize("error", [ConnectionLost("gone"), DeviceError("broken"), None])
-def test_what_does_not_come_back_or_never_ends_is_a_fault(
-    measure, polled, journal, error
-):
-    def hang(asked):
+def test_what_stays_away_or_never_ends_is_a_fault(measure, polled, journal, error):
+    def fail(asked):
+        if asked > 1 and error:
+            raise error
         if asked == 2:
             host_clock.wait(polled.stopped, 20.0)
 
-    polled.before = failing(error, 2) if error else hang
+    polled.before = fail
     timeouts = StreamTimeouts(point_s=0.3)
     state, run = measure(settings=replace(QUICK, timeouts=timeouts))
     assert state == "faulted"
@@ -116,7 +100,7 @@ def test_what_does_not_come_back_or_never_ends_is_a_fault(
 
 
 def test_a_machine_that_is_moved_meanwhile_is_measured_anew(measure, polled, motion):
-    def jog(asked: int) -> None:
+    def jog(asked):
         if asked == 2:
             here = motion.here.copy()
             motion.here = here + 5.0
@@ -131,9 +115,9 @@ def test_a_machine_that_is_moved_meanwhile_is_measured_anew(measure, polled, mot
 
 
 def test_abort_ends_a_point_under_way_and_keeps_the_others(measure, polled):
-    def abort(asked: int) -> None:
+    def abort(asked):
         if asked == 4:
-            measure.running.obey(CellVerb.ABORT)
+            measure.running.obey(messages.CellVerb.ABORT)
 
     polled.before = abort
     state, run = measure()
@@ -148,14 +132,12 @@ def test_a_path_is_refused_before_anything_moves(measure, order, square, motion)
 
 
 @pytest.mark.fault_row(10)
-def test_warnings_of_the_instrument_are_told_and_recorded(
-    measure, polled, journal, measured
-):
+def test_warnings_of_trackers_are_told_and_recorded(measure, polled, journal, measured):
     warning = TrackerEvent(TrackerEventKind.WARNING, "battery low", "plug it in")
     polled.before = lambda asked: polled.events.append(warning) if asked == 2 else None
     state, run = measure()
     assert state == "finished"
-    assert journal.of(FaultReported)[0].text == "battery low"
+    assert journal.of(messages.FaultReported)[0].text == "battery low"
     assert ("tracker-warning", "battery low") in [(e.kind, e.text) for e in run.events]
     assert summarize_run(run).told == ("battery low",)
     measured("1 of 1 told, in the Run and in its result")

@@ -3,14 +3,12 @@
 import os
 import sqlite3
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from processes import until
 from truepath.errors import BundleError, MeasurementFailed
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.run_file import recorder as recorder_module
@@ -30,13 +28,13 @@ DEVICES = {
 
 
 @pytest.fixture
-def header(mill, square) -> RunHeader:
+def header(mill, square):
     axes = ("X", "Y", "Z")
     return RunHeader("monday", mill, square, 500.0, DEVICES, axes, plugins=PLUGINS)
 
 
 @pytest.fixture
-def file(tmp_path) -> Path:
+def file(tmp_path):
     return tmp_path / "runs" / "monday.sqlite"
 
 
@@ -47,7 +45,7 @@ def recorder(file, header):
     made.close("aborted")
 
 
-def block(first: int, count: int = 50) -> TrackerSamples:
+def block(first, count=50):
     sequence = np.arange(first, first + count, dtype=np.int64)
     rng = np.random.default_rng(first)
     return TrackerSamples(
@@ -65,16 +63,7 @@ def fill(recorder, blocks=20):
     return TrackerSamples.join(made)
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
-
-
-def test_what_was_recorded_is_read_back_from_one_signed_read_only_file(
-    recorder, file, header, read_link_bytes
-):
+def test_one_signed_file_gives_back_everything(recorder, file, header, read_link_bytes):
     written = fill(recorder)
     recorder.put_tracker(TrackerSamples.empty(), b"noise")
     rows = np.array([[0.1, 1, 2, 3], [0.2, 4, 5, 6]])
@@ -122,13 +111,12 @@ def test_the_quality_of_samples_is_kept_where_the_tracker_tells_it(recorder, fil
 
 
 def test_points_are_read_back(file, header, square):
-    points = Configurations(
-        square.axes, square.position, square.dwell_s, ("a", "b", "a", "b")
-    )
+    names = ("a", "b", "a", "b")
+    points = Configurations(square.axes, square.position, square.dwell_s, names)
     Recorder(file, replace(header, commanded=points), reserve_bytes=0).close("failed")
     run = open_run(file)
     assert run.mode == "standstill"
-    assert run.commanded.target == ("a", "b", "a", "b")
+    assert run.commanded.target == names
     assert len(run.tracker) == 0
     assert run.axis_samples is None
 
@@ -147,7 +135,7 @@ def test_a_hole_in_the_counter_is_named_and_one_that_goes_back_refused(recorder,
 def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     seen = []
 
-    def look(samples: TrackerSamples) -> None:
+    def look(samples):
         with sqlite3.connect(file) as database:
             rows = database.execute("SELECT sum(n) FROM batch").fetchone()
         database.close()
@@ -161,10 +149,8 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     assert all(on_disk >= 50 * (i + 1) for i, (_, on_disk) in enumerate(seen))
 
 
-def test_a_display_that_fails_does_not_stop_the_recording(
-    file, header, caplog, monkeypatch
-):
-    def fail(samples: TrackerSamples) -> None:
+def test_a_display_that_fails_stops_no_recording(file, header, caplog, monkeypatch):
+    def fail(samples):
         raise ValueError("no screen")
 
     monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 3)
@@ -198,21 +184,19 @@ def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
     recorder.put_tracker(block(0))
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
-    wait_until(lambda: recorder.is_space_low)
+    until(lambda: recorder.is_space_low)
     assert recorder.close("failed").failure == ""
 
 
 @pytest.mark.fault_row(27)
-def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
-    file, header, monkeypatch, measured
-):
+def test_a_full_disk_loses_nothing_committed(file, header, monkeypatch, measured):
     recorder = Recorder(file, header, reserve_bytes=0)
     written = fill(recorder, 4)
     recorder._queue.put(recorder_module._Item())
-    wait_until(recorder._queue.empty)
+    until(recorder._queue.empty)
     recorder._database.execute("PRAGMA max_page_count = 1")
     recorder.put_tracker(block(5000, 5000))
-    wait_until(lambda: "full" in recorder.failure)
+    until(lambda: "full" in recorder.failure)
     assert "check disk space" in recorder.failure
     with pytest.raises(MeasurementFailed):
         recorder.event("late", "too late")
@@ -225,21 +209,19 @@ def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
 
 
 @pytest.mark.fault_row(28)
-def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
-    file, header, monkeypatch
-):
+def test_a_disk_too_slow_is_an_error_once_the_queue_is_full(file, header, monkeypatch):
     monkeypatch.setattr(recorder_module, "PUT_TIMEOUT_S", 0.05)
     monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 4)
     recorder = Recorder(file, header, reserve_bytes=0)
     go_on, commit = threading.Event(), recorder._commit
 
-    def stuck(item) -> None:
+    def stuck(item):
         go_on.wait(10.0)
         commit(item)
 
     monkeypatch.setattr(recorder, "_commit", stuck)
     recorder.put_tracker(block(0))
-    wait_until(recorder._queue.empty)
+    until(recorder._queue.empty)
     for i in range(1, 5):
         recorder.put_tracker(block(50 * i))
     with pytest.raises(MeasurementFailed, match="too slow: 4 batches wait"):
@@ -278,7 +260,7 @@ def test_a_run_that_somebody_reads_cannot_be_sealed(recorder, file):
 
 
 @pytest.fixture
-def closed_file(recorder, file) -> Path:
+def closed_file(recorder, file):
     fill(recorder, 40)
     recorder.event("start", "cycle start")
     recorder.close("finished")
@@ -286,7 +268,7 @@ def closed_file(recorder, file) -> Path:
     return file
 
 
-def damage(file: Path, needle: bytes, offset: int = 0) -> None:
+def damage(file, needle, offset=0):
     data = bytearray(file.read_bytes())
     at = data.index(needle) + offset
     data[at] ^= 0x40
@@ -332,10 +314,10 @@ def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng, measured):
         except BundleError:
             refused += 1
             continue
-        rows = [whole[int(s)] for s in run.tracker.sequence]
-        np.testing.assert_array_equal(
-            run.tracker.position_mm, good.tracker.position_mm[rows]
-        )
+        written = good.tracker.position_mm[
+            [whole[int(s)] for s in run.tracker.sequence]
+        ]
+        np.testing.assert_array_equal(run.tracker.position_mm, written)
         np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
     measured(f"40 flipped bits: {refused} files refused, 0 wrong samples")
 

@@ -16,12 +16,7 @@ from measurement_fixtures import (
     standing_at,
 )
 from truepath.kinematics.machine.machine import Target
-from truepath.measurement.messages import (
-    CellVerb,
-    MeasurementOrder,
-    MeasurementProgress,
-)
-from truepath.measurement.time_limits import EngineSettings
+from truepath.measurement import messages
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, NotOffered, Refused
 from truepath_drivers.interfaces.tracker import TargetChoice
@@ -38,8 +33,8 @@ class Choosing(TargetChoice):
 
     def __init__(self, motion):
         super().__init__()
-        self.motion, self.asked, self.on = motion, list[str](), "T1"
-        self.failures, self.goes_to = list[Exception](), dict[str, str]()
+        self.motion, self.asked, self.on = motion, [], "T1"
+        self.failures, self.goes_to = [], {}
 
     def select_target(self, name):
         self.asked.append(name)
@@ -68,18 +63,18 @@ class ChoosingTracker(Choosing, FakePolledTracker):
 
 
 @pytest.fixture
-def tracker(motion) -> ChoosingTracker:
+def tracker(motion):
     motion.speed = 2000.0
     return ChoosingTracker(motion)
 
 
 @pytest.fixture
-def calm() -> EngineSettings:
+def calm():
     return QUICK
 
 
 @pytest.fixture
-def order(order) -> MeasurementOrder:
+def order(order):
     targets = tuple(Target(name, "tool", at) for name, at in OFFSET_MM.items())
     points = standing_at(order, draw_rows(4), 0.03, TURNS)
     return replace(points, machine=replace(order.machine, targets=targets))
@@ -94,7 +89,7 @@ def measure(begin, order, journal):
         while running.thread.is_alive():
             if journal.states[-1:] == ["paused"]:
                 mend()
-                running.obey(CellVerb.RESUME)
+                running.obey(messages.CellVerb.RESUME)
             host_clock.join(running.thread, 0.05)
         return running
 
@@ -137,15 +132,13 @@ def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
 
 
 class SlowTracker(ChoosingTracker):
-    """Takes 1.5 s to turn."""
-
     verb_limit_s = 0.0
 
     def __init__(self, motion):
         super().__init__(motion)
         self.turned = threading.Event()
 
-    def select_target(self, name: str) -> None:
+    def select_target(self, name):
         host_clock.wait(self.turned, 1.5)
         super().select_target(name)
 
@@ -153,9 +146,7 @@ class SlowTracker(ChoosingTracker):
 @pytest.mark.parametrize(
     ("limit_s", "state"), [(5.0, "finished"), (-0.9, "faulted")], ids=["long", "short"]
 )
-def test_a_target_is_waited_for_as_long_as_its_driver_says(
-    begin, motion, order, journal, limit_s, state
-):
+def test_a_driver_says_its_time_to_turn(begin, motion, order, journal, limit_s, state):
     tracker = SlowTracker(motion)
     tracker.verb_limit_s, motion.speed = limit_s, 2000.0
     assert begin(order, tracker=tracker).ended() == state
@@ -165,7 +156,6 @@ def test_a_target_is_waited_for_as_long_as_its_driver_says(
 
 @pytest.fixture
 def drive(measure, motion, order):
-    """Drive lines of two targets to the end."""
     names = ("T1", "T1", "T1", "T2", "T2", "T2", "T1", "T1")
     corners = [[10.0, 10, -10], [400, 300, -10], [400, 10, -200]]
     rows = np.array(corners)[[0, 1, 2, 2, 0, 1, 1, 2]]
@@ -195,13 +185,13 @@ def test_lines_of_several_targets_need_nobody_one_program_for_each_that_is_chose
     assert journal.faults == []
     assert motion.calls.count("load") == motion.calls.count("start") == programs
     assert len(running.run.commanded) == 8
-    done = [(p.done, p.total) for p in journal.of(MeasurementProgress)]
+    done = [(p.done, p.total) for p in journal.of(messages.MeasurementProgress)]
     assert done[-1] == (7, 7)
     assert done == sorted(done)
 
 
 def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):
-    tracker, begun = ChoosingStream(motion), list[int]()
+    tracker, begun = ChoosingStream(motion), []
     tracker.goes_to = {"T2": "T1"}
 
     def mend():

@@ -33,14 +33,6 @@ def circles(mill):
     return make_circle_path(mill)
 
 
-@pytest.fixture
-def half_turn():
-    """Half a turn of 100 mm radius, far beyond what its ends span."""
-    ends = (100.0, 50.0, -50.0), (300.0, 50.0, -50.0)
-    arc = Arc("XY", (200.0, 50.0), 180.0)
-    return path_of(*ends, feed=3000.0, dwell_s=1.0, arc=(None, arc))
-
-
 def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles):
     check_travel(mill, circles)
     turning = row_times_s(circles)[[arc is not None for arc in circles.arc]]
@@ -49,10 +41,13 @@ def test_circles_stay_in_the_travel_and_take_the_time_of_their_way(mill, circles
     assert turning[:2] == pytest.approx([one_s + 1.0] * 2, abs=0.2)
 
 
-def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill, half_turn):
+def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill):
+    # Half a turn of 100 mm radius, far beyond what its ends span.
+    ends, arc = ((100, 50, -50), (300, 50, -50)), Arc("XY", (200.0, 50.0), 180.0)
+    half_turn = path_of(*ends, feed=3000.0, dwell_s=1.0, arc=(None, arc))
     with pytest.raises(OutOfTravel, match="row 2: Y = -50 mm is below 0 mm"):
         check_travel(mill, half_turn)
-    turned = replace(half_turn, arc=(None, replace(half_turn.arc[1], turn_deg=-180.0)))
+    turned = replace(half_turn, arc=(None, replace(arc, turn_deg=-180.0)))
     check_travel(mill, turned)
     box = Box((195.0, -60.0, -60.0), (205.0, -40.0, -40.0))
     with pytest.raises(PlanningError, match="the way to row 2 enters the keep-out box"):
@@ -101,11 +96,10 @@ def test_a_broken_circle_is_driven_again_whole_and_no_other_one(mill, circles, b
     again = [(row, arc) for row, arc in enumerate(part.arc) if arc]
     # Each of them from where it began to where it ended, in its sense and at its feed.
     for row in broken:
-        begin, end = circles.position[row - 1], circles.position[row]
+        begin, end = circles.position[row - 1 : row + 1]
         assert any(
             arc == circles.arc[row]
-            and np.array_equal(part.position[k - 1], begin)
-            and np.array_equal(part.position[k], end)
+            and np.array_equal(part.position[k - 1 : k + 1], [begin, end])
             and part.feed_mm_min[k] == circles.feed_mm_min[row]
             for k, arc in again
         )

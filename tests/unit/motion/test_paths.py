@@ -109,6 +109,9 @@ def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):
 def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(
     mill, measured
 ):
+    """The rounding of a file is none."""
+    axes = (LinearAxis("X", 0.0, 499.99996), *mill.axes[1:])
+    check_travel(replace(mill, axes=axes), path_of((0, 0, 0), (500.0, 0, 0)))
     with pytest.raises(OutOfTravel) as caught:
         check_travel(mill, path_of((0, 0, 0), (612.4, 0, 0)))
     text = str(caught.value)
@@ -117,15 +120,15 @@ def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy(
     measured(f"“{text}”")
 
 
-@pytest.mark.parametrize("feed_mm_min", [1e-9, 0.99, 8001.0, 1e6])
-def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill, feed_mm_min):
+def test_a_feed_that_cannot_be_driven_is_refused_with_its_row(mill):
     mill = replace(mill, motion=MotionLimits(8000.0, assumed=()))
     rows = [{"x_mm": x, "y_mm": 0, "z_mm": 0} for x in (0, 100)]
-    rows[1]["feed_mm_min"] = feed_mm_min
-    with pytest.raises(PlanningError, match=r"row 2: a feed of .* give 1 to 8000 mm"):
-        command_rows(mill, rows, is_path=True)
-    with pytest.raises(PlanningError, match="cannot be driven by small mill"):
-        check_feed(mill, feed_mm_min)
+    for feed_mm_min in (1e-9, 0.99, 8001.0, 1e6):
+        rows[1]["feed_mm_min"] = feed_mm_min
+        with pytest.raises(PlanningError, match=r"row 2: a feed of .* give 1 to 8000"):
+            command_rows(mill, rows, is_path=True)
+        with pytest.raises(PlanningError, match="cannot be driven by small mill"):
+            check_feed(mill, feed_mm_min)
     rows[1]["feed_mm_min"] = 8000.0
     assert command_rows(mill, rows, is_path=True).feed_mm_min[1] == 8000.0
 
@@ -146,11 +149,6 @@ def test_what_is_out_of_travel_is_refused_by_row_axis_and_unit(with_table, rows,
             check_travel(with_table, commanded)
 
 
-def test_the_rounding_of_a_file_is_not_out_of_travel(mill):
-    axes = (LinearAxis("X", 0.0, 499.99996), *mill.axes[1:])
-    check_travel(replace(mill, axes=axes), path_of((0, 0, 0), (500.0, 0, 0)))
-
-
 def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
     names = ("T1", "T1", "T1", "T2", "T2", "T1")
     rows, feeds = np.arange(18.0).reshape(6, 3), np.arange(100.0, 106.0)
@@ -169,9 +167,7 @@ def test_each_stretch_of_a_target_begins_where_the_one_before_has_ended():
         np.testing.assert_array_equal(stretch.path.position, whole.position)
 
 
-def test_lines_and_points_are_driven_again_as_they_were_around_a_box(
-    square,
-):
+def test_lines_and_points_are_driven_again_as_they_were_around_a_box(square):
     feeds = np.array([6000.0, 1000.0, 2000.0, 3000.0])
     path = replace(square, feed_mm_min=feeds)
     whole = append_part(path, drive_again(path, 2))
@@ -204,29 +200,27 @@ def make_points(mill, kind, seed=1, *workspace):
     return make_verification_points(mill, [kind], seed, *workspace)
 
 
-def test_a_seed_draws_the_same_points_again_and_another_one_others(mill):
+def test_random_points_are_those_of_their_seed_and_keep_clear_of_boxes_on_their_ways(
+    mill,
+):
     kind = VerificationKind.RANDOM_POINTS
     first, again, other = (make_points(mill, kind, seed).position for seed in (1, 1, 2))
-    assert first.shape == (RANDOM_POINTS, 3)
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 1.0
-
-
-def test_random_points_and_the_ways_between_them_keep_clear_of_boxes(mill):
     low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
     middle, size = (low + high) / 2, (high - low) / 4
     vice = Box(tuple(middle - size), tuple(middle + size), "vice")
     workspace = Workspace(keep_out=(vice,))
     for seed in range(5):
-        points = make_points(mill, VerificationKind.RANDOM_POINTS, seed, workspace)
-        assert len(points) == RANDOM_POINTS
+        points = make_points(mill, kind, seed, workspace)
+        assert points.position.shape == (RANDOM_POINTS, 3)
         workspace.require_allowed(mill, points)
     full = Workspace(keep_out=(Box(tuple(low), tuple(high)),))
     with pytest.raises(PlanningError, match="leaves room for 0 of 30 random points"):
-        make_points(mill, VerificationKind.RANDOM_POINTS, 1, full)
+        make_points(mill, kind, 1, full)
 
 
-def test_every_target_of_an_axis_is_come_to_five_times_from_both_sides(mill):
+def test_targets_are_come_to_five_times_from_both_sides_and_four_diagonals_driven(mill):
     points = make_points(mill, VerificationKind.BIDIRECTIONAL)
     step = np.diff(points.position, axis=0)
     for column in range(3):
@@ -239,9 +233,6 @@ def test_every_target_of_an_axis_is_come_to_five_times_from_both_sides(mill):
             for one in np.unique(target)
         ]
         assert len([pair for pair in both if pair == (5, 5)]) >= 5
-
-
-def test_four_body_diagonals_are_driven_from_corner_to_corner(mill):
     points = make_points(mill, VerificationKind.DIAGONALS)
     low, high = points.position.min(axis=0), points.position.max(axis=0)
     at_corner = ((points.position == low) | (points.position == high)).all(axis=1)

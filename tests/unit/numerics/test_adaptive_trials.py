@@ -90,7 +90,7 @@ def test_what_is_kept_of_the_blocks_gives_the_interval_of_all_trials(interval):
 
 
 def test_it_stops_where_each_result_is_certain_to_a_fifth_of_the_tolerance():
-    results: list[tuple[float, ...]] = []
+    results = []
 
     def counted(rng):
         x = normal_sum(rng)
@@ -109,8 +109,11 @@ def test_it_stops_where_each_result_is_certain_to_a_fifth_of_the_tolerance():
 
 
 def test_one_more_digit_takes_many_more_trials_and_those_that_do_not_settle_say_so():
-    coarse = propagate(blocks(rectangles([9.0])), TrialPlan(digits=1))
-    fine = propagate(blocks(rectangles([9.0])), TrialPlan(digits=2, most_blocks=40))
+    drawn, shares = blocks(rectangles([9.0])), []
+    coarse = propagate(drawn, TrialPlan(digits=1), on_progress=shares.append)
+    assert shares == sorted(shares), "the share done only grows"
+    assert shares[-1] == pytest.approx(1.0)
+    fine = propagate(drawn, TrialPlan(digits=2, most_blocks=40))
     assert fine.trials >= 4 * coarse.trials
     told = propagate(blocks(normal_sum), TrialPlan(digits=2, most_blocks=3))
     assert told.trials == 3 * BLOCK
@@ -124,13 +127,6 @@ def test_who_shares_the_work_and_works_ahead_does_not_change_the_answer():
         shared = propagate(blocks(normal_sum, 4), plan, pool.map)
     for what in ("mean", "sigma", "low", "high"):
         np.testing.assert_array_equal(getattr(alone, what), getattr(shared, what))
-
-
-def test_the_share_done_only_grows_and_ends_at_one():
-    shares: list[float] = []
-    propagate(blocks(rectangles([9.0])), TrialPlan(), on_progress=shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_the_tolerance_is_half_a_unit_of_the_last_digit_and_the_factor_the_normal_one():

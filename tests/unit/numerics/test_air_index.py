@@ -50,10 +50,3 @@ def test_the_group_index_is_that_of_its_definition(percent):
     expected = index_of(wavelength_nm, 25, 990, percent) - wavelength_nm * slope
     group = index_of(wavelength_nm, 25, 990, percent, is_group=True)
     assert group == pytest.approx(expected, abs=2e-11)
-
-
-def test_a_kelvin_is_0_95_ppm_and_a_hectopascal_0_27():
-    here = index_of(633.0, 20, 1013.25, 50)
-    warmer, higher = index_of(633.0, 21, 1013.25, 50), index_of(633.0, 20, 1014.25, 50)
-    assert 1e6 * (warmer - here) == pytest.approx(-0.95, abs=0.02)
-    assert 1e6 * (higher - here) == pytest.approx(0.27, abs=0.005)

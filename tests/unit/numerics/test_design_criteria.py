@@ -12,11 +12,11 @@ KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
 SPLINE = natural_spline(KNOTS)
 
 
-def belief(rng, seen=0, variance=0.01):
+def belief(rng, seen, variance=0.01, spline=SPLINE):
     """Independent control points, then some measurements at random places."""
-    prior = np.diag(rng.uniform(0.5, 2.0, SPLINE.size))
-    known = IntegratedVariance(prior, SPLINE.gram())
-    for row in SPLINE.basis(rng.uniform(0.0, 6.0, seen)):
+    prior = np.diag(rng.uniform(0.1, 2.0, spline.size))
+    known = IntegratedVariance(prior, spline.gram())
+    for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
         known = known.update(row, variance)
     return known
 
@@ -33,10 +33,7 @@ def a_case(knots, seed, seen, log_variance, values):
     """A spline over any knots, independent values, some measurements made."""
     spline = natural_spline(np.concatenate([[0.0], np.cumsum(knots)]))
     rng = np.random.default_rng(seed)
-    prior = np.diag(rng.uniform(0.1, 2.0, spline.size))
-    known = IntegratedVariance(prior, spline.gram())
-    for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
-        known = known.update(row, 10.0**log_variance)
+    known = belief(rng, seen, 10.0**log_variance, spline)
     turn = rng.normal(size=(values, spline.size, spline.size))
     mix = np.eye(spline.size) if values == 1 else turn / spline.size
 
@@ -116,8 +113,7 @@ def test_a_cyclic_axis_and_one_beside_others_have_an_exact_optimum_too(rng):
     # A stacked axis adds a row that does not change along this one.
     size = 2 * SPLINE.size
     root = rng.normal(size=(size, size))
-    gram = np.kron(np.eye(2), SPLINE.gram())
-    known = IntegratedVariance(root @ root.T, gram)
+    known = IntegratedVariance(root @ root.T, np.kron(np.eye(2), SPLINE.gram()))
     other = SPLINE.basis(np.array([3.3]))
 
     def rows(at):

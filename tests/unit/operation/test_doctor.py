@@ -28,7 +28,9 @@ def test_a_clock_that_was_never_set_is_wrong():
     assert found.grade is Grade.WRONG
 
 
-def test_little_memory_and_several_threads_are_told(tmp_path, monkeypatch):
+def test_memory_threads_and_room_and_rights_of_the_data_folder_are_graded(
+    tmp_path, monkeypatch
+):
     file = tmp_path / "meminfo"
     for free_kb, grade in ((500_000, "warning"), (4 << 20, "ok")):
         file.write_text(f"MemTotal:       99 kB\nMemAvailable:   {free_kb} kB\n")
@@ -37,6 +39,13 @@ def test_little_memory_and_several_threads_are_told(tmp_path, monkeypatch):
     found = doctor.check_threads()
     assert found.grade is Grade.WARNING
     assert "OMP_NUM_THREADS=8" in found.text
+    file = tmp_path / "data"
+    file.write_text("")
+    assert doctor.check_rights(file, doctor.find_existing(file)).grade is Grade.WRONG
+    for free, grade in ((10**8, "wrong"), (2 * 10**9, "warning"), (10**11, "ok")):
+        usage = SimpleNamespace(free=free)
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, u=usage: u)
+        assert doctor.check_room(tmp_path).grade == grade
 
 
 @pytest.mark.parametrize("kind", ["nfs4", "cifs", "fuse.sshfs"])
@@ -55,17 +64,6 @@ def test_a_data_folder_on_a_network_share_is_wrong_and_no_service_starts_there(
         pass
     with hold_folder(tmp_path / "elsewhere", mounts):
         pass
-
-
-def test_the_room_and_the_rights_of_the_data_folder_are_graded(monkeypatch, tmp_path):
-    file = tmp_path / "data"
-    file.write_text("")
-    found = doctor.check_rights(file, doctor.find_existing(file))
-    assert found.grade is Grade.WRONG
-    for free, grade in ((10**8, "wrong"), (2 * 10**9, "warning"), (10**11, "ok")):
-        usage = SimpleNamespace(free=free)
-        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, u=usage: u)
-        assert doctor.check_room(tmp_path).grade == grade
 
 
 @pytest.mark.fault_row(37)

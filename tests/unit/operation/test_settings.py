@@ -140,7 +140,7 @@ def test_the_defaults_listen_at_home_and_beyond_has_to_be_said(tmp_path):
     assert not load_settings(host="0.0.0.0", allow_plain_http=True).is_loopback
 
 
-def test_the_command_line_beats_the_environment_beats_the_file(
+def test_the_command_line_beats_the_environment_beats_the_file_and_both_have_options(
     toml, monkeypatch, tmp_path
 ):
     toml("port = 1001\n", tmp_path / "config" / "truepath" / "truepath.toml")
@@ -153,11 +153,7 @@ def test_the_command_line_beats_the_environment_beats_the_file(
     settings = load_settings(file, port=3000, simulated=None)
     assert (settings.port, settings.log_level) == (3000, "error")
     assert settings.simulated_seed == 3
-
-
-def test_options_of_drivers_are_tables_in_the_file_and_json_in_the_environment(
-    toml, monkeypatch
-):
+    # Options of drivers are tables in the file and JSON in the environment.
     file = toml('[tracker_options]\nport = "/dev/tracker"\nbaudrate = 921600\n')
     monkeypatch.setenv("TRUEPATH_MOTION_OPTIONS", '{"host": "10.0.0.2", "port": 502}')
     settings = load_settings(file)

@@ -1,16 +1,14 @@
 """Planners of machines."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
+from truepath.kinematics.machine.machine import remove_rotary_axes
 from truepath.motion.motion_times import Drive
 from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.design_state import DesignState
 from truepath.planning.forecast import Assumptions
 from truepath.planning.initial_design import start_design
 from truepath.planning.lines.line_design import LineDesignState
@@ -21,14 +19,14 @@ STAND_MM = np.array([250.0, -900.0, 100.0])
 
 
 @pytest.fixture(scope="session")
-def small_mill(mill: Machine) -> Machine:
+def small_mill(mill):
     """The mill with half its travel: it is planned for in little time."""
     axes = [replace(a, low=a.low / 2.0, high=a.high / 2.0) for a in mill.linear_axes]
     return replace(mill, axes=tuple(axes))
 
 
 @cache
-def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignState:
+def design_of(machine, kind, perpendicular_only):
     """What the estimator believes of a machine before the first line or point."""
     if kind == "points":
         drive = Drive.of(machine.axis_names, 1.0)
@@ -39,16 +37,9 @@ def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignSt
 
 
 @pytest.fixture(scope="session")
-def planner() -> Callable[..., Planner]:
-    def make(
-        machine: Machine,
-        kind: str = "lines",
-        *,
-        workspace: Workspace | None = None,
-        feeds: tuple[float, ...] = (6000.0,),
-        perpendicular_only: bool = False,
-    ) -> Planner:
-        design = design_of(machine, kind, perpendicular_only)
+def planner():
+    def make(machine, kind="lines", *, workspace=None, feeds=(6000.0,), across=False):
+        design = design_of(machine, kind, across)
         return Planner(machine, design, workspace or Workspace(), feeds)
 
     return make

@@ -19,9 +19,7 @@ def moving_at(machine, **stated):
     return machine_from_json({**machine_to_json(machine), "motion": stated})
 
 
-def test_a_machine_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(
-    mill,
-):
+def test_a_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(mill):
     stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
     machine = moving_at(mill, **stated)
     assert machine_to_json(machine)["motion"] == stated
@@ -63,9 +61,7 @@ def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned)
     assert max(planned.feeds_worth.values()) < 1.08
 
 
-def test_a_machine_is_planned_no_faster_than_it_can_nor_than_is_asked_for(
-    small_mill, mill
-):
+def test_no_plan_is_faster_than_the_machine_can_or_than_is_asked_for(small_mill, mill):
     slow = replace(small_mill, motion=MotionLimits(2400.0, assumed=()))
     plan = make_plan(slow, PlanRequirements(minutes=0.6))
     assert plan.commanded.feed_mm_min.max() <= 2400.0
@@ -91,9 +87,8 @@ def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
 
 def test_no_feed_is_chosen_above_the_one_asked_for_or_that_controls_do_not_read(mill):
     assert max(PlanRequirements(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
+    both = PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3)
     with pytest.raises(PlanningError, match="leave it out where feeds are given"):
-        PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3).reject_nonsense(
-            mill
-        )
+        both.reject_nonsense(mill)
     machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
     assert max(PlanRequirements().feeds(machine)) <= 99_999.0

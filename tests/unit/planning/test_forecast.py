@@ -21,7 +21,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 
 def state_variance(made):
-    """Return the variance of the map as a result states it."""
     ppm = state_length_ppm(Refraction(), made.model.machine.tracker.range_ppm)
     told = made.widen_by_scale(1e-6 * ppm)
     return np.sum(compute_volumetric_gram(told.model) * told.covariance)
@@ -33,7 +32,6 @@ def state_variance(made):
     ids=["all", "perpendicular"],
 )
 def outcomes(record, request):
-    """Forecasts and statements for some machines, in µm."""
     found = []
     for seed in (1, 2):
         run, truth = record(seed, rows=16)
@@ -106,10 +104,7 @@ def test_uncertainty_shrinks_from_row_to_row_and_what_is_known_least_is_named(ou
         assert set(step.weakest_mm) < set(foretold.motion_sigmas())
     first, last = (foretold.curve[i].weakest_mm for i in (0, -1))
     assert max(last.values()) < max(first.values())
-
-
-def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
-    _, foretold, _ = outcomes[0]
+    # What one target cannot tell is named as well.
     assert {text[:3] for text in foretold.unobservable} == {"EAZ", "EBZ", "ECZ", "ECY"}
     motions = foretold.motion_sigmas()
     assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14
@@ -118,7 +113,6 @@ def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
 
 
 def merge_points(*places):
-    """A program that goes from place to place in the travel, each at a share of it."""
     n = len(places)
     position_mm = np.array([500.0, 400.0, 300.0]) * places
     return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
@@ -133,9 +127,7 @@ IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9)
     [(IN_SPACE[:3], False), (IN_SPACE, True), (IN_A_PLANE, False)],
     ids=["two-lines", "three-lines", "in-a-plane"],
 )
-def test_what_the_estimate_refuses_is_foretold_in_its_words(
-    record, places, is_determined
-):
+def test_what_estimates_refuse_is_foretold_as_they_say(record, places, is_determined):
     run, truth = record(2, program=merge_points(*places))
     stand_mm = truth.recording.pose.position_mm
     foretold = predict_undetermined(run.machine, run.commanded, stand_mm)

@@ -33,9 +33,7 @@ def path_of(machine, rows, feed=6000.0):
 
 
 @pytest.mark.parametrize(("mode", "rows"), [("otf", 16), ("standstill", 60)])
-def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
-    record, mode, rows
-):
+def test_what_is_expected_before_motion_is_achieved(record, mode, rows):
     run, _ = record(51, mode, rows=rows)
     found = estimate(align(run))
     stand = found.runs[0].pose.invert().translation_mm
@@ -44,9 +42,7 @@ def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
     assert 0.6 < achieved / expected < 1.6
 
 
-def test_more_lines_and_a_nearer_tracker_are_graded_better_and_a_better_one_the_same(
-    demo,
-):
+def test_more_lines_and_a_nearer_tracker_are_graded_better_a_better_one_the_same(demo):
     few, many = (plan(demo, lines=n) for n in (8, 24))
     near = grade(demo, many, station_mm=STATION_MM)
     assert grade(demo, few, station_mm=STATION_MM).number > 1.5 * near.number
@@ -130,9 +126,7 @@ def test_a_path_in_two_runs_is_worth_hardly_less_and_a_longer_tool_tells_more(de
 @pytest.mark.parametrize(
     "rows", [[[0, 0, 0], [400, 300, 200]], [[0, 0, 0], [400, 0, 0]]]
 )
-def test_a_set_up_that_tells_next_to_nothing_is_poor_and_one_of_nothing_refused(
-    demo, rows
-):
+def test_a_set_up_that_tells_little_is_poor_and_one_of_nothing_refused(demo, rows):
     assert grade(demo, path_of(demo, rows)).number > 5.0
     stood = Configurations(demo.axis_names, np.array(rows[:1], float), np.ones(1))
     assert grade(demo, stood).verdict == "poor"

@@ -65,7 +65,6 @@ def mill(*rotary):
 
 
 def believed(model):
-    """Errors of usual sizes in a model, all of them worth the same."""
     sizes = np.array([1e-5 if p.unit == "rad" else 1e-2 for p in model.parameters])
     return IntegratedVariance(np.diag(sizes**2), np.diag(sizes**-2.0))
 

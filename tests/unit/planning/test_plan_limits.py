@@ -68,9 +68,7 @@ ANY = {
 
 @given(**ANY)
 @settings(deadline=None, max_examples=5)
-def test_every_plan_passes_an_independent_checker_or_is_refused(
-    planner, mill, workspace, kind, seed, feed
-):
+def test_each_plan_passes_or_is_refused(planner, mill, workspace, kind, seed, feed):
     assert_within_limits(planner, mill, workspace, kind, seed, feed)
 
 
@@ -78,17 +76,13 @@ def test_every_plan_passes_an_independent_checker_or_is_refused(
 @pytest.mark.timeout(900)
 @given(**ANY)
 @settings(deadline=None, max_examples=200)
-def test_two_hundred_plans_pass_an_independent_checker_or_are_refused(
-    planner, mill, workspace, kind, seed, feed
-):
+def test_two_hundred_pass_or_are_refused(planner, mill, workspace, kind, seed, feed):
     assert_within_limits(planner, mill, workspace, kind, seed, feed)
 
 
 @given(workspace=workspaces(), data=st.data())
 @settings(deadline=None, max_examples=100)
-def test_what_the_workspace_allows_the_checker_finds_nothing_wrong_with(
-    mill, workspace, data
-):
+def test_what_a_workspace_allows_the_checker_allows(mill, workspace, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))
     begin, end = (rng.uniform(LOW, HIGH, (4, 3)) for _ in range(2))
     allowed = workspace.allows(mill, begin, end)
@@ -123,9 +117,7 @@ DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
         ),
     ],
 )
-def test_a_line_that_must_not_be_is_refused_with_row_and_reason(
-    mill, planner, workspace, reason
-):
+def test_a_forbidden_line_is_named_by_row_and_reason(mill, planner, workspace, reason):
     plan = planner(mill).plan(20.0)
     bad = type(plan)(plan.axes, DIAGONAL, plan.feed_mm_min[:2], plan.dwell_s[:2])
     with pytest.raises(PlanningError, match=f"the way to row 2 .*{reason}"):

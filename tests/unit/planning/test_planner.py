@@ -34,9 +34,7 @@ def points(planner, mill):
     return planner(mill, "points").plan(60.0)
 
 
-def test_a_path_uses_its_budget_in_lines_that_are_long_enough_and_ends_elsewhere(
-    lines, planner, mill
-):
+def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(lines, planner, mill):
     assert 75.0 < row_times_s(lines).sum() <= 90.0
     away = np.linalg.norm(lines.position[-1] - lines.position[0])
     made = planner(mill)
@@ -47,9 +45,7 @@ def test_a_path_uses_its_budget_in_lines_that_are_long_enough_and_ends_elsewhere
     assert seconds.min() > 0.2
 
 
-def test_the_default_path_leaves_little_more_than_a_plan_of_the_same_time(
-    planner, mill
-):
+def test_the_default_path_leaves_little_more_than_a_plan_of_its_time(planner, mill):
     usual = default_path(mill, 6000.0)
     made = planner(mill)
     best = made.plan(float(row_times_s(usual).sum()))
@@ -74,7 +70,7 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
 
 
 def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mill):
-    made = planner(mill, perpendicular_only=True)
+    made = planner(mill, across=True)
     corners = corner_path(mill, 6000.0, 0.4)
     planned = made.plan(float(row_times_s(corners).sum()))
     assert left_mm(made, planned) <= 0.55 * left_mm(made, corners)
@@ -119,9 +115,7 @@ def test_a_louder_tracker_is_planned_for_with_a_new_design(planner, mill):
     assert left_mm(loud, plan) > 1.5 * left_mm(made, plan)
 
 
-def test_points_keep_to_their_budget_and_tell_more_than_random_ones(
-    points, planner, mill, rng
-):
+def test_points_keep_their_budget_and_tell_more_than_random(points, planner, mill, rng):
     made = planner(mill, "points")
     drive = made.design.drive
     feed = np.full(len(points), 6000.0)

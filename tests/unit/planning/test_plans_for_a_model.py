@@ -37,7 +37,7 @@ SIGMA = np.array([0.003, 1e-4, 0.02])
 
 
 @pytest.fixture(scope="module")
-def model() -> PriorModel:
+def model():
     sag = {"axis": "X", "by": "Y", "direction": "Z"}
     kinds = (BacklashFamily, {"axis": "X"}), (ServoMismatchFamily, {"axis": "X"})
     kinds += ((ElasticSagFamily, sag),)
@@ -60,9 +60,7 @@ def planned(model):
 
 
 @pytest.mark.long
-def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
-    planned, model
-):
+def test_lines_tell_the_effects_better_than_lines_planned_without_them(planned, model):
     known = model.select_effects(MACHINE)
     assumed = Assumptions(known)
 
@@ -94,9 +92,7 @@ def test_what_is_foretold_is_what_the_measurement_then_states(planned, model):
     assert (np.abs(found.theta[part] - true) < 3.0 * stated).all()
 
 
-def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
-    planned, model
-):
+def test_a_plan_of_lines_or_points_states_effects_before_and_after(planned, model):
     document = plan_document(planned[True])
     assert document["model"]["source"] == "model.json"
     lost, lag, sag = document["predicted"]["effects"]
@@ -106,10 +102,8 @@ def test_the_plan_of_lines_or_points_states_the_effects_before_and_after(
     assert after["uncertainty"] < 0.5 * before["uncertainty"]
     assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
     assert plan_document(planned[False])["model"] is None
-    points = make_plan(
-        MACHINE, PlanRequirements("standstill", minutes=0.4, model=model)
-    )
-    (of_points, *_) = plan_document(points)["predicted"]["effects"]
+    stops = make_plan(MACHINE, PlanRequirements("standstill", minutes=0.4, model=model))
+    (of_points, *_) = plan_document(stops)["predicted"]["effects"]
     for one in (lost, of_points):
         width_um = (one[key]["width_um"] for key in ("parameters", "known_before"))
         assert next(width_um)["uncertainty"] < next(width_um)["uncertainty"]

@@ -41,7 +41,6 @@ from truepath_drivers.interfaces.records import (
 from truepath_drivers.interfaces.tracker_records import Light
 
 LIGHT = Light(633.0, is_group=False)
-BY_INSTRUMENT = Refraction("instrument")
 BY_NOBODY = Refraction("nobody", why="no pressure")
 
 
@@ -109,10 +108,15 @@ def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtf
     assert "271.37" in describe_refraction(done)
     assert "NOT" in describe_refraction(Refraction("nobody", LIGHT, why="no pressure"))
     assert "not known" in describe_refraction(Refraction())
-    assert range_scale_uncertainty_ppm(Refraction())[0] > 0.4
-    assert (
-        assess_air([Refraction(), Refraction("instrument")], ["a", "b"]).reasons == ()
-    )
+    air_ppm = range_scale_uncertainty_ppm(Refraction())[0]
+    assert air_ppm > 0.4
+    # The tracker shares the uncertainty of all lengths with the air.
+    assert state_length_ppm(Refraction(), 0.0) == pytest.approx(air_ppm)
+    both = state_length_ppm(Refraction("instrument"), 0.5)
+    assert both == pytest.approx(np.hypot(air_ppm, 0.5))
+    assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0
+    known = [Refraction(), Refraction("instrument")]
+    assert assess_air(known, ["a", "b"]).reasons == ()
     (reason,) = assess_air([BY_NOBODY], ["a"]).reasons
     assert (reason.state, reason.run) == ("doubtful", "")
     assert "no pressure" in str(reason)
@@ -159,23 +163,12 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_meas
     assert reason.values["within_um"] == pytest.approx(2.0 * stated_ppm)
 
 
-def test_air_and_tracker_share_the_uncertainty_of_all_lengths():
-    air_ppm = range_scale_uncertainty_ppm(Refraction())[0]
-    assert state_length_ppm(Refraction(), 0.0) == pytest.approx(air_ppm)
-    both = state_length_ppm(Refraction("instrument"), 0.5)
-    assert both == pytest.approx(np.hypot(air_ppm, 0.5))
-    assert state_length_ppm(Refraction("nobody"), 0.5) > 250.0
-
-
-@pytest.fixture
-def told(estimate, provenance):
-    """Findings of ranges that the instrument has corrected, and of those nobody has."""
+def test_ranges_that_nobody_corrects_decide_no_tolerance_and_leave_the_scale_open(
+    estimate, provenance
+):
     (run,) = provenance.runs
-    runs = (replace(run, refraction=by) for by in (BY_INSTRUMENT, BY_NOBODY))
-    return [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
-
-
-def test_ranges_that_nobody_corrects_decide_no_tolerance(told):
+    runs = (replace(run, refraction=by) for by in (Refraction("instrument"), BY_NOBODY))
+    told = [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
     corrected, open_air = (one.volumetric.before.mean for one in told)
     for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
         decided = [
@@ -184,9 +177,7 @@ def test_ranges_that_nobody_corrects_decide_no_tolerance(told):
         ]
         assert decided[0] is not Conformity.UNDECIDED
         assert decided[1] is Conformity.UNDECIDED
-
-
-def test_the_far_end_of_a_positioning_table_knows_the_scale_of_the_air(told):
+    # The far end of a positioning table knows the scale of the air.
     known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]

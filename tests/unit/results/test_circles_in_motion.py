@@ -159,12 +159,6 @@ def test_a_circle_that_was_driven_again_whole_is_not_missing(
     assert "H" in first.measured.value_um
 
 
-def _noise():
-    time_s = 0.16 * np.arange(figures.SECTORS)
-    shared = correlate_means(time_s, np.full(figures.SECTORS, 0.16), 0.6)
-    return 1e-6 * (0.25 * np.eye(figures.SECTORS) + 0.36 * shared)
-
-
 @pytest.mark.parametrize(
     ("there_um", "back_um"),
     [
@@ -184,7 +178,9 @@ def _noise():
 def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
     true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
     exact = figures.compute_figures({name: one[:, None] for name, one in true.items()})
-    covariance = _noise()
+    time_s = 0.16 * np.arange(figures.SECTORS)
+    shared = correlate_means(time_s, np.full(figures.SECTORS, 0.16), 0.6)
+    covariance = 1e-6 * (0.25 * np.eye(figures.SECTORS) + 0.36 * shared)
     factor = np.linalg.cholesky(covariance)
     inside, trials = 0, 12
     for _ in range(trials):
@@ -199,47 +195,32 @@ def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
     assert inside >= 0.92 * trials * len(figures.FIGURES)
 
 
-def reduced(demo, places_mm, duration_s, turn_deg, radius_mm):
-    """What comes of a circle about the origin that was driven without noise."""
-    about = "XY", np.zeros(3), np.eye(2, 3)
-    commanded = figures.CommandedCircle(*about, radius_mm, 0.0, turn_deg, 3000.0)
-    time_s = np.arange(0.0, duration_s, 2e-3)
-    points = np.column_stack([places_mm(time_s / time_s[-1]), np.zeros(len(time_s))])
-    pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
-    noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
-    arc = ArcDrive(2, 0, len(time_s))
-    stream = time_s, pose.apply(points)
-    return figures.reduce_to_sectors(commanded, arc, *stream, pose, noise, demo.tracker)
-
-
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_circle_driven_in_the_other_sense_tells_nothing(demo, sense):
-    def drive_round(share):
-        turned = sense * np.radians(732.0) * share
-        return 50.0 * np.column_stack([np.cos(turned), np.sin(turned)])
-
-    driven = reduced(demo, drive_round, 12.0, 732.0, 50.0)
-    assert (driven is not None) == (sense > 0.0)
-
-
-def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0)):
-    """Return the sectors of a circle driven without noise, by its radius at an angle.
+def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0), commanded_deg=None):
+    """Return the sectors of a circle driven without noise, or None if none are told.
 
     radial_mm : radius less the commanded one by the angle, rad; it grows by 50 µm over
         run-in and run-out, so that these would be seen
+    commanded_deg : turn_deg if it is not given
     """
+    time_s = np.arange(0.0, 24.0, 2e-3)
+    turned = np.radians(turn_deg) * time_s / time_s[-1]
+    radius = 100.0 + radial_mm(turned)
+    out = np.abs(np.degrees(turned - 0.5 * np.radians(turn_deg))) > 180.5
+    radius[out] += 0.05
+    points = radius * [np.cos(turned), np.sin(turned), 0.0 * turned]
+    points += np.array([[*centre_mm, 0.0]]).T
+    about = "XY", np.zeros(3), np.eye(2, 3), 100.0, 0.0, commanded_deg or turn_deg
+    pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
+    noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
+    stream = ArcDrive(2, 0, len(time_s)), time_s, pose.apply(points.T)
+    driven = figures.reduce_to_sectors(
+        figures.CommandedCircle(*about, 3000.0), *stream, pose, noise, demo.tracker
+    )
+    return driven and driven.radial_mm
 
-    def drive_round(share):
-        turned = np.radians(turn_deg) * share
-        radius = 100.0 + radial_mm(turned)
-        out = np.abs(np.degrees(turned - 0.5 * np.radians(turn_deg))) > 180.5
-        radius[out] += 0.05
-        round_it = np.column_stack([np.cos(turned), np.sin(turned)])
-        return radius[:, None] * round_it + centre_mm
 
-    driven = reduced(demo, drive_round, 24.0, turn_deg, 100.0)
-    assert driven is not None
-    return driven.radial_mm
+def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
+    assert turn(demo, lambda t: 0.0 * t, commanded_deg=-732.0) is None
 
 
 @pytest.mark.parametrize("turn_deg", [732.0, -732.0])

@@ -148,7 +148,6 @@ def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
     assert within < most_um
 
 
-KNOCK_MM = np.array([0.012, -0.008, 0.014])
 SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
 
 
@@ -161,20 +160,6 @@ def made():
     """A trunnion at standstills, one target after the other."""
     program = turning_points(parse_machine(CONTENT), 5, 96, dwell_s=0.4)
     return synthetic.record(CONTENT, program, 5, "standstill")
-
-
-@pytest.fixture(scope="module")
-def made_again(made):
-    """The same with the first target at the end as well, at its first points."""
-    program = made.program
-    own = program.target.index("T2") // 2
-    position = np.vstack([program.position[:-4], program.position[:4]])
-    target = program.target[own:] + program.target[:own]
-    order = replace(program, position=position, target=target)
-    seated = copy.deepcopy(CONTENT)
-    w1 = seated["targets"]["W1"]
-    w1["offset_mm"] = (np.array(w1["offset_mm"]) + SEAT_MM).tolist()
-    return replace(synthetic.record(seated, order, 5, "standstill"), content=CONTENT)
 
 
 @pytest.fixture(scope="module")
@@ -205,15 +190,23 @@ def test_a_run_that_ends_without_its_first_target_says_that_a_knock_would_not_sh
 
 
 @pytest.mark.long
-def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
-    made_again, run_of
-):
-    """Targets sit where they are found on both sides of it."""
+def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(made, run_of):
+    """It is at the end as well, at its first points; all sit where they are found."""
+    program = made.program
+    own = program.target.index("T2") // 2
+    position = np.vstack([program.position[:-4], program.position[:4]])
+    target = program.target[own:] + program.target[:own]
+    order = replace(program, position=position, target=target)
+    seated = copy.deepcopy(CONTENT)
+    w1 = seated["targets"]["W1"]
+    w1["offset_mm"] = (np.array(w1["offset_mm"]) + SEAT_MM).tolist()
+    recorded = synthetic.record(seated, order, 5, "standstill")
+    made_again = replace(recorded, content=CONTENT)
     first = made_again.program.target.index("W1")
     knock_s = made_again.time_s[made_again.row >= first][0]
     run = run_of(made_again)
     late = (run.tracker.device_time_s >= knock_s)[:, None]
-    knocked = analyse(shift(run, late * KNOCK_MM))
+    knocked = analyse(shift(run, late * [0.012, -0.008, 0.014]))
     (knock,) = knocked.knocks
     assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
     every = [seat for part in knocked.runs for seat in part.estimate.seats]

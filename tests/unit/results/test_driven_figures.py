@@ -85,7 +85,7 @@ def test_both_senses_of_a_circle_stay_one_circle_whatever_its_centre(mill, rng):
     position[len(out) // 2 :] += 1e-5  # rows of a plan are rounded
     position[: len(out) // 2] -= 1e-5
     (found,) = evaluate(mill, position, np.zeros_like(out), rng).circles
-    assert len(found.angle_deg) == len(out)
+    assert (found.plane, len(found.angle_deg)) == ("XY", len(out))
 
 
 def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mill, rng):
@@ -140,31 +140,22 @@ def circle_in_both_senses():
     return out, np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
 
 
-def test_a_circle_of_an_axis_too_long_is_an_ellipse(mill, rng):
-    out, position = circle_in_both_senses()
-    deviation = np.zeros_like(position)
-    deviation[:, 0] = 4e-3 * out[:, 0]  # X 40 µm a metre too long
-    found = evaluate(mill, position, deviation, rng)
-    (circle,) = found.circles
-    assert found.lines == ()
-    assert circle.plane == "XY"
-    assert circle.radius_mm == pytest.approx(100.0, abs=1e-3)
-    assert circle.figures_um["G"] == pytest.approx(4.0, abs=0.05)
-    assert circle.figures_um["F_max"] == pytest.approx(4.0, abs=0.01)
-    assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
-
-
-def test_circles_of_one_size_in_two_planes_are_two_circles(mill, rng):
+def test_circles_of_one_size_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(
+    mill, rng
+):
     out, _ = circle_in_both_senses()
     in_xz, in_yz = out[:, [0, 2, 1]], out[:, [2, 0, 1]]
     position = np.array([200.0, 200.0, -150.0]) + 100.0 * np.vstack([in_xz, in_yz])
     deviation = np.zeros_like(position)
     deviation[: len(out), 0] = 4e-3 * in_xz[:, 0]  # X is too long as XZ is driven
-    found = evaluate(mill, np.round(position, 4), deviation, rng).circles
-    assert [one.plane for one in found] == ["XZ", "YZ"]
-    assert [len(one.angle_deg) for one in found] == [len(out), len(out)]
-    assert found[0].figures_um["G"] == pytest.approx(4.0, abs=0.05)
-    assert found[1].figures_um["G"] == pytest.approx(0.0, abs=0.05)
+    found = evaluate(mill, np.round(position, 4), deviation, rng)
+    assert found.lines == ()
+    for circle, plane, long_um in zip(found.circles, ("XZ", "YZ"), (4, 0), strict=True):
+        assert (circle.plane, len(circle.angle_deg)) == (plane, len(out))
+        assert circle.radius_mm == pytest.approx(100.0, abs=1e-3)
+        assert circle.figures_um["G"] == pytest.approx(long_um, abs=0.05)
+        assert circle.figures_um["F_max"] == pytest.approx(long_um, abs=0.01)
+        assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
 SHAPES_UM = {  # radial, by the outward direction of a place and its sense

@@ -1,4 +1,4 @@
-"""The map from a result: what it must not depend on, and how sure it is; by files."""
+"""The map from a result: what it must not depend on, how sure it is, its figures."""
 
 import csv
 import io
@@ -7,19 +7,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from results_fixtures import THREE_TARGETS, as_loaded
 from truepath.answers.calibration.points_csv import encode_predictions, read_points
+from truepath.compensation.account.residual_error import compute_residual_error
+from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.unmeasured_range import find_measured_ranges
 from truepath.errors import BundleError
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects.backlash import make_half_width
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results import prediction
+from truepath.results.error_tables import compute_half_differences
 from truepath.results.prediction import Prediction, predict
+from truepath.results.result_assessment import assess_gain
+from truepath.results.volumetric_error import (
+    compute_both_directions,
+    compute_volumetric_error,
+)
 
 
-@pytest.fixture
 def free_gauge(loaded):
-    """The same machine with splines that no gauge holds, and θ to match."""
+    """Return a machine with splines that no gauge holds, and θ to match."""
     model = loaded.model
     effects, theta = [], []
     for effect in model.effects:
@@ -52,21 +62,21 @@ def rigid_motion(model, shift_mm, turn_rad):
 
 
 def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
-    free_gauge, travel_points, rng
+    loaded, travel_points, rng
 ):
     # So small that motions add up.
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
-    moved_by = rigid_motion(free_gauge.model, shift_mm, turn_rad)
-    at = make_standstill(free_gauge.machine, travel_points)
-    assert np.abs(free_gauge.model.jacobian(at) @ moved_by).max() > 0.5e-3
-    plain = predict(free_gauge, travel_points)
-    elsewhere = replace(free_gauge, theta=free_gauge.theta + moved_by)
-    moved = predict(elsewhere, travel_points)
+    free = free_gauge(loaded)
+    moved_by = rigid_motion(free.model, shift_mm, turn_rad)
+    at = make_standstill(free.machine, travel_points)
+    assert np.abs(free.model.jacobian(at) @ moved_by).max() > 0.5e-3
+    plain = predict(free, travel_points)
+    moved = predict(replace(free, theta=free.theta + moved_by), travel_points)
     assert moved.error_um == pytest.approx(plain.error_um, abs=1e-6)
-    blind = [rigid_motion(free_gauge.model, e, 0 * e) for e in np.eye(3)]
-    blind += [rigid_motion(free_gauge.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
+    blind = [rigid_motion(free.model, e, 0 * e) for e in np.eye(3)]
+    blind += [rigid_motion(free.model, 0 * e, 1e-3 * e) for e in np.eye(3)]
     covariance = np.sum([np.outer(b, b) for b in blind], axis=0)
-    predicted = predict(replace(free_gauge, covariance=covariance), travel_points)
+    predicted = predict(replace(free, covariance=covariance), travel_points)
     assert predicted.uncertainty_um.max() < 1e-3
 
 
@@ -84,8 +94,8 @@ def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
     assert turn < 1e-3 * largest * np.abs(arm).max()
 
 
-def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
-    loaded, travel_points, rng
+def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance_in_any_blocks(
+    loaded, travel_points, rng, monkeypatch
 ):
     at = make_standstill(loaded.machine, travel_points)
     J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
@@ -96,16 +106,10 @@ def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
     assert predicted.uncertainty_um == pytest.approx(spread, rel=0.06)
     assert predicted.error_um == pytest.approx(J @ loaded.theta)
     assert predicted.warnings == ()
-
-
-def test_predictions_do_not_depend_on_the_size_of_the_blocks(
-    loaded, travel_points, monkeypatch
-):
-    whole = predict(loaded, travel_points)
     monkeypatch.setattr(prediction, "_BLOCK", 7)
     cut = predict(loaded, travel_points)
-    assert cut.error_um == pytest.approx(whole.error_um, abs=1e-12)
-    assert cut.uncertainty_um == pytest.approx(whole.uncertainty_um, abs=1e-12)
+    assert cut.error_um == pytest.approx(predicted.error_um, abs=1e-12)
+    assert cut.uncertainty_um == pytest.approx(predicted.uncertainty_um, abs=1e-12)
 
 
 def test_beyond_the_travel_errors_go_on_straight_and_the_user_is_told(loaded):
@@ -120,8 +124,8 @@ def test_beyond_the_travel_errors_go_on_straight_and_the_user_is_told(loaded):
     assert told.startswith("3 of 4 points lie beyond the travel (X -200 to 300, Y")
 
 
-def test_each_point_is_predicted_for_its_target(construct, load, three_targets, rng):
-    result = load(construct(three_targets))
+def test_each_point_is_predicted_for_its_target(construct, rng):
+    result = as_loaded(construct(THREE_TARGETS))
     points = rng.uniform([-200, 10, 0], [300, 400, 310], (9, 3))
     names = ("short", "long", "aside") * 3
     mixed = predict(result, points, names)
@@ -142,14 +146,9 @@ def test_each_point_is_predicted_for_its_target(construct, load, three_targets, 
 HEADER = "x_mm,y_mm,z_mm"
 
 
-@pytest.fixture
-def machine(loaded):
-    return loaded.machine
-
-
-def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
+def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
     asked = f'{HEADER},label\n10.50,20,30,first\n-1e2,4e+01,0.5,"a, b"\n'
-    points = read_points(asked.encode(), machine)
+    points = read_points(asked.encode(), loaded.machine)
     predicted = predict(loaded, points.position)
     rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
     assert rows[0] == [
@@ -163,11 +162,11 @@ def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
     assert numbers == pytest.approx(expected, abs=1e-5)
 
 
-def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded, machine):
-    points = read_points(b"z_mm,note,x_mm,y_mm\n3,n,1,20\n", machine)
+def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded):
+    points = read_points(b"z_mm,note,x_mm,y_mm\n3,n,1,20\n", loaded.machine)
     assert points.position.tolist() == [[1.0, 20.0, 3.0]]
     once = encode_predictions(points, predict(loaded, points.position))
-    again = read_points(once.encode(), machine)
+    again = read_points(once.encode(), loaded.machine)
     assert encode_predictions(again, predict(loaded, again.position)) == once
     nothing = Prediction(np.full((1, 3), -1e-9), np.zeros((1, 3)), ())
     assert "-0.00000" not in encode_predictions(points, nothing)
@@ -188,20 +187,126 @@ def test_an_answer_can_be_asked_again_and_columns_stand_in_any_order(loaded, mac
         (f"{HEADER},x_mm\n1,20,3,4\n", "column x_mm: appears more than once"),
     ],
 )
-def test_bad_points_are_one_clear_error(machine, text, said):
+def test_bad_points_are_one_clear_error(loaded, text, said):
     with pytest.raises(BundleError) as caught:
-        read_points(text.encode(), machine, file="p.csv")
+        read_points(text.encode(), loaded.machine, file="p.csv")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_point_may_name_its_target(machine, construct, three_targets):
+def test_a_point_may_name_its_target(loaded, construct):
     asked = f"{HEADER},target\n1,20,3,"
-    of_three = construct(three_targets).model.machine
+    of_three = construct(THREE_TARGETS).model.machine
     assert read_points(f"{asked}long\n".encode(), of_three).target == ("long",)
     with pytest.raises(BundleError, match=r"row 2, column target: is 'T9', unknown"):
         read_points(f"{asked}T9\n".encode(), of_three)
     # A machine without named targets passes the column on.
-    points = read_points(f"{asked}T9\n".encode(), machine)
+    points = read_points(f"{asked}T9\n".encode(), loaded.machine)
     assert points.target == ()
     assert "target" in points.table.names
+
+
+HALF_MM, SIGMA_MM = 0.015, 2e-4
+
+
+@pytest.fixture(scope="module")
+def seen(estimate):
+    return compute_volumetric_error(estimate)
+
+
+def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave_open(
+    estimate, seen, loaded
+):
+    axes = estimate.model.machine.linear_axes
+    assert len(seen.position_mm) == 729
+    assert seen.position_mm.min(axis=0).tolist() == [a.low for a in axes]
+    assert seen.position_mm.max(axis=0).tolist() == [a.high for a in axes]
+    predicted = predict(loaded, seen.position_mm)
+    assert seen.error_um == pytest.approx(predicted.error_um)
+    assert seen.uncertainty_um == pytest.approx(predicted.uncertainty_um)
+    length = np.linalg.norm(seen.error_um, axis=1)
+    assert seen.before.mean.value_um == pytest.approx(length.mean())
+    assert seen.before.p95.value_um == pytest.approx(np.quantile(length, 0.95))
+    assert seen.before.largest.value_um == pytest.approx(length.max())
+    # After: the mean square length is the mean trace of the covariance at the points.
+    expected = np.mean(np.sum(seen.uncertainty_um**2, axis=1))
+    quantiles = seen.after_lengths_um
+    middle = 0.5 * (quantiles[1:] + quantiles[:-1])
+    assert np.mean(middle**2) == pytest.approx(expected, rel=0.1)
+    assert (np.diff(quantiles) >= 0).all()
+    after = seen.after
+    assert after.mean.value_um < after.p95.value_um < after.largest.value_um
+    halved, certain = (
+        compute_volumetric_error(replace(estimate, covariance=k * estimate.covariance))
+        for k in (0.25, 0.0)
+    )
+    assert halved.after.mean.value_um == pytest.approx(after.mean.value_um / 2)
+    assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)
+    assert certain.after.largest.value_um == 0.0
+    assert certain.before.mean.uncertainty_um == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
+    estimate,
+):
+    ppm, certain = 40.0, replace(estimate, covariance=1e-6 * estimate.covariance)
+    scaled = certain.widen_by_scale(1e-6 * ppm)
+    stated = compute_volumetric_error(scaled, ppm).before.mean
+    place = compute_volumetric_error(certain)
+    without = place.before.mean
+    low, high = np.array([(a.low, a.high) for a in estimate.model.machine.axes]).T
+    away_mm = place.position_mm - (low + high) / 2.0
+    scale = 1e-3 * ppm * np.random.default_rng(4).standard_normal(2000)
+    drawn = (place.error_um + one * away_mm for one in scale)
+    true = [np.linalg.norm(one, axis=1).mean() for one in drawn]
+    off = np.abs(np.array(true) - stated.value_um)
+    assert np.mean(off <= 2.0 * stated.uncertainty_um) >= 0.94
+    assert np.mean(off <= 2.0 * without.uncertainty_um) < 0.1
+    assert stated.value_um == without.value_um
+    # Nothing but the scale is unknown: the farthest corner is off by 1 ppm of its way.
+    surest = replace(estimate, covariance=1e-12 * estimate.covariance)
+    left = compute_volumetric_error(surest.widen_by_scale(1e-6), 1.0).after.largest
+    corner_um = 1e-3 * np.linalg.norm(high - low) / 2.0
+    most_um = left.value_um + 2.0 * left.uncertainty_um
+    assert most_um == pytest.approx(2.0 * corner_um, rel=0.1)
+    assert left.scale_uncertainty_um == pytest.approx(left.uncertainty_um, rel=0.1)
+
+
+def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
+    estimate, seen, loaded
+):
+    """The mean of both directions does not see it: squares of both add up."""
+    assert compute_both_directions(estimate) is None
+    effect = make_half_width("EXX", estimate.model.machine.linear("X"))
+    covariance = np.pad(estimate.covariance, (0, 1))
+    covariance[-1, -1] = SIGMA_MM**2
+    model, theta = estimate.model.with_effects(effect), [*estimate.theta, HALF_MM]
+    losing = replace(
+        estimate, model=model, theta=np.array(theta), covariance=covariance
+    )
+    mean = compute_volumetric_error(losing).before.mean.value_um
+    assert mean == pytest.approx(seen.before.mean.value_um)
+    both = compute_both_directions(losing)
+    assert both.mean.value_um > max(mean, 1e3 * HALF_MM)
+    assert both.mean.value_um == pytest.approx(np.hypot(mean, 1e3 * HALF_MM), rel=0.1)
+    (half,) = compute_half_differences(losing)
+    result = replace(loaded, half_difference_um={"X": (half.position_mm, half.value)})
+    measured = find_measured_ranges(result.machine, {}, None)
+    account = compute_residual_error(map_errors(result), measured).summarise_map()
+    expanded = 2.0 * both.mean.uncertainty_um
+    assert both.mean.value_um == pytest.approx(account["mean"], abs=expanded)
+    assert both.largest.value_um == pytest.approx(account["largest"], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("share", "state"),
+    [(0.1, "usable"), (0.4, "doubtful"), (0.7, "doubtful"), (1.2, "not-usable")],
+)
+def test_a_result_that_would_hardly_make_the_machine_better_says_so(seen, share, state):
+    left_um = share * seen.before.mean.value_um
+    mean = replace(seen.after.mean, value_um=left_um)
+    verdict = assess_gain(replace(seen, after=replace(seen.after, mean=mean)))
+    assert verdict.state == state
+    assert [reason.kind for reason in verdict.reasons] == (
+        [] if state == "usable" else ["little-gained"]
+    )

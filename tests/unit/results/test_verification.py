@@ -239,7 +239,9 @@ def test_a_verification_in_two_runs_says_what_the_whole_says(
     assert "of each Run" in content["gauge"]
 
 
-def test_a_compensated_machine_is_left_with_what_is_stated(calibrated, remeasured):
+def test_a_compensated_machine_is_left_with_what_is_stated_be_it_a_part(
+    calibrated, remeasured
+):
     run, _ = remeasured(105, truth=truth_with(-1.0, calibrated))
     left = leave(-1.0, calibrated)
     found = verify(calibrated, run, tolerance_um=8.0, correction=left)
@@ -247,31 +249,32 @@ def test_a_compensated_machine_is_left_with_what_is_stated(calibrated, remeasure
     assert found.consistency.is_consistent
     assert abs(found.scale.value) < 0.03
     assert found.statistics["measured"]["mean"].value_um < 1.5
-
-
-def test_a_compensation_of_the_wrong_sign_is_named(calibrated, remeasured):
-    run, _ = remeasured(106, truth=truth_with(1.0, calibrated))
-    found = verify(calibrated, run, correction=leave(-1.0, calibrated))
-    assert found.scale.value == pytest.approx(2.0, abs=0.03)
-    assert not found.consistency.is_consistent
-    assert any("wrong sign" in sentence for sentence in state_findings(found))
-    assert verification_json(found)["map_scale"]["cause"] == "wrong-sign"
-    hopeless = replace(found, consistency=replace(found.consistency, repeated=0.0))
-    assert not any("look at tracker" in said for said in state_findings(hopeless))
-
-
-def test_a_compensation_that_is_not_active_is_named_and_one_of_a_part_is_not(
-    calibrated, remeasured
-):
-    found = verify(calibrated, remeasured(101)[0], correction=leave(-1.0, calibrated))
-    assert any("is not active" in sentence for sentence in state_findings(found))
-    assert verification_json(found)["map_scale"]["cause"] == "not-active"
     run, _ = remeasured(105, truth=truth_with(-0.15, calibrated))
     found = verify(calibrated, run, correction=leave(-0.15, calibrated))
     assert found.consistency.is_consistent
     assert found.scale.value == pytest.approx(0.85, abs=0.03)
     assert found.scale.expected == pytest.approx(0.85, abs=0.001)
     assert found.scale.cause is None
+
+
+@pytest.mark.parametrize(
+    ("seed", "sign", "scale", "cause", "words"),
+    [
+        (106, 1.0, 2.0, "wrong-sign", "wrong sign"),
+        (101, None, 1.0, "not-active", "is not active"),
+    ],
+)
+def test_a_compensation_of_the_wrong_sign_or_that_is_not_active_is_named(
+    calibrated, remeasured, seed, sign, scale, cause, words
+):
+    run, _ = remeasured(seed, truth=sign and truth_with(sign, calibrated))
+    found = verify(calibrated, run, correction=leave(-1.0, calibrated))
+    assert found.scale.value == pytest.approx(scale, abs=0.03)
+    assert not found.consistency.is_consistent
+    assert any(words in sentence for sentence in state_findings(found))
+    assert verification_json(found)["map_scale"]["cause"] == cause
+    hopeless = replace(found, consistency=replace(found.consistency, repeated=0.0))
+    assert not any("look at tracker" in said for said in state_findings(hopeless))
 
 
 def test_lost_motion_that_a_result_states_is_in_what_it_predicts(

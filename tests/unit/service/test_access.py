@@ -74,24 +74,21 @@ def bearer(token):
     return {"Authorization": f"Bearer {token}"}
 
 
-def list_routes():
-    app = create_application(pages=pages.router)
+def test_every_route_declares_its_least_role_and_what_does_not_is_closed():
+    app, routes = create_application(pages=pages.router), set()
     app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
-    found = set()
     for route in iter_route_contexts(app.routes):
         methods = set(route.methods or {"GET"}) - {"HEAD"}
         is_mount = not route.methods and not route.path.startswith("/api/")
         path = f"{route.path}/{{path:path}}" if is_mount else route.path
-        found |= {f"{method} {path}" for method in methods}
-    return found
-
-
-def test_every_route_declares_its_least_role_and_what_does_not_is_closed():
-    routes = list_routes()
+        routes |= {f"{method} {path}" for method in methods}
     assert routes - set(LEAST_ROLES) == set(), "declare them in route_roles.py"
     assert set(LEAST_ROLES) - routes == set(), "no such route any more"
     assert len(routes) > 50
     assert LEAST_ROLES[STOP] is ANYBODY
+    certificates = f"{API}/jobs/{{job_id}}/certificates"
+    assert LEAST_ROLES[f"POST {certificates}"] is Role.METROLOGIST
+    assert LEAST_ROLES[f"GET {certificates}"] is Role.VIEWER
     assert find_least_role("GET", find_route("GET", "/api/v1/new")) is Role.VIEWER
     unknown = find_route("POST", "/api/v1/new")
     assert find_least_role("POST", unknown) is Role.ADMINISTRATOR
@@ -165,6 +162,7 @@ def test_a_program_logs_in_for_a_token_and_a_browser_for_a_cookie_no_script_read
     assert client.get(f"{API}/session", headers=headers).json()["name"] is None
     opened = client.post(f"{API}/session", json={**body, "cookie": True})
     assert opened.json()["token"] is None
+    assert "max-age=" in opened.headers["Strict-Transport-Security"], "over TLS"
     cookie = opened.headers["set-cookie"].lower()
     assert cookie.startswith(f"{COOKIE}=tp_")
     for word in ("secure", "httponly", "samesite=strict", "path=/"):
@@ -220,17 +218,6 @@ def test_any_user_may_abort_even_while_no_session_can_be_read(
     assert client.post(path, headers=bearer(tokens[Role.VIEWER])).status_code == 202
 
 
-def test_stop_and_abort_have_no_rate(reached, access, tokens, monkeypatch):
-    monkeypatch.setattr(access, "_changes", RateLimit(2, 0.001))
-    headers = bearer(tokens[Role.OPERATOR])
-
-    def post(path):
-        return reached.post(API + path, headers=headers).status_code
-
-    assert [post("/plans") for _ in range(4)] == [200, 200, 429, 429]
-    assert [post("/stop"), post("/jobs/x/abort"), post("/stop")] == [200] * 3
-
-
 @pytest.mark.fault_row(33)
 def test_the_first_controller_keeps_control_until_another_takes_it(
     client, access, tokens, armed_by_hand, make_cell, is_problem
@@ -257,16 +244,15 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
     assert refused["controller"] == "operator"
     assert "operator" in refused["detail"]
     assert "resume" not in make_cell.cell.heard
-    taken = client.post(f"{path}/take-control", headers=berta)
-    assert taken.status_code == 202
+    assert client.post(f"{path}/take-control", headers=berta).status_code == 202
     assert find_control() == "berta"
     is_problem(resume(anna), 409, "not-in-control")
     assert resume(berta).status_code == 202
+    assert client.post(f"{path}/abort", headers=anna).status_code == 202
     administrator = bearer(tokens[Role.ADMINISTRATOR])
     kept = client.get(f"{API}/audit", headers=administrator).json()["items"]
     took = next(row for row in kept if row["what"].endswith("/take-control"))
     assert (took["who"], took["old"]) == ("berta", {"controller": "operator"})
-    assert client.post(f"{path}/abort", headers=anna).status_code == 202
 
 
 def test_a_stop_says_what_the_controller_says_once_it_was_read_after_it(
@@ -359,14 +345,22 @@ def test_a_job_has_its_owner_and_the_audit_log_what_was_done_and_refused(
     assert [row["seq"] for row in page["items"] + more["items"]] == [5, 4, 3, 2, 1]
 
 
-def test_an_answer_does_not_wait_for_an_audit_log_that_cannot_be_written(
+def test_stop_and_abort_have_no_rate_and_no_answer_waits_for_the_audit_log(
     reached, access, tokens, monkeypatch
 ):
+    """The log cannot be written."""
     patience = "truepath.service.api.security.access_control.AUDIT_PATIENCE_S"
     monkeypatch.setattr(patience, 0.05)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
+    monkeypatch.setattr(access, "_changes", RateLimit(2, 0.001))
     headers = bearer(tokens[Role.OPERATOR])
-    assert reached.post(f"{API}/plans", headers=headers).status_code == 200
+    for path, answers in (
+        ("/plans", [200, 200, 429, 429]),
+        ("/stop", [200, 200]),
+        ("/jobs/x/abort", [200]),
+    ):
+        for status in answers:
+            assert reached.post(API + path, headers=headers).status_code == status
 
 
 def test_where_nobody_logs_in_whoever_comes_may_everything(service, order):

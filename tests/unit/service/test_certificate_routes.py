@@ -9,10 +9,7 @@ import pytest
 from api_builders import edited, set_verdict
 from truepath.answers.certificate import kept_certificates
 from truepath.catalogue.job import Job, JobKind
-from truepath.service.api.models.base import PREFIX
 from truepath.service.api.routes import certificates
-from truepath.service.api.security.route_roles import LEAST_ROLES
-from truepath.users.roles import Role
 
 HEADER = "error,position_mm,direction,value,unit\n"
 
@@ -111,12 +108,6 @@ def test_the_files_of_a_verification_are_stated_without_being_named_again(
     shutil.rmtree(service.results / with_result / "compensations")
     page = client.get(client.post(place, json=order).json()["links"]["html"]).text
     assert "these files of the format json active" in page
-
-
-def test_metrologists_issue_and_everybody_reads():
-    route = f"{PREFIX}/jobs/{{job_id}}/certificates"
-    assert LEAST_ROLES[f"POST {route}"] is Role.METROLOGIST
-    assert LEAST_ROLES[f"GET {route}"] is Role.VIEWER
 
 
 def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(

@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from unittest.mock import Mock
 
 import pytest
 
@@ -141,66 +142,53 @@ def test_a_compensation_that_was_loaded_is_no_change_of_the_machine(analysed, tm
     assert "compensation of the control was another" in found["text"][0]
 
 
-class Control:
-    """A control that keeps what it is given, or refuses it."""
-
-    def __init__(self):
-        self.given, self.rules, self.refusal = [], {}, ""
-
-    def load_compensation(self, compensation, rules=None):
-        if self.refusal:
-            raise ValueError(self.refusal)
-        self.given, self.rules = [place.name for place in compensation], rules
-
-
-@pytest.fixture
-def name_files(client, with_result, place):
-    """Make files of a result; return what names them."""
-
-    def make(**order):
+def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away(
+    client, service, with_result, place, is_problem, until
+):
+    def name_files(**order):
         made = client.post(place, json=order).json()["id"]
         return {"job_id": with_result, "compensation_id": made}
 
-    return make
-
-
-def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away(
-    client, service, name_files, is_problem, until
-):
     asked = name_files(format="linuxcnc")
     assert client.get(TABLES).json()["simulated"] is False
     for answer in (client.put(TABLES, json=asked), client.delete(TABLES)):
         is_problem(answer, 409, "not-simulated")
-    control = Control()
-    service.setup.simulated_controls = SimulatedControls({"default": control})
+    load = Mock(side_effect=ValueError("the axes move"))
+    controls = {"default": Mock(load_compensation=load)}
+    service.setup.simulated_controls = SimulatedControls(controls)
+
+    def read_given():
+        places, rules = load.call_args.args
+        return [place.name for place in places], rules
+
     wrong = {**asked, "compensation_id": "none"}
     is_problem(client.put(TABLES, json=wrong), 404, "not-found")
     is_problem(client.put(TABLES, json={"job_id": "any"}), 422, "validation")
     elsewhere = TABLES.replace("default", "other")
     is_problem(client.put(elsewhere, json=asked), 404, "not-found")
-    control.refusal = "the axes move; load tables while they stand"
-    is_problem(client.put(TABLES, json=asked), 422, "bad-input")
+    said = is_problem(client.put(TABLES, json=asked), 422, "bad-input")
+    assert "the axes move" in said["detail"]
     made = client.post("/api/v1/jobs", json={"kind": "measure-otf"}).json()
-    control.refusal = ""
+    load.reset_mock(side_effect=True)
     is_problem(client.put(TABLES, json=asked), 409, "busy")
     is_problem(client.delete(TABLES), 409, "busy")
     client.post(f"/api/v1/jobs/{made['id']}/abort")
     until(made, "aborted")
     assert client.get(TABLES).json()["compensation_id"] is None
-    assert control.given == []
+    load.assert_not_called()
     answer = client.put(TABLES, json=asked)
     assert answer.status_code == 200, answer.text
     files = [f"compensation-{axis}.tbl" for axis in "XYZ"]
     told = {"machine": "default", "simulated": True, **asked, "files": files}
     assert answer.json() == told
-    assert (control.given, control.rules) == (files, {})
+    assert read_given() == (files, {})
     assert client.get(TABLES).json() == answer.json()
     assert client.delete(TABLES).status_code == 204
-    assert control.given == client.get(TABLES).json()["files"] == []
+    assert read_given()[0] == client.get(TABLES).json()["files"] == []
     for name, choices in (
         ("heidenhain", {"backlash_reading": "difference"}),
         ("siemens-lec", {"measuring_system": "2"}),
     ):
         asked = name_files(format=name, choices=choices)
         assert client.put(TABLES, json=asked).status_code == 200
-        assert control.rules == choices, "the control is set as the files were made"
+        assert read_given()[1] == choices, "the control is set as the files were made"

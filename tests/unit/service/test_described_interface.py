@@ -7,12 +7,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 from schemathesis.checks import not_a_server_error
-from schemathesis.specs.openapi.checks import (
-    content_type_conformance,
-    response_headers_conformance,
-    response_schema_conformance,
-    status_code_conformance,
-)
+from schemathesis.specs.openapi import checks
 
 from described_answers import read_document
 from truepath.service.api.application import create_application
@@ -20,10 +15,10 @@ from truepath.service.api.application import create_application
 HEADERS = {"host": "127.0.0.1"}
 CHECKS = [
     not_a_server_error,
-    status_code_conformance,
-    content_type_conformance,
-    response_headers_conformance,
-    response_schema_conformance,
+    checks.status_code_conformance,
+    checks.content_type_conformance,
+    checks.response_headers_conformance,
+    checks.response_schema_conformance,
 ]
 EXAMPLES = json.loads(
     resources.files("truepath.service.api").joinpath("examples.json").read_text()
@@ -66,8 +61,7 @@ def check_answers(described, path, method, most):
     )
     @given(case=described[path][method].as_strategy())
     def check(case):
-        answer = case.call(headers=HEADERS)
-        case.validate_response(answer, checks=CHECKS)
+        case.validate_response(case.call(headers=HEADERS), checks=CHECKS)
 
     check()
 

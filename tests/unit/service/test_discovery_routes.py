@@ -87,8 +87,7 @@ def test_a_model_that_is_not_to_be_used_says_so_and_steers_no_job(
     assert stated["reasons"] == ["Odd."]
     use = {"model_id": refused["id"]}
     for kind in ("measure-otf", "measure-standstill", "measure-adaptive"):
-        answer = client.post(JOBS, json={"kind": kind, **use})
-        is_problem(answer, 422, "not-usable")
+        is_problem(client.post(JOBS, json={"kind": kind, **use}), 422, "not-usable")
     order = {"kind": "discover", "run_id": run["id"], **use}
     is_problem(client.post(JOBS, json=order), 422, "not-usable")
     order = {"mode": "otf", "minutes": 0.5, **use}
@@ -101,8 +100,7 @@ def test_plans_and_measurements_keep_the_model_that_they_name(
     model = discover()["id"]
     order = {"mode": "otf", "minutes": 0.5, "model_id": model}
     made = until(client.post(PLANS, json=order).json(), "succeeded")
-    shown = client.get(f"{PLANS}/{made['id']}").json()
-    assert shown["request"]["model_id"] == model
+    assert client.get(f"{PLANS}/{made['id']}").json()["request"]["model_id"] == model
     (asked,) = plan_orders
     assert asked["model_file"].endswith(f"{model}/model.json")
     for kind in ("measure-otf", "measure-standstill", "measure-adaptive"):

@@ -64,8 +64,7 @@ def test_what_moves_the_machine_needs_the_version_that_was_read(
 ):
     address, body = f"{JOBS}/{ready['id']}/{verb}", {"token": "of nobody"}
     is_problem(client.post(address), 428, "version-required")
-    every = client.post(address, headers={"If-Match": "*"})
-    is_problem(every, 428, "version-required")
+    is_problem(client.post(address, headers={"If-Match": "*"}), 428, "version-required")
     odd = client.post(address, headers={"If-Match": '"three"'})
     is_problem(odd, 412, "stale-version")
     for tag in (f'W/"{ready["version"]}"', '"1"'):
@@ -86,8 +85,7 @@ def test_what_does_not_go_with_a_job_that_waits_is_refused(
     problem = is_problem(answer, 409, "illegal-transition")
     assert "cannot pause a job that is ready" in problem["detail"]
     for path in ("error-tables.json", "report.html", "volumetric-map"):
-        answer = client.get(f"{JOBS}/{ready['id']}/result/{path}")
-        is_problem(answer, 404, "not-found")
+        is_problem(client.get(f"{JOBS}/{ready['id']}/result/{path}"), 404, "not-found")
     address = f"{JOBS}/{ready['id']}/compensations"
     assert client.get(address).json() == {"items": []}
     is_problem(client.post(address, json={"format": "linuxcnc"}), 404, "not-found")
@@ -98,7 +96,7 @@ def test_what_does_not_go_with_a_job_that_waits_is_refused(
     assert "ready) has no" in is_problem(answer, 404, "not-found")["detail"]
 
 
-def test_an_unknown_job_or_run_is_not_found(client, is_problem):
+def test_an_unknown_job_is_not_found(client, is_problem):
     paths = "", "/plan", "/events", "/result", "/result/error-tables.json"
     for path in (*paths, "/result/error-tables.csv", "/result/report.html"):
         is_problem(client.get(UNKNOWN + path), 404, "not-found")
@@ -106,8 +104,6 @@ def test_an_unknown_job_or_run_is_not_found(client, is_problem):
         headers, body = {"If-Match": '"1"'}, {"token": "of nobody"}
         answer = client.post(f"{UNKNOWN}/{verb}", headers=headers, json=body)
         is_problem(answer, 404, "not-found")
-    order = {"kind": "analyse", "run_id": "nowhere"}
-    is_problem(client.post(JOBS, json=order), 404, "not-found")
 
 
 def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, until):
@@ -139,9 +135,15 @@ def test_jobs_are_found_in_pages_by_state_kind_and_time(client, order, take, unt
     assert find(since=shifted.isoformat()) == ids[1:]
 
 
-def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
-    client, is_problem, service
+def test_what_nobody_foresaw_is_a_problem_of_job_or_request_that_tells_no_secrets(
+    client, armed, make_cell, until, science, service, is_problem
 ):
+    science.raises = KeyError("secret")
+    make_cell.cell.end()
+    job = until(armed, "failed")
+    assert job["error"]["code"] == "internal-error"
+    assert "secret" not in str(job["error"])
+    assert client.get(job["links"]["run"]).json()["complete"]
     for error, status, code in (
         (StorageUnavailable("the catalogue is locked"), 503, "storage"),
         (KeyError("the password is secret"), 500, "internal-error"),
@@ -152,17 +154,6 @@ def test_what_is_no_fault_of_the_client_is_a_problem_that_tells_no_secrets(
         assert ("Try again" in problem["action"]) == (code == "storage")
         assert "secret" not in answer.text
         assert problem["request_id"]
-
-
-def test_a_failure_nobody_foresaw_tells_nothing_but_that(
-    client, armed, make_cell, until, science
-):
-    science.raises = KeyError("secret")
-    make_cell.cell.end()
-    job = until(armed, "failed")
-    assert job["error"]["code"] == "internal-error"
-    assert "secret" not in str(job["error"])
-    assert client.get(job["links"]["run"]).json()["complete"]
 
 
 @pytest.mark.parametrize("reasons", [(), (OPEN,), (OPEN, BEYOND)])
@@ -237,8 +228,7 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
     estimates[-1].publish(2.5, done=8)
     assert client.get(estimate).json()["course"]["done"] == [8]
     estimates[-1].publish(1.9, done=9)
-    job = until(growing, "succeeded")
-    assert job["early_end"]["reached_um"] == 1.9
+    assert until(growing, "succeeded")["early_end"]["reached_um"] == 1.9
     assert cell.heard[-1] == "conclude"
 
 

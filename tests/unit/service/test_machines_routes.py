@@ -17,10 +17,8 @@ from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.database
 BASE = "/api/v1/machines"
-DEVICES = {
-    "tracker_options": {"port": "/dev/tracker-7"},
-    "motion_options": {"host": "192.0.2.7"},
-}
+TRACKER, MOTION = {"port": "/dev/tracker-7"}, {"host": "192.0.2.7"}
+DEVICES = {"tracker_options": TRACKER, "motion_options": MOTION}
 
 
 def add(client, machine_id="mill-3", name="mill 3"):
@@ -94,7 +92,7 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
 def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     chosen, client, service, is_problem
 ):
-    assert chosen["devices"]["tracker_options"] == {"port": "/dev/tracker-7"}
+    assert chosen["devices"]["tracker_options"] == TRACKER
     first, added = client.get(BASE).json()["items"]
     assert (first["id"], added["id"], added["place"]) == ("default", "mill-3", "hall 3")
     content = load_machine("demo") | {"name": "mill 3"}
@@ -103,8 +101,7 @@ def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     before = service.machines.get("mill-3")
     stale, newest = ({"If-Match": f'"{number}"'} for number in (1, 2))
     for address, sent in ((at, body), (f"{BASE}/mill-3/devices", DEVICES)):
-        refused = client.put(address, json=sent, headers=stale)
-        is_problem(refused, 412, "stale-version")
+        is_problem(client.put(address, json=sent, headers=stale), 412, "stale-version")
     changed = client.put(at, json=body, headers=newest).json()
     assert [v["number"] for v in changed["versions"]] == [3, 2, 1]
     assert len({v["sha256"] for v in changed["versions"]}) == 3

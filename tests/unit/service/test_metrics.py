@@ -7,21 +7,11 @@ from starlette.testclient import TestClient
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounters
+from truepath.measurement import messages
 from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
-from truepath.measurement.messages import (
-    CellState,
-    CellVerb,
-    MeasurementProgress,
-    RunClosed,
-    StateChanged,
-)
 from truepath.service.api.application import create_application
 from truepath.service.api.routes import machine as machine_routes
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceTimeout,
-    WrongDevice,
-)
+from truepath_drivers.interfaces import errors
 
 
 @pytest.fixture
@@ -42,7 +32,7 @@ def scrape(client):
 
 
 def progress(samples, **counted):
-    return MeasurementProgress(
+    return messages.MeasurementProgress(
         1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
     )
 
@@ -118,7 +108,7 @@ def test_counts_of_measurements_add_up_and_never_fall():
     commits = DurationHistogram().add(0.02)
     counters.begin_measurement()
     counters.count(progress(100, lost_samples=2, crc_errors=5, gaps=1, commits=commits))
-    counters.count(RunClosed("", "finished", samples=110, lost_samples=2))
+    counters.count(messages.RunClosed("", "finished", samples=110, lost_samples=2))
     counters.begin_measurement()
     counters.count(progress(50, lost_samples=1, crc_errors=6, gaps=1, commits=commits))
     found = counters.read()
@@ -132,15 +122,25 @@ def test_counts_of_measurements_add_up_and_never_fall():
 def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     counters = CellCounters()
     for hand_clock.time_s in (10.0, 11.0):
-        counters.expect_answer(CellVerb.PAUSE)
+        counters.expect_answer(messages.CellVerb.PAUSE)
     hand_clock.time_s = 12.5
-    counters.count(StateChanged(CellState.PAUSED))
-    counters.count(StateChanged(CellState.PAUSED))
+    counters.count(messages.StateChanged(messages.CellState.PAUSED))
+    counters.count(messages.StateChanged(messages.CellState.PAUSED))
     (pause,) = counters.read().commands.values()
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
 
 
-def test_the_system_says_what_it_is_and_the_machine_who_is_connected(client):
+def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
+    client, is_problem, monkeypatch
+):
+    assert client.get("/healthz").json() == {"status": "ok"}
+    ready = client.get("/readyz")
+    assert ready.status_code == 200
+    assert ready.json()["checks"] == {"catalogue": True, "disk": True, "cell": True}
+    with monkeypatch.context() as patch:
+        patch.setattr(machine_routes, "LEAST_FREE_BYTES", 1 << 60)
+        problem = is_problem(client.get("/readyz"), 503, "not-ready")
+    assert problem["detail"] == "not ready: disk"
     system = client.get("/api/v1/system").json()
     assert (system["version"], system["simulated"]) == ("1.2.3", True)
     assert (system["machine"]["name"], system["current_job"]) == ("demo", None)
@@ -158,25 +158,13 @@ def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
     client, make_cell, is_problem
 ):
     for refusal, status, code in (
-        (ConnectionLost("no such port"), 502, "device-unreachable"),
-        (DeviceTimeout("silence"), 504, "device-silent"),
-        (WrongDevice("a printer"), 409, "device-identity"),
+        (errors.ConnectionLost("no such port"), 502, "device-unreachable"),
+        (errors.DeviceTimeout("silence"), 504, "device-silent"),
+        (errors.WrongDevice("a printer"), 409, "device-identity"),
     ):
         make_cell.cell.refuses = refusal
         answer = client.post("/api/v1/machines/current:connect")
         assert is_problem(answer, status, code)["detail"] == str(refusal)
-
-
-def test_the_process_is_alive_and_ready_unless_it_is_short_of_something(
-    client, is_problem, monkeypatch
-):
-    assert client.get("/healthz").json() == {"status": "ok"}
-    ready = client.get("/readyz")
-    assert ready.status_code == 200
-    assert ready.json()["checks"] == {"catalogue": True, "disk": True, "cell": True}
-    monkeypatch.setattr(machine_routes, "LEAST_FREE_BYTES", 1 << 60)
-    problem = is_problem(client.get("/readyz"), 503, "not-ready")
-    assert problem["detail"] == "not ready: disk"
 
 
 class TestWithoutAMachine:
@@ -191,8 +179,7 @@ class TestWithoutAMachine:
         ready = client.get("/readyz").json()
         assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
         is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
-        answer = client.post("/api/v1/machines/current:connect")
-        is_problem(answer, 409, "no-machine")
+        is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
         answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
         problem = is_problem(answer, 409, "no-machine")
         assert "machine_file" in problem["action"]

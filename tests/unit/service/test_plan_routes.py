@@ -2,61 +2,47 @@
 
 import copy
 import dataclasses
-import json
 
 import pytest
 
-from scripted_cell import wait_until
+from service_fixtures import SHORT
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_requests import plan_measurement
 from truepath.motion.nc_programs.programs import read_program
 from truepath_simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
-SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
 USUAL = {"perpendicular_only": False, "corner_path": False}
 BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
 
 
-@pytest.fixture(scope="module")
-def plans_made(short_plan):
-    """What was planned, by its order."""
-    return {name_plan(SHORT): short_plan}
-
-
-def name_plan(order):
-    chosen = {key: value for key, value in order.items() if value}
-    return json.dumps(chosen, sort_keys=True)
+@pytest.fixture
+def more():
+    """What a test adds to the plan."""
+    return {}
 
 
 @pytest.fixture
-def planner(plans_made):
-    """The real one, which is asked for each plan once."""
+def planner(short_plan, more):
+    """The real one, whose short plan is made once."""
 
     def plan(machine, order, *, on_progress):
-        key = name_plan(order)
-        if key not in plans_made:
-            made = plan_measurement(machine, order, on_progress=on_progress)
-            plans_made[key] = made
-        return copy.deepcopy(plans_made[key])
+        if {key: order[key] for key in order if order[key]} == SHORT:
+            return copy.deepcopy(short_plan | more)
+        return plan_measurement(machine, order, on_progress=on_progress)
 
     return plan
 
 
 @pytest.fixture
-def planned(client):
+def planned(client, until):
     """Ask for a plan and wait until its job has ended."""
 
     def make(request):
         answer = client.post("/api/v1/plans", json=request)
         assert answer.status_code == 202, answer.text
-        address = answer.headers["location"]
-
-        def ended():
-            now = client.get(address).json()
-            return now if now["state"] in ("succeeded", "failed") else None
-
-        return wait_until(ended, "the plan")
+        until(answer.json(), "succeeded", "failed")
+        return client.get(answer.headers["location"]).json()
 
     return make
 
@@ -68,7 +54,7 @@ def plan(planned):
     return made
 
 
-def test_a_plan_says_what_it_will_leave_unknown(plan, client):
+def test_a_plan_and_each_beginning_of_it_say_what_they_will_leave_unknown(plan, client):
     assert plan["request"] == {**SHORT, **USUAL}
     rows, document = plan["commanded"], plan["document"]
     assert rows["kind"] == "path"
@@ -81,11 +67,8 @@ def test_a_plan_says_what_it_will_leave_unknown(plan, client):
     assert document["grade"]["verdict"] in ("good", "usable", "poor")
     job = client.get(plan["links"]["job"]).json()
     assert (job["kind"], job["state"], job["result"]) == ("plan", "succeeded", None)
-
-
-def test_the_curve_says_how_far_each_beginning_of_a_plan_comes(plan, client):
     found = client.get(plan["links"]["curve"]).json()
-    points, document = found["points"], plan["document"]
+    points = found["points"]
     assert [p["row"] for p in points] == sorted({p["row"] for p in points})
     assert points[-1]["row"] == document["rows"]
     assert points[-1]["time_s"] == pytest.approx(document["duration_s"])
@@ -119,17 +102,14 @@ def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
 
 
 def test_each_station_of_a_plan_has_its_program(
-    planned, plans_made, short_plan, client, is_problem
+    planned, more, short_plan, client, is_problem
 ):
-    names = {"kind", "axes", "position", "feed_mm_min", "dwell_s"}
-    whole = {name: short_plan[name] for name in names}
     by_row = ("position", "feed_mm_min", "dwell_s")
-    less = {**whole, **{name: whole[name][:-1] for name in by_row}}
-    order = {**SHORT, "seed": 9}
-    at = {"position_mm": [0.0, -1200.0, 0.0], "duration_s": 30.0, "target": []}
-    stations = [{**at, **whole}, {**at, **less}]
-    plans_made[name_plan(order)] = {**short_plan, "stations": stations}
-    address = planned(order)["links"]["nc_program"]
+    whole = {name: short_plan[name] for name in ("kind", "axes", *by_row)}
+    whole |= {"position_mm": [0.0, -1200.0, 0.0], "duration_s": 30.0, "target": []}
+    less = whole | {name: whole[name][:-1] for name in by_row}
+    more["stations"] = [whole, less]
+    address = planned(SHORT)["links"]["nc_program"]
 
     def give(**more):
         return client.get(address, params={"dialect": "fanuc", **more})
@@ -152,8 +132,7 @@ def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
 
     refused("measure-otf", ready["id"], 404, "not-found")
     for path in ("", "/curve"):
-        answer = client.get(f"/api/v1/plans/{ready['id']}{path}")
-        is_problem(answer, 404, "not-found")
+        is_problem(client.get(f"/api/v1/plans/{ready['id']}{path}"), 404, "not-found")
     assert "one for measure-otf" in refused("measure-standstill")
     axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
@@ -171,8 +150,7 @@ def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, clie
     assert made["state"] == "failed"
     assert made["error"]["code"] == "plan"
     assert "keep-out" in made["error"]["detail"]
-    assert made["commanded"] is None
-    assert made["document"] is None
+    assert (made["commanded"], made["document"]) == (None, None)
     sent = {"json": order, "headers": {"Idempotency-Key": "plan-1"}}
     first, again = (client.post("/api/v1/plans", **sent) for _ in range(2))
     assert first.json()["id"] == again.json()["id"]
@@ -183,32 +161,27 @@ def rows_at(*places):
     return [dict(zip(axes, place, strict=True)) for place in places]
 
 
-def test_what_rows_alone_leave_open_is_said_and_they_are_taken_all_the_same(client):
-    rows = rows_at((10, 10, 10), (400, 300, 200), (90, 350, 40), (450, 20, 250))
-    address = "/api/v1/plans:validate"
-    assert client.post(address, json={"path": rows}).json()["stays_open"] == ""
-    two = client.post(address, json={"path": rows[:3]})
-    assert two.status_code == 200, two.text
-    assert "do not determine A0Z, B0Z, C0Y" in two.json()["stays_open"]
-    order = {"kind": "measure-otf", "path": rows[:3]}
-    assert client.post("/api/v1/jobs", json=order).status_code == 202
+def test_rows_are_checked_over_the_swept_path_and_taken_whatever_they_leave_open(
+    client, is_problem
+):
+    def check(**body):
+        return client.post("/api/v1/plans:validate", json=body)
 
-
-def test_rows_are_checked_over_the_whole_swept_path(client, is_problem):
     rows = rows_at((10, 10, 100), (400, 300, 100), (400, 10, 100))
-    free = client.post("/api/v1/plans:validate", json={"path": rows})
-    assert free.status_code == 200, free.text
-    assert free.json()["rows"] == 3
-    assert free.json()["duration_s"] > 4.0
+    free = check(path=rows).json()
+    assert free["rows"] == 3
+    assert free["duration_s"] > 4.0
     for feed in (1.0, 99_999.0):
         slow = [{**rows[0], "dwell_s": 3600}, {**rows[1], "feed_mm_min": feed}, rows[2]]
-        answer = client.post("/api/v1/plans:validate", json={"path": slow})
-        assert answer.json()["duration_s"] > 3600.0
-    body = {"path": rows, "workspace": {"keep_out": [BOX]}}
-    refused = is_problem(client.post("/api/v1/plans:validate", json=body), 422, "plan")
+        assert check(path=slow).json()["duration_s"] > 3600.0
+    refused = is_problem(check(path=rows, workspace={"keep_out": [BOX]}), 422, "plan")
     assert "row 2 enters the keep-out box probe" in refused["detail"]
     rows[1]["y_mm"] = 401
-    body = {"points": rows}
-    is_problem(client.post("/api/v1/plans:validate", json=body), 422, "out-of-travel")
-    is_problem(client.post("/api/v1/plans:validate", json={}), 422, "validation")
+    is_problem(check(points=rows), 422, "out-of-travel")
+    rows = rows_at((10, 10, 10), (400, 300, 200), (90, 350, 40), (450, 20, 250))
+    assert check(path=rows).json()["stays_open"] == ""
+    said = check(path=rows[:3]).json()["stays_open"]
+    assert "do not determine A0Z, B0Z, C0Y" in said
     assert client.get("/api/v1/jobs").json()["items"] == []
+    order = {"kind": "measure-otf", "path": rows[:3]}
+    assert client.post("/api/v1/jobs", json=order).status_code == 202

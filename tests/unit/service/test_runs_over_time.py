@@ -16,19 +16,15 @@ def upload_at(upload):
 
     def taken(begin_s, name="mill.zip", **members):
         rows = "".join(f"{begin_s + n / 500:.3f},{n},0,0\n" for n in range(100))
-        stream = "t_s,x_mm,y_mm,z_mm\n" + rows
-        return upload(name, tracker_csv=stream, **members)["id"]
+        return upload(name, tracker_csv="t_s,x_mm,y_mm,z_mm\n" + rows, **members)["id"]
 
     return taken
 
 
 @pytest.fixture
 def ask(client):
-    def asked(*run_ids, **more):
-        order = {"kind": "trend", "run_ids": list(run_ids), **more}
-        return client.post(JOBS, json=order)
-
-    return asked
+    order = {"kind": "trend"}
+    return lambda *ids, **more: client.post(JOBS, json=order | {"run_ids": ids} | more)
 
 
 def test_a_trend_is_told_what_is_asked_and_has_a_report(
@@ -45,36 +41,22 @@ def test_a_trend_is_told_what_is_asked_and_has_a_report(
     assert {key: told[key] for key in asked} == asked
 
 
-def test_the_same_run_or_one_of_another_machine_has_no_trend(
+def test_runs_of_which_there_is_no_trend_are_refused_before_there_is_a_job(
     upload_at, ask, is_problem
 ):
-    first = upload_at(0.0, "monday.zip")
-    again = upload_at(0.0, "tuesday.zip")
+    first, anew = upload_at(5.0, "monday.zip"), upload_at(0.0)
+    again = upload_at(5.0, "tuesday.zip")
     said = is_problem(ask(first, again, at_h=[0, 1]), 422, "bad-input")["detail"]
-    assert "monday (" in said
-    assert "tuesday (" in said
-    assert "same Run" in said
+    assert all(words in said for words in ("monday (", "tuesday (", "same Run"))
     is_problem(ask(first, "no-such-run"), 404, "not-found")
-    demo = load_machine("demo")
-    shorter = {"axes": {**demo["axes"], "X": {**demo["axes"]["X"], "max_mm": 450.0}}}
-    for change, field in (
-        ({"name": "lathe"}, "name"),
-        ({"tool_offset_mm": [0.0, 0.0, -151.0]}, "another tool"),
-        (shorter, "axes.X.max_mm"),
-    ):
-        other = upload_at(3600.0, machine_json=json.dumps({**demo, **change}))
-        answer = ask(first, other)
-        assert answer.status_code == 422, answer.text
-        assert field in answer.json()["detail"]
-
-
-def test_runs_whose_order_of_time_is_not_known_are_refused(upload_at, ask, is_problem):
-    early, anew = upload_at(5.0), upload_at(0.0)
-    assert "at_h" in is_problem(ask(early, anew), 422, "bad-input")["detail"]
-    assert ask(early, anew, at_h=[8.0, 9.5]).status_code == 202
-    for times, said in (([8.0], "1 times"), ([9.5, 8.0], "do not increase")):
-        problem = is_problem(ask(early, anew, at_h=times), 422, "bad-input")
-        assert said in problem["detail"]
+    assert "at_h" in is_problem(ask(first, anew), 422, "bad-input")["detail"]
+    said = is_problem(ask(first, anew, at_h=[8.0]), 422, "bad-input")["detail"]
+    assert "1 times" in said
+    shorter = load_machine("demo")
+    shorter["axes"]["X"]["max_mm"] = 450.0
+    other = upload_at(3600.0, machine_json=json.dumps(shorter))
+    assert "axes.X.max_mm" in is_problem(ask(first, other), 422, "bundle")["detail"]
+    assert ask(first, anew, at_h=[8.0, 9.5]).status_code == 202
 
 
 def test_a_reanalysis_takes_more_than_50_runs_and_links_to_its_summary_and_results(

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from api_builders import KNOWN_LENGTHS
 from truepath.catalogue.job import Stage
 from truepath.errors import BundleError
 from truepath.jobs.dispatch.reconciliation import reconcile
@@ -46,8 +47,8 @@ def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent
     assert take(**order)["monte_carlo"] is None
 
 
-def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
-    client, service, bundle, is_problem
+def test_a_bundle_or_upload_that_cannot_be_used_is_refused_with_its_place(
+    client, service, bundle, is_problem, monkeypatch
 ):
     for members, file, column, text in (
         ({"tracker_csv": None}, "tracker.parquet", None, "missing"),
@@ -62,27 +63,21 @@ def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
         problem = is_problem(answer, 422, "bundle")
         assert not content or problem["file"] == "mill 3.zip"  # as it was sent
         assert ".upload" not in str(problem)
-    assert client.get(RUNS).json()["items"] == []
-    assert list(service.runs._folder.iterdir()) == []
-
-
-def test_an_upload_that_is_too_large_or_is_none_is_refused(
-    client, bundle, is_problem, monkeypatch
-):
     is_problem(send(client, b"0" * (4 << 20)), 413, "too-large")
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tracker.csv", b"0" * (17 << 20))
     problem = is_problem(send(client, packed.getvalue()), 422, "bundle")
     assert "unpacks to 17 MiB" in problem["detail"]
-    answer = client.post(RUNS, files={"other": b"x"})
-    problem = is_problem(answer, 422, "validation")
+    problem = is_problem(client.post(RUNS, files={"other": b"x"}), 422, "validation")
     assert problem["errors"][0]["location"] == ["body", "bundle"]
     headers = {"content-type": "application/json"}  # where no large body belongs
     answer = client.post(JOBS, content=b" " * (2 << 20), headers=headers)
     is_problem(answer, 413, "too-large")
     monkeypatch.setattr(run_routes, "LEAST_FREE_BYTES", 1 << 60)
     is_problem(send(client, bundle()), 507, "disk-full")
+    assert client.get(RUNS).json()["items"] == []
+    assert list(service.runs._folder.iterdir()) == []
 
 
 def test_the_name_of_a_file_is_for_people_only():
@@ -259,40 +254,13 @@ def test_what_others_or_a_certificate_depend_on_is_not_deleted(
         (folder / "certificate.json").write_text(text)
         is_problem(client.delete(at), 409, "in-use")
         asked = {"with_results": True}
-        answer = client.delete(f"{RUNS}/{run['id']}", params=asked)
-        is_problem(answer, 409, "in-use")
+        is_problem(client.delete(f"{RUNS}/{run['id']}", params=asked), 409, "in-use")
         assert (folder / "certificate.json").is_file()
     # One that cannot be read holds no other job.
     assert client.delete(f"{JOBS}/{other['id']}").status_code == 204
 
 
-def test_a_sweep_goes_on_behind_a_job_that_cannot_be_deleted(
-    analyse, run, retention, service, monkeypatch
-):
-    good, bad, _ = (analyse(run) for _ in range(3))  # the newest is history
-    delete_job = service.deletion.delete_job
-
-    def refuse_one(job_id, note):
-        if job_id == bad["id"]:
-            raise BundleError("is not JSON", file="certificate.json")
-        return delete_job(job_id, note)
-
-    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
-    retention.sweep(LATER)
-    rows = {i for kind, i in retention.rows if kind == "job"}
-    assert good["id"] in rows
-    assert bad["id"] not in rows
-
-
-def test_a_job_without_an_answer_forgets_its_run(client, service, armed, until):
-    client.post(f"{JOBS}/{armed['id']}/abort")
-    job = until(armed, "aborted", "faulted")
-    (run_id,) = service.runs.find([job["id"]])
-    assert client.delete(f"{RUNS}/{run_id}").status_code == 204
-    assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
-
-
-def test_a_run_stays_while_its_measurement_can_go_on_from_it(
+def test_a_run_stays_while_its_measurement_can_go_on_from_it_and_is_then_forgotten(
     client, service, armed, make_cell, until, is_problem
 ):
     make_cell.cell.fault()
@@ -309,6 +277,7 @@ def test_a_run_stays_while_its_measurement_can_go_on_from_it(
     assert "acknowledge" not in now["links"]["verbs"]
     assert f'"run_ids": ["{job["run_id"]}"]' in now["error"]["action"]
     assert client.delete(at).status_code == 204
+    assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
 
 
 def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
@@ -333,10 +302,18 @@ def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
     assert service.runs.list_uncatalogued() == []
 
 
-def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
-    client, service, kept, run, analyse, retention, upload
+def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
+    client, service, kept, run, analyse, retention, upload, monkeypatch
 ):
-    loose = upload("loose.zip")
+    loose, bad = upload("loose.zip"), analyse(run)
+    delete_job = service.deletion.delete_job
+
+    def refuse_one(job_id, note):
+        if job_id == bad["id"]:
+            raise BundleError("is not JSON", file="certificate.json")
+        return delete_job(job_id, note)
+
+    monkeypatch.setattr(service.deletion, "delete_job", refuse_one)
     again = analyse(run)  # stands for the earlier one in the history of the machine
     assert (kept["machine"], again["machine"]) == ("default", "default")
     (service.results / again["id"]).mkdir(exist_ok=True)
@@ -352,12 +329,6 @@ def test_a_sweep_takes_what_is_old_and_leaves_history_and_its_runs(
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
 
 
-KNOWN = (
-    "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
-    "1000,0,0,3000.02,0,0,2000.01,0.001\n"
-)
-
-
 def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
     client, service, run, is_problem
 ):
@@ -366,12 +337,14 @@ def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
     def send(text, to=address):
         return client.put(to, files={"known_lengths": ("bar.csv", text)})
 
-    problem = is_problem(send(KNOWN.replace("2000.01", "2.00001")), 422, "bundle")
+    problem = is_problem(
+        send(KNOWN_LENGTHS.replace("2000.01", "2.00001")), 422, "bundle"
+    )
     assert (problem["row"], problem["column"]) == (2, "length_mm")
-    is_problem(send(KNOWN, f"{RUNS}/nowhere/known-lengths"), 404, "not-found")
+    is_problem(send(KNOWN_LENGTHS, f"{RUNS}/nowhere/known-lengths"), 404, "not-found")
     is_problem(client.get(address), 404, "not-found")
-    assert send(KNOWN).json() == {"count": 1}
-    assert client.get(address).text == KNOWN
+    assert send(KNOWN_LENGTHS).json() == {"count": 1}
+    assert client.get(address).text == KNOWN_LENGTHS
     (one,) = open_recorded(service.runs.file(run["id"])).known_lengths
     assert one.length_mm == 2000.01
     back = client.get(run["links"]["bundle"]).content
@@ -379,6 +352,6 @@ def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
         assert any(n.endswith("/known_lengths.csv") for n in archive.namelist())
     assert client.delete(address).status_code == 204
     assert not open_recorded(service.runs.file(run["id"])).known_lengths
-    send(KNOWN)
+    send(KNOWN_LENGTHS)
     assert client.delete(f"{RUNS}/{run['id']}").status_code == 204
     assert not list(service.runs._folder.glob("*.csv"))

@@ -28,11 +28,8 @@ def result(service, with_result):
 
 @pytest.fixture
 def ask(client, result):
-    def asked(**more):
-        order = {"kind": "verify", "result_id": result, **more}
-        return client.post(JOBS, json=order)
-
-    return asked
+    order = {"kind": "verify", "result_id": result}
+    return lambda **more: client.post(JOBS, json=order | more)
 
 
 @pytest.fixture
@@ -74,8 +71,7 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
 ):
     _, plan = look(what=["circles-in-motion"])
     assert plan["kind"] == "path"
-    turns = [arc[3] for arc in plan["arc"] if arc]
-    assert turns == [732.0, -732.0] * 3
+    assert [arc[3] for arc in plan["arc"] if arc] == [732.0, -732.0] * 3
     said = is_problem(ask(what=["circles-in-motion", "diagonals"]), 422, "bad-input")
     assert "ask for each by itself" in said["detail"]
     cell = service.machines.get("default").cell

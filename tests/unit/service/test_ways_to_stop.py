@@ -9,7 +9,6 @@ import pytest
 import uvicorn
 from anyio.to_thread import current_default_thread_limiter
 from starlette.testclient import TestClient
-from starlette.websockets import WebSocketDisconnect
 
 from scripted_cell import wait_until
 from truepath.service.api.application import create_application
@@ -95,8 +94,6 @@ def test_every_address_is_below_the_path_at_which_a_proxy_shows_the_service(
         assert address == f"{root}{API}/jobs/{made.json()['id']}"
         job = client.get(before + address.removeprefix(root)).json()
         assert job["links"]["self"] == address
-        listed = client.get(f"{before}{API}/jobs?limit=1").headers.get("link", "")
-        assert f"<{root}{API}/" in f"<{root}{API}/{listed}"
         wait_until(lambda: client.post(f"{before}{API}/stop").status_code == 202)
         with client.websocket_connect(f"{before}{API}/stop") as channel:
             channel.send_text("check")
@@ -121,17 +118,14 @@ def test_a_prefix_counts_if_a_trusted_proxy_names_one(service, peer, named, show
         assert f'action="{shown}api/v1/stop"' in page
 
 
-def test_who_is_not_logged_in_can_stop_by_the_channel_and_hear_nothing(service, access):
+def test_who_is_not_logged_in_can_stop_by_the_channel(service, access):
     app = create_application(replace(service, access=access))
-    with TestClient(app, base_url="http://localhost") as client:
-        with client.websocket_connect(f"{API}/stop") as channel:
-            channel.send_text("stop")
-            assert channel.receive_json()["jobs"] == []
-        with (
-            pytest.raises(WebSocketDisconnect),
-            client.websocket_connect(f"{API}/events"),
-        ):
-            pass
+    with (
+        TestClient(app, base_url="http://localhost") as client,
+        client.websocket_connect(f"{API}/stop") as channel,
+    ):
+        channel.send_text("stop")
+        assert channel.receive_json()["jobs"] == []
 
 
 PATIENCE_S = 5.0

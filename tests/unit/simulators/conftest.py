@@ -1,3 +1,16 @@
-"""Fixtures of this room, for tests of both kinds."""
+"""Machines for the tests of the simulators."""
 
-from simulators_fixtures import *  # noqa: F403
+import pytest
+
+from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.scenario import load_machine
+
+
+@pytest.fixture
+def demo():
+    return load_machine("demo")
+
+
+@pytest.fixture
+def machine(demo):
+    return parse_machine(demo)

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,7 @@ from truepath_drivers.interfaces.records import MotionState, Path
 from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
 from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
-from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.motion.profile import Limits
-from truepath_simulators.timeline import Timeline
 
 LEAD_S = 0.02
 
@@ -19,48 +19,38 @@ LEAD_S = 0.02
 class Master:
     """A CNC without a wire, and someone who reads and writes its registers."""
 
-    def __init__(self, machine: MachineFile) -> None:
-        self.now_s = 0.0
-        self.timelines: list[Timeline] = []
-        self.published_at: list[float] = []
+    def __init__(self, machine):
+        self.now_s, self.number = 0.0, 0
+        self.published = []
         self.controller = Controller(machine, Limits(), self._publish, LEAD_S)
         clocks = Clocks(lambda: self.now_s, lambda: self.now_s)
         self.registers = CncRegisters(self.controller, clocks, "SIM-1")
-        self.number = 0
 
-    def _publish(self, timeline: Timeline) -> None:
-        self.timelines.append(timeline)
-        self.published_at.append(self.now_s)
+    def _publish(self, timeline):
+        self.published.append((self.now_s, timeline))
 
-    def value(self, name: str, k: int = 0) -> int:
+    def value(self, name, k=0):
         register = BY_NAME[name]
         words = self.registers.read(register.address, register.words)
         block = regmap.Block(register.address, register.words)
         return decode(name, words, block)[k]
 
-    def write(self, name: str, value: int) -> None:
+    def write(self, name, value):
         self.registers.write(BY_NAME[name].address, encode(name, value))
 
     @property
-    def state(self) -> MotionState:
+    def state(self):
         return regmap.STATES[self.value("state")]
 
     @property
-    def hold_reason(self) -> HoldReason:
+    def hold_reason(self):
         return HoldReason(self.value("hold_reason"))
 
     @property
-    def position(self) -> np.ndarray:
+    def position(self):
         return np.array([self.value("position", k) for k in range(3)]) / 1e4
 
-    def command(
-        self,
-        verb: Command | int,
-        first_row: int = 0,
-        row_count: int = 0,
-        crc: int = 0,
-        rows: np.ndarray | None = None,
-    ) -> Result:
+    def command(self, verb, first_row=0, row_count=0, crc=0, rows=None):
         self.number += 1
         if verb is Command.START:
             row_count, crc = self.value("path_rows"), self.value("path_crc")
@@ -73,7 +63,7 @@ class Master:
         assert self.value("command_ack") == self.number
         return Result(self.value("command_result"))
 
-    def load(self, position: list[list[float]], feed: float = 6000.0) -> Result:
+    def load(self, position, feed=6000.0):
         words = row_words(position, feed)
         for first in range(0, len(words), regmap.ROWS_A_BLOCK):
             block = words[first : first + regmap.ROWS_A_BLOCK]
@@ -82,10 +72,10 @@ class Master:
                 return result
         return self.command(Command.COMMIT, row_count=len(words), crc=path_crc(words))
 
-    def move_to(self, position: list[float], feed: float = 6000.0) -> Result:
+    def move_to(self, position, feed=6000.0):
         return self.command(Command.MOVE_TO, rows=row_words([position], feed))
 
-    def wait(self, duration_s: float, *, beating: bool = True) -> None:
+    def wait(self, duration_s, *, beating=True):
         end_s = self.now_s + duration_s
         while self.now_s < end_s:
             self.now_s += 0.05
@@ -94,18 +84,16 @@ class Master:
             self.controller.update(self.now_s)
             self.registers.watch()
 
-    def wait_still(self) -> MotionState:
+    def wait_still(self):
         while self.state is MotionState.RUNNING:
             self.wait(0.1)
             assert self.now_s < 1000.0
         return self.state
 
 
-def row_words(position: list[list[float]], feed: float = 6000.0) -> np.ndarray:
-    n = len(position)
-    return path_words(
-        Path(("X", "Y", "Z"), np.array(position), np.full(n, feed), np.full(n, 0.2))
-    )
+def row_words(position, feed=6000.0):
+    each = np.full(len(position), feed), np.full(len(position), 0.2)
+    return path_words(Path(("X", "Y", "Z"), np.array(position), *each))
 
 
 LINE = [[100.0, 100.0, 100.0], [400.0, 100.0, 100.0]]
@@ -144,7 +132,7 @@ def test_a_path_is_driven_again_and_a_long_one_goes_over_in_blocks(master, rng):
     assert master.load(corners) is Result.DONE
     assert master.value("path_rows") == 4096
     assert master.command(Command.START) is Result.DONE
-    assert master.timelines[-1].end_s > 4096
+    assert master.published[-1][1].end_s > 4096
 
 
 @pytest.mark.parametrize(
@@ -193,11 +181,6 @@ def test_a_move_to_the_ends_of_the_travel_keeps_the_committed_path(master):
     assert master.command(Command.START) is Result.DONE
 
 
-def test_a_running_machine_takes_no_other_motion(moving):
-    for verb in (Command.MOVE_TO, Command.PUT_ROWS, Command.COMMIT, Command.START):
-        assert moving.command(verb) is Result.WRONG_STATE
-
-
 def test_orders_that_mean_nothing_or_were_heard_already_do_nothing(master):
     for verb in (Command.HOLD, Command.RESUME):  # nothing runs
         assert master.command(verb) is Result.DONE
@@ -206,10 +189,10 @@ def test_orders_that_mean_nothing_or_were_heard_already_do_nothing(master):
     master.registers.write(BY_NAME["command_sequence"].address, [0, Command.ABORT])
     assert master.state is MotionState.IDLE
     assert master.move_to([100.0, 0.0, 0.0]) is Result.DONE
-    published = len(master.timelines)
+    published = len(master.published)
     master.number -= 1
     master.move_to([100.0, 0.0, 0.0])
-    assert len(master.timelines) == published
+    assert len(master.published) == published
 
 
 def test_a_path_that_is_not_what_was_meant_is_refused(master):
@@ -244,24 +227,23 @@ def test_an_alarm_stops_is_told_and_stays(moving):
     assert moving.value("path_rows") == 0
 
 
-def test_an_override_changes_the_feed_under_way(moving):
-    moving.controller.override(0.5, moving.now_s)
-    moving.wait(0.5)
-    assert moving.value("feed") / regmap.FEED_COUNTS == pytest.approx(3000.0, abs=0.01)
-    assert moving.wait_still() is MotionState.FINISHED
-    np.testing.assert_allclose(moving.position, LINE[-1])
-
-
-@pytest.mark.parametrize("begin", ["moving", "at 0 %"])
-def test_at_an_override_of_nothing_it_says_that_it_runs_and_stands(moving, begin):
+@pytest.mark.parametrize("begin", ["moving", "held", "at 0 %"])
+def test_an_override_changes_the_feed_and_at_none_it_runs_and_stands(moving, begin):
     if begin == "at 0 %":
         moving.command(Command.ABORT)
         moving.wait_still()
         moving.controller.override(0.0, moving.now_s)
         moving.move_to(LINE[-1])
     else:
-        moving.controller.override(0.0, moving.now_s)
-        moving.wait(1.0)
+        for share in (0.5, 0.0):
+            moving.controller.override(share, moving.now_s)
+            moving.wait(1.0)
+            feed = moving.value("feed") / regmap.FEED_COUNTS
+            assert feed == pytest.approx(share * 6000.0, abs=0.01)
+    if begin == "held":
+        moving.command(Command.HOLD)
+        assert moving.wait_still() is MotionState.HELD
+        moving.command(Command.RESUME)
     here = moving.position
     moving.wait(60.0)
     assert moving.state is MotionState.RUNNING
@@ -272,28 +254,15 @@ def test_at_an_override_of_nothing_it_says_that_it_runs_and_stands(moving, begin
     np.testing.assert_allclose(moving.position, LINE[-1])
 
 
-def test_a_hold_at_an_override_of_nothing_is_a_hold(moving):
-    moving.controller.override(0.0, moving.now_s)
-    moving.wait(1.0)
-    moving.command(Command.HOLD)
-    assert moving.wait_still() is MotionState.HELD
-    moving.command(Command.RESUME)
-    moving.wait(60.0)
-    assert moving.state is MotionState.RUNNING
-    moving.controller.override(1.0, moving.now_s)
-    assert moving.wait_still() is MotionState.FINISHED
-    np.testing.assert_allclose(moving.position, LINE[-1])
-
-
-def test_no_change_reaches_into_what_was_already_seen(moving):
+def test_no_other_motion_is_taken_and_no_change_reaches_into_what_was_seen(moving):
     """Whoever took the timeline before a change has seen nothing that was not so."""
+    for verb in (Command.MOVE_TO, Command.PUT_ROWS, Command.COMMIT, Command.START):
+        assert moving.command(verb) is Result.WRONG_STATE
     moving.command(Command.HOLD)
     moving.wait(0.5)
     moving.command(Command.RESUME)
     moving.wait_still()
-    for before, after, at_s in zip(
-        moving.timelines, moving.timelines[1:], moving.published_at[1:], strict=False
-    ):
+    for (_, before), (at_s, after) in itertools.pairwise(moving.published):
         t = np.linspace(after.start_s[0], at_s, 200)
         np.testing.assert_allclose(before.positions(t), after.positions(t), atol=1e-9)
 

@@ -91,24 +91,17 @@ def test_leadscrew_tables_act_on_the_measuring_system_that_is_active_on_each_axi
 
 def cross_table(number, axis, out, values, step, extra=""):
     rows = [f"$AN_CEC[{number},{k}]={value}" for k, value in enumerate(values)]
-    high = step * (len(values) - 1)
-    rows += [
-        f"$AN_CEC_INPUT_AXIS[{number}]=({axis})",
-        f"$AN_CEC_OUTPUT_AXIS[{number}]=({out})",
-        f"$AN_CEC_STEP[{number}]={step}",
-        f"$AN_CEC_MIN[{number}]=0.0",
-        f"$AN_CEC_MAX[{number}]={high}",
-        *([extra] if extra else []),
-    ]
-    return "\n".join(rows) + "\n"
+    words = {"INPUT_AXIS": f"({axis})", "OUTPUT_AXIS": f"({out})", "STEP": step}
+    words |= {"MIN": 0.0, "MAX": step * (len(values) - 1)}
+    rows += [f"$AN_CEC_{word}[{number}]={value}" for word, value in words.items()]
+    return "\n".join([*rows, extra, ""])
 
 
 def test_a_foundation_that_sags_is_corrected_by_the_product_of_two_tables():
     # K3, page 252: ΔX1 = Z1 β(X1), table 1 of X1, table 2 linear in Z1.
-    text = "%_N_NC_CEC_INI\n"
-    text += cross_table(
-        0, "AX1", "AX1", [0.0, 1e-4], 500.0, "$AN_CEC_MULT_BY_TABLE[0]=2"
-    )
+    by_table_2 = "$AN_CEC_MULT_BY_TABLE[0]=2"
+    turns = cross_table(0, "AX1", "AX1", [0.0, 1e-4], 500.0, by_table_2)
+    text = f"%_N_NC_CEC_INI\n{turns}"
     text += cross_table(1, "AX3", "AX1", [0.0, 300.0], 300.0)
     added = add({"c.ini": text}, [[500.0, 0.0, 300.0], [250.0, 9.0, 150.0], [0, 0, 9]])
     np.testing.assert_allclose(added[:, 0], [-0.03, -0.0075, 0.0], atol=1e-12)
@@ -133,11 +126,9 @@ NR AXISPOS BACKLASH X Y
 ACTIVE = "BEGIN config .CMA MM\nNR ACTIVE X\n0 * x.com\n1 - other.com\n[END]\n"
 
 
-@pytest.mark.parametrize(
-    ("reading", "back"), [("negative-value", 3), ("difference", 5)]
-)
-def test_the_backlash_column_is_read_as_the_option_says(reading, back):
-    files, rules = {"x.com": TABLE, "config.cma": ACTIVE}, Rules(reading)
+@pytest.mark.parametrize(("read", "back"), [("negative-value", 3), ("difference", 5)])
+def test_the_backlash_column_is_read_as_the_option_says(read, back):
+    files, rules = {"x.com": TABLE, "config.cma": ACTIVE}, Rules(read)
     up, down = (add(files, at_x(100.0, 50.0), side, rules) for side in (1.0, -1.0))
     assert up[0, 0] == pytest.approx(-0.002)
     assert down[0, 0] == pytest.approx(-1e-3 * back)
@@ -145,7 +136,7 @@ def test_the_backlash_column_is_read_as_the_option_says(reading, back):
     np.testing.assert_allclose(down[:, 1], up[:, 1])
 
 
-def fanuc(values, first, reference, words=""):
+def fanuc(values, first, reference, words="", magnification=1):
     """Tapes by which X errs by these increments, Y and Z by none."""
     last = first + len(values) - 1
     data = "\n".join(
@@ -154,11 +145,9 @@ def fanuc(values, first, reference, words=""):
         for k, value in enumerate(values)
     )
     numbers = {3620: reference, 3621: first, 3622: last}
-    parameters = "".join(
-        f"N0{number}A1P{value}A2P{100 + value}A3P{200 + value}\n"
-        for number, value in numbers.items()
-    )
-    parameters += f"N03623A1P1A2P1A3P1\nN03624A1P50.A2P50.A3P50.\n{words}"
+    rows = (f"N0{n}A1P{v}A2P{100 + v}A3P{200 + v}" for n, v in numbers.items())
+    parameters = "\n".join([*rows, ""])
+    parameters += f"N03623A1P{magnification}A2P1A3P1\nN03624A1P50.A2P50.A3P50.\n{words}"
     return {"c-pitch.txt": f"%\n{data}\n%\n", "c-parameters.txt": f"%\n{parameters}%\n"}
 
 
@@ -169,14 +158,10 @@ def test_fanuc_increments_sum_up_from_the_reference_point():
     content["axes"]["X"] |= {"min_mm": -400.0, "max_mm": 400.0}
     rows = at_x(-400, -350, -50, 0, 20, 30, 50, 100, 400)
     added = add(fanuc(values, 33, 40), rows, content=content, ours="fanuc")
-    np.testing.assert_allclose(
-        1e3 * added[:, 0], [0, 2, 1, 0, 0, 2, 2, 3, 0], atol=1e-9
-    )
-    twice = fanuc(values, 33, 40)
-    twice["c-parameters.txt"] = twice["c-parameters.txt"].replace(
-        "03623A1P1", "03623A1P2"
-    )
-    doubled = add(twice, rows, content=content, ours="fanuc")  # magnification
+    summed = [0, 2, 1, 0, 0, 2, 2, 3, 0]
+    np.testing.assert_allclose(1e3 * added[:, 0], summed, atol=1e-9)
+    magnified = fanuc(values, 33, 40, magnification=2)
+    doubled = add(magnified, rows, content=content, ours="fanuc")
     np.testing.assert_allclose(doubled, 2.0 * added, atol=1e-9)
 
 
@@ -204,14 +189,10 @@ Z  X  EZX
 300 0 0
 300 100 0.006
 """
-    added = add(
-        {"v.csv": text}, [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]]
-    )
+    rows = [[100, 0, 0], [100, 0, 300], [50, 0, 150], [0, 200, 0]]
     # Lever arm of EBX is Z; C0Y turns Y about Z; EZX grows with Z.
-    np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(added[1], [-0.04, 0.0, -0.006], atol=3e-6)
-    np.testing.assert_allclose(added[2], [-0.0125, 0.0, -0.0015], atol=3e-6)
-    np.testing.assert_allclose(added[3], [0.02, 0.0, 0.0], atol=3e-6)
+    expected = [[-0.01, 0, 0], [-0.04, 0, -0.006], [-0.0125, 0, -0.0015], [0.02, 0, 0]]
+    np.testing.assert_allclose(add({"v.csv": text}, rows), expected, atol=3e-6)
     plain = text.partition("#\n")[2].partition("#\n")[0]
     assert add({"v.csv": plain}, [50, 0, 150], ours="isg-csv")[0, 0] < -0.01
 
@@ -232,10 +213,8 @@ Gridpoints = {
 }
 """
     rows = [[100, 0, 0], [100, 0, 300], [0, 200, 0]]
-    added = add({"v.txt": text}, rows)
-    np.testing.assert_allclose(added[0], [-0.01, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(added[1], [-0.04, 0.0, 0.0], atol=3e-6)
-    np.testing.assert_allclose(added[2], [0.02, 0.0, 0.0], atol=3e-6)
+    expected = [[-0.01, 0, 0], [-0.04, 0, 0], [0.02, 0, 0]]
+    np.testing.assert_allclose(add({"v.txt": text}, rows), expected, atol=3e-6)
 
 
 PLAIN_ROWS = [
@@ -279,10 +258,7 @@ def test_a_plain_table_takes_shift_and_turn_times_lever_away_by_direction(form):
         ({"x.ini": "$AA_ENC_COMP[0,0,X1]=0\n$AA_ENC_COMP_OOPS\n"}, "row 2"),
         ({"x.ini": "$AA_ENC_COMP[0,0,X1]=0\n"}, "lacks"),
         ({"x.com": TABLE}, "one .cma file"),
-        (
-            {"x.com": TABLE, "config.cma": ACTIVE, "l-X.tbl": "0 0 0\n1 1 1\n"},
-            "one form",
-        ),
+        ({"x.com": TABLE, "a.cma": ACTIVE, "l-X.tbl": "0 0 0\n1 1 1\n"}, "one form"),
         ({"v.csv": "X EXX\n0 0\n1 1 1\n"}, "no table"),
         ({"v.csv": "Z X EXX\n0 0 0\n1 1 0\n"}, "70471"),
         ({"letter.txt": "Dear controller\n"}, "no simulated controller"),
@@ -298,9 +274,8 @@ def test_the_machine_errs_less_with_its_own_error_taken_away():
     x = np.linspace(0.0, 500.0, 51)
     rows = np.array([[value, 200.0, 150.0] for value in x])
     error = truth.deviation_mm(rows)[:, 0]
-    text = "".join(
-        f"{a:.4f} {a + e:.6f} {a + e:.6f}\n" for a, e in zip(x, error, strict=True)
-    )
+    shown = zip(x, x + error, strict=True)
+    text = "".join(f"{a:.4f} {b:.6f} {b:.6f}\n" for a, b in shown)
     tables = LoadedTables({"c-X.tbl": text}).correct(MACHINE)
     left = measure_deviation_mm(truth, tables, rows)
     assert np.abs(left[:, 0]).max() < 1e-4 < 0.002 < np.ptp(error)
@@ -321,12 +296,7 @@ def test_a_direction_is_kept_while_an_axis_stands_and_across_motions():
     text = "0 0 -0.01\n500 500 499.99\n"  # 10 µm of lost motion coming down
     follower = MotionFollower(MACHINE, remembers=False)
     follower.correct(LoadedTables({"c-X.tbl": text}).correct(MACHINE))
-    program = Program(
-        np.array([[100.0, 0.0, 0.0], [50.0, 0, 0]]), np.ones(2), np.ones(2)
-    )
-    first = make_program_timeline(program, np.zeros(3), 0.0, Limits())
-    follower.follow(first)
-    later = follower.follow(standing(first.positions(np.array([1e9]))[0], 1e6, 1))
-    np.testing.assert_allclose(
-        later.corrected_positions(np.array([2e6]))[0], [50.01, 0.0, 0.0]
-    )
+    follower.follow(timeline)
+    later = follower.follow(standing(x[-1], 1e6, 1))
+    there = later.corrected_positions(np.array([2e6]))[0]
+    np.testing.assert_allclose(there, [50.01, 80.0, 0.0])

@@ -1,32 +1,26 @@
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath_simulators.cnc.modbus_wire import (
-    ModbusError,
-    Registers,
-    RtuFramer,
-    TcpFramer,
-    answer,
-    crc16,
-    rtu_frame,
-    tcp_frame,
-)
+from truepath_simulators.cnc import modbus_wire
+from truepath_simulators.cnc.modbus_wire import RtuFramer, TcpFramer, rtu_frame
 
 
-class Drawer(Registers):
+class Drawer(modbus_wire.Registers):
     """Registers 0x6B … with the values of the specification's examples."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.words = {0x6B: 0x022B, 0x6C: 0x0000, 0x6D: 0x0064, 1: 0, 2: 0}
 
-    def read(self, address: int, count: int) -> list[int]:
+    def read(self, address, count):
         try:
             return [self.words[a] for a in range(address, address + count)]
         except KeyError:
-            raise ModbusError(2) from None
+            raise modbus_wire.ModbusError(2) from None
 
-    def write(self, address: int, values: list[int]) -> None:
+    def write(self, address, values):
         self.words |= dict(enumerate(values, address))
 
 
@@ -51,7 +45,8 @@ class Drawer(Registers):
 )
 def test_requests_are_answered_as_the_specification_says(request_hex, reply_hex):
     drawer = Drawer()
-    assert answer(bytes.fromhex(request_hex), drawer) == bytes.fromhex(reply_hex)
+    reply = modbus_wire.answer(bytes.fromhex(request_hex), drawer)
+    assert reply == bytes.fromhex(reply_hex)
     written = [0x000A, 0x0102] if reply_hex == "10 0001 0002" else [0, 0]
     assert request_hex[:2] == "06" or drawer.read(1, 2) == written
 
@@ -59,7 +54,7 @@ def test_requests_are_answered_as_the_specification_says(request_hex, reply_hex)
 # Modbus over serial line V1.02: CRC low byte first; 02 07 has the CRC 41 12.
 def test_the_crc_is_that_of_the_specification_and_its_example_is_understood():
     assert rtu_frame(2, b"\x07") == bytes.fromhex("02 07 41 12")
-    assert crc16(bytes.fromhex("02 07 41 12")) == 0
+    assert modbus_wire.crc16(bytes.fromhex("02 07 41 12")) == 0
     frame = bytes.fromhex("11 03 006B 0003 7687")
     assert RtuFramer().feed(frame) == [(0x11, bytes.fromhex("03 006B 0003"))]
 
@@ -74,11 +69,8 @@ def test_any_split_of_a_serial_line_gives_the_same_requests(frames, data):
     stream = b"".join(frames)
     cuts = data.draw(st.lists(st.integers(0, len(stream)), max_size=8).map(sorted))
     framer = RtuFramer()
-    got = [
-        request
-        for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)
-        for request in framer.feed(stream[begin:end])
-    ]
+    parts = (stream[a:b] for a, b in pairwise([0, *cuts, len(stream)]))
+    got = [request for part in parts for request in framer.feed(part)]
     assert got == [(1, frame[1:-2]) for frame in frames]
 
 
@@ -92,7 +84,7 @@ def test_after_noise_and_a_pause_a_request_is_understood(noise):
 
 def test_requests_on_tcp_keep_their_transaction_and_damage_is_not_answered():
     pdu = bytes.fromhex("03 0000 0005")
-    stream = tcp_frame(7, 1, pdu) + tcp_frame(8, 1, pdu)
+    stream = modbus_wire.tcp_frame(7, 1, pdu) + modbus_wire.tcp_frame(8, 1, pdu)
     framer = TcpFramer()
     assert framer.feed(stream[:9]) == []
     assert framer.feed(stream[9:]) == [(7, 1, pdu), (8, 1, pdu)]

@@ -13,7 +13,6 @@ from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.followed_positions import FollowedPositions
 from truepath_simulators.motion.profile import Limits, rest_to_rest
 from truepath_simulators.motion.program import Program
-from truepath_simulators.timeline import Timeline
 
 JERKY = Limits(1500.0, 30_000.0)
 TRAPEZOID = Limits(1500.0, math.inf)
@@ -24,21 +23,21 @@ shares = st.floats(0.0, 1.0)
 limits = st.sampled_from([JERKY, TRAPEZOID])
 
 
-def one_line(length_mm: float, feed_mm_s: float, dwell_s: float = 0.5) -> Program:
-    return Program(
-        np.array([[length_mm, 0.0, 0.0]]), np.array([feed_mm_s]), np.array([dwell_s])
-    )
+def one_line(length_mm, feed_mm_s, dwell_s=0.5):
+    place = np.array([[length_mm, 0.0, 0.0]])
+    return Program(place, np.array([feed_mm_s]), np.array([dwell_s]))
 
 
-def random_program(rng: np.random.Generator, n: int = 30) -> Program:
-    return Program(
-        rng.uniform(0.0, 500.0, (n, 3)),
-        rng.uniform(20.0, 200.0, n),
-        rng.choice([0.0, 0.1, 0.4], n),
-    )
+def random_program(rng, n=30):
+    places, feeds = rng.uniform(0.0, 500.0, (n, 3)), rng.uniform(20.0, 200.0, n)
+    return Program(places, feeds, rng.choice([0.0, 0.1, 0.4], n))
 
 
-def assert_smooth(timeline: Timeline, limits: Limits, feed_mm_s: float) -> None:
+def drive(program, limits=JERKY, begin_s=0.0):
+    return make_program_timeline(program, np.zeros(3), begin_s, limits)
+
+
+def assert_smooth(timeline, limits, feed_mm_s):
     """Position and speed have no jump; limits hold."""
     joints = timeline.start_s[1:]
     before, after = np.nextafter(joints, -np.inf), joints
@@ -59,11 +58,10 @@ def assert_smooth(timeline: Timeline, limits: Limits, feed_mm_s: float) -> None:
 def test_a_program_is_driven_within_its_limits_and_through_its_points(rng, limits):
     program = random_program(rng)
     program = replace(program, dwell_s=np.maximum(program.dwell_s, 0.05))
-    timeline = make_program_timeline(program, np.zeros(3), 2.0, limits)
+    timeline = drive(program, limits, 2.0)
     assert_smooth(timeline, limits, program.feed_mm_s.max())
-    for row, (point, dwell) in enumerate(
-        zip(program.position, program.dwell_s, strict=True)
-    ):
+    rows = zip(program.position, program.dwell_s, strict=True)
+    for row, (point, dwell) in enumerate(rows):
         there = timeline.start_s[timeline.row == row][-1]
         np.testing.assert_allclose(timeline.positions(np.array([there]))[0], point)
         assert timeline.speeds(np.array([there]))[0] == 0.0
@@ -86,34 +84,30 @@ def test_a_line_takes_the_time_of_its_feed_and_its_ramps(length, feed, limits):
 
 
 def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
-    timeline = make_program_timeline(one_line(500.0, 100.0), np.zeros(3), 0.0, JERKY)
+    timeline = drive(one_line(500.0, 100.0))
     t = np.linspace(0.0, timeline.end_s - 0.5, 1000)
     share = np.mean(np.abs(timeline.speeds(t) - 100.0) < 1e-9)
     assert share > 0.95
-    long = make_program_timeline(one_line(500.0, 100.0, 1.7), np.zeros(3), 0.0, JERKY)
+    long = drive(one_line(500.0, 100.0, 1.7))
     assert long.end_s - timeline.end_s == pytest.approx(1.2)
     program = Program(np.zeros((3, 3)), np.full(3, 10.0), np.full(3, 0.5))
-    timeline = make_program_timeline(program, np.zeros(3), 1.0, JERKY)
+    timeline = drive(program, begin_s=1.0)
     assert timeline.end_s == pytest.approx(2.5)
     assert not timeline.speeds(np.linspace(0, 3, 50)).any()
     program = one_line(50.0, 100.0, 2.0)
-    timeline = make_program_timeline(program, np.zeros(3), 0.0, JERKY)
-    arrival = timeline.end_s - 2.0
-    at = arrival + 0.5
+    timeline = drive(program)
+    at = timeline.end_s - 1.5
     left = interruption.find_rest(timeline, program, at)
     assert left.dwell_s[0] == pytest.approx(1.5)
-    whole = interruption.resume_motion(
-        interruption.hold_motion(timeline, at, JERKY), left, 10.0, JERKY
-    )
+    held = interruption.hold_motion(timeline, at, JERKY)
+    whole = interruption.resume_motion(held, left, 10.0, JERKY)
     assert whole.end_s == pytest.approx(11.5)
 
 
 @settings(max_examples=60, deadline=None)
 @given(lengths, feeds, shares, limits)
 def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
-    timeline = make_program_timeline(
-        one_line(length, feed, 0.0), np.zeros(3), 0.0, limits
-    )
+    timeline = drive(one_line(length, feed, 0.0), limits)
     at = when * timeline.end_s
     stopped = interruption.hold_motion(timeline, at, limits)
     assert_smooth(stopped, limits, feed)
@@ -131,7 +125,7 @@ def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
 @given(shares, st.floats(0.01, 5.0), st.integers(0, 2**32 - 1))
 def test_a_held_program_goes_on_to_its_end(when, pause, seed):
     program = random_program(np.random.default_rng(seed), 5)
-    timeline = make_program_timeline(program, np.zeros(3), 0.0, JERKY)
+    timeline = drive(program)
     at = when * timeline.end_s
     left = interruption.find_rest(timeline, program, at)
     stopped = interruption.hold_motion(timeline, at, JERKY)
@@ -146,12 +140,8 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
 
 @settings(max_examples=50, deadline=None)
 @given(lengths, feeds, feeds, shares, limits)
-def test_the_feed_changes_under_way_within_the_limits(
-    length, feed, other, when, limits
-):
-    timeline = make_program_timeline(
-        one_line(length, feed, 0.3), np.zeros(3), 0.0, limits
-    )
+def test_the_feed_changes_under_way_within_limits(length, feed, other, when, limits):
+    timeline = drive(one_line(length, feed, 0.3), limits)
     at = when * timeline.end_s
     changed = interruption.with_feed(timeline, one_line(length, other, 0.3), at, limits)
     assert_smooth(changed, limits, max(feed, other))
@@ -160,9 +150,7 @@ def test_the_feed_changes_under_way_within_the_limits(
 
 
 def test_half_the_feed_takes_twice_the_time_from_then_on():
-    timeline = make_program_timeline(
-        one_line(400.0, 100.0, 0.0), np.zeros(3), 0.0, JERKY
-    )
+    timeline = drive(one_line(400.0, 100.0, 0.0))
     slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
     at = np.array([3.0])
     assert slower.speeds(at)[0] == pytest.approx(50.0)
@@ -170,15 +158,14 @@ def test_half_the_feed_takes_twice_the_time_from_then_on():
 
 
 def test_what_has_ended_can_be_forgotten(rng):
-    timeline = make_program_timeline(random_program(rng), np.zeros(3), 0.0, JERKY)
+    timeline = drive(random_program(rng))
     t = np.linspace(20.0, timeline.end_s + 1.0, 500)
-    np.testing.assert_array_equal(
-        timeline.since(20.0).positions(t), timeline.positions(t)
-    )
-    assert len(timeline.since(20.0)) < len(timeline)
+    kept = timeline.since(20.0)
+    np.testing.assert_array_equal(kept.positions(t), timeline.positions(t))
+    assert len(kept) < len(timeline)
 
 
-def two_turns() -> Program:
+def two_turns():
     """Stand beside a circle, go round it a little more than twice, and back."""
     end = np.radians(10.0)
     places = [[250.0, 100.0, 50.0], [0.0, 0.0, 50.0], [250.0, 100.0, 50.0]]
@@ -204,10 +191,8 @@ def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(held_at_s):
     assert_smooth(motion, JERKY, 50.0)
     turned = np.degrees(np.unwrap(np.arctan2(out[:, 1], out[:, 0])))
     assert turned.max() == pytest.approx(730.0, abs=0.1)
-    assert motion.positions(np.array([motion.end_s]))[0] == pytest.approx(
-        [250, 100, 50]
-    )
-
+    end = motion.positions(np.array([motion.end_s]))[0]
+    assert end == pytest.approx([250, 100, 50])
     if held_at_s is None:  # within a piece no axis turns back
         for begin_s, end_s in zip(motion.start_s, motion.start_s[1:], strict=False):
             inside = np.linspace(begin_s, end_s - 1e-9, 30)
@@ -231,9 +216,8 @@ def test_positions_are_those_of_the_source_at_its_own_times(source):
     assert followed.now_s() == 0.0
     write("1000 10.0 5.0\n1001 10.2 5.0\n1002 10.4 5.1 99 98\n1003 10.4 ")
     at = followed.timeline().positions(np.array([1.0, 1.0005, 1.0015, 1.002, 7.0]))
-    np.testing.assert_allclose(
-        at, [[10.0, 5.0], [10.1, 5.0], [10.3, 5.05], [10.4, 5.1], [10.4, 5.1]]
-    )
+    expected = [[10.0, 5.0], [10.1, 5.0], [10.3, 5.05], [10.4, 5.1], [10.4, 5.1]]
+    np.testing.assert_allclose(at, expected)
     assert followed.now_s() == pytest.approx(1.002)
     write("5.1\n")
     assert followed.timeline().end_s == pytest.approx(1.003)
@@ -241,9 +225,7 @@ def test_positions_are_those_of_the_source_at_its_own_times(source):
 
 def test_what_is_no_position_and_time_that_goes_back_are_left_out(source):
     followed, write = source
-    write(
-        "1000, 1.0, 2.0\noverrun\n1001 nan 2.0\n999 7.0 7.0\n1000 8.0 8.0\n1002 3 4\n"
-    )
+    write("1000, 1.0, 2.0\noverrun\n1001 nan 2.0\n999 7.0 7.0\n1000 8 8\n1002 3 4\n")
     timeline = followed.timeline()
     np.testing.assert_allclose(timeline.start_s, [1.0, 1.002])
     np.testing.assert_allclose(timeline.origin, [[1.0, 2.0], [3.0, 4.0]])

@@ -1,7 +1,6 @@
 """Rotary axes of the truth machine, their paths and recordings."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ from truepath_drivers.tracker.streaming.messages import Start
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.rotary_joint import RotaryJoint
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath_simulators.machine_file import Reflector, parse_machine
 from truepath_simulators.motion import turning_paths
 from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
@@ -26,15 +24,18 @@ from truepath_simulators.tracker.tracker_sight import TrackerParts
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.bundle_files import write_bundle_files
 
-BUNDLED = ("head-table", "trunnion")
+
+@pytest.fixture(params=["head-table", "trunnion"])
+def content(request):
+    return load_machine(request.param)
 
 
-@pytest.fixture(params=BUNDLED)
-def five_axes(request):
-    return parse_machine(load_machine(request.param))
+@pytest.fixture
+def five_axes(content):
+    return parse_machine(content)
 
 
-def head_table(**axis: Any) -> MachineFile:
+def head_table(**axis):
     content = load_machine("head-table")
     content["axes"]["C"] |= axis
     return parse_machine(content)
@@ -42,22 +43,15 @@ def head_table(**axis: Any) -> MachineFile:
 
 def test_a_table_turns_the_workpiece_and_a_head_the_tool():
     truth = perfect(head_table(origin_mm=[0.0, 0.0, 0.0]))
-    tool, part = (
-        Reflector("", "tool", (0, 0, -100)),
-        Reflector("", "workpiece", (9, 0, 0)),
-    )
+    tool = Reflector("", "tool", (0, 0, -100))
+    part = Reflector("", "workpiece", (9, 0, 0))
     turned = np.array([[10.0, 20.0, 30.0, 90.0, 0.0], [10.0, 20.0, 30.0, 0.0, 90.0]])
-    np.testing.assert_allclose(
-        truth.nominal_point_mm(turned, tool),
-        # About +Y the tool swings towards -X; a part turned by +90 deg sees it by -90.
-        [[10.0 - 100.0, 20.0, 30.0], [20.0, -10.0, 30.0 - 100.0]],
-        atol=1e-9,
-    )
-    np.testing.assert_allclose(
-        truth.nominal_point_mm(turned, part, "base"),
-        [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0]],
-        atol=1e-9,
-    )
+    # About +Y the tool swings towards -X; a part turned by +90 deg sees it by -90.
+    swung = [[10.0 - 100.0, 20.0, 30.0], [20.0, -10.0, 30.0 - 100.0]]
+    found = truth.nominal_point_mm(turned, tool)
+    np.testing.assert_allclose(found, swung, atol=1e-9)
+    found = truth.nominal_point_mm(turned, part, "base")
+    np.testing.assert_allclose(found, [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0]], atol=1e-9)
 
 
 def test_the_location_is_where_the_axis_is():
@@ -65,7 +59,6 @@ def test_the_location_is_where_the_axis_is():
     machine = head_table()
     axis = machine.rotary_axes[1]
     joint = perfect(machine).joints["C"]
-    assert isinstance(joint, RotaryJoint)
     joint = replace(joint, shift_mm=(0.05, -0.02, 0.0), tilt_rad=(3e-5, 1e-5, 0.0))
     turns = joint.actual(np.linspace(0.0, 360.0, 13))
     base = np.append(np.add(axis.origin_mm, (0.05, -0.02, 0.0)), 1.0)
@@ -85,14 +78,10 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
         motion = random_machine(five_axes, 1).error_motions()[f"EX{name.name}"]
         motion = replace(motion, amplitude=(), phase=(), offset=0.01, bend=0.0)
         joint = truth.joints[name.name]
-        assert isinstance(joint, RotaryJoint)
         moved = replace(joint, translation=(motion, *joint.translation[1:]))
         shift = replace(truth, joints={**truth.joints, name.name: moved})
-        np.testing.assert_allclose(
-            shift.point_mm(np.zeros((1, 5)), tool) - [tool.offset_mm],
-            [[0.01, 0.0, 0.0]],
-            atol=1e-12,
-        )
+        by_mm = shift.point_mm(np.zeros((1, 5)), tool) - tool.offset_mm
+        np.testing.assert_allclose(by_mm, [[0.01, 0.0, 0.0]], atol=1e-12)
 
 
 def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
@@ -102,12 +91,9 @@ def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
     row, place = timeline.rows(time_s), timeline.positions(time_s)
     begin, end = program.position[row - 1], program.position[row]
     step = end - begin
-    share = np.einsum("na,na->n", place - begin, step) / np.maximum(
-        np.einsum("na,na->n", step, step), 1e-9
-    )
-    inside = row > 0
-    straight = begin + share[:, None] * step
-    np.testing.assert_allclose(place[inside], straight[inside], atol=1e-6)
+    along, length2 = ((one * step).sum(axis=1) for one in (place - begin, step))
+    straight = begin + (along / np.maximum(length2, 1e-9))[:, None] * step
+    np.testing.assert_allclose(place[row > 0], straight[row > 0], atol=1e-6)
     rate = np.abs(np.diff(place[:, 3:], axis=0)) / np.diff(time_s)[:, None]
     assert rate.max() < 41.0
     # The feed is that of the straight axes, else of the rotary ones.
@@ -115,11 +101,10 @@ def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
     np.testing.assert_allclose(path_length(step), [5.0, 50.0])
 
 
-def test_each_row_measures_its_own_target(five_axes):
-    name = {"head and table": "head-table"}.get(five_axes.name, five_axes.name)
+def test_each_row_measures_its_own_target(content, five_axes):
     program = turning_paths.turning_path(five_axes, 3, 10, 8000.0)
     quiet = synthetic.Setting(noise_scale=0.0, rate_hz=50.0)
-    made = synthetic.record(load_machine(name), program, 5, setting=quiet)
+    made = synthetic.record(content, program, 5, setting=quiet)
     assert set(program.target) == {r.name for r in five_axes.reflectors}
     for target in program.target:
         mine = np.array(program.target)[made.row] == target
@@ -158,10 +143,8 @@ def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
     orders = turning_paths.looking_at(five_axes, program.target)
     assert len(orders) == 5
     truth, pose = perfect(five_axes), random_pose(five_axes, 1)
-    device = TrackerDevice(
-        TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1),
-        Schedule(map(parse_fault, orders)),
-    )
+    parts = TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1)
+    device = TrackerDevice(parts, Schedule(map(parse_fault, orders)))
     timeline = make_program_timeline(program, program.position[0], 0.0, Limits())
     device.receive(encode_message(Start(1, 50.0)), 0.0, 0.0)
     frames = device.due(timeline, timeline.end_s, 0.1)

@@ -1,32 +1,23 @@
 import itertools
 import json
-from typing import Any
 
 import numpy as np
 import pytest
 
 from truepath.files.bundle.bundle import read_bundle
-from truepath_simulators.machine.tracker_head import (
-    Air,
-    SampleNoise,
-    measure_polar,
-    random_clock,
-    random_pose,
-    to_cartesian,
-)
+from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.bundle_files import write_bundle_files
-from truepath_simulators.worlds.recording import Recording
 from truepath_simulators.worlds.synthetic import Defects, Setting, record
 
 CONTENT = load_machine("demo")
 MACHINE = parse_machine(CONTENT)
 
 
-def recorded(seed: int = 4, rows: int = 8, **setting: Any) -> Recording:
+def recorded(seed=4, rows=8, **setting):
     program = paths.chord_path(MACHINE, seed, rows, 5000.0)
     return record(CONTENT, program, seed, setting=Setting(**setting))
 
@@ -37,28 +28,30 @@ def clean():
     return recorded()
 
 
+def draw_noise(**air):
+    return tracker_head.SampleNoise(1, 500.0, tracker_head.Air(**air))
+
+
 def test_noise_has_the_stated_size_and_part_of_it_is_correlated_in_time(rng):
     point = rng.normal(0.0, 900.0, 3)
     noise = rng.standard_normal((20_000, 3))
-    seen = to_cartesian(
-        measure_polar(np.tile(point, (20_000, 1)), noise, MACHINE.tracker)
-    )
+    places = np.tile(point, (20_000, 1))
+    polar = tracker_head.measure_polar(places, noise, MACHINE.tracker)
     r = float(np.linalg.norm(point))
     beam = point / r
-    off = seen - point
+    off = tracker_head.to_cartesian(polar) - point
     along = off @ beam
     across = off - np.outer(along, beam)
     assert along.std() == pytest.approx(1e-3 * 1.0 + 1e-6 * 0.3 * r, rel=0.02)
     stated = np.hypot(3e-6 * r, 4e-3)
     assert np.sqrt((across**2).sum(1).mean() / 2) == pytest.approx(stated, rel=0.02)
-    noise = SampleNoise(1, 500.0, Air(share=0.5, tau_s=0.2)).draw(400_000)
+    noise = draw_noise(share=0.5, tau_s=0.2).draw(400_000)
     assert noise.std() == pytest.approx(1.0, rel=0.02)
     for lag_s in (0.02, 0.2, 0.4):
         lag = int(500 * lag_s)
         shared = np.mean(noise[lag:] * noise[:-lag])
         assert shared == pytest.approx(0.25 * np.exp(-lag_s / 0.2), abs=0.02)
-    whole = SampleNoise(1, 500.0, Air()).draw(3000)
-    parts = SampleNoise(1, 500.0, Air())
+    whole, parts = draw_noise().draw(3000), draw_noise()
     cuts = rng.multinomial(3000, np.full(40, 1 / 40))
     drawn = np.vstack([parts.draw(int(n)) for n in cuts])
     np.testing.assert_allclose(drawn, whole, atol=1e-12)
@@ -66,13 +59,12 @@ def test_noise_has_the_stated_size_and_part_of_it_is_correlated_in_time(rng):
 
 def test_the_tracker_stands_outside_the_travel():
     for seed in range(50):
-        pose = random_pose(MACHINE, seed)
+        pose = tracker_head.random_pose(MACHINE, seed)
         spot = pose.position_mm - MACHINE.reflector().offset_mm
         beside = (spot < MACHINE.low_mm - 50.0) | (spot > MACHINE.high_mm + 50.0)
         assert beside[:2].any()
-        np.testing.assert_allclose(
-            pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12
-        )
+        turned = pose.rotation @ pose.rotation.T
+        np.testing.assert_allclose(turned, np.eye(3), atol=1e-12)
 
 
 def test_a_seed_says_the_whole_recording_and_a_clock_of_its_own(clean):
@@ -80,16 +72,15 @@ def test_a_seed_says_the_whole_recording_and_a_clock_of_its_own(clean):
     np.testing.assert_array_equal(clean.position_mm, again.position_mm)
     np.testing.assert_array_equal(clean.time_s, again.time_s)
     assert clean.time_s[0] != other.time_s[0]
-    clock = random_clock(3)
+    clock = tracker_head.random_clock(3)
     assert clock.true_s(np.array([clock.device_s(12.5)]))[0] == pytest.approx(12.5)
     assert 0.0 < abs(clock.drift) <= 2e-5
 
 
 def test_the_stream_is_the_truth_seen_from_before_the_motion_to_after_it():
     recording = recorded(noise_scale=0.0)
-    table_mm = (
-        recording.position_mm @ recording.pose.rotation.T + recording.pose.position_mm
-    )
+    pose = recording.pose
+    table_mm = recording.position_mm @ pose.rotation.T + pose.position_mm
     nominal = recording.commanded_mm + recording.truth.machine.reflector().offset_mm
     deviation = recording.truth.deviation_mm(recording.commanded_mm)
     np.testing.assert_allclose(table_mm, nominal + deviation, atol=1e-8)
@@ -123,7 +114,7 @@ def test_lost_and_doubled_frames_silence_and_a_late_start_are_in_the_times(clean
     assert late.row[0] > 0 or np.any(np.diff(late.commanded_mm[:5], axis=0))
 
 
-def test_a_broken_beam_is_told_by_the_status_and_spikes_are_valid(clean):
+def test_a_broken_beam_is_told_spikes_are_valid_and_a_hold_stands_in_mid_line(clean):
     broken = recorded(defects=Defects(beam_breaks=((3.0, 0.5),)))
     assert abs(np.count_nonzero(broken.status) - 250) <= 1
     spiky = recorded(defects=Defects(spikes=7, spike_mm=0.8))
@@ -131,9 +122,6 @@ def test_a_broken_beam_is_told_by_the_status_and_spikes_are_valid(clean):
     assert np.count_nonzero(off > 1e-9) == 7
     np.testing.assert_allclose(off[off > 1e-9], 0.8)
     assert not spiky.status.any()
-
-
-def test_a_hold_stands_in_mid_line(clean):
     recording = recorded(defects=Defects(holds=((4.0, 3.0),)))
     assert len(recording) - len(clean) == pytest.approx(3.0 * 500, rel=0.1)
     still = np.linalg.norm(np.diff(recording.commanded_mm, axis=0), axis=1) == 0.0
@@ -173,9 +161,7 @@ def test_corners_are_all_joined_and_chords_are_lines_in_the_travel():
     assert np.linalg.norm(np.diff(position, axis=0), axis=1).min() > 1.0
 
 
-def test_the_command_writes_a_bundle_and_names_a_machine_that_is_not_there(
-    tmp_path, capsys
-):
+def test_the_command_writes_a_bundle_and_names_an_absent_machine(tmp_path, capsys):
     out = tmp_path / "run"
     assert synthetic.main([str(out), "--rows", "3", "--rough", "--csv"]) == 0
     assert "samples" in capsys.readouterr().err

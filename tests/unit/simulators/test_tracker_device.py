@@ -4,25 +4,12 @@ import numpy as np
 import pytest
 
 from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.tracker.streaming import messages
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import encode_frame
 from truepath_drivers.tracker.streaming.measurements import StatusBit
 from truepath_drivers.tracker.streaming.message_codec import encode_message
-from truepath_drivers.tracker.streaming.messages import (
-    VERSION,
-    Ack,
-    Event,
-    EventCode,
-    Format,
-    Hello,
-    Message,
-    Nak,
-    NakCode,
-    Ping,
-    Start,
-    Status,
-    Stop,
-)
+from truepath_drivers.tracker.streaming.messages import VERSION, Start, Stop
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
@@ -32,7 +19,7 @@ from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
-from truepath_simulators.timeline import Timeline, standing
+from truepath_simulators.timeline import standing
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
@@ -43,45 +30,43 @@ CLOCK = TrackerClock(100.0, 1e-5)
 class Wire:
     """A device, its clocks and a host that decodes what comes."""
 
-    def __init__(self, *faults: str) -> None:
-        self.parts = TrackerParts(
-            random_machine(MACHINE, 1), random_pose(MACHINE, 1), CLOCK, Air(), 1
-        )
+    def __init__(self, *faults):
+        truth, pose = random_machine(MACHINE, 1), random_pose(MACHINE, 1)
+        self.parts = TrackerParts(truth, pose, CLOCK, Air(), 1)
         self.schedule = Schedule(map(parse_fault, faults))
         self.device = TrackerDevice(self.parts, self.schedule)
-        self.timeline: Timeline = standing([100.0, 100.0, 100.0], 0.0, 0)
+        self.timeline = standing([100.0, 100.0, 100.0], 0.0, 0)
         self.decoder = StreamDecoder()
-        self.now_s = 1.0
-        self.samples: list[TrackerSamples] = []
-        self.messages: list[Message] = []
-        self.waiting_bytes = 0
+        self.now_s, self.waiting_bytes = 1.0, 0
+        self.samples, self.messages = [], []
 
-    def ask(self, message: Message) -> Message | None:
-        reply = self.device.receive(encode_message(message), self.now_s, self.now_s)
-        answers = self._take(reply)
+    def ask(self, message):
+        answers = self._take(self.receive(encode_message(message)))
         return answers[-1] if answers else None
 
-    def stream(self, duration_s: float, step_s: float = 0.05) -> TrackerSamples:
+    def receive(self, data):
+        return self.device.receive(data, self.now_s, self.now_s)
+
+    def stream(self, duration_s, step_s=0.05):
         first = len(self.samples)
         for _ in range(round(duration_s / step_s)):
             self.now_s += step_s
-            self.device.receive(encode_message(Ping(9)), self.now_s, self.now_s)
+            self.receive(encode_message(messages.Ping(9)))
             self.tick()
         return TrackerSamples.join(self.samples[first:])
 
-    def tick(self) -> None:
-        self._take(
-            self.device.due(self.timeline, self.now_s, self.now_s, self.waiting_bytes)
-        )
+    def tick(self):
+        now = self.now_s, self.now_s, self.waiting_bytes
+        self._take(self.device.due(self.timeline, *now))
 
-    def _take(self, data: bytes) -> list[Message]:
+    def _take(self, data):
         decoded = self.decoder.feed(data)
         self.samples.append(decoded.samples)
         self.messages += decoded.messages
-        return list(decoded.messages)
+        return decoded.messages
 
 
-def stream_of(*faults: str) -> Wire:
+def stream_of(*faults):
     """A device that streams at 500 Hz."""
     wire = Wire(*faults)
     wire.ask(Start(1, 500.0))
@@ -97,10 +82,10 @@ def clean():
 def test_it_streams_long_or_short_frames_at_one_rate_at_a_time():
     device = stream_of()
     other_rate = device.ask(Start(2, 1000.0))  # is no restart
-    assert isinstance(other_rate, Nak)
-    assert other_rate.code == NakCode.BUSY
-    assert device.ask(Stop(4)) == Ack(4, 0x22)
-    device.ask(Start(5, 500.0, Format.MEAS))
+    assert isinstance(other_rate, messages.Nak)
+    assert other_rate.code == messages.NakCode.BUSY
+    assert device.ask(Stop(4)) == messages.Ack(4, 0x22)
+    device.ask(Start(5, 500.0, messages.Format.MEAS))
     short = device.stream(0.5)
     assert len(short) > 200
     assert not short.status.any()
@@ -117,7 +102,7 @@ def test_it_sees_the_machine_move_evenly_timed_on_its_own_clock():
     assert samples.device_time_s[0] == pytest.approx(CLOCK.device_s(1.0), abs=2e-6)
     assert samples.device_time_s[-1] <= CLOCK.device_s(device.now_s)
     assert CLOCK.device_s(device.now_s) - samples.device_time_s[-1] < 0.0021
-    told = [m for m in device.messages if isinstance(m, Status)]
+    told = [m for m in device.messages if isinstance(m, messages.Status)]
     assert len(told) == 3  # twice a second
     assert told[-1].frames_sent == pytest.approx(500, abs=30)
     parts = device.parts
@@ -154,21 +139,20 @@ def test_each_stream_has_noise_of_its_own():
 @pytest.mark.parametrize(
     ("body", "code"),
     [
-        (bytes([VERSION, 0x77, 5]), NakCode.UNKNOWN_COMMAND),
-        (bytes([VERSION + 1, 0x20, 5]), NakCode.VERSION_NOT_SPOKEN),
-        (bytes([VERSION, 0x20, 5, 9]), NakCode.VERSION_NOT_SPOKEN),
-        (bytes([VERSION, 0x21, 5, 1]), NakCode.BAD_ARGUMENT),
-        (bytes([VERSION, 0x21, 5, 0x20, 0xA1, 7, 0, 9]), NakCode.BAD_ARGUMENT),
-        (Start(5, 0.0), NakCode.RATE_NOT_POSSIBLE),
-        (Start(5, 5001.0), NakCode.RATE_NOT_POSSIBLE),
+        (bytes([VERSION, 0x77, 5]), messages.NakCode.UNKNOWN_COMMAND),
+        (bytes([VERSION + 1, 0x20, 5]), messages.NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x20, 5, 9]), messages.NakCode.VERSION_NOT_SPOKEN),
+        (bytes([VERSION, 0x21, 5, 1]), messages.NakCode.BAD_ARGUMENT),
+        (bytes([VERSION, 0x21, 5, 0x20, 0xA1, 7, 0, 9]), messages.NakCode.BAD_ARGUMENT),
+        (Start(5, 0.0), messages.NakCode.RATE_NOT_POSSIBLE),
+        (Start(5, 5001.0), messages.NakCode.RATE_NOT_POSSIBLE),
     ],
 )
 def test_what_it_does_not_know_or_cannot_do_it_says_so(body, code):
     device = Wire()
     frame = encode_frame(body) if isinstance(body, bytes) else encode_message(body)
-    reply = device.device.receive(frame, 1.0, 1.0)
-    (nak,) = device.decoder.feed(reply).messages
-    assert isinstance(nak, Nak)
+    (nak,) = device.decoder.feed(device.receive(frame)).messages
+    assert isinstance(nak, messages.Nak)
     assert (nak.transaction, nak.code) == (5, code)
 
 
@@ -188,8 +172,8 @@ def test_without_a_ping_the_stream_ends_and_an_overflow_is_told_with_the_next_sa
         device.now_s += 0.1
         device.tick()
     assert not device.device.streaming
-    stopped = [m for m in device.messages if isinstance(m, Event)]
-    assert [m.code for m in stopped] == [EventCode.STREAM_STOPPED_NO_PING]
+    stopped = [m for m in device.messages if isinstance(m, messages.Event)]
+    assert [m.code for m in stopped] == [messages.EventCode.STREAM_STOPPED_NO_PING]
     total = sum(len(block) for block in device.samples[begun:])
     assert total == pytest.approx(2500, abs=55)
 
@@ -238,8 +222,8 @@ def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(c
     samples = device.stream(1.0)
     broken = samples.status == StatusBit.BEAM_BROKEN
     assert broken.sum() == pytest.approx(100, abs=2)
-    events = [m.code for m in device.messages if isinstance(m, Event)]
-    assert events == [EventCode.BEAM_BROKEN, EventCode.BEAM_LOCKED]
+    events = [m.code for m in device.messages if isinstance(m, messages.Event)]
+    assert events == [messages.EventCode.BEAM_BROKEN, messages.EventCode.BEAM_LOCKED]
     added = parse_fault("tracker:beam-break+0.1s")  # strikes now
     device.schedule.add(added, device.now_s)
     assert (device.stream(0.5).status != 0).sum() == pytest.approx(50, abs=2)
@@ -251,10 +235,10 @@ def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(c
 
 
 def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():
-    other = Wire("tracker:wrong-identity").ask(Hello(1)).detail
+    other = Wire("tracker:wrong-identity").ask(messages.Hello(1)).detail
     assert other.maker == "Nobody"
     assert other.version != VERSION
-    assert Wire("tracker:silence").ask(Hello(1)) is None
+    assert Wire("tracker:silence").ask(messages.Hello(1)) is None
 
 
 def test_a_device_counts_all_time_but_that_of_a_suspension(hand_clock):

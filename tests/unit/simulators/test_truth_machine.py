@@ -1,14 +1,16 @@
 import itertools
-from dataclasses import replace
-from typing import Any
+import json
+from dataclasses import asdict
+from importlib import resources
 
 import numpy as np
 import pytest
 
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import MachineFile, Reflector, parse_machine
+from truepath_simulators.machine_file import Reflector, parse_machine
 from truepath_simulators.scenario import list_machines, load_machine
 
 CHAINS = [
@@ -22,13 +24,11 @@ LINEAR = {"type": "linear", "min_mm": 0.0, "max_mm": 300.0}
 STRAIGHT = dict.fromkeys("XYZ", LINEAR)
 
 
-def with_chain(demo: dict[str, Any], chain: str) -> MachineFile:
+def with_chain(demo, chain):
     return parse_machine(demo | {"kinematic_chain": chain})
 
 
-def somewhere(
-    rng: np.random.Generator, machine: MachineFile, n: int = 200
-) -> np.ndarray:
+def somewhere(rng, machine, n=200):
     return rng.uniform(machine.low_mm, machine.high_mm, (n, 3))
 
 
@@ -50,9 +50,7 @@ def linear_form_mm(truth, q):
 
 
 @pytest.mark.parametrize("chain", CHAINS)
-def test_without_errors_it_is_where_it_should_be_and_with_them_as_the_linear_form_says(
-    demo, rng, chain
-):
+def test_it_is_where_it_should_be_or_as_the_linear_form_says(demo, rng, chain):
     machine = with_chain(demo, chain)
     q = somewhere(rng, machine)
     exact = perfect(machine)
@@ -60,9 +58,9 @@ def test_without_errors_it_is_where_it_should_be_and_with_them_as_the_linear_for
     np.testing.assert_allclose(exact.locate_target_mm(q), nominal, atol=1e-9)
     assert np.abs(exact.deviation_mm(q)).max() < 1e-9
 
-    def rest_mm(scale: float) -> float:
+    def rest_mm(scale):
         truth = random_machine(machine, 5, scale=scale)
-        return float(np.abs(truth.deviation_mm(q) - linear_form_mm(truth, q)).max())
+        return np.abs(truth.deviation_mm(q) - linear_form_mm(truth, q)).max()
 
     size_mm = np.abs(random_machine(machine, 5).deviation_mm(q)).max()
     assert rest_mm(1.0) < 1e-3 * size_mm
@@ -81,9 +79,7 @@ def test_reflectors_on_one_tool_keep_their_distance(demo, rng, chain):
     np.testing.assert_allclose(distance, np.linalg.norm(b - a), rtol=1e-12)
 
 
-def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_tools(
-    demo, machine
-):
+def test_error_motions_have_the_tables_gauge_and_usual_magnitudes(demo, machine):
     limits = {"positioning": (5e-3, 40e-3), "straight": (2e-3, 15e-3)}
     grid = np.linspace(0.0, 1.0, 201)
     for seed in range(5):
@@ -111,25 +107,24 @@ def test_error_motions_have_the_gauge_of_the_tables_and_magnitudes_of_machine_to
 
 def test_a_seed_says_the_machine_and_many_points_are_as_one_by_one(machine, rng):
     q = somewhere(rng, machine)
-    first, again, other = (
-        random_machine(machine, s).deviation_mm(q) for s in (7, 7, 8)
-    )
-    np.testing.assert_array_equal(first, again)
+    first, same, other = (random_machine(machine, s).deviation_mm(q) for s in (7, 7, 8))
+    np.testing.assert_array_equal(first, same)
     assert np.abs(first - other).max() > 1e-3
     truth = random_machine(machine, 1)
     q = somewhere(rng, machine, 45_000)
     some = [0, 19_999, 20_000, 44_999]
-    np.testing.assert_allclose(
-        truth.deviation_mm(q)[some],
-        np.vstack([truth.deviation_mm(q[k : k + 1]) for k in some]),
-        atol=1e-12,
-    )
+    alone = np.vstack([truth.deviation_mm(q[k : k + 1]) for k in some])
+    np.testing.assert_allclose(truth.deviation_mm(q)[some], alone, atol=1e-12)
 
 
 def test_bundled_machines_can_be_simulated_and_an_unknown_one_names_them():
+    folder = resources.files("truepath_simulators") / "scenarios"
     for name in list_machines():
         machine = parse_machine(load_machine(name))
         assert np.all(machine.high > machine.low)
+        content = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+        # Its tracker errs as its maker specifies, as real ones do.
+        assert content["tracker"]["specification"] == asdict(TrackerSpecification())
     with pytest.raises(SimulatorError, match="demo"):
         load_machine("no-such-machine.json")
 
@@ -161,6 +156,6 @@ def test_targets_go_by_name(demo):
     }
     machine = parse_machine(demo)
     assert machine.reflector("T2").on == "workpiece"
-    assert machine.reflector() == replace(machine.reflector("T1"))
+    assert machine.reflector() == machine.reflector("T1")
     with pytest.raises(SimulatorError, match="T3"):
         machine.reflector("T3")

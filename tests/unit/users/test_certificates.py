@@ -6,10 +6,8 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from starlette.testclient import TestClient
 
 from truepath.errors import BadInput
-from truepath.service.api.security.security import Guard
 from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
 
 
@@ -51,12 +49,6 @@ def test_files_that_cannot_be_used_are_named_by_their_setting(files, tmp_path):
             check_tls_files(TlsFiles(cert, key))
 
 
-async def answer(scope, receive, send):
-    start = {"type": "http.response.start", "status": 200, "headers": []}
-    await send(start)
-    await send({"type": "http.response.body", "body": scope["scheme"].encode()})
-
-
 def shake_hands(files, trusted, name):
     """Open TLS as a client of a service with these files; return its version."""
     to_client, to_service = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -71,12 +63,9 @@ def shake_hands(files, trusted, name):
     return client.version()
 
 
-def test_a_client_that_trusts_it_is_answered_and_told_to_stay_with_tls(files):
+def test_a_client_that_trusts_it_is_answered_and_no_other(files):
     for name in ("localhost", "127.0.0.1"):
         assert shake_hands(files, files.cert, name) == "TLSv1.3"
     for trusted, name in ((None, "localhost"), (files.cert, "other")):
         with pytest.raises(ssl.SSLCertVerificationError):
             shake_hands(files, trusted, name)
-    said = TestClient(Guard(answer), base_url="https://localhost").get("/")
-    assert said.text == "https"
-    assert "max-age=" in said.headers["Strict-Transport-Security"]

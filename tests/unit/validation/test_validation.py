@@ -130,5 +130,4 @@ def test_files_that_carry_all_errors_leave_a_twentieth_and_what_they_state(
     assert np.median(before / after) > 20.0
     # Of 20 at a rate of 95 % fewer than 17 come once in sixty times.
     assert sum(one.is_covered for one in outcomes) >= 17
-    wrong = np.array([one.wrong for one in outcomes])
-    assert (wrong > 1.5 * before).all()
+    assert (np.array([one.wrong for one in outcomes]) > 1.5 * before).all()

@@ -6,8 +6,7 @@
    ORDER abcd (default) is high word and byte first, by hand; libmodbus, badc, cdab and
    dcba take what libmodbus's own modbus_set_float_… makes of 32-bit values.
 
-   Lines on standard input: "delay MS", "exception CODE COUNT", "unit N" (replies carry
-   unit N over TCP), "alarm CODE". Leaves at the end of standard input. */
+   A line "delay MS" on standard input makes it slow. Leaves at the end of that. */
 #include <arpa/inet.h>
 #include <math.h>
 #include <modbus/modbus.h>
@@ -37,7 +36,7 @@ static const uint32_t max_feed = 30000000;
 static Row staged[ROWS], path[ROWS], move, *program;
 static int path_rows, program_rows, row;
 static double row_s, now_s, beat_s, from[AXES];
-static int delay_ms, exception_code, exceptions, unit = -1;
+static int delay_ms;
 
 static void put32(int address, uint32_t value) {
     float same_bits;
@@ -237,12 +236,7 @@ static void reply(modbus_t *link, uint8_t *query, int length) {
                     ? 1 : query[head + 3] << 8 | query[head + 4];
     uint16_t watchdog = words[181], heartbeat = words[180];
     if (delay_ms) usleep(1000 * delay_ms);
-    if (unit >= 0) query[head - 1] = unit;
     advance();
-    if (exceptions > 0 && exceptions--) {
-        modbus_reply_exception(link, query, exception_code);
-        return;
-    }
     if (!is_allowed(function, first, count)) {
         modbus_reply_exception(link, query, MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS);
         return;
@@ -263,17 +257,9 @@ static void reply(modbus_t *link, uint8_t *query, int length) {
 }
 
 static int listen_to_input(void) {
-    char line[80], what[20];
-    int first = 0, second = 0;
+    char line[80];
     if (!fgets(line, sizeof line, stdin)) return -1;
-    sscanf(line, "%19s %d %d", what, &first, &second);
-    if (!strcmp(what, "delay")) delay_ms = first;
-    if (!strcmp(what, "exception")) exception_code = first, exceptions = second;
-    if (!strcmp(what, "unit")) unit = first;
-    if (!strcmp(what, "alarm")) {
-        words[100] = ALARM, words[102] = first;
-        put_text(130, 32, "Servo alarm of axis Y");
-    }
+    sscanf(line, "delay %d", &delay_ms);
     printf("done\n");
     fflush(stdout);
     return 0;

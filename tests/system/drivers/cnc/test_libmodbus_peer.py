@@ -7,7 +7,7 @@ is libmodbus's. Debian: apt-get install gcc libc6-dev libmodbus-dev socat.
 import shutil
 import subprocess
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path as FilePath
 
 import pytest
@@ -78,16 +78,12 @@ def serve_rtu(program, folder, until):
             socat.terminate()
 
 
-@pytest.fixture(params=["tcp", "rtu"])
-def server(request, program, tmp_path, until):
-    over_rtu = serve_rtu(program, tmp_path, until)
-    with serve_tcp(program) if request.param == "tcp" else over_rtu as server:
-        yield server
-
-
 @pytest.fixture
-def tcp_server(program):
-    with serve_tcp(program) as server:
+def server(request, program, tmp_path, until):
+    """One on TCP, unless a test asks for another."""
+    is_tcp = getattr(request, "param", "tcp") == "tcp"
+    over_rtu = serve_rtu(program, tmp_path, until)
+    with serve_tcp(program) if is_tcp else over_rtu as server:
         yield server
 
 
@@ -97,18 +93,12 @@ def controller(server):
         yield controller
 
 
-@pytest.fixture
-def tcp_controller(tcp_server):
-    with ModbusController(**tcp_server.options) as controller:
-        yield controller
-
-
 @pytest.mark.parametrize(
     "check",
     [pytest.param(c, marks=pytest.mark.long) if c in SLOW else c for c in CHECKS],
 )
-def test_the_driver_keeps_its_promises_on_it(check, tcp_server):
-    check(lambda: ModbusController(**tcp_server.options))
+def test_the_driver_keeps_its_promises_on_it(check, server):
+    check(lambda: ModbusController(**server.options))
 
 
 @pytest.mark.parametrize("order", ["libmodbus", "badc", "cdab", "dcba"])
@@ -147,6 +137,7 @@ def read_raw(server, address, count):
     return [int(line.split()[-1], 16) for line in lines]
 
 
+@pytest.mark.parametrize("server", ["tcp", "rtu"], indirect=True)
 def test_a_slow_gateway_is_waited_for_and_one_too_slow_told_in_time(server, controller):
     controller.connect()
     server.tell("delay 120")
@@ -162,18 +153,10 @@ def test_a_slow_gateway_is_waited_for_and_one_too_slow_told_in_time(server, cont
     assert controller.wait(5.0).position == pytest.approx((2, 1, -1))
 
 
-@pytest.mark.fault_row(15)
-def test_over_tcp_the_reply_of_another_unit_is_not_taken(tcp_server, tcp_controller):
-    tcp_controller.connect()
-    tcp_server.tell("unit 9")
-    with pytest.raises(DeviceTimeout, match="no valid reply"):
-        tcp_controller.status()
-
-
-def test_a_second_master_reads_while_the_first_drives(tcp_server, tcp_controller):
-    tcp_controller.move_to([10, 1, -1], 900)
-    assert read_raw(tcp_server, 100, 1) == [2]
-    assert tcp_controller.wait(5.0).state is MotionState.FINISHED
+def test_a_second_master_reads_while_the_first_drives(server, controller):
+    controller.move_to([10, 1, -1], 900)
+    assert read_raw(server, 100, 1) == [2]
+    assert controller.wait(5.0).state is MotionState.FINISHED
 
 
 def test_a_device_for_one_master_at_a_time_says_so_by_silence(program, until):
@@ -190,7 +173,5 @@ def test_a_device_for_one_master_at_a_time_says_so_by_silence(program, until):
 
 
 def connects(controller):
-    try:
+    with suppress(DeviceTimeout):
         return controller.connect().maker == "libmodbus"
-    except DeviceTimeout:
-        return False

@@ -24,6 +24,11 @@ SLOW = (motion.hold_and_resume_are_absolute,)
 READY = {"reset_at_connect": True, "home_at_connect": True}
 
 
+def go(driver, *place, feed=6000):
+    driver.move_to(place, feed)
+    return driver.wait(10.0)
+
+
 @pytest.fixture(scope="module")
 def fresh():
     """A machine that was just switched on, and what it said until it could be driven.
@@ -37,22 +42,17 @@ def fresh():
             driver.reset()
             said.append((driver.status(), refusals_of(driver)))
             driver.home(10.0)
-            said.append((driver.status(), []))
-            driver.move_to((1, 1, -1), 6000)
-            said.append((driver.wait(5.0), []))
+            said += [(driver.status(), []), (go(driver, 1, 1, -1), [])]
         yield rig, said
 
 
 def refusals_of(driver):
     """What moves, paths and waiting are refused with."""
-    texts = []
-    for verb in (
-        lambda: driver.move_to((1, 1, -1), 6000),
-        lambda: driver.load(path_of((1, 1, -1))),
-        lambda: driver.wait(1.0),
-    ):
+    texts, place = [], (1, 1, -1)
+    asked = (driver.move_to, place, 6000), (driver.load, path_of(place))
+    for verb, *given in (*asked, (driver.wait, 1.0)):
         with pytest.raises(MotionFault) as refused:
-            verb()
+            verb(*given)
         texts.append(str(refused.value))
     return texts
 
@@ -66,8 +66,7 @@ def rig(fresh):
 def driver(rig):
     with LinuxCncController(**rig.motion_options, **READY) as driver:
         driver.abort()
-        driver.move_to((10, 10, -10), 12_000)
-        driver.wait(10.0)
+        go(driver, 10, 10, -10, feed=12_000)
         yield driver
         driver.abort()
 
@@ -223,8 +222,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
     switched = {"prologue": "M68 E3 Q0; M66 E0 L0"}
     with LinuxCncRig(machine) as rig:
         with LinuxCncController(**rig.motion_options, **READY) as driver:
-            driver.move_to((10, 50, -30, -30, 45), 6000)
-            assert driver.wait(10.0).state is MotionState.FINISHED
+            assert go(driver, 10, 50, -30, -30, 45).state is MotionState.FINISHED
             driver._session.demand("mdi M68 E3 Q1")
             with pytest.raises(Refused, match="RTCP"):
                 driver.move_to(goal, 6000)
@@ -238,11 +236,9 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
             assert status.state is MotionState.FINISHED
             assert status.position == pytest.approx(goal, abs=1e-3)
             driver._session.demand("mdi M68 E3 Q1")
-            driver.move_to((10, 50, -30, -30, 45), 6000)
-            status = driver.wait(10.0)
+            status = go(driver, 10, 50, -30, -30, 45)
             assert status.position == pytest.approx((10, 50, -30, -30, 45), abs=1e-3)
-            driver.move_to((0, 0, 0, 0, 0), 6000)
-            driver.wait(10.0)
+            go(driver, 0, 0, 0, 0, 0)
         # With the table at zero, coordinates do not tell that the tip is followed.
         there_and_back = path_of(goal, (0.0,) * 5, axes=travel, feed=3000.0)
         for options in ({}, {"prologue": "G21"}):
@@ -258,8 +254,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
                 assert 0 < stopped.position[3] < 9.9
                 driver._session.enter_mode("mdi")
                 driver._session.demand("mdi M68 E3 Q0")
-                driver.move_to((0, 0, 0, 0, 0), 6000)
-                driver.wait(10.0)
+                go(driver, 0, 0, 0, 0, 0)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from paths_by_hand import path_of, two_turns
-from register_peers import ABORT, COMMIT, HOLD, MOVE_TO, PUT_ROWS, START
+from register_peers import (
+    ABORT,
+    COMMIT,
+    HOLD,
+    MOVE_TO,
+    PUT_ROWS,
+    START,
+    RtuPeer,
+    TcpPeer,
+)
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
@@ -23,6 +32,18 @@ from truepath_drivers.interfaces.errors import (
 )
 from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
+
+
+@pytest.fixture(params=[TcpPeer, RtuPeer], ids=["tcp", "rtu"])
+def peer(request):
+    with request.param() as peer:
+        yield peer
+
+
+@pytest.fixture
+def tcp_peer():
+    with TcpPeer() as peer:
+        yield peer
 
 
 @pytest.fixture
@@ -47,7 +68,8 @@ def popped(items: list) -> bool:
     return bool(items and items.pop())
 
 
-def test_connect_reads_identity_axes_and_travel_and_sets_the_watchdog(peer):
+@pytest.mark.fault_row(17)
+def test_connect_reads_who_and_what_and_sets_a_watchdog_unless_another_is_kept(peer):
     controller = ModbusController(**peer.options, watchdog_s=0.5)
     assert (controller.axes, controller.travel) == ((), ())
     with pytest.raises(ConnectionLost, match="connect first"):
@@ -59,13 +81,8 @@ def test_connect_reads_identity_axes_and_travel_and_sets_the_watchdog(peer):
         assert controller.axes == ("X", "Y", "Z")
         assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
         status = controller.status()
-    assert (status.state, status.position) == (MotionState.IDLE, (0.0, 0.0, 0.0))
-    assert peer.model.words[181] == 500
-
-
-@pytest.mark.fault_row(17)
-def test_a_device_that_keeps_another_watchdog_time_has_none(peer):
-    with ModbusController(**peer.options, watchdog_s=0.5) as controller:
+        assert (status.state, status.position) == (MotionState.IDLE, (0.0, 0.0, 0.0))
+        assert peer.model.words[181] == 500
         controller.close()
         peer.model.keeps_watchdog_ms = 0
         assert not controller.connect().has_watchdog
@@ -256,18 +273,20 @@ def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_contro
     assert tcp_peer.model.executed == [HOLD]
 
 
-@pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
+MANGLED = {
+    "nothing": lambda reply: b"",
+    "half": lambda reply: reply[: len(reply) // 2],
+    "noise": lambda reply: np.random.default_rng(2).bytes(40),
+    "cut": lambda reply: reply[:-1],
+}
+
+
+@pytest.mark.parametrize("mangled", MANGLED)
 @pytest.mark.fault_row(14)
 def test_bad_replies_are_a_timeout_within_half_a_second(
     peer, controller, mangled, measured
 ):
-    noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
-    peer.mangle = {
-        "nothing": lambda reply: b"",
-        "half": lambda reply: reply[: len(reply) // 2],
-        "noise": lambda reply: noise,
-        "cut": lambda reply: reply[:-1],
-    }[mangled]
+    peer.mangle = MANGLED[mangled]
     took_s = []
     for _ in range(3):  # on a busy computer one of them may take longer
         begin = time.monotonic()
@@ -283,8 +302,8 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 
 @pytest.mark.fault_row(14)
-def test_a_damaged_or_short_reply_is_never_taken(rtu_peer, tcp_peer, tcp_controller):
-    with ModbusController(**rtu_peer.options) as controller:
+def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
+    with RtuPeer() as rtu_peer, ModbusController(**rtu_peer.options) as controller:
         rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
         with pytest.raises(DeviceTimeout):
             controller.status()
@@ -336,21 +355,19 @@ def test_a_reply_that_comes_late_to_the_repeated_request_as_well_is_not_taken(
     assert tcp_controller.status().state is MotionState.IDLE
 
 
-@pytest.mark.parametrize(
-    ("code", "family", "text"),
-    [
-        (1, Refused, "does not know this function"),
-        (2, Refused, "does not have these registers"),
-        (3, Refused, "does not take this value"),
-        (4, MotionFault, "the device has failed"),
-        (7, MotionFault, "the device has failed"),
-        (8, MotionFault, "the device has failed"),
-        (10, ConnectionLost, "the gateway does not reach"),
-        (11, ConnectionLost, "the gateway does not reach"),
-    ],
-)
+EXCEPTIONS = {
+    1: (Refused, "does not know this function"),
+    2: (Refused, "does not have these registers"),
+    3: (Refused, "does not take this value"),
+    **dict.fromkeys((4, 7, 8), (MotionFault, "the device has failed")),
+    **dict.fromkeys((10, 11), (ConnectionLost, "the gateway does not reach")),
+}
+
+
+@pytest.mark.parametrize("code", EXCEPTIONS)
 @pytest.mark.fault_row(13)
-def test_exceptions_of_modbus_have_their_families(peer, controller, code, family, text):
+def test_exceptions_of_modbus_have_their_families(peer, controller, code):
+    family, text = EXCEPTIONS[code]
     for verb in (controller.status, controller.send_heartbeat):
         peer.exceptions = [code]
         with pytest.raises(family, match=text + rf".*\(exception {code}\)"):
@@ -358,25 +375,24 @@ def test_exceptions_of_modbus_have_their_families(peer, controller, code, family
     assert controller.status().state is MotionState.IDLE
 
 
-@pytest.mark.parametrize("code", [5, 6])
 @pytest.mark.fault_row(13)
-def test_a_busy_device_is_asked_again(peer, controller, code):
-    peer.exceptions = [code, code]
-    assert controller.status().state is MotionState.IDLE
-    peer.exceptions = [code, 0, code]
-    controller.hold()
-    assert peer.model.executed == [HOLD]
-
-
-@pytest.mark.fault_row(13)
-def test_a_device_that_stays_busy_is_a_timeout(tcp_peer, measured):
-    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
-        tcp_peer.exceptions = [6] * 1000
+def test_a_busy_device_is_asked_again_and_one_that_stays_so_is_a_timeout(
+    peer, controller, measured
+):
+    for code in (5, 6):
+        peer.exceptions = [code, code]
+        assert controller.status().state is MotionState.IDLE
+        peer.exceptions = [code, 0, code]
+        controller.hold()
+    assert peer.model.executed == [HOLD, HOLD]
+    controller.close()
+    with ModbusController(command_timeout_s=0.1, **peer.options) as hurried:
+        peer.exceptions = [6] * 1000
         begun_s = time.monotonic()
         with pytest.raises(DeviceTimeout, match="busy"):
-            controller.status()
+            hurried.status()
         measured(f"busy for good: told after {time.monotonic() - begun_s:.2f} s")
-        tcp_peer.exceptions = []
+        peer.exceptions = []
 
 
 @pytest.mark.parametrize(
@@ -422,15 +438,10 @@ def test_another_unit_does_not_answer(peer):
 @pytest.mark.fault_row(16)
 def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     tcp_peer.model.words[104] = 1
-    for _ in range(3):
+    verbs = tcp_controller.send_heartbeat, tcp_controller.status, tcp_controller.hold
+    for verb in (*verbs * 3, tcp_controller.start):
         tcp_peer.drop()
-        tcp_controller.send_heartbeat()
-        tcp_peer.drop()
-        assert tcp_controller.status().state is MotionState.IDLE
-        tcp_peer.drop()
-        tcp_controller.hold()
-    tcp_peer.drop()
-    tcp_controller.start()
+        verb()
     assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
 
 
@@ -518,16 +529,12 @@ def test_4096_rows_fit_and_an_abort_overtakes_their_upload(
         with pytest.raises(Refused, match="aborted while the path was being loaded"):
             loading.result()
     assert tcp_peer.model.executed.count(PUT_ROWS) < 4096 / 7
-    assert tcp_peer.model.executed[-2] == ABORT or tcp_peer.model.executed[-1] == ABORT
+    assert ABORT in tcp_peer.model.executed[-2:]
 
 
 def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
-    verbs = [
-        tcp_controller.status,
-        tcp_controller.send_heartbeat,
-        tcp_controller.hold,
-        lambda: tcp_controller.load(zigzag(3)),
-    ]
+    asks = tcp_controller.status, tcp_controller.send_heartbeat, tcp_controller.hold
+    verbs = [*asks, lambda: tcp_controller.load(zigzag(3))]
     with ThreadPoolExecutor() as pool:
         asked = [pool.submit(lambda verb=v: [verb() for _ in range(30)]) for v in verbs]
     assert [done.exception() for done in asked] == [None] * 4
@@ -564,12 +571,10 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     assert controller.status().compensation is False
     bench.inject(f"cnc:{fault}")
     until(lambda: controller.status().state is state)
-    for verb in (
-        lambda: controller.move_to((1.0, 1.0, 1.0), 3000.0),
-        lambda: controller.wait(1.0),
-    ):
-        with pytest.raises(MotionFault, match=remedy):
-            verb()
+    with pytest.raises(MotionFault, match=remedy):
+        controller.move_to((1.0, 1.0, 1.0), 3000.0)
+    with pytest.raises(MotionFault, match=remedy):
+        controller.wait(1.0)
     if state is MotionState.UNHOMED:
         controller.home(5.0)
     elif state is not MotionState.DOOR:
@@ -577,17 +582,6 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     until(lambda: controller.status().state is MotionState.IDLE)
     controller.move_to((1.0, 1.0, 1.0), 3000.0)
     assert controller.wait(5.0).state is MotionState.FINISHED
-
-
-@pytest.mark.parametrize("exceptions", [[], [0, 2]], ids=["keeps it", "has it not"])
-def test_an_override_that_stays_above_is_refused(tcp_peer, exceptions):
-    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
-        tcp_peer.model.words[107] = 1200
-        tcp_peer.exceptions = exceptions
-        with pytest.raises(Refused, match="at the machine only"):
-            controller.limit_override(1.0)
-        tcp_peer.model.words[107] = 800
-        controller.limit_override(1.0)
 
 
 def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_controller):
@@ -606,16 +600,24 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_cont
 
 
 @pytest.mark.fault_row(20)
-def test_an_override_is_lowered_never_raised(bench, bench_controller, tcp_peer, until):
+def test_an_override_is_lowered_never_raised_and_one_that_stays_above_refused(
+    bench, bench_controller, tcp_peer, until
+):
     assert bench_controller.status().override == 1.0
     bench.inject("cnc:override+6s*0")
     until(lambda: bench_controller.status().override == 0.0)
     until(lambda: bench_controller.status().override == 1.0)
-    with ModbusController(**tcp_peer.options) as controller:
+    with ModbusController(**tcp_peer.options, command_timeout_s=0.3) as controller:
         tcp_peer.model.words[107] = 0
         assert controller.status().override is None
         tcp_peer.model.words[107] = 500
         assert controller.status().override == 0.5
+        for exceptions in ([], [0, 2]):  # it keeps it, or has it not
+            tcp_peer.model.words[107], tcp_peer.exceptions = 1200, exceptions
+            with pytest.raises(Refused, match="at the machine only"):
+                controller.limit_override(1.0)
+            tcp_peer.model.words[107] = 800
+            controller.limit_override(1.0)
     bench.inject("cnc:override*1.2")
     until(lambda: bench_controller.status().override == 1.2)
     for largest, left in ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5)):

@@ -63,19 +63,16 @@ class ServedGateway:
         return self.gateway.answer(unit, pdu, self.at_s)
 
 
-@pytest.fixture(params=["tcp", "rtu"])
-def either_gateway(request):
-    is_tcp = request.param == "tcp"
-    port = (
-        ModbusTcpPort("127.0.0.1", 0, UNITS) if is_tcp else ModbusRtuPort(None, UNITS)
-    )
-    with ServedGateway(port) as served:
-        yield served
+PORTS = {
+    "tcp": lambda: ModbusTcpPort("127.0.0.1", 0, UNITS),
+    "rtu": lambda: ModbusRtuPort(None, UNITS),
+}
 
 
 @pytest.fixture
-def gateway():
-    with ServedGateway(ModbusTcpPort("127.0.0.1", 0, UNITS)) as served:
+def gateway(request):
+    """One on TCP, unless a test asks for another."""
+    with ServedGateway(PORTS[getattr(request, "param", "tcp")]()) as served:
         yield served
 
 
@@ -84,21 +81,20 @@ def read_once(group):
     return {reading.channel: reading for reading in group.read()}
 
 
+@pytest.mark.parametrize("gateway", PORTS, indirect=True)
 @pytest.mark.parametrize("check", THERMOMETER_CHECKS)
-def test_it_conforms(either_gateway, check):
+def test_it_conforms(gateway, check):
     (point,) = entry_points(group="truepath.thermometers")  # all of ours
-    check(lambda: point.load()(**either_gateway.options))
+    check(lambda: point.load()(**gateway.options))
 
 
-def test_a_gateway_that_is_not_there_is_a_device_error(free_port):
-    rows = [{"name": "X_degC", "address": 0}]
+def test_a_gateway_that_is_not_there_or_has_not_these_registers_is_told(
+    gateway, free_port
+):
+    rows = [{"name": "oil_degC", "address": 50}]
     a_device_that_is_not_there_is_a_device_error(
         lambda: ModbusRegisters(host="127.0.0.1", port=free_port, registers=rows)
     )
-
-
-def test_registers_that_the_gateway_does_not_have_are_refused_by_name(gateway):
-    rows = [{"name": "oil_degC", "address": 50}]
     with pytest.raises(Refused, match=r"oil_degC.*does not have these registers"):
         ModbusRegisters(**{**gateway.options, "registers": rows}).connect()
 
@@ -150,17 +146,12 @@ def test_nothing_is_asked_before_it_is_due(gateway):
 
 
 SOURCE = Path(__file__).with_name("sensor_server.c")
+FLOAT = {"function": "holding", "type": "float32"}
 ROWS = [
     {"name": "X_degC", "address": 0, "scale": 0.1},
     {"name": "coolant_degC", "address": 1, "scale": 0.1},
-    {"name": "air_degC", "address": 10, "function": "holding", "type": "float32"},
-    {
-        "name": "pressure_hPa",
-        "address": 12,
-        "function": "holding",
-        "type": "float32",
-        "word_order": "little",
-    },
+    {"name": "air_degC", "address": 10, **FLOAT},
+    {"name": "pressure_hPa", "address": 12, **FLOAT, "word_order": "little"},
 ]
 
 
@@ -181,14 +172,8 @@ def options(tmp_path_factory):
 def test_words_of_libmodbus_are_the_temperatures_that_were_put_there(options):
     with ModbusRegisters(**options) as group:
         shown = {reading.channel: reading.value for reading in group.read()}
-    assert shown == pytest.approx(
-        {
-            "X_degC": 20.5,
-            "coolant_degC": -1.5,
-            "air_degC": 21.5,
-            "pressure_hPa": 1002.25,
-        }
-    )
+    put = {"X_degC": 20.5, "coolant_degC": -1.5, "air_degC": 21.5}
+    assert shown == pytest.approx({**put, "pressure_hPa": 1002.25})
 
 
 @pytest.mark.fault_row(18)

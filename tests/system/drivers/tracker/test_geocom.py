@@ -26,6 +26,7 @@ from wires import PtyWire
 
 HURRIED = {"reply_timeout_s": 0.5, "shot_s": 0.5, "turn_s": 0.5}
 P = codec.Procedure
+SIMPLE = P.TMC_GET_SIMPLE_MEASUREMENT
 
 
 @pytest.fixture(scope="module")
@@ -78,33 +79,28 @@ def instrument():
         yield made
 
 
-@pytest.fixture
-def client(bench):
-    options = bench.tracker_options
-    with GeoComTracker(**options, **HURRIED) as tracker:
-        place = tracker.measure(0.0).position_mm
-    with open_socket(options["host"], options["port"], "tcp", timeout=5) as link:
-        yield GeoCom(link), place
-
-
-def test_geocompy_measures_with_the_simulated_station_and_sets_it(client):
-    theirs, ours = client
-    assert theirs.csv.get_instrument_name().params == "Simulated station"
-    assert theirs.csv.get_serial_number().params == 1
-    assert theirs.aut.switch_lock(True).error is GeoComCode.OK
-    assert theirs.aut.lock_in().error is GeoComCode.OK
-    assert theirs.tmc.do_measurement().error is GeoComCode.OK
-    hz, v, distance = theirs.tmc.get_simple_measurement(5).params
-    place = to_cartesian_mm(float(hz), float(v), distance)
-    assert np.linalg.norm(place - ours) < 0.2
-    # One distance, asked for twice.
-    assert theirs.tmc.get_simple_measurement(5).error is GeoComCode.TMC_ANGLE_OK
-    theirs.tmc.set_prism_correction(-17.5)
-    assert theirs.tmc.get_prism_correction().params == -17.5
-    theirs.tmc.set_prism_correction(0.0)
-    theirs.tmc.set_atmospheric_corrections(658e-9, 990.0, 25.0, 18.0)
-    told = theirs.tmc.get_atmospheric_corrections().params
-    assert told[1:] == (990.0, 25.0, 18.0)
+def test_geocompy_measures_with_the_simulated_station_and_sets_it(bench):
+    with GeoComTracker(**bench.tracker_options, **HURRIED) as tracker:
+        ours = tracker.measure(0.0).position_mm
+    host, port = bench.tracker_options["host"], bench.tracker_options["port"]
+    with open_socket(host, port, "tcp", timeout=5) as link:
+        theirs = GeoCom(link)
+        assert theirs.csv.get_instrument_name().params == "Simulated station"
+        assert theirs.csv.get_serial_number().params == 1
+        assert theirs.aut.switch_lock(True).error is GeoComCode.OK
+        assert theirs.aut.lock_in().error is GeoComCode.OK
+        assert theirs.tmc.do_measurement().error is GeoComCode.OK
+        hz, v, distance = theirs.tmc.get_simple_measurement(5).params
+        place = to_cartesian_mm(float(hz), float(v), distance)
+        assert np.linalg.norm(place - ours) < 0.2
+        # One distance, asked for twice.
+        assert theirs.tmc.get_simple_measurement(5).error is GeoComCode.TMC_ANGLE_OK
+        theirs.tmc.set_prism_correction(-17.5)
+        assert theirs.tmc.get_prism_correction().params == -17.5
+        theirs.tmc.set_prism_correction(0.0)
+        theirs.tmc.set_atmospheric_corrections(658e-9, 990.0, 25.0, 18.0)
+        told = theirs.tmc.get_atmospheric_corrections().params
+        assert told[1:] == (990.0, 25.0, 18.0)
 
 
 AIR = (0.658, 1013.25, 20.5, 14.123456789)
@@ -112,12 +108,7 @@ AIM = Angle(1.25), Angle(math.pi / 2)
 REQUESTS = [  # of geocompy and ours
     ("tmc.do_measurement", ("CLEAR", "AUTO"), P.TMC_DO_MEASURE, (3, 1)),
     ("tmc.do_measurement", ("DISTANCE", "AUTO"), P.TMC_DO_MEASURE, (1, 1)),
-    (
-        "tmc.get_simple_measurement",
-        (5, "AUTO"),
-        P.TMC_GET_SIMPLE_MEASUREMENT,
-        (5000, 1),
-    ),
+    ("tmc.get_simple_measurement", (5, "AUTO"), SIMPLE, (5000, 1)),
     ("tmc.set_prism_correction", (-17.5,), P.TMC_SET_PRISM_CORRECTION, (-17.5,)),
     ("tmc.get_prism_correction", (), P.TMC_GET_PRISM_CORRECTION, ()),
     ("tmc.set_atmospheric_corrections", AIR, P.TMC_SET_ATMOSPHERE, AIR),
@@ -158,22 +149,20 @@ def test_a_reply_to_another_request_is_never_taken(instrument):
     assert place == pytest.approx(to_cartesian_mm(0.1, 1.5, 10.0))
 
 
+SHOTS = {
+    BeamLost: [b"1285,0.1,1.5,0.0", b"1292,0.1,1.5,0.0"],
+    Refused: [b"1291,0.1,1.5,0.0"],
+    DeviceError: [
+        *[b"0,0.1,1.5,0.0", b"0,0.1,1.5,-2.5", b"0,0.1,1.5,inf", b"0,nan,1.5,3.0"],
+        *[b"0,1.0,90.0,2.5", b"0,1.0,100.0,2.5", b"0,57.3,1.5,2.5"],  # degrees, gon
+        *[b"0,0.1,1.5", b"0,0.1,1.5,ten"],
+    ],
+}
+
+
 @pytest.mark.parametrize(
     ("code", "family"),
-    [
-        (b"1285,0.1,1.5,0.0", BeamLost),
-        (b"1292,0.1,1.5,0.0", BeamLost),
-        (b"1291,0.1,1.5,0.0", Refused),
-        (b"0,0.1,1.5,0.0", DeviceError),
-        (b"0,0.1,1.5,-2.5", DeviceError),
-        (b"0,0.1,1.5,inf", DeviceError),
-        (b"0,nan,1.5,3.0", DeviceError),
-        (b"0,1.0,90.0,2.5", DeviceError),  # degrees
-        (b"0,1.0,100.0,2.5", DeviceError),  # gon
-        (b"0,57.3,1.5,2.5", DeviceError),
-        (b"0,0.1,1.5", DeviceError),
-        (b"0,0.1,1.5,ten", DeviceError),
-    ],
+    [(code, family) for family, codes in SHOTS.items() for code in codes],
 )
 def test_a_shot_that_is_none_is_an_error(instrument, code, family):
     instrument.answers[2108] = code

@@ -3,14 +3,14 @@
 import threading
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from tracker_peers import AnsweringPeer, ScriptedPeer
+from tracker_peers import AnsweringPeer, LoopbackTracker, ScriptedPeer
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
-    DeviceError,
     DeviceTimeout,
     Refused,
     WrongDevice,
@@ -20,6 +20,7 @@ from truepath_drivers.tracker.streaming import driver, receiver
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from wires import PtyWire, TcpWire
 
 TABLE = [
     # HELLO 1: version 1, 5000 Hz, Truepath, GST simulator, SIM-0001, 1.0
@@ -42,6 +43,19 @@ STOP_4 = ("00 08 01 22 04 1c 31 5c 5e 00", "00 09 01 30 04 22 09 d9 9f 0c 00")
 STOP_5 = ("00 08 01 22 05 8a 01 5b 29 00", "00 09 01 30 05 22 48 e8 84 15 00")
 
 
+@pytest.fixture(params=[PtyWire, TcpWire], ids=["serial", "tcp"])
+def wire(request):
+    wire = request.param()
+    yield wire
+    wire.unplug()
+
+
+@pytest.fixture
+def peer(wire):
+    with LoopbackTracker(wire) as peer:
+        yield peer
+
+
 @pytest.fixture
 def running(peer):
     with StreamingTracker(**peer.options) as tracker:
@@ -56,13 +70,6 @@ def read_for(tracker: StreamingTracker, count: int) -> TrackerSamples:
         assert time.monotonic() < deadline
         blocks.append(tracker.read(0.5))
     return TrackerSamples.join(blocks)
-
-
-def failing(text: str, error: type[DeviceError] = ConnectionLost):
-    def fail(*_):
-        raise error(text)
-
-    return fail
 
 
 def test_connect_start_read_stop_in_bytes(wire):
@@ -112,12 +119,20 @@ def test_every_sample_arrives_as_it_was_sent_and_the_bytes_decode_to_the_same(
     assert (health.lost_samples, health.crc_errors) == (0, 0)
 
 
-def test_short_frames_are_asked_for_and_read(peer):
-    with StreamingTracker(compact=True, **peer.options) as tracker:
+def test_short_frames_are_asked_for_and_read_and_too_slow_a_line_is_warned_of(
+    peer, caplog
+):
+    options = {"baudrate": 115_200, **peer.options}
+    with StreamingTracker(compact=True, **options) as tracker:
         tracker.start(500.0)
         samples = read_for(tracker, 50)
     expected = peer.position_mm(samples.sequence)
     np.testing.assert_allclose(samples.position_mm, expected, atol=2e-5)
+    with StreamingTracker(**options) as tracker:
+        caplog.clear()
+        tracker.start(500.0)
+    warned = "the line has 115200" in caplog.text
+    assert warned == ("host" not in options)
 
 
 @pytest.mark.fault_row(1)
@@ -155,12 +170,21 @@ def test_samples_and_bytes_that_nobody_takes_are_bounded_and_counted(
         assert tracker.health.lost_samples == after - samples.sequence[-1] - 1 > 200
 
 
-def test_another_rate_stops_the_stream_first(peer, running):
+def test_another_rate_stops_the_stream_first_and_one_that_cannot_be_is_refused(
+    peer, running
+):
+    for rate_hz in (0.0, -1.0, 5000.5, float("nan")):
+        with pytest.raises(Refused, match="up to 5000 Hz"):
+            running.start(rate_hz)
     running.start(500.0)
     running.start(250.0)
     kinds = [type(c) for c in peer.commands if not isinstance(c, gst.Ping)]
-    assert kinds[-4:] == [gst.Start, gst.Start, gst.Stop, gst.Start]
+    assert kinds[-5:] == [gst.Stop, gst.Start, gst.Start, gst.Stop, gst.Start]
     assert peer.rate_hz == 250.0
+    peer.answered_rate_hz = 400.0
+    with pytest.raises(Refused, match="streams at 400 Hz, not at 500 Hz"):
+        running.start(500.0)
+    assert peer.rate_hz is None
 
 
 def test_a_stream_left_behind_by_another_host_is_not_read(peer):
@@ -172,26 +196,6 @@ def test_a_stream_left_behind_by_another_host_is_not_read(peer):
         assert peer.rate_hz is None
         assert len(tracker.read(0.05)) == 0
         assert tracker.take_link_bytes() == b""
-
-
-def test_rates_beyond_the_instrument_or_not_asked_for_are_refused(peer):
-    peer.answered_rate_hz = 400.0
-    with StreamingTracker(**peer.options) as tracker:
-        for rate_hz in (0.0, -1.0, 5000.5, float("nan")):
-            with pytest.raises(Refused, match="up to 5000 Hz"):
-                tracker.start(rate_hz)
-        assert not any(isinstance(c, gst.Start) for c in peer.commands)
-        with pytest.raises(Refused, match="streams at 400 Hz, not at 500 Hz"):
-            tracker.start(500.0)
-        assert peer.rate_hz is None
-
-
-def test_a_line_too_slow_for_the_rate_is_warned_of(peer, caplog):
-    options = {"baudrate": 115_200, **peer.options}
-    with StreamingTracker(**options) as tracker:
-        tracker.start(500.0)
-    warned = "the line has 115200" in caplog.text
-    assert warned == ("host" not in options)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +231,9 @@ def test_another_version_or_serial_number_is_the_wrong_device(peer):
         StreamingTracker(**peer.options).connect()
 
 
-def test_a_lost_reply_is_asked_for_again_with_the_same_number(peer, until):
+def test_a_lost_reply_is_asked_for_again_and_that_to_another_number_ignored(
+    peer, until
+):
     with StreamingTracker(**peer.options) as tracker:
         peer.deaf_to = {gst.Start}
         starter = threading.Thread(target=tracker.start, args=(500.0,))
@@ -239,10 +245,6 @@ def test_a_lost_reply_is_asked_for_again_with_the_same_number(peer, until):
         assert len(starts) == 2
         assert starts[0] == starts[1]
         assert len(read_for(tracker, 10)) >= 10
-
-
-def test_replies_to_other_transactions_are_ignored(peer):
-    with StreamingTracker(**peer.options) as tracker:
         peer.deaf_to = {gst.Stop}
         for transaction in range(20, 25):
             peer.send(gst.Ack(transaction, gst.Type.STOP))
@@ -303,18 +305,17 @@ def test_a_port_that_is_none_says_what_to_do(free_port):
         StreamingTracker(4711)
 
 
-def test_the_driver_connects_again_after_a_loss(peer, wire, monkeypatch):
-    with StreamingTracker(**peer.options) as tracker:
-        tracker.start(500.0)
-        read_for(tracker, 10)
-        with monkeypatch.context() as patch:
-            patch.setattr(type(tracker._port), "read", failing("pulled"))
-            with pytest.raises(ConnectionLost, match="pulled"):
-                read_for(tracker, 10_000)
-        tracker.connect()
-        assert tracker.health.lost_samples == 0
-        tracker.start(500.0)
-        assert read_for(tracker, 10).sequence[0] == 0
+def test_the_driver_connects_again_after_a_loss(running, monkeypatch):
+    read_for(running, 10)
+    with monkeypatch.context() as patch:
+        pulled = Mock(side_effect=ConnectionLost("pulled"))
+        patch.setattr(type(running._port), "read", pulled)
+        with pytest.raises(ConnectionLost, match="pulled"):
+            read_for(running, 10_000)
+    running.connect()
+    assert running.health.lost_samples == 0
+    running.start(500.0)
+    assert read_for(running, 10).sequence[0] == 0
 
 
 def test_a_link_that_takes_no_bytes_ends_neither_reading_nor_stop_nor_close(
@@ -322,12 +323,13 @@ def test_a_link_that_takes_no_bytes_ends_neither_reading_nor_stop_nor_close(
 ):
     with monkeypatch.context() as patch:
         patch.setattr(receiver, "PING_PERIOD_S", 0.02)
-        stuck = failing("takes no bytes", DeviceTimeout)
+        stuck = Mock(side_effect=DeviceTimeout("takes no bytes"))
         patch.setattr(running._port, "write", stuck)
         until(lambda: "keep-alive not sent" in caplog.text)
         assert len(read_for(running, 20)) >= 20
     with monkeypatch.context() as patch:
-        patch.setattr(running._port, "write", failing("it hung up"))
+        hung_up = Mock(side_effect=ConnectionLost("it hung up"))
+        patch.setattr(running._port, "write", hung_up)
         running.stop()
     assert "stop not sent: it hung up" in caplog.text
     peer.silent = True

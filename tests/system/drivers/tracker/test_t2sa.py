@@ -23,6 +23,9 @@ MEASURE = "!MEAS_SINGLE_POINT:A;truepath;truepath_1"
 POINT = "ACK-300 Single Point Measurement truepath_1 result {} 11/23/2026 02:00:00 True"
 
 
+NO_PLACES = "1,2", "1,2,nan", "0.0,0.0,0.0", "1,5,2,5,3,5"
+
+
 class Application(LinePeer):
     """A T2SA that answers each line as the test says; one connection after another."""
 
@@ -55,19 +58,17 @@ def tracker(application):
         yield connected
 
 
-def test_the_dialogue_is_that_of_the_public_client(application, tracker):
-    place = tracker.measure(0.0).position_mm
+def test_the_dialogue_is_that_of_the_public_client_or_runs_a_plan(application):
+    with T2saTracker(**application.options, **HURRIED) as tracker:
+        place = tracker.measure(0.0).position_mm
     assert place.tolist() == [1500.5, 20.25, -3.0]
     assert application.heard == ["?STAT", "?LSTA", MEASURE]
-
-
-def test_a_plan_is_run_and_its_frame_is_asked_for(application):
     report = "Object Offset Report FrameM2_0;X:1.5;Y:2;Z:3;Rx:0;Ry:0;Rz:0;11/23 02:00"
     application.answers["!CMDEXE:M2"] = "ACK-106 Successfully ran CMD M2"
     application.answers["?POS M2"] = f"ACK-300 {report}"
     with T2saTracker(**application.options, plan="M2", **HURRIED) as tracker:
         assert tracker.measure(0.0).position_mm.tolist() == [1.5, 2.0, 3.0]
-    assert application.heard[2:4] == ["!CMDEXE:M2", "?POS M2"]
+    assert application.heard[5:7] == ["!CMDEXE:M2", "?POS M2"]
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1000.0), ("inch", 25.4)])
@@ -97,11 +98,11 @@ def test_a_laser_that_is_off_is_switched_on_and_said_to_warm_up(application):
         ("ERR-343 Hold position no beam lock not set", BeamLost),
         ("ERR-338 Laser status WARM", Refused),
         ("ERR-201 Command rejected. SA is busy.", Refused),
-        (POINT.format("1,2"), DeviceError),
-        (POINT.format("1,2,nan"), DeviceError),
-        (POINT.format("0.0,0.0,0.0"), DeviceError),
-        (POINT.format("1,5,2,5,3,5"), DeviceError),
-        (POINT.format("1,2,3").replace("truepath_1", "truepath_12"), DeviceError),
+        *[(POINT.format(place), DeviceError) for place in NO_PLACES],
+        (
+            POINT.format("1,2,3").replace("truepath_1", "truepath_12"),
+            DeviceError,
+        ),
         ("ACK-300 READY", DeviceError),
     ],
 )

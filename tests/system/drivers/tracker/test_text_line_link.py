@@ -32,21 +32,15 @@ def test_text_line_conforms(relay, check):
     check(lambda: TextLineTracker(**relay.options, rate_hz=500.0))
 
 
-def test_a_second_sender_of_datagrams_is_not_mixed_with_the_first():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    options = {"columns": "counter,x,y,z", "rate_hz": 500.0}
+def test_a_second_sender_of_datagrams_is_not_mixed_with_the_first(free_port):
+    place = "127.0.0.1", free_port
+    options = {"host": place[0], "columns": "counter,x,y,z", "rate_hz": 500.0}
     first, other = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(2))
-    with (
-        TextLineTracker(port, udp=True, host="127.0.0.1", **options) as tracker,
-        first,
-        other,
-    ):
+    with TextLineTracker(free_port, udp=True, **options) as tracker, first, other:
         tracker._streams = True  # the sender is this test: nobody to wait for
         for line in (b"half a line", b"1,1,2,3", b"2,1,2,3"):
-            first.sendto(line, ("127.0.0.1", port))
+            first.sendto(line, place)
         assert tracker.read(1.0).sequence.tolist() == [1, 2]
-        other.sendto(b"3,1,2,3", ("127.0.0.1", port))
+        other.sendto(b"3,1,2,3", place)
         with pytest.raises(ConnectionLost, match="both send here"):
             tracker.read(1.0)

@@ -4,6 +4,8 @@ import os
 import socket
 import termios
 import time
+from contextlib import contextmanager
+from unittest.mock import Mock
 
 import pytest
 import serial
@@ -14,22 +16,25 @@ from truepath_drivers.transport.tcp_port import TcpPort
 from wires import PtyWire, TcpWire
 
 
-@pytest.fixture
-def pty_port():
-    wire = PtyWire(is_raw=False)
-    port = SerialPort(wire.options["port"], 921_600)
+@contextmanager
+def wired(wire, port):
     yield wire, port
     port.close()
     wire.unplug()
+
+
+@pytest.fixture
+def pty_port():
+    wire = PtyWire(is_raw=False)
+    with wired(wire, SerialPort(wire.options["port"], 921_600)) as ends:
+        yield ends
 
 
 @pytest.fixture
 def tcp_port():
     wire = TcpWire()
-    port = TcpPort(**wire.options)
-    yield wire, port
-    port.close()
-    wire.unplug()
+    with wired(wire, TcpPort(**wire.options)) as ends:
+        yield ends
 
 
 @pytest.fixture(params=["pty_port", "tcp_port"])
@@ -37,7 +42,8 @@ def either_port(request):
     return request.getfixturevalue(request.param)
 
 
-def test_every_byte_goes_through_in_both_directions_a_cooked_terminal_too(either_port):
+def test_every_byte_goes_through_both_ways_until_nobody_takes_one(either_port):
+    """Through a cooked terminal too."""
     wire, port = either_port
     every_byte, heard = bytes(range(256)), b""
     port.open()
@@ -47,6 +53,10 @@ def test_every_byte_goes_through_in_both_directions_a_cooked_terminal_too(either
     assert heard == every_byte
     wire.write(every_byte)
     assert _read(port, 256) == every_byte
+    begin = time.monotonic()
+    with pytest.raises(DeviceTimeout, match="takes no bytes"):
+        port.write(bytes(1 << 26))
+    assert time.monotonic() - begin < 2.0
 
 
 def test_a_serial_port_takes_its_baud_rate_and_a_tcp_port_waits_for_no_more_bytes(
@@ -97,15 +107,6 @@ def test_a_tcp_peer_that_closes_or_resets_is_lost(tcp_port, resets, said):
             port.write(b"x")
 
 
-def test_a_peer_that_takes_no_bytes_is_a_timeout(either_port):
-    port = either_port[1]
-    port.open()
-    begin = time.monotonic()
-    with pytest.raises(DeviceTimeout, match="takes no bytes"):
-        port.write(bytes(1 << 26))
-    assert time.monotonic() - begin < 2.0
-
-
 def test_a_serial_port_is_for_one_program(pty_port):
     port = pty_port[1]
     port.open()
@@ -120,23 +121,20 @@ def test_a_serial_port_is_for_one_program(pty_port):
 def test_a_path_that_is_no_tty_is_named_and_one_without_permission_names_the_group(
     tmp_path, monkeypatch
 ):
-    def refuse(*_, **__):
-        raise serial.SerialException("could not open port")
-
     path = tmp_path / "file"
     path.touch()
     port = SerialPort(str(path), 921_600)
     with pytest.raises(ConnectionLost, match="cannot be opened at 921600 baud"):
         port.open()
-    monkeypatch.setattr(serial, "Serial", refuse)
+    refused = Mock(side_effect=serial.SerialException("could not open port"))
+    monkeypatch.setattr(serial, "Serial", refused)
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(ConnectionLost, match="dialout"):
         port.open()
 
 
 def _read(port, count):
-    data = b""
-    deadline = time.monotonic() + 2
+    data, deadline = b"", time.monotonic() + 2
     while len(data) < count and time.monotonic() < deadline:
         data += port.read(0.1)
     return data

@@ -35,10 +35,7 @@ def rs274(tmp_path):
         (tmp_path / "tool.tbl").write_text("")
         answer = subprocess.run(
             ["rs274", "-g", "-t", tmp_path / "tool.tbl", "-v", variables, program],
-            capture_output=True,
-            text=True,
-            timeout=30,
-            cwd=tmp_path,
+            **{"capture_output": True, "text": True, "timeout": 30, "cwd": tmp_path},
         )
         assert answer.returncode == 0, answer.stderr
         lines = (line.split(maxsplit=2)[2] for line in answer.stdout.splitlines())
@@ -47,26 +44,14 @@ def rs274(tmp_path):
     return interpret
 
 
-def test_the_interpreter_drives_arcs_whatever_offset_is_set(rs274, mill):
-    path = make_circle_path(mill)
-    program = write_path(path, ())
-    calls = rs274(program.text, G54 | G92)
-    arcs = [numbers(arguments) for name, arguments in calls if name == "ARC_FEED"]
-    turned = [np.sign(arc.turn_deg) * 3 for arc in path.arc if arc is not None]
-    assert [arc[4] for arc in arcs] == turned
-    position, feed, _, _ = driven(calls)
-    np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
-    np.testing.assert_allclose(feed, path.feed_mm_min)
-
-
 def numbers(arguments):
     return [float(word) for word in arguments.split(",")]
 
 
 def driven(calls):
     """Return positions in machine coordinates, feeds, dwells and modes of each row."""
-    plane = {"XY": [0, 1, 2], "YZ": [1, 2, 0], "XZ": [2, 0, 1]}
-    plane_now = plane["XY"]
+    planes = {"XY": [0, 1, 2], "YZ": [1, 2, 0], "XZ": [2, 0, 1]}
+    plane = planes["XY"]
     g5x, g92, feed, mode, rows = np.zeros(6), np.zeros(6), 0.0, "", []
     for name, arguments in calls:
         if name == "SET_G5X_OFFSET":
@@ -80,10 +65,10 @@ def driven(calls):
         elif name == "STRAIGHT_FEED":
             rows.append([np.array(numbers(arguments)) + g5x + g92, feed, 0.0, mode])
         elif name == "SELECT_PLANE":
-            plane_now = plane[arguments.split("::")[-1].removeprefix("CANON_PLANE_")]
+            plane = planes[arguments[-2:]]
         elif name == "ARC_FEED":
             values, end = numbers(arguments), np.zeros(6)
-            end[plane_now] = values[0], values[1], values[5]
+            end[plane] = values[0], values[1], values[5]
             rows.append([end + g5x + g92, feed, 0.0, mode])
         elif name == "DWELL":
             rows[-1][2] += numbers(arguments)[0]
@@ -100,14 +85,12 @@ def test_the_interpreter_drives_the_path_with_exact_stops_once_the_operator_lets
     approach, position, feed = position[:4, :3], position[4:], feed[4:]
     x, y, z = path.position[0]
     # Z to clearance, X, Y, Z: each goes alone, from wherever the others stand.
-    assert approach[0, 2] == -6.0
     np.testing.assert_allclose(approach[1:, 0], x)
     np.testing.assert_allclose(approach[2:, 1], y)
     np.testing.assert_allclose(approach[:, 2], [-6.0, -6.0, -6.0, z])
-    dwell_s = dwell_s[4:]
     np.testing.assert_allclose(position[:, :3], path.position, atol=1e-9)
     np.testing.assert_allclose(feed, path.feed_mm_min)
-    np.testing.assert_allclose(dwell_s, path.dwell_s, atol=1e-4)
+    np.testing.assert_allclose(dwell_s[4:], path.dwell_s, atol=1e-4)
     assert set(modes) == {"CANON_EXACT_STOP"}
     modes_set = [m for name, m in calls if name == "SET_MOTION_CONTROL_MODE"]
     assert modes_set[-1] != "CANON_EXACT_STOP"  # what was set before is set again
@@ -128,13 +111,20 @@ def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
     assert sum("TARGET W" in text for text in asked) == 1
 
 
-def test_work_offsets_that_are_set_do_not_move_the_path(rs274, mill):
-    path = default_path(mill, 2500.0, lines=3)
+def test_work_offsets_that_are_set_move_neither_lines_nor_arcs(rs274, mill):
+    path, offsets = default_path(mill, 2500.0, lines=3), {**G54, 5210: 1, **G92}
     text = write_program(path, mill, "linuxcnc")
-    position = driven(rs274(text, {**G54, 5210: 1, **G92}))[0][4:]
+    position = driven(rs274(text, offsets))[0][4:]
     np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
-    without = text.replace("G53 ", "")
-    position = driven(rs274(without, {**G54, 5210: 1, **G92}))[0][4:]
+    position = driven(rs274(text.replace("G53 ", ""), offsets))[0][4:]
     shift = position[:, :3] - path.position
     np.testing.assert_allclose(shift, np.tile(shift[0], (4, 1)), atol=2e-4)
     assert np.abs(shift).min() > 8.0
+    path = make_circle_path(mill)
+    calls = rs274(write_path(path, ()).text, G54 | G92)
+    arcs = [numbers(arguments) for name, arguments in calls if name == "ARC_FEED"]
+    turned = [np.sign(arc.turn_deg) * 3 for arc in path.arc if arc is not None]
+    assert [arc[4] for arc in arcs] == turned
+    position, feed, _, _ = driven(calls)
+    np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
+    np.testing.assert_allclose(feed, path.feed_mm_min)

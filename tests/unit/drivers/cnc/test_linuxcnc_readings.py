@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ports_by_hand import HandPort
 from truepath.motion.nc_programs.linuxcnc import LinuxCnc
 from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
 from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
@@ -12,6 +11,7 @@ from truepath_drivers.cnc.linuxcnc.program import Program, write_program
 from truepath_drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused, WrongDevice
 from truepath_drivers.interfaces.records import MotionState, Path
+from wires import HandPort
 
 MACHINE = parse_travel("X 0 500, Y 0 400, Z -300 0")
 AT = "10.000000 5.000000 -2.000000 0.000000 0.000000 0.000000"
@@ -56,21 +56,17 @@ def judge(*, tripped=False, **said):
 @pytest.mark.parametrize(
     ("said", "state", "reason"),
     [
-        ({"estop": "ON"}, MotionState.ESTOP, ""),
-        ({"machine": "OFF"}, MotionState.NOT_READY, ""),
-        ({"joint_homed": "YES NO YES NO NO NO"}, MotionState.UNHOMED, ""),
-        ({"estop": "ON", "machine": "OFF"}, MotionState.ESTOP, ""),
-        ({"program_status": "RUNNING"}, MotionState.RUNNING, ""),
-        ({"program_status": "PAUSED"}, MotionState.HELD, "operator"),
-        (
-            {"program_status": "PAUSED", "joint_pos": (AT, BRAKING)},
-            MotionState.RUNNING,
-            "",
-        ),
-        ({"joint_pos": (AT, BRAKING)}, MotionState.RUNNING, ""),
-        ({}, MotionState.FINISHED, ""),
-        ({"joint_pos": BRAKING}, MotionState.ABORTED, ""),
-        ({"program_status": "RUNNING", "tripped": True}, MotionState.HELD, "watchdog"),
+        ({"estop": "ON"}, "estop", ""),
+        ({"machine": "OFF"}, "not-ready", ""),
+        ({"joint_homed": "YES NO YES NO NO NO"}, "unhomed", ""),
+        ({"estop": "ON", "machine": "OFF"}, "estop", ""),
+        ({"program_status": "RUNNING"}, "running", ""),
+        ({"program_status": "PAUSED"}, "held", "operator"),
+        ({"program_status": "PAUSED", "joint_pos": (AT, BRAKING)}, "running", ""),
+        ({"joint_pos": (AT, BRAKING)}, "running", ""),
+        ({}, "finished", ""),
+        ({"joint_pos": BRAKING}, "aborted", ""),
+        ({"program_status": "RUNNING", "tripped": True}, "held", "watchdog"),
     ],
 )
 def test_what_is_said_means_a_state(said, state, reason):
@@ -123,7 +119,7 @@ def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():
     assert [program.find_row(line) for line in (0, *program.lines)] == [0, 0, 1]
 
 
-def test_axes_and_travel_come_from_the_ini_file(tmp_path):
+def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path):
     file = tmp_path / "gantry.ini"
     file.write_text(
         "[EMC]\nMACHINE = Big # ours\n[TRAJ]\nCOORDINATES = X Y Y C\n"
@@ -144,9 +140,6 @@ def test_axes_and_travel_come_from_the_ini_file(tmp_path):
     with pytest.raises(Refused, match="ini_file"):
         read_ini(tmp_path / "none.ini")
 
-
-def test_the_ini_file_tells_whether_linuxcnc_compensates(tmp_path):
-    file = tmp_path / "machine.ini"
     for entry, has in (
         ("", False),
         ("COMP_FILE = x.tbl", True),
@@ -158,21 +151,15 @@ def test_the_ini_file_tells_whether_linuxcnc_compensates(tmp_path):
             f"[JOINT_1]\nMIN_LIMIT = 0\n{entry}\n"
         )
         assert read_ini(file).has_compensation is has
-
-
-def test_a_travel_by_hand_knows_no_compensation_and_says_where_it_is_none():
     travel = parse_travel("X 0 500, c -360 360")
     assert (travel.axes, travel.has_compensation) == (("X", "C"), None)
     with pytest.raises(ValueError, match="'X 0'"):
         parse_travel("X 0, Y 0 1")
 
 
-WELCOME = [
-    b"HELLO ACK EMCNETSVR 1.1\r\n",
-    b"set echo off\r\n",
-    b"SET VERBOSE ACK\n\r",
-    b"SET ENABLE ACK\n\r",
-]
+WELCOME = [b"HELLO ACK EMCNETSVR 1.1\r\n", b"set echo off\r\n"]
+WELCOME += [b"SET VERBOSE ACK\n\r", b"SET ENABLE ACK\n\r"]
+UNITS = b"USER_LINEAR_UNITS "
 
 
 class AnsweringPort(HandPort):
@@ -190,12 +177,8 @@ class AnsweringPort(HandPort):
     ("answers", "error", "said"),
     [
         ([b"220 mail ready\r\n"], WrongDevice, "welcome"),
-        ([*WELCOME, b"USER_LINEAR_UNITS INCH\r\n"], WrongDevice, "INCH"),
-        (
-            [*WELCOME, b"USER_LINEAR_UNITS MM\r\n", b"INIFILE emc.ini\r\n"],
-            Refused,
-            "ini_file",
-        ),
+        ([*WELCOME, UNITS + b"INCH\r\n"], WrongDevice, "INCH"),
+        ([*WELCOME, UNITS + b"MM\r\n", b"INIFILE emc.ini\r\n"], Refused, "ini_file"),
         ([*WELCOME, b"SET MODE ACK\r\n"], ConnectionLost, "out of step"),
     ],
 )

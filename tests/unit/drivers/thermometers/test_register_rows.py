@@ -27,28 +27,16 @@ def test_words_are_decoded(words, options, value):
 
 
 GOOD_ROW = {"name": "X_degC", "address": 0}
+WRONG = [
+    *({"name": "temperature"}, {"address": 65535, "type": "float32"}, {"addres": 0}),
+    *({"type": "int64"}, {"function": "coil"}, {"scale": 0.0}, {"period_s": 0.0}),
+    {"low": 50.0, "high": 10.0},
+]
+ALONE = [[GOOD_ROW | wrong] for wrong in WRONG]
 
 
 @pytest.mark.parametrize(
-    "rows",
-    [
-        *(
-            [GOOD_ROW | wrong]
-            for wrong in (
-                {"name": "temperature"},
-                {"address": 65535, "type": "float32"},
-                {"type": "int64"},
-                {"function": "coil"},
-                {"scale": 0.0},
-                {"period_s": 0.0},
-                {"low": 50.0, "high": 10.0},
-                {"addres": 0},
-            )
-        ),
-        [{"name": "X_degC"}],
-        [],
-        [GOOD_ROW, GOOD_ROW],
-    ],
+    "rows", [*ALONE, [{"name": "X_degC"}], [], [GOOD_ROW, GOOD_ROW]]
 )
 def test_rows_that_cannot_be_are_refused(rows):
     with pytest.raises(ValueError, match=r"register|channel|each name once"):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sent_samples import one_sample, raw_samples
+from tracker_peers import one_sample, raw_samples
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
@@ -31,31 +31,24 @@ rates = st.integers(1, 10_000_000).map(lambda mhz: mhz / 1000)
 texts = st.text("aZ 0é€😀", max_size=15)  # of one to four bytes
 angles = st.floats(-7.0, 7.0)
 infos = st.builds(gst.DeviceInfo, texts, texts, texts, texts, rates, u8)
+
+
+def acks(told, *names: str):
+    kinds = st.sampled_from([int(gst.Type[name]) for name in names])
+    return st.builds(gst.Ack, u8, kinds, told)
+
+
 messages = st.one_of(
     st.builds(gst.Hello, u8, u8),
     st.builds(gst.Start, u8, rates, st.sampled_from(gst.Format)),
-    st.builds(gst.Stop, u8),
-    st.builds(gst.Home, u8),
+    *(st.builds(k, u8) for k in (gst.Stop, gst.Home, gst.Search, gst.GetAir, gst.Ping)),
     st.builds(gst.Aim, u8, angles, angles),
-    st.builds(gst.Search, u8),
     st.builds(gst.Select, u8, texts),
     st.builds(gst.SetAir, u8, angles, angles, angles),
-    st.builds(gst.GetAir, u8),
-    st.builds(
-        gst.Ack,
-        u8,
-        st.sampled_from([int(gst.Type.SET_AIR), int(gst.Type.GET_AIR)]),
-        st.builds(gst.AirInUse, angles, angles, angles),
-    ),
-    st.builds(gst.Ping, u8),
-    st.builds(gst.Ack, u8, st.just(int(gst.Type.HELLO)), infos),
-    st.builds(
-        gst.Ack,
-        u8,
-        st.just(int(gst.Type.START)),
-        st.builds(gst.StreamInfo, rates, u16, u64),
-    ),
-    st.builds(gst.Ack, u8, st.sampled_from([int(gst.Type.STOP), int(gst.Type.PING)])),
+    acks(st.builds(gst.AirInUse, angles, angles, angles), "SET_AIR", "GET_AIR"),
+    acks(infos, "HELLO"),
+    acks(st.builds(gst.StreamInfo, rates, u16, u64), "START"),
+    acks(st.none(), "STOP", "PING"),
     st.builds(gst.Nak, u8, u8, u8, texts),
     st.builds(gst.Status, u8, u64, u32, u32, u32),
     st.builds(gst.Event, u8, u64),
@@ -68,13 +61,10 @@ def page_frames() -> dict[str, bytes]:
     return {name: bytes.fromhex(digits) for name, digits in rows}
 
 
+WHO = gst.DeviceInfo("Truepath", "GST simulator", "SIM-0001", "1.0", 5000.0)
 EXAMPLES = [
     gst.Hello(1),
-    gst.Ack(
-        1,
-        gst.Type.HELLO,
-        gst.DeviceInfo("Truepath", "GST simulator", "SIM-0001", "1.0", 5000.0),
-    ),
+    gst.Ack(1, gst.Type.HELLO, WHO),
     gst.Start(2, 500.0),
     gst.Ack(2, gst.Type.START, gst.StreamInfo(500.0, 258, 1_000_000)),
     one_sample(gst.Format.MEAS64, 258, 1_002_000, (2.5, 0.5, -0.25), 0, 200),

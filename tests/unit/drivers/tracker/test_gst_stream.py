@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sent_samples import one_sample, raw_samples
+from tracker_peers import one_sample, raw_samples
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import TrackerEventKind
 from truepath_drivers.tracker.streaming import messages as gst
@@ -23,13 +23,7 @@ PERIOD_US = 2000
 FORMATS = [gst.Format.MEAS64, gst.Format.MEAS]
 
 
-def stream(
-    number: np.ndarray,
-    *,
-    measured: gst.Format = gst.Format.MEAS64,
-    first_clock_us: int = 5_000_000,
-    status: int = 0,
-) -> list[bytes]:
+def stream(number, *, measured=gst.Format.MEAS64, first_clock_us=5000000, status=0):
     """Return one frame for each whole sample number; its position tells the number."""
     number = np.asarray(number, np.int64)
     clock_us, place_mm = first_clock_us + number * PERIOD_US, positions(number)
@@ -38,21 +32,21 @@ def stream(
     return [b"\0" + frame + b"\0" for frame in frames]
 
 
-def positions(number: np.ndarray) -> np.ndarray:
+def positions(number):
     return np.stack([1000 + 0.5 * number, -200 + 0.25 * number, number % 97], axis=1)
 
 
-def started(sequence: int = 0, clock_us: int = 4_999_000, rate_hz: float = 500.0):
+def started(sequence=0, clock_us=4999000, rate_hz=500.0):
     info = gst.StreamInfo(rate_hz, sequence, clock_us)
     return encode_message(gst.Ack(1, gst.Type.START, info))
 
 
-def decoded(wire: bytes) -> tuple[TrackerSamples, StreamDecoder]:
+def decoded(pieces):
     decoder = StreamDecoder()
-    return decoder.feed(wire).samples, decoder
+    return decoder.feed(b"".join(pieces)).samples, decoder
 
 
-def assert_every_sample_is_the_one_sent(samples: TrackerSamples, offset: int = 0):
+def assert_every_sample_is_the_one_sent(samples, offset=0):
     number = samples.sequence + offset
     np.testing.assert_allclose(samples.position_mm, positions(number), atol=1e-6)
     clock = 5.0 + number * PERIOD_US * 1e-6
@@ -62,26 +56,22 @@ def assert_every_sample_is_the_one_sent(samples: TrackerSamples, offset: int = 0
 @pytest.mark.parametrize("measured", FORMATS)
 def test_numbers_go_on_over_the_wrap_of_sixteen_bits(measured):
     number = np.arange(65_400, 65_900)
-    samples, decoder = decoded(b"".join(stream(number, measured=measured)))
+    samples, decoder = decoded(stream(number, measured=measured))
     assert samples.sequence.tolist() == list(range(500))
     assert decoder.health.lost_samples == 0
     np.testing.assert_allclose(samples.position_mm, positions(number), atol=1e-4)
 
 
 def test_times_go_on_over_the_wrap_of_the_short_clock_and_keep_their_microseconds():
-    frames = stream(
-        np.arange(100), measured=gst.Format.MEAS, first_clock_us=2**32 - 50 * PERIOD_US
-    )
-    samples, _ = decoded(b"".join(frames))
+    short, first_us = {"measured": gst.Format.MEAS}, 2**32 - 50 * PERIOD_US
+    samples, _ = decoded(stream(np.arange(100), first_clock_us=first_us, **short))
     np.testing.assert_allclose(np.diff(samples.device_time_s), PERIOD_US * 1e-6)
     clock_us = 3 * 2**32 + 5_000_000
-    wire = started(clock_us=clock_us - 1000) + b"".join(
-        stream(np.arange(3), measured=gst.Format.MEAS, first_clock_us=clock_us)
-    )
-    samples, _ = decoded(wire)
+    frames = stream(np.arange(3), first_clock_us=clock_us, **short)
+    samples, _ = decoded([started(clock_us=clock_us - 1000), *frames])
     assert samples.device_time_s[0] == pytest.approx(clock_us * 1e-6, abs=1e-9)
     years_us = 3 * 365 * 86_400 * 1_000_000
-    samples, _ = decoded(b"".join(stream(np.arange(10), first_clock_us=years_us)))
+    samples, _ = decoded(stream(np.arange(10), first_clock_us=years_us))
     np.testing.assert_allclose(np.diff(samples.device_time_s), 2e-3, atol=1e-7)
 
 
@@ -112,8 +102,7 @@ def test_any_split_and_any_loss_gives_the_samples_sent(lost, cuts, measured):
 @pytest.mark.parametrize("with_start", [True, False])
 def test_gaps_of_any_length_are_counted_by_the_clock(gap, with_start):
     number = np.concatenate([np.arange(50), 50 + gap + np.arange(50)])
-    wire = (started() if with_start else b"") + b"".join(stream(number))
-    samples, decoder = decoded(wire)
+    samples, decoder = decoded([started()] * with_start + stream(number))
     assert decoder.health.lost_samples == gap
     assert samples.sequence.tolist() == number.tolist()
     assert_every_sample_is_the_one_sent(samples)
@@ -123,19 +112,18 @@ def test_gaps_of_any_length_are_counted_by_the_clock(gap, with_start):
 def test_repeated_and_late_frames_are_left_out():
     frames = stream(np.arange(20))
     order = [0, 1, 2, 2, 3, 5, 4, 6, 6, 6, 7, 1, *range(8, 20)]
-    samples, decoder = decoded(started() + b"".join(frames[i] for i in order))
-    expected = [i for i in range(20) if i != 4]
-    assert samples.sequence.tolist() == expected
+    samples, decoder = decoded([started(), *(frames[i] for i in order)])
+    assert samples.sequence.tolist() == [i for i in range(20) if i != 4]
     assert decoder.health.lost_samples == 1
     assert_every_sample_is_the_one_sent(samples)
 
 
 def test_before_the_rate_is_known_gaps_are_told_by_the_number_and_late_ones_left_out():
-    samples, decoder = decoded(b"".join(stream(np.array([0, 40, 80]))))
+    samples, decoder = decoded(stream(np.array([0, 40, 80])))
     assert samples.sequence.tolist() == [0, 40, 80]
     assert decoder.health.lost_samples == 78
     frames = stream(np.arange(0, 40, 2))
-    samples, _ = decoded(b"".join(frames[i] for i in (0, 2, 1, 1, 3)))
+    samples, _ = decoded([frames[i] for i in (0, 2, 1, 1, 3)])
     assert samples.sequence.tolist() == [0, 4, 6]
 
 
@@ -143,19 +131,18 @@ def test_before_the_rate_is_known_gaps_are_told_by_the_number_and_late_ones_left
 def test_a_pause_is_no_loss_but_what_is_missing_at_its_end_or_at_the_begin_is(
     first, last
 ):
-    wire = started() + b"".join(stream(np.arange(first, last)))
-    wire += started(sequence=100, clock_us=600_199_000)
-    wire += b"".join(stream(np.arange(100, 200), first_clock_us=600_000_000))
+    again = started(sequence=100, clock_us=600_199_000)
+    frames = stream(np.arange(100, 200), first_clock_us=600_000_000)
+    wire = [started(), *stream(np.arange(first, last)), again, *frames]
     samples, decoder = decoded(wire)
     assert samples.sequence.tolist() == [*range(first, last), *range(100, 200)]
     assert decoder.health.lost_samples == first + 100 - last
 
 
 def test_a_device_switched_off_and_on_goes_on_without_a_loss():
-    wire = started() + b"".join(stream(np.arange(100)))
-    wire += started(sequence=0, clock_us=1000)
-    wire += b"".join(stream(np.arange(50), first_clock_us=2000))
-    samples, decoder = decoded(wire)
+    again = started(sequence=0, clock_us=1000)
+    frames = stream(np.arange(50), first_clock_us=2000)
+    samples, decoder = decoded([started(), *stream(np.arange(100)), again, *frames])
     assert samples.sequence.tolist() == list(range(150))
     assert decoder.health.lost_samples == 0
     assert samples.device_time_s[100] == pytest.approx(0.002)
@@ -163,13 +150,11 @@ def test_a_device_switched_off_and_on_goes_on_without_a_loss():
 
 @pytest.mark.parametrize("clock_us", [4_999_000, 5_000_000])  # that of the first, too
 def test_a_start_repeated_in_mid_stream_changes_nothing(clock_us):
-    number = np.arange(100)
-    frames = stream(number)
+    frames = stream(np.arange(100))
     again = started(sequence=50, clock_us=5_000_000 + 49 * PERIOD_US + 7)
-    samples, decoder = decoded(
-        started(clock_us=clock_us) + b"".join([*frames[:50], again, *frames[50:]])
-    )
-    assert samples.sequence.tolist() == number.tolist()
+    wire = [started(clock_us=clock_us), *frames[:50], again, *frames[50:]]
+    samples, decoder = decoded(wire)
+    assert samples.sequence.tolist() == list(range(100))
     assert decoder.health.lost_samples == 0
     assert_every_sample_is_the_one_sent(samples)
 
@@ -179,14 +164,11 @@ def test_noise_bursts_cost_only_the_frames_they_hit():
     rng = np.random.default_rng(11)
     frames = stream(np.arange(2500))
     hit = rng.random(2500) < 0.03
-    wire = bytearray(started())
-    for frame, is_hit in zip(frames, hit, strict=True):
-        if is_hit:
-            at = int(rng.integers(2, len(frame) - 4))
-            burst = rng.integers(0, 256, 3, np.uint8).tobytes()
-            frame = frame[:at] + burst + frame[at + 3 :]
-        wire += frame
-    samples, decoder = decoded(bytes(wire))
+    for k in np.flatnonzero(hit):
+        at = int(rng.integers(2, len(frames[k]) - 4))
+        burst = rng.integers(0, 256, 3, np.uint8).tobytes()
+        frames[k] = frames[k][:at] + burst + frames[k][at + 3 :]
+    samples, decoder = decoded([started(), *frames])
     assert samples.sequence.tolist() == np.flatnonzero(~hit).tolist()
     assert decoder.health.lost_samples == hit[: samples.sequence[-1]].sum()
     assert decoder.health.crc_errors >= hit.sum()
@@ -200,19 +182,19 @@ def test_what_is_not_a_number_is_no_valid_sample(field, value):
     polar = [1.0, 0.1, 0.1]
     polar[field] = value
     raw = one_sample(gst.Format.MEAS64, 0, 1, polar, 0, 0)
-    samples, _ = decoded(encode_measurements(raw))
+    samples, _ = decoded([encode_measurements(raw)])
     assert samples.status.tolist() == [int(StatusBit.NOT_A_NUMBER)]
     assert samples.position_mm.tolist() == [[0.0, 0.0, 0.0]]
 
 
 @pytest.mark.parametrize("bit", list(StatusBit))
 def test_only_the_low_byte_of_the_status_forbids_use(bit):
-    frames = b"".join(stream(np.arange(3), status=int(bit)))
+    frames = stream(np.arange(3), status=int(bit))
     samples, decoder = decoded(frames)
     expected = int(bit) if bit < 0x100 else 0
     assert samples.status.tolist() == [expected] * 3
     assert decoder.health.device_overflows == (3 if bit is StatusBit.OVERFLOW else 0)
-    assert StreamDecoder().feed(frames).status == bit  # passed on all the same
+    assert StreamDecoder().feed(b"".join(frames)).status == bit  # passed on, too
 
 
 @pytest.mark.fault_row(10)
@@ -235,10 +217,10 @@ def test_the_strength_of_the_return_is_the_quality_of_a_sample():
     number, signal = np.arange(3), np.array([255, 51, 0])
     place_mm = positions(number)
     raw = raw_samples(gst.Format.MEAS64, number, 2000 * number, place_mm, 0, signal)
-    told = StreamDecoder().feed(encode_measurements(raw)).samples.quality
+    told = decoded([encode_measurements(raw)])[0].quality
     np.testing.assert_allclose(told, [1.0, 0.2, np.nan], rtol=1e-6)
     silent = replace(raw, signal=np.zeros(3, np.int64))
-    samples = StreamDecoder().feed(encode_measurements(silent)).samples
+    samples, _ = decoded([encode_measurements(silent)])
     assert samples.quality is None
     joined = TrackerSamples.join([samples, replace(samples, quality=told)])
     np.testing.assert_array_equal(joined.quality, [*[np.nan] * 3, *told])

@@ -38,9 +38,8 @@ def test_lines_that_are_no_replies_are_none_of_geocom_or_t2sa():
     assert parse_reply(b"%R1P,0,3,48213:1292").code == 1292
     assert t2sa.parse_reply(b"ACK300") is None
     assert t2sa.parse_reply(b"ERR-305 no").code == t2sa.ErrorCode.POINT_FAILED
-    assert (
-        t2sa.parse_place("Single Point Measurement p result 1,2,x a b c", "p") is None
-    )
+    measured = "Single Point Measurement p result 1,2,x a b c"
+    assert t2sa.parse_place(measured, "p") is None
 
 
 def test_a_wet_bulb_is_below_a_dry_one_unless_the_air_is_full():

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ports_by_hand import HandPort
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused
 from truepath_drivers.interfaces.tracker_records import Clock
 from truepath_drivers.tracker.text_line import driver
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
+from wires import HandPort
 
 
 class SentText(HandPort):
@@ -117,11 +117,10 @@ def test_a_stream_that_begins_anew_is_told():
 
 
 def test_lines_without_a_stamp_need_the_word_of_the_user():
+    options = {"host": "h", "columns": "x,y,z", "rate_hz": 500.0}
     with pytest.raises(Refused, match="arrival_times"):
-        TextLineTracker(1, host="h", columns="x,y,z", rate_hz=500.0)
-    tracker = TextLineTracker(
-        1, host="h", columns="x,y,z", rate_hz=500.0, arrival_times=True
-    )
+        TextLineTracker(1, **options)
+    tracker = TextLineTracker(1, **options, arrival_times=True)
     assert tracker.capabilities.clock is Clock.HOST
 
 

@@ -40,24 +40,15 @@ path_of = partial(paths_by_hand.path_of, feed=3000.0, dwell_s=0.5)
 L_SHAPE = path_of((10, 10, -10), (400.5, 10, -10), (400.5, 300, -250))
 
 
-def rows_inside(machine, n):
-    """Draw n rows inside the travel; axes often stay where they are."""
-    kept = st.lists(
-        st.booleans(), min_size=len(machine.axes), max_size=len(machine.axes)
-    )
-    inside = st.tuples(
-        *(st.floats(axis.low, axis.high, allow_nan=False) for axis in machine.axes)
-    )
-    return st.lists(st.tuples(inside, kept), min_size=n, max_size=n)
-
-
 @st.composite
 def paths(draw, machine):
-    n = draw(st.integers(1, 8))
-    rows = draw(rows_inside(machine, n))
-    position = [np.array(rows[0][0])]
-    for inside, kept in rows[1:]:
-        position.append(np.where(kept, position[-1], inside))
+    """Draw rows inside the travel; axes often stay where they are."""
+    n, axes = draw(st.integers(1, 8)), machine.axes
+    inside = st.tuples(*(st.floats(axis.low, axis.high) for axis in axes))
+    kept = st.lists(st.booleans(), min_size=len(axes), max_size=len(axes))
+    position = [np.array(draw(inside))]
+    for _ in range(n - 1):
+        position.append(np.where(draw(kept), position[-1], draw(inside)))
     feed = draw(st.lists(st.floats(1, 30_000), min_size=n, max_size=n))
     dwell_s = draw(st.lists(st.floats(0, 60), min_size=n, max_size=n))
     return path_of(*position, feed=feed, dwell_s=dwell_s, axes=machine.axis_names)
@@ -76,7 +67,14 @@ def largest_feed(path, motion, dialect):
     return 99_999 * share
 
 
-def assert_same_motion(text, path, dialect):
+@every_dialect
+@pytest.mark.parametrize("axes", [3, 5])
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_a_program_moves_the_axes_as_the_path_says(dialect, mill, trunnion, axes, data):
+    machine = mill if axes == 3 else trunnion
+    path = data.draw(paths(machine))
+    text = write_program(path, machine, dialect, "P")
     motion = read_program(text, dialect)
     half = 0.5 * 10.0 ** -DECIMALS.get(dialect, 4)
     assert motion.axes == path.axes
@@ -90,16 +88,6 @@ def assert_same_motion(text, path, dialect):
     np.testing.assert_array_equal(motion.path.position, motion.position)
     assert motion.exact_stop.all()
     assert motion.row.tolist() == list(range(1, len(path) + 1))
-
-
-@every_dialect
-@pytest.mark.parametrize("axes", [3, 5])
-@settings(max_examples=40, deadline=None)
-@given(data=st.data())
-def test_a_program_moves_the_axes_as_the_path_says(dialect, mill, trunnion, axes, data):
-    machine = mill if axes == 3 else trunnion
-    path = data.draw(paths(machine))
-    assert_same_motion(write_program(path, machine, dialect, "P"), path, dialect)
 
 
 @pytest.mark.parametrize("dialect", ["fanuc", "heidenhain"])
@@ -139,14 +127,14 @@ def test_the_axes_stand_before_a_target_is_changed(dialect, trunnion):
 
 
 def drive_to_first_row(text, dialect):
-    return [
-        (dict(motion.ends), motion.feed_mm_min)
-        for motion in read_program(text, dialect).approach
-    ]
+    approach = read_program(text, dialect).approach
+    return [(dict(motion.ends), motion.feed_mm_min) for motion in approach]
 
 
 @every_dialect
-def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear(dialect, trunnion):
+def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear_or_as_a_machine_states(
+    dialect, mill, trunnion
+):
     rows = (10, 20, -290, -30, 90), (20, 20, -290, -30, 90)
     path = path_of(*rows, axes=trunnion.axis_names)
     text = write_program(path, trunnion, dialect, "P")
@@ -155,18 +143,10 @@ def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear(dialect, trunnion
     np.testing.assert_array_equal(read_program(text, dialect).position, rows)
     said = " ".join(re.sub(r"^[\d ]*[;(] ?|\)$", "", s) for s in text.splitlines())
     assert "BY Z TO -6, X TO 10, Y TO 20, A TO -30, C TO 90, Z TO -290 AT 2000" in said
-
-
-@every_dialect
-def test_the_machine_states_order_clearance_and_feed_of_the_approach(dialect, mill):
     side = Approach((("Y", 390.0), ("Z", -1.0)), ("Z", "X", "Y"), 500.0)
     text = write_program(L_SHAPE, replace(mill, approach=side), dialect, "P")
     ends = {"Y": 390}, {"Z": -1}, {"Z": -10}, {"X": 10}, {"Y": 10}
     assert drive_to_first_row(text, dialect) == [(end, 500.0) for end in ends]
-
-
-@every_dialect
-def test_no_axis_crosses_where_the_path_does_not_say_how_high(dialect, mill):
     flat = path_of(*L_SHAPE.position[:, :2], axes="XY")
     with pytest.raises(PlanningError, match="does not state Z"):
         write_program(flat, mill, dialect, "P")
@@ -184,7 +164,9 @@ SMOOTHING = {
 
 
 @every_dialect
-def test_nothing_is_smoothed_from_before_the_first_motion_until_the_end(dialect, mill):
+def test_nothing_is_smoothed_and_every_block_has_its_number_every_motion_its_row(
+    dialect, mill
+):
     lines = write_program(L_SHAPE, mill, dialect, "P").splitlines()
     blocks = [re.sub(r"^N?\d+ ", "", line) for line in lines]
     begin, end = SMOOTHING[dialect]
@@ -195,11 +177,6 @@ def test_nothing_is_smoothed_from_before_the_first_motion_until_the_end(dialect,
     stop = "STOP" if dialect == "heidenhain" else "M0"
     assert blocks[last - len(end) : last + 1] == [stop, *end]
     assert moves[-1] < last - len(end)
-
-
-@every_dialect
-def test_every_block_has_a_number_and_every_motion_its_row(dialect, mill):
-    lines = write_program(L_SHAPE, mill, dialect, "P").splitlines()
     if dialect != "heidenhain":
         lines = [s for s in lines if not re.match(r"[;(%O]", s)]
     numbers = [int(re.match(r"N?(\d+) ", line).group(1)) for line in lines]
@@ -236,17 +213,6 @@ def test_the_file_is_named_and_its_header_tells_machine_travel_time_and_checksum
     lost = {"fanuc": "0.0004"}.get(dialect, "0.0000")
     text = write_program(finer, mill, dialect, "P")
     assert f"POSITIONS ARE ROUNDED, BY AT MOST {lost}" in text
-
-
-def test_a_program_without_a_name_is_called_after_its_machine_or_its_number(mill):
-    text = write_program(L_SHAPE, mill, "heidenhain")
-    assert text.startswith("0 BEGIN PGM SMALL_MILL MM\n")
-    shorter = replace(L_SHAPE, position=L_SHAPE.position * 0.5)
-    names = {
-        read_program(write_program(path, mill, "fanuc", "P"), "fanuc").name
-        for path in (L_SHAPE, shorter)
-    }
-    assert len(names) == 2
 
 
 def test_the_checksum_is_one_of_positions_on_all_controls_and_finds_an_edited_row(mill):
@@ -326,7 +292,12 @@ def test_what_no_program_can_say_is_refused_by_row(dialect, mill, change, messag
         write_program(replace(L_SHAPE, **change), mill, dialect, "P")
 
 
-def test_what_a_machine_a_control_or_an_installation_lacks_is_named(mill):
+def test_what_a_machine_a_control_an_installation_or_an_order_lacks_is_named(mill):
+    text = write_program(L_SHAPE, mill, "heidenhain")
+    assert text.startswith("0 BEGIN PGM SMALL_MILL MM\n")
+    shorter = replace(L_SHAPE, position=L_SHAPE.position * 0.5)
+    texts = [write_program(path, mill, "fanuc", "P") for path in (L_SHAPE, shorter)]
+    assert len({read_program(text, "fanuc").name for text in texts}) == 2
     long = path_of(*np.tile(L_SHAPE.position, (11_001, 1)))
     with pytest.raises(
         PlanningError, match=r"33003 rows; a Fanuc program numbers 33000"
@@ -363,19 +334,11 @@ class Quiet(Fanuc):
     suffix = ".tap"
 
 
-class _Point(EntryPoint):
-    def __init__(self, name, kind):
-        super().__init__(name, f"{kind.__module__}:{kind.__name__}", GROUP)
-        self.__dict__["kind"] = kind
-
-    def load(self):
-        return self.__dict__["kind"]
-
-
 def test_a_control_of_a_third_party_is_found_and_its_programs_are_read_back(
     mill, monkeypatch
 ):
-    points = [_Point("off-by-one", OffByOne), _Point("quiet", Quiet)]
+    kinds = {"off-by-one": OffByOne, "quiet": Quiet}.items()
+    points = [EntryPoint(n, f"{__name__}:{k.__name__}", GROUP) for n, k in kinds]
     monkeypatch.setattr(plugins, "entry_points", lambda group: {GROUP: points}[group])
     assert list_dialects() == ("off-by-one", "quiet")
     text = write_program(L_SHAPE, mill, "quiet", "P")

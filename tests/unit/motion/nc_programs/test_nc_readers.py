@@ -187,23 +187,26 @@ def test_what_a_measuring_path_must_not_have_is_refused_by_line(
         read_program(BY_HAND[dialect].replace(old, new), dialect)
 
 
-def test_a_fanuc_integer_counts_micrometres():
+def test_a_fanuc_integer_counts_micrometres_and_no_dwell_is_no_exact_stop_of_tnc():
     motion = read_program(FANUC.replace("X100.25", "X100"), "fanuc")
     assert motion.position[1, 0] == pytest.approx(0.1)
+    text = HEIDENHAIN.replace("DWELL 0.5", "DWELL 0.0")
+    stops = read_program(text, "heidenhain").exact_stop
+    assert stops.tolist() == [True, False, False, False]
 
 
-@pytest.mark.parametrize(
-    ("dialect", "empty"),
-    [
-        ("siemens-840d", "M30\n"),
-        ("heidenhain", "0 BEGIN PGM A MM\n1 END PGM A MM\n"),
-        ("fanuc", "%\nO1\nM30\n%\n"),
-        ("linuxcnc", "M2\n"),
-    ],
-)
-def test_text_that_is_no_program_or_moves_nothing_is_refused(dialect, empty):
+EMPTY = {
+    "siemens-840d": "M30\n",
+    "heidenhain": "0 BEGIN PGM A MM\n1 END PGM A MM\n",
+    "fanuc": "%\nO1\nM30\n%\n",
+    "linuxcnc": "M2\n",
+}
+
+
+@every_program
+def test_text_that_is_no_program_or_moves_nothing_is_refused(dialect):
     with pytest.raises(PlanningError, match="moves no axis"):
-        read_program(empty, dialect)
+        read_program(EMPTY[dialect], dialect)
     for text in ("", "hello\n", "<html></html>"):
         with pytest.raises(PlanningError):
             read_program(text, dialect)
@@ -214,9 +217,3 @@ def test_line_ends_of_other_systems_change_nothing(dialect):
     text = BY_HAND[dialect]
     motion = read_program(text.replace("\n", "\r\n"), dialect)
     np.testing.assert_array_equal(motion.position, read_program(text, dialect).position)
-
-
-def test_a_heidenhain_row_without_a_dwell_is_no_exact_stop():
-    text = HEIDENHAIN.replace("DWELL 0.5", "DWELL 0.0")
-    stops = read_program(text, "heidenhain").exact_stop
-    assert stops.tolist() == [True, False, False, False]

@@ -5,12 +5,12 @@ lines are damaged. It has a frame, a clock and a numbering of its own.
 """
 
 import select
-import socket
 import sys
 
 import numpy as np
 
 from truepath_simulators.bench.rig import Rig
+from truepath_simulators.links.links import TcpPort
 
 PLACE_MM = np.array([-700.0, -600.0, 150.0])
 TURN = 0.4
@@ -19,16 +19,20 @@ NOISE_MM = 0.002
 
 
 def line(text: str) -> bytes:
+    """Return a line with its sum, as it goes over the wire."""
     return f"{text}*{sum(text.encode()) % 256:02X}\n".encode()
 
 
 class Instrument:
+    """Streams where the target is, as seen from its own place, by its own clock."""
+
     def __init__(self, rig: Rig, share: float) -> None:
         self.rig, self.share = rig, share
         self.rng = np.random.default_rng(5)
         self.rate_hz, self.begin_s, self.taken = 0.0, 0.0, 0
 
     def obey(self, order: str) -> bytes:
+        """Return the reply to an order."""
         verb, _, rate = order.rpartition("*")[0].partition(" ")
         if line(order.rpartition("*")[0]) != f"{order}\n".encode():
             return line("NO wrong sum")
@@ -38,9 +42,7 @@ class Instrument:
             self.rate_hz = 0.0
             taken, self.taken = self.taken, 0
             return line(f"HALT {taken}")
-        if verb == "GO" and self.rate_hz:
-            return line("NO streams already")
-        if verb == "GO":
+        if verb == "GO" and not self.rate_hz:
             self.rate_hz, self.taken = float(rate), 0
             now_s = self.rig.read_position()["time_s"][0]
             self.begin_s = np.ceil(1e3 * now_s) / 1e3
@@ -48,6 +50,7 @@ class Instrument:
         return line(f"NO {verb}")
 
     def due(self) -> bytes:
+        """Return the lines of samples that are due by now."""
         if not self.rate_hz:
             return b""
         now_s = self.rig.read_position()["time_s"][0]
@@ -69,6 +72,7 @@ class Instrument:
         )
 
     def wear(self, text: bytes) -> bytes:
+        """Damage a share of the lines."""
         if self.rng.random() >= self.share:
             return text
         at = int(self.rng.integers(len(text) - 1))
@@ -76,30 +80,18 @@ class Instrument:
 
 
 def main() -> None:
+    """Serve one host after the other."""
     instrument = Instrument(Rig(sys.argv[1]), float([*sys.argv, 0.0][2]))
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        print(server.getsockname()[1], flush=True)
-        while True:
-            host, _ = server.accept()
-            with host:
-                serve(instrument, host)
-
-
-def serve(instrument: Instrument, host: socket.socket) -> None:
-    rest = b""
-    try:
-        while True:
-            if select.select([host], [], [], 0.02)[0]:
-                data = host.recv(4096)
-                if not data:
-                    break
-                *orders, rest = (rest + data).split(b"\n")
-                for order in orders:
-                    host.sendall(instrument.obey(order.decode()))
-            host.sendall(instrument.due())
-    except OSError:
-        pass
-    instrument.rate_hz = 0.0
+    port, rest = TcpPort("127.0.0.1", 0), b""
+    print(port.address["port"], flush=True)
+    while True:
+        select.select(port.descriptors(), [], [], 0.02)
+        data = port.receive()
+        if data is None:  # the host has gone, or a new one come
+            instrument.rate_hz, data, rest = 0.0, b"", b""
+        *orders, rest = (rest + data).split(b"\n")
+        said = [instrument.obey(order.decode()) for order in orders]
+        port.send(b"".join([*said, instrument.due()]))
 
 
 if __name__ == "__main__":

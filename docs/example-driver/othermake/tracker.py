@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 
 import numpy as np
 
-from othermake.lines import seal
-from othermake.listener import Listener
+from othermake.lines import Inbox, seal
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
@@ -23,10 +23,11 @@ from truepath_drivers.transport.tcp_port import TcpPort
 log = logging.getLogger(__name__)
 
 RATES_HZ = (10.0, 25.0, 50.0)
+_LOOK_S = 0.05
 
 
 class OthermakeTracker(Tracker, ByteLink):
-    """An LT-50 behind TCP.
+    """An LT-50 behind TCP. Whoever waits for samples or a reply looks at the port.
 
     host, port : where it listens
     reply_timeout_s : its patience; an LT-50 that searches its target answers late
@@ -36,18 +37,23 @@ class OthermakeTracker(Tracker, ByteLink):
         self._port = TcpPort(host, port)
         self._reply_timeout_s = reply_timeout_s
         self._verbs = threading.RLock()  # one verb at a time talks to the device
-        self._listener: Listener | None = None
+        self._looking = threading.Lock()
+        self._inbox: Inbox | None = None
         self._identity: Identity | None = None
         self._rate_hz: float | None = None
 
     def connect(self) -> Identity:
         """Open the port and ask who is there; a stream left behind is ended."""
         with self._verbs:
-            if self._listener is None or self._listener.error or not self._identity:
-                self._shut()
-                self._open()
             if self._identity is None:
-                raise ConnectionLost(f"{self._port.name} is not connected")
+                self._shut()
+                self._port.open()
+                self._inbox = Inbox()
+                try:
+                    self._identity = self._ask_who()
+                except DeviceError:
+                    self._shut()
+                    raise
             return self._identity
 
     def close(self) -> None:
@@ -59,7 +65,7 @@ class OthermakeTracker(Tracker, ByteLink):
     def start(self, rate_hz: float) -> None:
         """Begin to stream; a stream at another rate is ended first."""
         with self._verbs:
-            self._require_listener()
+            self._require_inbox()
             if rate_hz not in RATES_HZ:
                 known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
                 raise Refused(
@@ -74,21 +80,22 @@ class OthermakeTracker(Tracker, ByteLink):
                 self._rate_hz = rate_hz
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        """Return the samples since the last call."""
-        taken = self._require_listener().take_samples(timeout_s)
+        """Return the samples since the last call, waiting so long for a first one."""
+        inbox, end_s = self._require_inbox(), time.monotonic() + timeout_s
+        self._look(inbox, 0.0)
+        while not inbox.samples and time.monotonic() < end_s:
+            self._look(inbox, end_s - time.monotonic())
+        with self._looking:
+            taken, inbox.samples = inbox.samples, []
         if not taken:
             return TrackerSamples.empty()
-        return TrackerSamples(
-            np.array([s.number for s in taken], np.int64),
-            np.array([s.time_s for s in taken]),
-            np.array([s.position_mm for s in taken]),
-            np.array([s.status for s in taken], np.int64),
-        )
+        number, time_s, place_mm, status = zip(*taken, strict=True)
+        return TrackerSamples(*map(np.array, (number, time_s, place_mm, status)))
 
     def stop(self) -> None:
         """End the stream."""
         with self._verbs:
-            if self._rate_hz is None or self._listener is None:
+            if self._rate_hz is None or self._inbox is None:
                 return
             self._rate_hz = None
             try:
@@ -98,52 +105,64 @@ class OthermakeTracker(Tracker, ByteLink):
 
     def take_link_bytes(self) -> bytes:
         """Return the bytes as they came."""
-        return b"" if self._listener is None else self._listener.take_bytes()
+        if self._inbox is None:
+            return b""
+        with self._looking:
+            taken = bytes(self._inbox.link_bytes)
+            self._inbox.link_bytes.clear()
+        return taken
 
     @property
     def health(self) -> LinkHealth:
         """Counts since `connect`."""
-        return LinkHealth() if self._listener is None else self._listener.health
+        if (inbox := self._inbox) is None:
+            return LinkHealth()
+        bad = {"crc_errors": inbox.bad_lines, "skipped_bytes": inbox.bad_bytes}
+        return LinkHealth(frames=inbox.good_lines, lost_samples=inbox.lost, **bad)
 
-    def _open(self) -> None:
-        self._port.open()
-        self._listener = Listener(self._port)
-        self._listener.start()
-        try:
-            self._ask("HALT")
-            kind, _, who = self._ask("WHO").partition(" ")
-            if kind != "ME" or who.count(";") != 3:
-                raise WrongDevice(f"{self._port.name}: no LT-50 answers, but {who!r}")
-        except DeviceError:
-            self._shut()
-            raise
-        self._identity = Identity(*who.split(";"))
-        self._listener.take_bytes()
+    def _ask_who(self) -> Identity:
+        self._ask("HALT")
+        kind, _, who = self._ask("WHO").partition(" ")
+        if kind != "ME" or who.count(";") != 3:
+            raise WrongDevice(f"{self._port.name}: no LT-50 answers, but {who!r}")
+        self.take_link_bytes()
+        return Identity(*who.split(";"))
 
     def _shut(self) -> None:
-        listener, self._listener = self._listener, None
-        self._identity = self._rate_hz = None
-        if listener is not None:
-            listener.close()
+        self._inbox = self._identity = self._rate_hz = None
         self._port.close()
 
-    def _require_listener(self) -> Listener:
-        listener = self._listener
-        if listener is None:
+    def _require_inbox(self) -> Inbox:
+        if (inbox := self._inbox) is None:
             raise ConnectionLost(f"{self._port.name} is not connected; connect first")
-        return listener
+        return inbox
+
+    def _look(self, inbox: Inbox, timeout_s: float) -> None:
+        """Sort what comes in so long, or let another thread do so meanwhile."""
+        wait_s = min(max(timeout_s, 0.0), _LOOK_S)
+        if not self._looking.acquire(timeout=wait_s):
+            return
+        try:
+            inbox.take(self._port.read(wait_s))
+        except ConnectionLost:
+            self._identity = None  # connect opens the port anew
+            raise
+        finally:
+            self._looking.release()
 
     def _ask(self, order: str) -> str:
         """Send an order; return its reply. What came before it is late: forgotten."""
-        listener = self._require_listener()
-        listener.forget_replies()
+        inbox, end_s = self._require_inbox(), time.monotonic() + self._reply_timeout_s
+        inbox.replies.clear()
         self._port.write(seal(order))
-        reply = listener.take_reply(self._reply_timeout_s)
-        if reply is None:
-            raise DeviceTimeout(
-                f"{self._port.name}: no reply to {order!r} in "
-                f"{self._reply_timeout_s:g} s; is the tracker on, and idle?"
-            )
+        while not inbox.replies:
+            if time.monotonic() > end_s:
+                raise DeviceTimeout(
+                    f"{self._port.name}: no reply to {order!r} in "
+                    f"{self._reply_timeout_s:g} s; is the tracker on, and idle?"
+                )
+            self._look(inbox, _LOOK_S)
+        reply = inbox.replies.popleft()
         if reply.startswith("NO "):
             raise Refused(f"{self._port.name} refuses {order!r}: {reply[3:]}")
         return reply

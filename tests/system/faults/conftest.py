@@ -1,1 +1,0 @@
-"""Lets the tests of faults use what is beside them."""
