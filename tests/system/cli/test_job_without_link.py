@@ -10,10 +10,9 @@ import shlex
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from exports_of_makers import polyworks
+from exports_of_makers import leica
 from nc_controls import RUN
 from truepath.cli.command import run
 from truepath_simulators.compensation.loading import LoadedTables
@@ -40,56 +39,73 @@ def shop(tmp_path, monkeypatch):
 
 
 def record(shop, folder, dialect, tables=()):
-    """Drive the program of a folder, and export what the tracker saw meanwhile."""
+    """Drive the program of a folder; export what the tracker saw meanwhile."""
     (program,) = (shop / folder / dialect).iterdir()
     driven = RUN[dialect](program.read_text()).recorded()
     content = json.loads((shop / "machine.json").read_text())
-    setting = synthetic.Setting(
-        machine_seed=SEED, compensation=LoadedTables.from_paths(tables)
-    )
+    loaded = LoadedTables.from_paths(tables)
+    setting = synthetic.Setting(machine_seed=SEED, compensation=loaded)
     made = synthetic.record(content, driven, SEED + len(folder), "otf", setting)
-    status = np.zeros(len(made), int)
     names = [f"N{k + 1}" for k in range(len(made))]
-    return polyworks(made.time_s, made.position_mm, status, names)[0]
+    return leica(made.time_s, made.position_mm, None, names)[0]
 
 
 def spell(words, dialect, tables):
-    """Words of the page, for another control and the files that it has."""
+    """Words of the page for a control, with its program and its files."""
     spelled = []
     for before, word in pairwise(["", *words]):
         if before == "--format":
             spelled.append(FORMATS[dialect])
         elif before == "--compensation" and not word.endswith(".json"):
-            more = [w for file in tables[1:] for w in ("--compensation", str(file))]
-            spelled += [str(tables[0]), *more]
+            spelled.append("")
+        elif before == "--path":
+            (program,) = Path(word.replace("heidenhain", dialect)).parent.iterdir()
+            spelled.append(str(program))
         else:
             spelled.append(word.replace("heidenhain", dialect))
+    if "" in spelled:
+        first = spelled.index("") - 1
+        last = len(spelled) - spelled[::-1].index("")
+        each = [w for file in tables for w in ("--compensation", str(file))]
+        spelled[first:last] = each
     return spelled
+
+
+def list_tables(shop):
+    found = (shop / "tables").glob("*") if (shop / "tables").exists() else ()
+    return sorted(file for file in found if file.suffix != ".json")
 
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("dialect", FORMATS)
 def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
-    tables = []
     for words in lines:
-        assert words[0] == "truepath"
-        words = spell(words[1:], dialect, tables)
-        folder = {"recording.txt": "plan", "proof.txt": "proof"}.get(words[1])
+        tables = list_tables(shop)
+        program, *words = spell(words, dialect, tables)
+        assert program == "truepath"
         if words[0] == "import":
-            text = record(shop, folder, dialect, tables)
-            (shop / words[1]).write_bytes(text)
-        place = words.index("--path") + 1 if "--path" in words else None
-        if place:
-            (program,) = shop.glob(words[place].rpartition("/")[0] + "/*")
-            words[place] = str(program.relative_to(shop))
-        print(*words)
+            folder = {"recording.txt": "plan", "proof.txt": "proof"}[words[1]]
+            (shop / words[1]).write_bytes(record(shop, folder, dialect, tables))
         assert run(words) == 0, words
-        if words[0] == "export":
-            print([p.name for p in (shop / "tables").iterdir()])
-            tables = sorted(
-                p for p in (shop / "tables").iterdir() if p.suffix != ".json"
-            )
-    print(
-        json.loads((shop / "verification/verification.json").read_text())["statements"]
-    )
+    result = json.loads((shop / "result" / "result.json").read_text())
+    assert result["verdict"]["state"] == "usable", result["verdict"]["reasons"]
+    assert result["volumetric_error"]["before"]["mean"]["value_um"] > 10.0
+    proof = json.loads((shop / "verification" / "verification.json").read_text())
+    decided = {name: one["conformity"] for name, one in proof["conformity"].items()}
+    assert decided == {"measured": "within", "deviation": "within"}
+    certificate = (shop / "certificate.html").read_text()
+    assert "4711" in certificate
+    assert "2026-03-01" in certificate  # of the recording
+    # Circles are driven in place of the other points.
+    circles = ["--verify", "circles-in-motion", "--control", dialect]
+    assert run(["plan", "machine.json", "-o", "circles", *circles]) == 0
+    (shop / "circles.txt").write_bytes(record(shop, "circles", dialect, tables))
+    (program,) = (shop / "circles" / dialect).iterdir()
+    given = ["--machine", "machine.json", "--path", str(program), "-o", "turned"]
+    assert run(["import", "circles.txt", *given]) == 0
+    files = [w for file in tables for w in ("--compensation", str(file))]
+    files += ["--format", FORMATS[dialect]]
+    assert run(["verify", "result/result.json", "turned", "-o", "round", *files]) == 0
+    found = json.loads((shop / "round" / "verification.json").read_text())
+    assert len(found["circles_in_motion"]) == 6
