@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from recordings import draw_specification
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
@@ -76,7 +77,10 @@ def draw_machine(kind: str, seed: int) -> dict[str, Any]:
         "kinematic_chain": chain,
         "axes": {name: axes[name] for name in "XYZABC" if name in axes},
         "targets": targets,
-        "tracker": {"stands_on": "base" if "W1" in targets else "workpiece"},
+        "tracker": {
+            "stands_on": "base" if "W1" in targets else "workpiece",
+            "specification": draw_specification(seed),
+        },
     }
 
 

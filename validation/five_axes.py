@@ -17,7 +17,7 @@ from few_targets import KINDS, OTHER, draw_machine, measure
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
-from truepath.alignment.align import align
+from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
@@ -74,7 +74,8 @@ class Outcome:
 def judge(kind: str, seed: int) -> Outcome:
     """Measure a machine, estimate, and compare with the truth."""
     content = draw_machine(kind, seed)
-    seen = align(measure(content, seed)[0])
+    run, _ = measure(content, seed)
+    (seen,) = align_all([run], [run.name])
     found = estimate(build_run_models(seen.at.machine, [seen.at]), [seen])
     machine = parse_machine(content)
     truth = random_machine(machine, seed)

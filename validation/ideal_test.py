@@ -2,9 +2,10 @@
 
 The ideal test is told what no real one knows: the noise, how strongly error motions of
 each kind bend in this machine, and the effect's very shape, so that only its size is
-asked for. What machine, pose and timing can absorb is taken out first: a sag that looks
-like a usual angular motion of the guide is one. The expected log-likelihood ratio
-between the effect and none is then half the squared signal-to-noise ratio.
+asked for. What machine, pose, timing and a tracker within its specification can absorb
+is taken out first: a sag that looks like a usual angular motion of the guide is one.
+The expected log-likelihood ratio between the effect and none is then half the squared
+signal-to-noise ratio.
 """
 
 from __future__ import annotations
@@ -19,11 +20,17 @@ from recordings import run_of
 
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.normal_equations import compute_information
+from truepath.files.bundle.run import list_locks_s
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter
 from truepath.kinematics.effects.error_motion import ErrorMotion
+from truepath.kinematics.effects.instrument import (
+    is_tracker_error,
+    list_instrument_errors,
+)
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.machine.tracker_head import Air
@@ -67,8 +74,14 @@ def signal_to_noise(
     the tracker's frame. The others are known to be there, but not their sizes.
     """
     run = run_of(recording)
-    seen = align(run, cell_mm=CELL_MM)
-    model, _ = build_identifiable_model(run.machine, seen.at.offset_mm)
+    seen = add_surroundings(
+        align(run, cell_mm=CELL_MM),
+        run.commanded,
+        run.temperature,
+        locks_s=list_locks_s(run.tracker),
+    )
+    motions, _ = build_identifiable_model(run.machine, seen.at.offset_mm)
+    model = motions.with_effects(*list_instrument_errors([seen.at]))
     shapes = [
         Shape(k, *_in_cells(recording, seen, shift))
         for k, shift in enumerate(shifts_mm)
@@ -93,6 +106,9 @@ def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.nd
         each = float(part @ form[motion.name] @ part) / (motion.spline.size - 2)
         energy.setdefault(motion.prior().kind, []).append(each)
     total = np.zeros((size, size))
+    for effect in filter(is_tracker_error, model.effects):
+        part = model.slices[effect.name]
+        total[part, part] = np.eye(part.stop - part.start)
     for motion in motions:
         part = model.slices[motion.name]
         usual = float(np.mean(energy[motion.prior().kind]))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,11 +23,15 @@ from judging import map_mm, true_map_mm, volume
 from large_machines import FEED_MM_MIN as GANTRY_FEED_MM_MIN
 from large_machines import WORLDS, draw_gantry
 from random_machines import FEED_MM_MIN, LINES
-from recordings import plan_program, random_air, random_content, run_of
+from recordings import (
+    plan_program,
+    random_air,
+    random_content,
+    run_of,
+)
 
 from truepath.alignment.align import align_all
 from truepath.estimation.problem.knots import join_cells
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.results.analysis import analyse
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -54,13 +58,6 @@ class Outcome:
     usable: bool
 
 
-def draw_specification(seed: int) -> dict[str, float]:
-    """Return a specification of half to twice what is typical, each key by itself."""
-    rng = np.random.default_rng([seed, 3])
-    usual = asdict(TrackerSpecification())
-    return {key: size * 2.0 ** rng.uniform(-1.0, 1.0) for key, size in usual.items()}
-
-
 def plan_lines(content: dict[str, Any], seed: int) -> Program:
     """Return the product's own path."""
     del seed
@@ -85,7 +82,7 @@ def judge_linear(
     places: int,
 ) -> Outcome:
     """Measure a machine without rotary axes from places that share the tracker."""
-    content["tracker"] |= {"rate_hz": 250, "specification": draw_specification(seed)}
+    content["tracker"]["rate_hz"] = 250
     program, air = plan(content, seed), random_air(seed)
     mode = "standstill" if plan is plan_points else "otf"
     setting = synthetic.Setting(air=air, machine_seed=seed, sensors=False)
@@ -116,7 +113,6 @@ def judge_linear(
 def judge_turning(seed: int) -> Outcome:
     """Measure a machine with rotary axes at points."""
     content = draw_machine(ROTARY[seed % len(ROTARY)], seed)
-    content["tracker"] |= {"specification": draw_specification(seed)}
     run, truth = measure(content, seed)
     findings = analyse(run)
     machine = parse_machine(content)

@@ -17,7 +17,6 @@ from typing import Any, Self
 import numpy as np
 from document import table, write_section
 from draws import keep_rows, make_parser, read_rows
-from instrument_errors import draw_specification
 from judging import map_mm, true_map_mm, volume
 from random_machines import FEED_MM_MIN
 from recordings import plan_program, random_air, random_content, run_of
@@ -102,10 +101,7 @@ def draw_world(row: str, seed: int) -> Recording:
     content = random_content(seed)
     for axis in content["axes"].values():
         axis["max_mm"] *= _SMALLER
-    content["tracker"] |= {
-        "rate_hz": RATE_HZ,
-        "specification": draw_specification(seed),
-    }
+    content["tracker"]["rate_hz"] = RATE_HZ
     begin_s = np.random.default_rng([seed, 43]).uniform(*_BREAKS_S)
     breaks = ((float(begin_s), _BROKEN_S),) if row == LOST else ()
     setting = Setting(air=random_air(seed), defects=Defects(beam_breaks=breaks))

@@ -15,7 +15,7 @@ from document import table, write_section
 from figures import plt
 from judging import map_mm, true_parameters
 from matplotlib.axes import Axes
-from recordings import machine_content, papers_program
+from recordings import PERFECT, machine_content, papers_program
 from study import Study, study
 
 from truepath.kinematics.effects.error_motion import ErrorMotion
@@ -29,7 +29,9 @@ from truepath.kinematics.machine.symbols import (
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.worlds import synthetic
 
-CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
+CONTENT = machine_content(
+    "w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0), PERFECT
+)
 SEED, ERROR_SCALE, FEED_MM_MIN = 231, 0.4, 2500.0
 PAPER = {"positioning": "< 10 µm", "straightness": "< 5 µm", "turns": "≤ 25 µrad"}
 

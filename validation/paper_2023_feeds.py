@@ -14,6 +14,7 @@ import numpy as np
 from document import table, write_section
 from figures import plt
 from recordings import (
+    PERFECT,
     duration_s,
     machine_content,
     papers_program,
@@ -32,7 +33,9 @@ from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 
-CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
+CONTENT = machine_content(
+    "w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0), PERFECT
+)
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 SEED, ERROR_SCALE, PLANNED_LINES = 630, 0.5, 31
 FEEDS_MM_MIN = (2500.0, 5000.0, 10_000.0, 15_000.0)

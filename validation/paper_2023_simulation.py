@@ -14,7 +14,7 @@ import numpy as np
 from document import table, write_section
 from figures import plt
 from judging import Volume, map_mm, volume
-from recordings import machine_content, papers_program
+from recordings import PERFECT, machine_content, papers_program
 from study import Study, study
 
 from truepath.files.bundle.machine_file import machine_from_json
@@ -22,7 +22,9 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds import synthetic
 
-CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
+CONTENT = machine_content(
+    "w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0), PERFECT
+)
 SEEDS = (2023, 2024, 2025)
 FEED_MM_MIN = 2500.0
 GRID_UM = 103.0  # mean volumetric error of the paper's simulated machine

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.motion.configurations import Configurations
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
@@ -21,10 +24,26 @@ from truepath_simulators.worlds.recording import Recording
 CHAINS = ("w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-b-X-Z-t", "w-X-Y-b-Z-t", "w-Z-b-Y-X-t")
 
 
+TYPICAL = asdict(TrackerSpecification())
+PERFECT: dict[str, float] = {}  # as the papers simulate their tracker
+
+
+def draw_specification(seed: int) -> dict[str, float]:
+    """Draw a specification of half to twice what is typical, each key by itself."""
+    rng = np.random.default_rng([seed, 3])
+    return {key: size * 2.0 ** rng.uniform(-1.0, 1.0) for key, size in TYPICAL.items()}
+
+
 def machine_content(
-    chain: str, travel_mm: tuple[float, float, float], tool_mm: tuple[float, ...]
+    chain: str,
+    travel_mm: tuple[float, float, float],
+    tool_mm: tuple[float, ...],
+    specification: Mapping[str, float] = TYPICAL,
 ) -> dict[str, Any]:
-    """Return the content of machine.json; travels begin at 0."""
+    """Return the content of machine.json; travels begin at 0.
+
+    specification : what the tracker may be off by, and is
+    """
     axes = {
         name: {"type": "linear", "min_mm": 0.0, "max_mm": float(length)}
         for name, length in zip("XYZ", travel_mm, strict=True)
@@ -41,17 +60,18 @@ def machine_content(
             "angle_sigma_urad": 3.0,
             "transverse_sigma_um": 4.0,
             "rate_hz": 500,
-            "specification": {},  # a perfect tracker, where nothing else is said
+            "specification": dict(specification),
         },
     }
 
 
 def random_content(seed: int) -> dict[str, Any]:
-    """Draw chain, travels (250 to 900 mm) and tool of a machine."""
+    """Draw chain, travels (250 to 900 mm), tool of a machine and its tracker."""
     rng = np.random.default_rng([seed, 1])
     x, y, z = np.round(rng.uniform(250.0, 900.0, 3), 0)
     tool = (*np.round(rng.uniform(-60.0, 60.0, 2), 1), -round(rng.uniform(80, 250), 1))
-    return machine_content(CHAINS[rng.integers(len(CHAINS))], (x, y, z), tool)
+    chain = CHAINS[rng.integers(len(CHAINS))]
+    return machine_content(chain, (x, y, z), tool, draw_specification(seed))
 
 
 def random_air(seed: int) -> Air:

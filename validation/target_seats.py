@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 from document import table, write_section
-from recordings import run_of
+from recordings import draw_specification, run_of
 
-from truepath.alignment.align import align
+from truepath.alignment.align import align_all
 from truepath.estimation.solve.batch import estimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.coarse_model import build_run_models
@@ -91,7 +91,7 @@ def draw_machine(seed: int) -> dict[str, Any]:
         "kinematic_chain": chain,
         "axes": axes,
         "targets": targets,
-        "tracker": {"stands_on": "base"},
+        "tracker": {"stands_on": "base", "specification": draw_specification(seed)},
     }
 
 
@@ -100,7 +100,7 @@ def judge(seed: int, off_mm: float) -> Outcome:
     program = drive_usually(seed, STANDSTILL)
     made = record_seated(seed, off_mm, program, STANDSTILL)
     run = run_of(made)
-    seen = align(run)
+    (seen,) = align_all([run], [run.name])
     found = estimate(build_run_models(run.machine, [seen.at]), [seen])
     return judge_map(seed, made, found)
 

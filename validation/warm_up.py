@@ -18,7 +18,7 @@ from judging import map_mm, table_deviations, true_map_mm, true_parameters, volu
 from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
-from truepath.alignment.align import align
+from truepath.alignment.align import align_all
 from truepath.answers.trend.recalibration_forecast import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.over_time.drift import estimate_drift
@@ -98,7 +98,7 @@ def judge_world(seed: int, tally: Tally) -> None:
     alone: list[Estimate] = []
     for recording in world.recordings:
         run = run_of(recording)
-        seen = align(run)
+        (seen,) = align_all([run], [run.name])
         models = build_run_models(run.machine, [seen.at])
         alone.append(estimate_checked(models, [seen]).estimate)
     for k in _choose_runs(len(alone)):

@@ -63,6 +63,13 @@ class DesignMatrix:
         """Unit vector in the beam frame, 0 at a standstill."""
         return np.einsum("nij,nj->ni", self.frame, self.observations.direction)
 
+    def restrict_to(self, along: Float64[np.ndarray, "m r"]) -> DesignMatrix:
+        """Amplitudes of some directions of the first parameters in place of all."""
+        size, count = along.shape
+        flat = self.rows.reshape(-1, self.rows.shape[2])  # as one product, not by cells
+        rows = np.hstack([flat[:, :size] @ along, flat[:, self.fixed :]])
+        return replace(self, rows=rows.reshape(len(self.rows), 3, -1), fixed=count)
+
     def whiten(self, noise: NoiseModel) -> Whitener:
         """V⁻¹ of the cells, in the beam frame."""
         precision, ou_sigma = cell_noise(self.observations, noise, self.travel)

@@ -124,13 +124,20 @@ def compute_under(
     noises: Sequence[NoiseModel],
     *,
     apart: bool = False,
+    along: Float64[np.ndarray, "m r"] | None = None,
 ) -> list[Information]:
     """Information of all cells under each noise, from one pass over them.
 
+    along : directions of the first m parameters, all others held: the information is on
+        the r amplitudes
+
     As `compute_information`.
     """
-    sums = [NormalEquations.empty(linearisation.size) for _ in noises]
+    size = linearisation.size if along is None else along.shape[1]
+    sums = [NormalEquations.empty(size) for _ in noises]
     for design in linearisation.split(observations):
+        if along is not None:
+            design = design.restrict_to(along)
         sums = [s.add(design, n) for s, n in zip(sums, noises, strict=True)]
         if apart:
             sums = [s.finish() for s in sums]

@@ -52,6 +52,7 @@ thermal effects, and others, known before; prior and knots."""
 
 _THERMAL = frozenset({"thermal-growth", "spindle-growth"})
 _KNOWN = 1e9  # precision of a parameter of size 1: as good as fixed
+_NEGLECTED = 1e-3  # of the volumetric variance
 _STEP = 1e-3  # of a variance: small against it, large against rounding
 
 
@@ -76,15 +77,24 @@ def split_uncertainty(
     fit = estimate.fit
     assert fit is not None  # noqa: S101 (it was asked to be kept)
     grams = compute_component_grams(estimate.model)
-    parts = _split_covariance(fit, estimate.covariance)
+    variance = _split_variance(fit, estimate.covariance, grams)
     if settled is not None:
-        parts[SOURCES.index("instrument")] += settled.covariance - estimate.covariance
-    return UncertaintyBudget(np.einsum("spq,kpq->sk", parts, grams, optimize=True))
+        more = settled.covariance - estimate.covariance
+        variance[SOURCES.index("instrument")] += _contract(more[None], grams)[0]
+    return UncertaintyBudget(variance)
 
 
-def _split_covariance(
-    fit: Fit, stated: Float64[np.ndarray, "p p"]
-) -> Float64[np.ndarray, "s p p"]:
+def _contract(
+    parts: Float64[np.ndarray, "s p p"], grams: Float64[np.ndarray, "3 p p"]
+) -> Float64[np.ndarray, "s 3"]:
+    return np.einsum("spq,kpq->sk", parts, grams, optimize=True)
+
+
+def _split_variance(
+    fit: Fit,
+    stated: Float64[np.ndarray, "p p"],
+    grams: Float64[np.ndarray, "3 p p"],
+) -> Float64[np.ndarray, "s 3"]:
     size = fit.model.size
     held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
     known = _find_known_precisions(fit)
@@ -103,21 +113,26 @@ def _split_covariance(
     before = [C @ precision @ C for precision in known]
     instrument = fit.result.covariance - free
     model = stated - fit.result.covariance + C @ perfect @ C
-    noise = _split_noise(fit.runs, C, C @ held @ C)
-    return np.array([*noise, free - C, instrument, *before, model])
+    parts = _contract(
+        np.array([C @ held @ C, free - C, instrument, *before, model]), grams
+    )
+    return np.concatenate([_split_noise(fit.runs, C, grams, parts[0]), parts[1:]])
 
 
 def _split_noise(
     runs: Sequence[RunInformation],
     C: Float64[np.ndarray, "p p"],
-    total: Float64[np.ndarray, "p p"],
-) -> list[Float64[np.ndarray, "p p"]]:
+    grams: Float64[np.ndarray, "3 p p"],
+    total: Float64[np.ndarray, "3"],
+) -> Float64[np.ndarray, "3 3"]:
+    """Variance by white noise, by correlated noise, and the rest of the total."""
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
-        (white,) = _propagate(runs, C, [_scale_white])
-        return [white, total - white, np.zeros_like(total)]
-    white, correlated = _propagate(runs, C, [_scale_white, _scale_correlated])
-    return [white, correlated, total - white - correlated]
+        (white,) = _propagate(runs, C, grams, [_scale_white])
+        return np.array([white, total - white, np.zeros_like(total)])
+    scales = [_scale_white, _scale_correlated]
+    white, correlated = _propagate(runs, C, grams, scales)
+    return np.array([white, correlated, total - white - correlated])
 
 
 def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
@@ -149,13 +164,24 @@ def _scale_correlated(noise: NoiseModel, factor: float) -> NoiseModel:
 def _propagate(
     runs: Sequence[RunInformation],
     C: Float64[np.ndarray, "p p"],
+    grams: Float64[np.ndarray, "3 p p"],
     scales: Sequence[Callable[[NoiseModel, float], NoiseModel]],
-) -> list[Float64[np.ndarray, "p p"]]:
-    """−C (∂A/∂s) C of each source; 1 + s makes it exact for a single source."""
-    size = len(C)
-    change = np.zeros((len(scales), size, size))
+) -> Float64[np.ndarray, "s 3"]:
+    """Of −C (∂A/∂s) C by each source; 1 + s makes it exact for a single source.
+
+    With C = K Kᵀ and the eigenvectors U of Σ Kᵀ Gₖ K, the directions K U carry the
+    volumetric variance one by one: few of them carry all but a thousandth.
+    """
+    size, K = len(C), np.linalg.cholesky(C)
+    seen = K.T @ grams @ K
+    carried, vectors = np.linalg.eigh(seen.sum(axis=0))
+    least = _NEGLECTED * float(carried.sum())
+    U = vectors[:, np.count_nonzero(np.cumsum(carried) < least) :]
+    along, weight = K @ U, U.T @ seen @ U
+    change = np.zeros((len(scales), *weight.shape[1:]))
     for run in runs:
         louder = [scale(run.noise, (1.0 + _STEP) ** 0.5) for scale in scales]
-        found = compute_under(run.observations, run.linearisation, louder)
-        change += [(run.data.matrix - f.matrix)[:size, :size] for f in found]
-    return [C @ (each * (1.0 + _STEP) / _STEP) @ C for each in change]
+        found = compute_under(run.observations, run.linearisation, louder, along=along)
+        before = along.T @ run.data.matrix[:size, :size] @ along
+        change += [before - f.matrix for f in found]
+    return _contract(change * (1.0 + _STEP) / _STEP, weight)
