@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 import sys
 from dataclasses import replace
 
@@ -106,6 +107,7 @@ def test_a_recording_keeps_when_it_began_where_its_date_is_sure(
 ):
     read, _ = bring(of_stream(leica, truth.tracker)[0])
     assert read.provenance["started"] == "2026-03-01T23:59:40+00:00"
+    shutil.rmtree(tmp_path / "bundle")
     # No zone: that of this computer. No date: nothing. Which is the month: nothing.
     for day, began in (("2026-11-30", "2026-11-30"), ("", None), ("03/04/2026", None)):
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 router = APIRouter(prefix="/effects", tags=["models"])
@@ -34,7 +34,9 @@ class EffectKindList(BaseModel):
 
 
 @router.get("")
-def list_effects(language: Literal["en", "de"] = "en") -> EffectKindList:
+def list_effects(
+    language: Annotated[Literal["en", "de"], Query(description="Of the words.")] = "en",
+) -> EffectKindList:
     """List the effects that discovery looks for, those of other packages included."""
     from truepath.kinematics.effects.family import describe_family, list_families
 
