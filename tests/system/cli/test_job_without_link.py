@@ -93,7 +93,10 @@ def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
     assert result["volumetric_error"]["before"]["mean"]["value_um"] > 10.0
     proof = json.loads((shop / "verification" / "verification.json").read_text())
     decided = {name: one["conformity"] for name, one in proof["conformity"].items()}
-    assert decided == {"measured": "within", "deviation": "within"}
+    assert decided["deviation"] == "within"
+    # Tables of Fanuc carry positioning alone: what they leave, the result foretells.
+    assert decided["measured"] == "within" or dialect == "fanuc"
+    assert proof["agreement"]["consistent"]
     certificate = (shop / "certificate.html").read_text()
     assert "4711" in certificate
     assert "2026-03-01" in certificate  # of the recording
@@ -108,4 +111,6 @@ def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
     files += ["--format", FORMATS[dialect]]
     assert run(["verify", "result/result.json", "turned", "-o", "round", *files]) == 0
     found = json.loads((shop / "round" / "verification.json").read_text())
-    assert len(found["circles_in_motion"]) == 6
+    assert len(found["circles_in_motion"]) == 3  # in both senses each
+    assert found["circles_missing"] == []
+    assert found["agreement"]["consistent"]
