@@ -66,7 +66,7 @@ Place = Annotated[Vector, AfterValidator(_require_within)]
 class LinearAxisFile(FileModel):
     """A linear axis."""
 
-    type: Literal["linear"]
+    type: Literal["linear"] = Field(description="linear", examples=["linear"])
     min_mm: Mm = Field(description="Travel, in machine coordinates.", examples=[0])
     max_mm: Mm = Field(description="Highest position.", examples=[500])
 
@@ -83,7 +83,7 @@ class LinearAxisFile(FileModel):
 class RotaryAxisFile(FileModel):
     """A rotary axis; without a direction it turns about that of its name."""
 
-    type: Literal["rotary"]
+    type: Literal["rotary"] = Field(description="rotary", examples=["rotary"])
     min_deg: Deg = Field(description="Travel; one of 360 is a full turn.", examples=[0])
     max_deg: Deg = Field(description="Highest position.", examples=[360])
     origin_mm: Place = Field(
@@ -149,7 +149,7 @@ class TargetFile(FileModel):
         examples=[[20, 30, -150]],
     )
     seat_sigma_mm: Positive = Field(
-        SEAT_SIGMA_MM, description="Standard uncertainty of each of the three."
+        SEAT_SIGMA_MM, description="Standard uncertainty of each coordinate."
     )
 
 
