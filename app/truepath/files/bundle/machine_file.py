@@ -87,11 +87,11 @@ class RotaryAxisFile(FileModel):
     min_deg: Deg = Field(description="Travel; one of 360 is a full turn.", examples=[0])
     max_deg: Deg = Field(description="Highest position.", examples=[360])
     origin_mm: Place = Field(
-        (0.0, 0.0, 0.0),
+        default=(0.0, 0.0, 0.0),
         description="A point that it turns about, linear axes at 0.",
     )
     direction: Place | None = Field(
-        None,
+        default=None,
         description="About which it turns right-handed while its position grows; of "
         "a table, the table itself. Left out, X of A, Y of B, Z of C.",
     )
@@ -149,7 +149,7 @@ class TargetFile(FileModel):
         examples=[[20, 30, -150]],
     )
     seat_sigma_mm: Positive = Field(
-        SEAT_SIGMA_MM, description="Standard uncertainty of each coordinate."
+        default=SEAT_SIGMA_MM, description="Standard uncertainty of each coordinate."
     )
 
 
@@ -180,28 +180,33 @@ class TrackerFile(FileModel):
     """The tracker's noise, usual where it is not stated, and where it stands."""
 
     range_sigma_um: Positive = Field(
-        _USUAL.range_sigma_um, description="Noise of one sample along the beam, 1 σ."
+        default=_USUAL.range_sigma_um,
+        description="Noise of one sample along the beam, 1 σ.",
     )
     range_ppm: NotNegative = Field(
-        _USUAL.range_ppm, description="And so much more with the distance."
+        default=_USUAL.range_ppm, description="And so much more with the distance."
     )
     angle_sigma_urad: NotNegative = Field(
-        _USUAL.angle_sigma_urad, description="Noise across the beam, by distance."
+        default=_USUAL.angle_sigma_urad,
+        description="Noise across the beam, by distance.",
     )
     transverse_sigma_um: NotNegative = Field(
-        _USUAL.transverse_sigma_um, description="Noise across it at any distance."
+        default=_USUAL.transverse_sigma_um,
+        description="Noise across it at any distance.",
     )
     rate_hz: RateHz = Field(
-        _USUAL.rate_hz, description="Samples, or shots of a polled tracker."
+        default=_USUAL.rate_hz, description="Samples, or shots of a polled tracker."
     )
     stands_on: Literal["workpiece", "base"] = Field(
-        "workpiece", description="workpiece: on the table; base: on floor or bed."
+        default="workpiece",
+        description="workpiece: on the table; base: on floor or bed.",
     )
     specification: SpecificationFile | None = Field(
-        None, description="What it may be off by; that of a typical one if left out."
+        default=None,
+        description="What it may be off by; that of a typical one if left out.",
     )
     face: Literal[1, 2] | None = Field(
-        None, description="In which it measures, if it has two."
+        default=None, description="In which it measures, if it has two."
     )
 
     @model_validator(mode="after")
@@ -225,13 +230,13 @@ class MotionFile(FileModel):
     """What the machine can; the usual is taken for what it does not state."""
 
     max_feed_mm_min: Annotated[float, Field(ge=10.0, le=1e6)] | None = Field(
-        None, description="Highest feed of a plan; 10 000 if left out."
+        default=None, description="Highest feed of a plan; 10 000 if left out."
     )
     acceleration_mm_s2: Annotated[float, Field(ge=1.0, le=1e6)] | None = Field(
-        None, description="Along a line; 1000 if left out."
+        default=None, description="Along a line; 1000 if left out."
     )
     jerk_mm_s3: Annotated[float, Field(ge=10.0, le=1e9)] | None = Field(
-        None, description="Along a line; unlimited if left out."
+        default=None, description="Along a line; unlimited if left out."
     )
 
     def limits(self) -> MotionLimits:
@@ -245,7 +250,7 @@ class ApproachFile(FileModel):
     """How an NC program goes to its first row."""
 
     clearance_mm: dict[str, Mm] | None = Field(
-        None,
+        default=None,
         description="Linear axes that go first, in this order, and where to; {} is "
         "none. Left out, Z to the upper end of its travel, less 10 mm or 2 %.",
     )
@@ -255,7 +260,7 @@ class ApproachFile(FileModel):
         "machine, those of `clearance_mm` last, in reverse.",
     )
     feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Field(
-        Approach().feed_mm_min,
+        default=Approach().feed_mm_min,
         description="Of rotary axes deg/min; no more than `max_feed_mm_min`.",
     )
 
@@ -286,7 +291,7 @@ class SiteFile(FileModel):
     """Where the machine stands; its altitude tells which pressures there can be."""
 
     altitude_m: Annotated[float, Field(ge=-450.0, le=6000.0)] | None = Field(
-        None, description="Above the sea."
+        default=None, description="Above the sea."
     )
 
 
@@ -297,7 +302,7 @@ class MachineFile(FileModel):
         alias="schema", description="Of this file.", examples=["machine/1"]
     )
     name: Line = Field(
-        "machine", description="By which Runs and results know the machine."
+        default="machine", description="By which Runs and results know the machine."
     )
     axes: AxesFile = Field(
         description="X, Y and Z; A, B and C where there are such.",
@@ -309,10 +314,11 @@ class MachineFile(FileModel):
         examples=["w-X-b-Y-Z-t"],
     )
     tool_offset_mm: Place | None = Field(
-        None, description="The reflector, from the point that the control shows."
+        default=None,
+        description="The reflector, from the point that the control shows.",
     )
     targets: dict[str, TargetFile] | None = Field(
-        None, description="In place of `tool_offset_mm`: reflectors by name."
+        default=None, description="In place of `tool_offset_mm`: reflectors by name."
     )
     tracker: TrackerFile = TrackerFile()
     motion: MotionFile | None = None
