@@ -197,12 +197,13 @@ async function start() {
 
 // A file that misses its zone would be opened in place of the page.
 for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
-document.getElementById("open-settings").addEventListener("click", () => {
-  toggleSettings(() => show(current, false));
-});
-document.addEventListener("truepath:themed", () => {
+/** In other words or colours; before the first view there is nothing to draw anew. */
+function showAgain() {
   if (mounted) show(current, false);
-});
+}
+
+document.getElementById("open-settings").addEventListener("click", () => toggleSettings(showAgain));
+document.addEventListener("truepath:themed", showAgain);
 document.addEventListener("truepath:logged-out", leave);
 await enter(root);
 addEventListener("hashchange", route);
