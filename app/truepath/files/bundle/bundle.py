@@ -391,7 +391,8 @@ def _read_start(content: Any) -> dict[str, str]:
     if stated is None:
         return {}
     with suppress(ValueError):
-        return {_STARTED: datetime.fromisoformat(str(stated)).isoformat()}
+        at = datetime.fromisoformat(str(stated))
+        return {_STARTED: (at if at.tzinfo else at.astimezone()).isoformat()}
     raise BundleError(
         f"started is {quote(stated)}",
         file="machine.json",
