@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from page_steps import NEXT, choose, go, prepare
-from scripted_data import ASK, DISCOVERY
+from scripted_data import ASK, DISCOVERY, made_plan
 
 VICE = {"name": "vice", "min_mm": [100, 50, -300], "max_mm": [220.5, 180, -200]}
 KEPT = f"localStorage.setItem('truepath.keep_out', '{json.dumps({'default': [VICE]})}')"
@@ -33,7 +33,7 @@ def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
     expect(page.get_by_label("X, to (mm)")).to_have_value("220.5")
     expect(minutes).to_have_value("3")
     minutes.fill("")
-    expect(page.locator("#reason")).to_contain_text("need a time to plan for")
+    expect(page.locator("#reason")).to_contain_text("need a time limit")
     expect(page.locator(NEXT)).to_be_disabled()
     minutes.fill("3")
     for end, typed, whole in (("X max_mm", "", "220.5"), ("Y max_mm", "50", "180")):
@@ -45,8 +45,10 @@ def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
         page.locator(f"[data-end='{end}']").fill(whole)
         expect(page.locator(NEXT)).to_be_enabled()
     page.locator("[data-place=chosen]").click()
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     prepare(page)
-    (order,) = service.orders("/plans")
+    order = service.orders("/plans")[-1]
     assert order["workspace"]["keep_out"] == [VICE]
     assert len(order["workspace"]["tracker"]["areas"]) == 4
     assert order["stations"] == 1
@@ -76,8 +78,10 @@ def test_a_box_in_inch_is_sent_in_mm_and_not_once_it_is_removed(panel, service):
     page = panel.open("#/plan")
     choose(page, "inch")
     fill_box(page, {"name": "vice", "min_mm": [1, 2, -4], "max_mm": [3, 4, -2]})
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     job = prepare(page)
-    (box,) = service.orders("/plans")[0]["workspace"]["keep_out"]
+    (box,) = service.orders("/plans")[-1]["workspace"]["keep_out"]
     assert box["min_mm"] == pytest.approx([25.4, 50.8, -101.6])
     service.change(job, state="aborted")
     expect(page.locator("#state")).to_have_text("Aborted")

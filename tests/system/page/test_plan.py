@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from page_steps import NEXT, choose, follow, go, prepare
+from scripted_data import made_plan, plan_curve
 from scripted_service import ScriptedService
 
 WARM = {
@@ -48,7 +49,6 @@ def test_the_order_carries_what_was_chosen(page, service):
     page.get_by_role("checkbox").click()
     with ordered(page, service) as (_, order):
         assert order == {"kind": "measure-standstill", "perpendicular_only": True}
-        assert service.orders("/plans") == []
     page.locator("[data-kind=measure-otf]").click()
     page.locator("#on-notice [data-value=pause]").click()
     with ordered(page, service) as (_, order):
@@ -59,7 +59,6 @@ def test_the_order_carries_what_was_chosen(page, service):
     with ordered(page, service) as (_, order):
         assert order["kind"] == "measure-adaptive"
         assert order["planning"]["minutes"] == 8
-        assert service.orders("/plans") == []
 
 
 def test_the_order_says_what_is_wanted_and_nothing_without_a_wish(page, service):
@@ -121,6 +120,7 @@ def test_a_target_is_sent_as_a_standard_uncertainty(page, service):
 
 def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, service):
     error = {"title": "No", "detail": "the travel is too short", "action": "Slower."}
+    expect(page.locator("[data-card=curve]")).to_contain_text("Planning")
     service.planned |= {"state": "failed", "error": error}
     page.locator("#minutes").fill("1")
     follow(page, "Prepare the run")
@@ -131,7 +131,9 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, ser
     page.locator("#minutes").fill("2.5")
     job = prepare(page)
     wish = {"perpendicular_only": False}
-    assert [(place, order) for _, place, order in service.requests] == [
+    asked = [(place, order) for _, place, order in service.requests]
+    assert asked.pop(0)[1]["minutes"] == 3  # the curve, as the page opens
+    assert asked == [
         ("/plans", {"mode": "otf", "minutes": 1, **wish}),
         ("/plans", {"mode": "otf", "minutes": 2.5, **wish}),
         ("/jobs", {"kind": "measure-otf", "plan_id": "plan-1", **wish}),
@@ -144,9 +146,9 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, ser
 def test_temperatures_are_not_called_steady_before_they_are(page, service):
     row = page.locator('[data-type="temperature-steady"]')
     for level, shown, name in (
-        ("false", "told", "Temperatures are steady: not met"),
-        ("unknown", "unknown", "Temperatures are steady: not known"),
-        ("true", "true", "Temperatures are steady"),
+        ("false", "told", "Advised: Temperatures steady"),
+        ("unknown", "unknown", "Pending: Temperatures steady"),
+        ("true", "true", "Temperatures steady"),
     ):
         service.conditions = [WARM | {"level": level}]
         expect(row.locator("b")).to_have_text(name)
@@ -175,22 +177,23 @@ def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
     page.locator("[data-side=right]").click()
     page.locator("#feed").fill("4000")
     page.locator("#height").fill("-100")
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     prepare(page)
     right = {"min_mm": [1000, 0, -100], "max_mm": [3000, 400, -100]}
     front = {"min_mm": [-2500, -2500, -100], "max_mm": [3000, -500, -100]}
     areas = [{"name": "Right (+X)", **right}, {"name": "Front (−Y)", **front}]
     wish = {"perpendicular_only": False}
-    assert service.orders("/plans") == [
-        {
-            "mode": "otf",
-            "minutes": 3,
-            **wish,
-            "max_feed_mm_min": 4000,
-            "workspace": {"tracker": {"areas": areas}},
-            "stations": 2,
-        }
-    ]
-    drive = {"kind": "measure-otf", "plan_id": "plan-1", **wish}
+    assert service.orders("/plans")[-1] == {
+        "mode": "otf",
+        "minutes": 3,
+        **wish,
+        "max_feed_mm_min": 4000,
+        "workspace": {"tracker": {"areas": areas}},
+        "stations": 2,
+    }
+    rows = plan_curve()["points"][-1]["row"]
+    drive = {"kind": "measure-otf", "plan_id": "plan-1", "plan_rows": rows, **wish}
     assert service.orders() == [drive]
 
 
@@ -204,7 +207,7 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, servi
         "X −650 mm, Y 200 mm, Z 40 mm",
         "1:30 min; U = 2.40 µm after it",
         "2 stations are advised.",
-        "It pays: one place leaves EBZ (Tilt of Z about Y) weak.",
+        "Moving pays: one station leaves EBZ (Tilt of Z about Y) uncertain.",
     ):
         expect(card).to_contain_text(text)
     service.change(job, state="aborted")
@@ -215,7 +218,7 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, servi
         "stations": PLACE["stations"] | {"recommended": 1},
     }
     go(page, f"#/check/{service.ready()}")
-    card = page.locator(".card", has_text="Stand it at")
+    card = page.locator(".card", has_text="Set it up at")
     expect(card).to_contain_text("X 1,200 mm, Y 300 mm, Z −80 mm")
     expect(card).to_contain_text("One station is enough.")
 

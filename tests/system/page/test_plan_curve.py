@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import SLOW_MS, go, prepare
-from scripted_data import plan_curve, planned_path
+from scripted_data import made_plan, plan_curve
 from scripted_service import ScriptedService
 
 POINTS = plan_curve()["points"]
@@ -16,16 +16,9 @@ def show(
     panel, service: ScriptedService, predicted=None, **more
 ) -> tuple[Page, Locator]:
     service.connected = True
-    service.planned = {
-        "id": "plan-1",
-        "state": "succeeded",
-        "progress": 1.0,
-        "commanded": planned_path(),
-        "document": {"stations": None, "predicted": predicted},
-    }
+    service.planned = made_plan(predicted)
     page = panel.open("#/plan", **more)
     card = page.locator("[data-card=curve]")
-    card.get_by_role("button", name="Compute the curve").click()
     expect(card.locator(".handle")).to_be_visible()
     return page, card
 
@@ -52,7 +45,7 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
     expect(card).to_contain_text("ECX (Tilt of X about Z), U 1.00 µm")
     handle.press("ArrowRight")
     expect(handle).to_have_attribute("aria-valuenow", "2")
-    assert plans(service) == [6]
+    assert plans(service) == [3]
 
 
 def test_what_of_it_is_the_trackers_and_what_takes_that_away_is_said(panel, service):
@@ -96,7 +89,7 @@ def test_the_handle_is_dragged_and_the_plan_up_to_it_is_what_is_driven(panel, se
     minutes = page.get_by_label("Plan lines or points for at most")
     expect(minutes).to_have_value("1")
     prepare(page)
-    assert plans(service) == [6]
+    assert plans(service) == [3]
     assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
 
 
@@ -129,28 +122,19 @@ def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
     service.change(job, state="aborted")
     go(page, "#/plan")
     page.reload()
-    expect(page.locator("#minutes")).to_have_value("")
+    expect(page.locator("#minutes")).to_have_value("2")  # computed as the page opens
     prepare(page)
-    assert driven(service) == {}
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
 
 
 def test_a_curve_that_is_not_driven_says_so(panel, service):
     page, card = show(panel, service)
-    notice, plan = card.locator(".notice"), [6]
+    notice = card.locator(".notice")
     expect(notice).to_be_hidden()
-    across = page.get_by_role("checkbox", name="Only deviations across the path")
-    on_the_fly = page.locator("[data-kind=measure-otf]")
-    for other, back in (
-        (across, across),
-        (page.locator("[data-kind=measure-standstill]"), on_the_fly),
-    ):
-        other.click()
-        expect(notice).to_contain_text("compute it again")
-        back.click()
-        expect(notice).to_be_hidden()
+    plan = plans(service)
     for minutes, more in (("", []), ("12", [12])):
         page.locator("#minutes").fill(minutes)
-        expect(notice).to_contain_text("not what will be driven")
+        expect(notice).to_contain_text("a plan for other choices")
         job = prepare(page)
         plan += more
         assert plans(service) == plan
@@ -158,6 +142,20 @@ def test_a_curve_that_is_not_driven_says_so(panel, service):
         service.change(job, state="aborted")
         expect(page.locator("#state")).to_have_text("Aborted")
         go(page, "#/plan")
+
+
+def test_each_choice_has_its_curve_without_a_tap(panel, service):
+    page, card = show(panel, service)
+    for choice, wanted in (
+        (page.get_by_role("checkbox"), {"perpendicular_only": True}),
+        (page.locator("[data-kind=measure-standstill]"), {"mode": "standstill"}),
+        (card.get_by_role("button", name="6 min"), {"minutes": 6}),
+    ):
+        with page.expect_response("**/curve"):
+            choice.click()
+        assert wanted.items() <= service.orders("/plans")[-1].items()
+        expect(card.locator(".notice")).to_be_hidden()
+    assert len(plans(service)) == 4
 
 
 VERTICES = {

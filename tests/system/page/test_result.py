@@ -54,10 +54,10 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
     said = "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length"
     expect(page.get_by_text(said)).to_have_count(1)
     choose(page, "Deutsch")
-    card = page.locator(".card", has_text="Was diese Daten nicht verraten")
+    card = page.locator(".card", has_text="Nicht bestimmbare Größen")
     expect(card.locator("li")).to_have_text(
-        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und EYZ zu "
-        "unterscheiden. Erkennbar wird es mit einem Ziel mindestens 140 mm seitlich. "
+        "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ unterscheidbar. "
+        "Erkennbar wird es mit einem Reflektor mindestens 140 mm seitlich. "
         "Auf derselben Bahn wird es dann auf 3,0 µrad bekannt (k = 2)."
     )
 

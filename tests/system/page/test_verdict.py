@@ -64,7 +64,7 @@ def test_a_result_that_is_not_to_be_used_is_loud_and_says_why(panel, service):
     expect(heading).to_have_text("Nicht verwenden")
     rows = band.locator("li")
     expect(rows.nth(0)).to_contain_text("das 3,50-Fache des Rauschens")
-    expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm ab")
+    expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm voneinander ab")
     expect(rows.nth(2)).to_contain_text("um +0,42 mm neben ihrem Ort")
     expect(rows.nth(3)).to_contain_text("die Temperatur der Luft wurde nicht gemessen")
     expect(rows.nth(4)).to_contain_text("42 Messpunkte der Geraden 8, von 61,2 s bis")

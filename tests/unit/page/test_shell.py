@@ -103,6 +103,14 @@ def test_a_browser_keeps_what_the_page_asks_for_as_long_as_the_page_is_the_same(
     assert client.get(other).status_code == 404  # of another version of the page
 
 
+@pytest.mark.parametrize("language", pages.LANGUAGES)
+def test_a_language_that_is_chosen_later_has_the_texts_of_effects_as_well(
+    client, language
+):
+    asked = f"{pages.STATIC_PATH}/{pages.digest_files()}/locales/{language}.json"
+    assert client.get(asked).json() == pages.catalogue(language)
+
+
 def test_no_script_asks_for_a_file_past_the_digest():
     for path in OURS:
         assert f"{pages.STATIC_PATH}/" not in path.read_text(encoding="utf-8"), path

@@ -223,6 +223,8 @@ export function createActions(store, go) {
       if (answersWell(machine) && !isActive(job) && place(location.hash).step === "connect") go("#/plan");
     }),
     prepare: begin,
+    /** Keep that a step that may be left out was done for a result. */
+    did: (step, id) => store.set({ done: { ...store.get().done, [id]: { ...store.get().done[id], [step]: true } } }),
     verify, issue, choose,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
