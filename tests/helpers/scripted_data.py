@@ -273,7 +273,7 @@ def result():
             "rank": 161,
             "parameters": 165,
             "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+                "ECZ (roll of Z) is not distinguishable from EXZ, EYZ with this offset"
             ],
         },
         "provenance": {},

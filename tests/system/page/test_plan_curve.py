@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import SLOW_MS, go, prepare
-from scripted_data import made_plan, plan_curve
+from scripted_data import made_plan, plan_curve, planned_path
 from scripted_service import ScriptedService
 
 POINTS = plan_curve()["points"]
@@ -179,3 +179,14 @@ def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
     page.wait_for_function(f"() => {chosen} === {POINTS[-1]['row']}")
     card.locator(".handle").press("Home")
     page.wait_for_function(f"() => {chosen} === {POINTS[0]['row']}")
+
+
+def test_the_check_shows_tracker_and_beams_of_the_plan(panel, service):
+    page, _ = show(panel, service)
+    service.change(prepare(page), state="ready")
+    picture = page.locator(".path-view")
+    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
+    expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
+    expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
+    beams = picture.locator("[data-trace='5'] path").get_attribute("d")
+    assert beams.count("M") == len(planned_path()["position"])

@@ -27,8 +27,8 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
         "total_um": part(0.5),
     }
     found["observability"]["unobservable"] = [
-        "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a "
-        "second target at least 140 mm to the side, in X or Y, separates them "
+        "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; "
+        "a second target at least 140 mm to the side, in X or Y, separates them "
         "(to 3.0 µrad, k = 2, on the same path)"
     ]
     page = panel.open(f"#/result/{service.measured()}")
@@ -51,7 +51,9 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
     expect(chart).to_have_class(re.compile("is-missing"))
     expect(chart).to_contain_text("Not determined by these data")
     # Why it is not determined is said once, and so in German.
-    said = "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length"
+    said = (
+        "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length"
+    )
     expect(page.get_by_text(said)).to_have_count(1)
     choose(page, "Deutsch")
     card = page.locator(".card", has_text="Nicht bestimmbare Größen")

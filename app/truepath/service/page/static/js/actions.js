@@ -198,6 +198,8 @@ export function createActions(store, go) {
     const job = await during("prepare", async () => api.createJob(withModel(
       request ? { ...order, plan_id: (await makePlan(withModel(request, machine), tell)).id } : order, machine)));
     if (!job) return null;
+    const curve = order.plan_id ? await api.planCurve(order.plan_id).catch(() => null) : null;
+    if (curve) store.set({ trackers: { ...store.get().trackers, [job.id]: curve.tracker_mm } });
     hear(job);
     follow(job);
     go(addressOf(job));

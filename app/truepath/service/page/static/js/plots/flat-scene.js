@@ -4,10 +4,8 @@ import { number } from "../texts.js";
 import { decimalsOf, unitOf } from "../units.js";
 import { mix } from "./length-scale.js";
 
-const ROOM_MARGIN = { side: 10, bottom: 10 };
-const TEXT_MARGIN = { side: 62, bottom: 40 };
-const TOP_PX = { wide: 12, narrow: 56 }; // beside or below the buttons of the views
-const WIDE = 1.6; // of a frame's height: its picture ends beside the buttons
+const ROOM_MARGIN = { side: 10, top: 56, bottom: 10 }; // below the buttons of the views
+const TEXT_MARGIN = { side: 62, top: 56, bottom: 40 };
 const AWAY_PX = 13; // texts from their edge
 const SHORTEST_PX = 30; // an edge that has room for its name
 const ENDS_PX = { across: 120, down: 36 }; // for its ends as well
@@ -75,8 +73,7 @@ function projection({ around, above }, room, travel, width, height) {
   const [c, d] = [Math.cos(around), Math.sin(around)];
   const [e, f] = [Math.cos(above), Math.sin(above)];
   const flat = ([x, y, z]) => [c * y - d * x, f * (c * x + d * y) - e * z];
-  const top = width > WIDE * height ? TOP_PX.wide : TOP_PX.narrow;
-  const boxes = [[room, ROOM_MARGIN], [travel, TEXT_MARGIN]].map(([box, { side, bottom }]) => {
+  const boxes = [[room, ROOM_MARGIN], [travel, TEXT_MARGIN]].map(([box, { side, top, bottom }]) => {
     const corners = CORNERS.map((bits) => flat(corner(box, bits)));
     const extent = (i, before, after) => ({ low: Math.min(...corners.map((p) => p[i])), high: Math.max(...corners.map((p) => p[i])), before, after });
     return [extent(0, side, side), extent(1, top, bottom)];

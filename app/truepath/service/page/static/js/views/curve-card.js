@@ -2,6 +2,7 @@
 import { h, mark, write } from "../dom.js";
 import { notice, segments, tile } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { offsetOf } from "../plots/job-path.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
 import { drawPlanSpace } from "../plots/plan-space.js";
 import { sayUnobservable } from "../statements.js";
@@ -11,7 +12,6 @@ import { quantity } from "../units.js";
 import { adviceCard, settleCard } from "./advice-card.js";
 
 const LONGEST_MIN = ["3", "6", "12"];
-const NO_OFFSET = [0, 0, 0];
 
 /** What has been computed, kept while the operator looks elsewhere. */
 const ahead = { longest: "3", minutes: 0, key: "", plan: null, at: 0 };
@@ -197,6 +197,5 @@ function place(plan, machine) {
   const columns = ["X", "Y", "Z"].map((name) => axes.indexOf(name));
   const parts = stations ?? [{ position, position_mm: plan.curve.tracker_mm }];
   const rows = parts.flatMap((part) => part.position.map((row) => ({ at_mm: columns.map((c) => row[c]), tracker_mm: part.position_mm })));
-  const offset_mm = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
-  return { rows, offset_mm, boxes: boxes ?? [], travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
+  return { rows, offset_mm: offsetOf(machine), boxes: boxes ?? [], travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
 }

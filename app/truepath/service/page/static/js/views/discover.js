@@ -95,7 +95,7 @@ function gapCard(gap) {
     h("p", { class: "quiet" }, [t("discover.gap_text", { before, after, floor }), complete(gap)].join(" ")));
 }
 
-/** What the other lines tell too little to foretell these ones better. */
+/** Residual that is expected of a complete model. */
 const complete = ({ expected }) =>
   (expected === undefined ? "" : t("discover.complete", { value: micrometres(expected) }));
 

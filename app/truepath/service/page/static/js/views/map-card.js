@@ -208,7 +208,7 @@ function build() {
   const numbers = h("div", { class: "map-numbers" });
   const frame = h("div", { class: "map-frame" }, volume, slice, cameras);
   const element = h("section", { class: "card map-card", "data-card": "map", "aria-label": t("map.title") },
-    h("div", { class: "card-head" }, h("h2", {}, t("map.title"))), tools, frame, key,
+    h("h2", { class: "unseen" }, t("map.title")), tools, frame, key,
     h("div", { class: "map-under" }, scales, factorField, levelField), note, numbers);
   return { element, picture: frame, volume, slice, tools, cameras, key, scales, note, numbers, factor, factorRead, factorField,
     level, levelRead, levelField };
