@@ -129,6 +129,17 @@ def planned_path(lines=22):
     return {"kind": "path", "axes": ["X", "Y", "Z"], "position": position, **columns}
 
 
+def made_plan(predicted=None):
+    """A plan as the service has made it."""
+    return {
+        "id": "plan-1",
+        "state": "succeeded",
+        "progress": 1.0,
+        "commanded": planned_path(),
+        "document": {"stations": None, "predicted": predicted},
+    }
+
+
 def plan_curve(rows=23):
     """Return uncertainty against time along `planned_path`, five seconds a row."""
     points = []
@@ -181,7 +192,7 @@ def result():
             "rank": 161,
             "parameters": 165,
             "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+                "ECZ (roll of Z) is not distinguishable from EXZ, EYZ with this offset"
             ],
         },
         "provenance": {},

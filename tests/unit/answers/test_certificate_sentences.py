@@ -219,9 +219,9 @@ def test_a_certificate_states_the_figures_that_a_verification_ran_for():
 
 
 MERGED = (
-    "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a second "
-    "target at least 180 mm to the side, in X or Y, separates them (to 3.4 µrad, "
-    "k = 2, on the same path)"
+    "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; a "
+    "second target at least 180 mm to the side, in X or Y, separates them (to 3.4 "
+    "µrad, k = 2, on the same path)"
 )
 
 

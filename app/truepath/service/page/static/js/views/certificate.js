@@ -69,6 +69,7 @@ export function mount(root, { store, actions }) {
   async function load(job, jobs) {
     const [kept, proof, files] = await Promise.all([api.certificates(job.id), findProof(job.id, jobs), api.compensations(job.id)]);
     if (drawn !== job.id) return;
+    for (const [step, found] of [["export", files.length], ["verify", proof]]) if (found) actions.did(step, job.id);
     const { machine } = store.get();
     order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: verifiedFiles(proof, files), others: hasOtherFiles(proof, job) };
     stated.replaceChildren(...form(order, files));

@@ -2,7 +2,7 @@
 import { effects, links } from "../api.js";
 import { h, icon } from "../dom.js";
 import { isDiscovery } from "../flow.js";
-import { card, head, linkButton, notice } from "../parts.js";
+import { bars, card, head, linkButton, notice } from "../parts.js";
 import { currentLanguage, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCards, extraLead } from "./extra-card.js";
@@ -99,21 +99,16 @@ function downloads({ id, verdict }) {
 function gapCard(gap) {
   const highest = 1.1 * Math.max(gap.before, gap.after, gap.noise_floor);
   const [before, after, floor] = [gap.before, gap.after, gap.noise_floor].map(micrometres);
-  const bar = (name, value, shown, kind) => {
-    const inside = h("i", { class: kind });
-    inside.style.width = `${(100 * value) / highest}%`;
-    return [h("dt", {}, name), h("dd", {}, inside, h("span", {}, shown))];
-  };
+  const shown = bars([[t("discover.before"), gap.before, before, "is-before"], [t("discover.after"), gap.after, after, "is-after"]], highest);
   const mark = h("div", { class: "gap-floor", "aria-hidden": "true" });
   mark.style.setProperty("--at", String(gap.noise_floor / highest));
-  return card(t("discover.gap"),
-    h("div", { class: "gap" }, h("dl", {}, bar(t("discover.before"), gap.before, before, "is-before"),
-      bar(t("discover.after"), gap.after, after, "is-after")), mark),
+  shown.append(mark);
+  return card(t("discover.gap"), shown,
     h("p", { class: "gap-key" }, t("discover.floor", { value: floor })),
     h("p", { class: "quiet" }, [t("discover.gap_text", { before, after, floor }), complete(gap)].join(" ")));
 }
 
-/** What the other lines tell too little to foretell these ones better. */
+/** Residual that is expected of a complete model. */
 const complete = ({ expected }) =>
   (expected === undefined ? "" : t("discover.complete", { value: micrometres(expected) }));
 
