@@ -184,7 +184,7 @@ def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
 def test_the_check_shows_tracker_and_beams_of_the_plan(panel, service):
     page, _ = show(panel, service)
     service.change(prepare(page), state="ready")
-    picture = page.locator(".path-view")
+    picture = page.locator(".path-view[role=img]")
     expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
     expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
     expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)

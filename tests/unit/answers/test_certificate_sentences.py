@@ -263,7 +263,7 @@ def test_numbers_of_a_statement_stand_in_its_german_words():
     form = "an S of the error along X"
     poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
     for words in (
-        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und",
+        "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ unterscheidbar",
         *("mindestens 180 mm seitlich", "auf 3,4 µrad bekannt (k = 2)"),
     ):
         assert words in said
