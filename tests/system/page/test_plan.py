@@ -117,9 +117,13 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, ser
     error = {"title": "No", "detail": "the travel is too short", "action": "Slower."}
     expect(page.locator("[data-card=curve]")).to_contain_text("Planning")
     service.planned |= {"state": "failed", "error": error}
+    refused = page.locator(".notice", has_text="the travel is too short")
+    expect(refused).to_be_visible()  # of the curve
+    page.get_by_role("button", name="Understood").click()
+    expect(refused).to_have_count(0)
     page.locator("#minutes").fill("1")
     follow(page, "Prepare the run")
-    expect(page.locator(".notice", has_text="the travel is too short")).to_be_visible()
+    expect(refused).to_be_visible()
     assert not service.jobs
     service.planned = {"id": "plan-1", "state": "succeeded"}
     service.plan["predicted_um"] = 1.15
