@@ -8,6 +8,7 @@ from importlib import resources
 import numpy as np
 
 from truepath.compensation.format_registry import describe_format, load_format
+from truepath.kinematics.effects.family import describe_family, find_family
 
 EXAMPLES = json.loads(
     resources.files("truepath.service.api").joinpath("examples.json").read_text("utf-8")
@@ -128,6 +129,17 @@ def planned_path(lines=22):
     return {"kind": "path", "axes": ["X", "Y", "Z"], "position": position, **columns}
 
 
+def made_plan(predicted=None):
+    """A plan as the service has made it."""
+    return {
+        "id": "plan-1",
+        "state": "succeeded",
+        "progress": 1.0,
+        "commanded": planned_path(),
+        "document": {"stations": None, "predicted": predicted},
+    }
+
+
 def plan_curve(rows=23):
     """Return uncertainty against time along `planned_path`, five seconds a row."""
     points = []
@@ -180,7 +192,7 @@ def result():
             "rank": 161,
             "parameters": 165,
             "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+                "ECZ (roll of Z) is not distinguishable from EXZ, EYZ with this offset"
             ],
         },
         "provenance": {},
@@ -300,6 +312,7 @@ def volumetric_map(state, compensation=None):
     }
 
 
+EFFECTS = [describe_family(find_family(n)) for n in ("backlash", "setup-step")]
 FORMATS = {
     name: describe_format(name, load_format(name))
     for name in ("heidenhain", "linuxcnc")

@@ -35,7 +35,7 @@ class ScriptedService:
         self.requests, self.looks = [], []
         self.jobs, self.runs, self.conditions = {}, [], []
         self.plan = data.planned_path()
-        self.planned = {"id": "plan-1", "state": "succeeded"}
+        self.planned = {"id": "plan-1", "state": "running"}
         self.grade, self.machine = data.EXAMPLES["get_plan_grade"], data.MACHINE
         self.discovery, self.result = data.DISCOVERY, data.result()
         self.estimates, self.verifications, self.trend = {}, {}, {}

@@ -22,7 +22,7 @@ ENGLISH = frozenset(
 def list_unobservable():
     """Yield every form in which the service says what data do not determine."""
     head = "ECZ (roll of Z)"
-    merged = f"{head} cannot be told from EXZ and EYZ with one tool length"
+    merged = f"{head} is not distinguishable from EXZ and EYZ with one tool length"
     for said in (merged, f"{head} does not move the target"):
         for cure in confounding_advice._TRIALS:
             for length in ("", " at least 140 mm"):

@@ -22,6 +22,7 @@ _EFFECT_KEYS = (
     "circle",
 )
 _MOST_REASONS = 12
+_COVERAGE = 2.0  # k of uncertainties that are shown
 _KINDS = ("lowest", "highest", "uncertainty")
 
 
@@ -55,29 +56,27 @@ def print_result(result: Result, folder: Path) -> None:
     """Print the verdict, a summary of the error tables, and unobserved parameters."""
     print_verdict(result["verdict"])
     rows = [
-        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", UNITS[unit])
+        (symbol, f"{low:.1f}", f"{high:.1f}", _expanded(uncertainty), UNITS[unit])
         for symbol, unit, low, high, uncertainty in _yield_spans(result)
     ]
     rows += [
-        (name, f"{at['value']:.1f}", "", f"{at['uncertainty']:.2f}", "µrad")
+        (name, f"{at['value']:.1f}", "", _expanded(at["uncertainty"]), "µrad")
         for name, at in result["squareness_urad"].items()
     ]
     rows += [
-        (name, f"{at[f'value_{unit}']:.1f}", "", f"{u:.2f}", UNITS[unit])
+        (name, f"{at[f'value_{unit}']:.1f}", "", _expanded(u), UNITS[unit])
         for name, at in result.get("axis_location", {}).items()
         for unit in (find_unit(at, "value"),)
         for u in (at[f"uncertainty_{unit}"],)
     ]
-    columns = ("error", "lowest", "highest", "largest u (k = 1)", "")
+    columns = ("error", "lowest", "highest", "largest U (k = 2)", "")
     print_table(f"Errors of {result['machine']['name']}", columns, rows)
     for effect in result["effects"]:
         print(describe_effect(effect))
         if effect["agrees"] is False:
-            print(
-                "this measurement contradicts what the model knew of it: discover anew"
-            )
+            print("this measurement contradicts its value in the model: discover again")
     for statement in result["observability"]["unobservable"]:
-        print(f"not seen by this measurement: {statement}")
+        print(f"not determined: {statement}")
     for statement in result["observability"]["weak"]:
         print(f"poorly observable: {statement}")
     if result["grade"] is not None:
@@ -89,6 +88,10 @@ def print_result(result: Result, folder: Path) -> None:
     _print_outcome(result, folder)
 
 
+def _expanded(uncertainty: float) -> str:
+    return f"{_COVERAGE * uncertainty:.2f}"
+
+
 def _print_outcome(result: Result, folder: Path) -> None:
     verdict = verdict_from_json(result["verdict"])
     print(f"verdict: {verdict.title.lower()}")
@@ -96,7 +99,7 @@ def _print_outcome(result: Result, folder: Path) -> None:
     before, after = (
         _describe_error(error[key]) for key in ("before", "after_expected")
     )
-    print(f"volumetric error: {before}")
+    print(f"volumetric error: {before} (k = 2)")
     print(f"after compensation: {after} (k = 2)")
     if verdict.state != "not-usable":
         print(f"next: truepath export {folder / 'result.json'} --format F -o FILE")
@@ -104,7 +107,7 @@ def _print_outcome(result: Result, folder: Path) -> None:
 
 def _describe_error(statistics: Mapping[str, Mapping[str, float]]) -> str:
     return ", ".join(
-        f"{name} {of['value_um']:.1f} ± {2.0 * of['uncertainty_um']:.1f} µm"
+        f"{name} {of['value_um']:.1f} ± {_COVERAGE * of['uncertainty_um']:.1f} µm"
         for name in ("mean", "largest")
         for of in (statistics[name],)
     )

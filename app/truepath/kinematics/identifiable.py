@@ -79,8 +79,8 @@ class Confounded:
         if not self.partners:
             return f"{named} does not move the target"
         return (
-            f"{named} cannot be told from {', '.join(self.partners)} with the measured "
-            "tool offsets; another tool length or offset separates them"
+            f"{named} is not distinguishable from {', '.join(self.partners)} with "
+            "the measured tool offsets; another tool length or offset separates them"
         )
 
 

@@ -175,10 +175,14 @@ def assess_scale(found: EstimatedModel, known: KnownScale | None = None) -> Verd
         "distance_um": 1e6 * known.off,
         "within_um": 1e6 * 2.0 * known.sigma,
     }
-    # Both wrong alike: either the bar is, or two unlikely things have happened.
+    # Both wrong alike: either the bar is, or two unlikely things have happened. Fewer
+    # axes do not tell which.
     state = "usable" if known.is_expected else "doubtful"
+    is_told = len(list_lengths(found.model)) == len(LINEAR)
     slope = _assess_common_slope(found, "machine-scaled", state)
-    return Verdict((Reason("scale-known", "usable", values), *slope))
+    return Verdict(
+        (Reason("scale-known", "usable" if is_told else state, values), *slope)
+    )
 
 
 def _assess_common_slope(

@@ -78,7 +78,8 @@ def test_perpendicular_only_knows_less_and_is_told(command, result, recorded, tm
     said = command.run("analyse", recorded, "-o", out, "--perpendicular-only")
     assert "EXX" in said.out
     assert "C0Y" in said.out
-    assert "not seen by this measurement" in said.out
+    assert "largest U (k = 2)" in said.out
+    assert "not determined: " in said.out
     assert "grade of the set-up: 0." in said.out
     stages = [line.removeprefix("analyse: ") for line in said.err.splitlines()]
     assert stages == ["reading", "aligning", "estimating", "reporting", "writing"]

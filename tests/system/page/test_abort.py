@@ -84,7 +84,7 @@ def test_the_release_of_a_long_press_is_no_second_order(panel, service):
     page.locator("#abort").hover()
     with page.expect_response("**/api/v1/stop"):
         page.mouse.down()
-    expect(title).to_have_text("No job was under way")
+    expect(title).to_have_text("No job was running")
     page.locator("#abort").focus()
     with page.expect_response("**/api/v1/stop"):
         page.keyboard.press("Enter")
@@ -107,10 +107,10 @@ def test_a_tap_is_one_stop_though_its_click_comes_after_the_confirmation(
     finger = page.context.new_cdp_session(page)
     finger.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [at]})
     title = page.locator("#abort-title")
-    expect(title).to_have_text("No job was under way")
+    expect(title).to_have_text("No job was running")
     finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
     page.evaluate("window.clicked")
-    expect(title).to_have_text("No job was under way")
+    expect(title).to_have_text("No job was running")
     assert service.stops == 1
 
 
@@ -120,7 +120,7 @@ def test_abort_without_a_job_does_not_say_that_an_unheard_machine_stands(
     service.new_job("measure-otf", state="interrupted")
     page = panel.open()
     page.locator("#abort").click()
-    expect(page.locator("#abort-title")).to_have_text("No job was under way")
+    expect(page.locator("#abort-title")).to_have_text("No job was running")
     expect(page.locator("#abort-text")).to_contain_text("Look at the machine")
     service.stopped = "true"
     page.locator("#abort-close").click()
@@ -183,7 +183,7 @@ def test_a_dead_service_does_not_look_like_a_stop(panel, service, witness):
     page.locator("#abort").click()
     page.clock.run_for(6000)
     expect(page.locator("#abort-title")).to_contain_text("HARDWARE E-STOP")
-    page.locator("#abort-close", has_text="The machine stands").click()
+    page.locator("#abort-close", has_text="The machine is at rest").click()
     expect(page.locator("#abort-sheet")).to_be_hidden()
 
 

@@ -73,7 +73,7 @@ def test_the_gap_and_where_it_lies_are_drawn_with_their_numbers(panel, service):
         assert width / before["width"] == pytest.approx(share, abs=0.01)
     expect(page.locator(".gap-key")).to_have_text("Noise floor 1.18 µm")
     card = page.locator(".card", has=page.locator(".gap"))
-    expect(card).to_contain_text("A complete model would leave 1.19 µm")
+    expect(card).to_contain_text("complete model on these lines: 1.19 µm")
     for name, address in (
         ("Report", f"/api/v1/jobs/{job}/discovery/report.html$"),
         ("Model", f"/api/v1/models/{job}$"),
@@ -197,7 +197,7 @@ def test_extra_lines_are_asked_for_with_the_reason_and_driven_once_held(panel, s
     expect(card).to_contain_text("2,400 mm/min, 6,000 mm/min")
     expect(card).to_contain_text("log Bayes factor 15; 12 decides")
     expect(card).to_contain_text("expected to decide.")
-    expect(page.locator(NEXT)).to_have_text("Drive the extra lines")
+    expect(page.locator(NEXT)).to_have_text("Measure the extra lines")
     extra = prepare(page)
     assert service.orders() == [{"kind": "measure-extra", "discovery_id": job}]
     service.change(extra, state="ready")
@@ -233,7 +233,7 @@ def test_extra_lines_wait_for_the_devices_and_for_each_other(panel, service):
     service.connected = True
     other = service.measuring()
     page.goto(f"{panel.address}/#/discover/{job}")
-    expect(page.locator("#reason")).to_contain_text("A job is under way")
+    expect(page.locator("#reason")).to_contain_text("Another job is running")
     service.finish(other)
     expect(page.locator(NEXT)).to_be_enabled()
 
@@ -245,7 +245,7 @@ def test_late_events_of_discarded_extra_lines_do_not_hide_the_discovery(panel, s
     extra = service.new_job("measure-extra", state="ready")["id"]
     page = panel.open(f"#/check/{extra}")
     expect(page.locator(".path-view[data-drawn]")).to_be_visible()
-    drive = page.locator(NEXT, has_text="Drive the extra lines")
+    drive = page.locator(NEXT, has_text="Measure the extra lines")
     with service.telling_late():
         page.get_by_role("button", name="Discard").click()
         page.wait_for_url(f"**/#/discover/{job}")
@@ -293,3 +293,11 @@ def told(kind) -> dict:
 
 def discovered(service) -> str:
     return service.done("discover", run_id="run-9")
+
+
+def test_what_is_looked_for_is_listed_when_it_is_asked_for(panel, service):
+    page = panel.open(f"#/discover/{service.measured()}")
+    page.get_by_text("What is looked for").click()
+    listed = page.locator("main details dt")
+    expect(listed).to_have_text(["Backlash", "Step of the set-up"])
+    expect(page.locator("main details")).to_contain_text("It ends with its measurement")

@@ -3,10 +3,11 @@
 import json
 import re
 
+import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import DESK, PHONE, assert_fits, choose, go
-from scripted_data import rotary_account, volumetric_error
+from scripted_data import rotary_account, verification, volumetric_error
 from scripted_service import ScriptedService
 
 FILES = "/api/v1/jobs/job-1/compensations/{}/archive"
@@ -107,7 +108,6 @@ def test_of_two_choices_in_haste_the_last_one_stands(panel, service):
 
 def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
     _, card = show(panel, service, language="de")
-    expect(card).to_contain_text("Positionierung jeder Achse, vorwärts und rückwärts")
     card.get_by_text("LinuxCNC").click()
     expect(card.locator("[data-way]")).to_have_count(0)
     card.get_by_text("Heidenhain TNC").click()
@@ -148,3 +148,31 @@ def test_a_simulated_control_is_given_the_files_and_verified_with_them(panel, se
     expect(said).to_contain_text("of another result")
     expect(said.locator("a")).to_have_attribute("href", "#/export/job-9")
     expect(chosen).to_have_value("")
+
+
+def test_the_machines_own_control_comes_first_with_what_it_would_leave(panel, service):
+    service.machines[0]["control"] = "LinuxCNC 2.9"
+    page, card = show(panel, service)
+    expect(card.get_by_role("radio").first).to_have_text("LinuxCNC")
+    expect(card.get_by_role("radio").first).to_be_checked()
+    bars = card.locator(".gap i")
+    expect(bars).to_have_count(2)
+    before, after = (bars.nth(i).bounding_box()["width"] for i in (0, 1))
+    assert after / before == pytest.approx(14.32 / 20.72, abs=0.02)
+    shown = card.locator(".gap").bounding_box()
+    assert shown["y"] + shown["height"] < page.locator("footer").bounding_box()["y"]
+
+
+def test_export_and_verify_are_ticked_once_they_were_done(panel, service):
+    service.verified(verification("job-2"))
+    page = panel.open(f"#/result/{service.measured()}")
+    steps = page.locator("#steps .step")
+    for name, done in (("Export", False), ("Verify", True), ("Discover", False)):
+        ticked = steps.filter(has_text=name).and_(page.locator("[data-done]"))
+        expect(ticked).to_have_count(int(done))
+    go(page, "#/export/job-2")
+    page.locator("[data-card=export]").get_by_text("LinuxCNC").click()
+    expect(page.locator("[data-card=export] .gap")).to_be_visible()
+    go(page, "#/result/job-2")
+    ticked = steps.filter(has_text="Export").and_(page.locator("[data-done]"))
+    expect(ticked).to_have_count(1)

@@ -134,7 +134,7 @@ def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
     page.locator("#pause").click()
     problem = page.locator("#problems")
     expect(problem).to_contain_text("The service has not answered")
-    expect(problem).to_contain_text("The page does not ask a second time.")
+    expect(problem).to_contain_text("The page does not repeat it.")
     page.unroute(JOBS)
     expect(page.locator("#pause")).to_be_enabled()
     expect(problem).to_contain_text("The service has not answered")
@@ -314,7 +314,7 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     service.result["monte_carlo"] = {**told, "agreeing": 323, "numbers": 334}
     service.finish(trying)
     page.wait_for_url(f"**/#/result/{trying}")
-    card = page.locator(".card", has_text="Uncertainty held against trials")
+    card = page.locator(".card", has_text="Check of the uncertainty")
     expect_texts(card, "470,000 trials validate", "323 of 334")
     report = card.get_by_role("link", name="Report")
     expect(report).to_have_attribute(
@@ -408,5 +408,5 @@ def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service)
     service.connected = True
     page = panel.open("#/connect")
     card = page.locator("[data-card=sensors]")
-    told = (refused, 'word_order = "little"', "0.06 · as set · unlikely")
+    told = (refused, "word order little", "0.06 · as set · unlikely")
     expect_texts(card, *told, "20.53 · likely")

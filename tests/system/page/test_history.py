@@ -137,7 +137,7 @@ def test_what_depends_on_temperature_is_said_with_its_uncertainty(panel, service
         expect(card.locator("[data-axis=X]")).to_contain_text("11.4 ± 0.6 µm/(m·K)")
         first, last = (card.locator("[data-symbol]").nth(i) for i in range(2))
         expect(first).to_contain_text("EXX")
-        expect(last).to_contain_text("not seen")
+        expect(last).to_contain_text("not detected")
         expect(card.locator(".notice")).to_have_count(0)
         service.temperature["verdict"] = "doubtful"
         ask.click()
@@ -151,7 +151,7 @@ def test_calibrations_that_do_not_tell_are_said_so(panel, service, witness):
     card = page.locator("[data-card=dependence]")
     said = card.locator(".notice")
     card.get_by_role("button", name="Work it out").click()
-    expect_texts(said, "The calibrations do not tell", "2 of 3 temperatures")
+    expect_texts(said, "Not determined by the calibrations", "2 of 3 temperatures")
     service.temperature_refusal = (
         "the results are at 2 different temperatures (20.1, 20.3, 24.0 °C; less than "
         "0.5 K apart counts as one): measure at three or more"

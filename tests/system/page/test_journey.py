@@ -87,7 +87,7 @@ def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificat
     taps.press("Correct the machine")
     taps.press("Verify the machine")
     page.get_by_role("checkbox", name="Diagonals").click()
-    page.get_by_label("Largest error allowed").fill("5")
+    page.get_by_label("Largest deviation allowed").fill("5")
     taps.press("Prepare the points")
     page.wait_for_url("**/#/check/*")
     proof = job_of(page)
@@ -111,7 +111,7 @@ def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificat
     for conformity, word in (
         ("within", "Pass"),
         ("outside", "Fail"),
-        ("undecided", "Cannot be said"),
+        ("undecided", "Undecided"),
     ):
         if conformity != "within":
             proof = service.verified(verification(result, conformity))
@@ -215,7 +215,7 @@ def show_proof(page: Page, service: ScriptedService, **content: Any) -> Locator:
 
 def test_what_a_verification_has_not_seen_or_known_is_said(panel, service):
     page = panel.open("#/records")
-    english = ("across the travel", "along X and Y", "Not driven: Z, C.")
+    english = ("across the travel", "along X and Y", "Not moved: Z, C.")
     show_proof(
         page,
         service,
@@ -235,7 +235,7 @@ def test_what_a_verification_has_not_seen_or_known_is_said(panel, service):
     air = Reason("air-uncorrected", "doubtful", {"why": "no pressure"})
     show_proof(page, service, run_verdict=verdict_json(Verdict((air,))))
     band = page.locator(".verdict-band")
-    expect(band).to_contain_text("nicht um die Luft berichtigt")
+    expect(band).to_contain_text("nicht um die Luft korrigiert")
 
 
 CAUSES = {
@@ -282,7 +282,7 @@ def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
     expect(page.locator(".kept-list li")).to_contain_text("Deutsch")
     order = service.requests[-1][2]
     assert order["language"] == "de"
-    assert order["identity"]["machine_serial"] == "4711"
+    assert order["identity"]["serial_number"] == "4711"
 
 
 def test_the_tolerance_of_a_machine_is_set_changed_and_taken_away(panel, service):
@@ -474,7 +474,7 @@ def test_records_are_looked_through_by_text_and_kind_and_two_are_compared(
     for number in range(2):
         rows.nth(number).get_by_role("button", name="Compare").click()
     expect(page.locator("table.compare")).to_be_visible()
-    expect(page.locator("h3", has_text="As found, held against")).to_be_visible()
+    expect(page.locator("h3", has_text="As found, compared with")).to_be_visible()
 
 
 def test_drivers_are_chosen_and_tried_without_a_text_editor(panel, service):

@@ -23,7 +23,7 @@ def test_a_held_button_ends_the_measurement_after_its_line(panel, service):
     with held(page, cancel):
         expect(page.locator("#state")).to_have_text("Cancelling")
     assert ("POST", f"/jobs/{job}/cancel", None) in service.requests
-    expect(page.locator(".notice.is-held")).to_contain_text("finishes the line")
+    expect(page.locator(".notice.is-held")).to_contain_text("finishes the current line")
     service.change(job, state="cancelled", run_id="run-1")
     said = page.locator(".notice", has_text="ended in order")
     expect(said).to_contain_text("kept under Records")
@@ -37,7 +37,7 @@ def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
     expect(page.locator("#state")).to_have_text("Läuft")
     service.change(job, state="faulted", error=failure("cell-died"), links=ways)
     said = page.locator(".notice.is-held")
-    expect_texts(said, "Diese Messung kann weitergehen", "Schlussprüfung")
+    expect_texts(said, "Diese Messung kann fortgesetzt werden", "Schlussprüfung")
     follow(page, "Quittieren")
     page.wait_for_url(f"**/#/check/{job}")
     assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
@@ -101,7 +101,7 @@ def test_the_scope_shows_how_far_points_lie_beside_their_line(panel, service):
     line[6] += [0.0, 0.0, 0.024]  # each other one is drawn aside by some of it
     tiles = page.locator(".stream .tiles.is-now")
     distance = f"{np.linalg.norm(line[6]) / 1e3:.3f} m"
-    seen = f"on the target.*{distance}.*line"
+    seen = f"locked.*{distance}.*line"
     air = {"X_degC": 21.5}
     stream_until(
         tiles, rf"{seen}{distance_um(line[:7])} µm", service, job, line[:7], air
@@ -167,7 +167,7 @@ def test_what_the_tracker_has_lost_is_said_and_lines_are_planned_anew(panel, ser
     beam = page.locator(".stream .tile", has_text="Strahl")
     expect(beam).to_contain_text("verloren")
     expect(beam).to_have_attribute("data-tone", "fault")
-    stream_until(beam, "auf dem Ziel", service, job, [[1000.0, 200.0, 50.0]])
+    stream_until(beam, "erfasst", service, job, [[1000.0, 200.0, 50.0]])
     expect(page.locator("#state")).to_have_text("Angehalten")
 
 
@@ -200,7 +200,7 @@ def test_a_notice_is_told_gets_its_name_stays_once_it_is_over_and_may_ask(
     said = page.locator(".notice")
     for more, words in (
         ({}, ("Something changed", "14", "10.2")),
-        ({"kind": "set-up-moved", "grade": "certain"}, ("was knocked", "certain")),
+        ({"kind": "set-up-moved", "grade": "certain"}, ("has shifted", "certain")),
         ({"kind": "line-off", "is_over": True}, ("nothing of it any more",)),
     ):
         service.change(job, notices=[notice(**more)])

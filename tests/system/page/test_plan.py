@@ -10,7 +10,14 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import NEXT, SLOW_MS, choose, expect_texts, follow, go, prepare
-from scripted_data import ASK, DISCOVERY, EXAMPLES, plan_curve, planned_path
+from scripted_data import (
+    ASK,
+    DISCOVERY,
+    EXAMPLES,
+    made_plan,
+    plan_curve,
+    planned_path,
+)
 from scripted_service import ScriptedService
 
 WARM = EXAMPLES["list_conditions"]["items"][-1]
@@ -40,7 +47,6 @@ def test_the_order_carries_what_was_chosen_and_nothing_without_a_wish(page, serv
     page.get_by_role("checkbox").click()
     with ordered(page, service) as (_, order):
         assert order == {"kind": "measure-standstill", "perpendicular_only": True}
-        assert service.orders("/plans") == []
     page.locator("[data-kind=measure-otf]").click()
     page.locator("#on-notice [data-value=pause]").click()
     with ordered(page, service) as (_, order):
@@ -51,7 +57,6 @@ def test_the_order_carries_what_was_chosen_and_nothing_without_a_wish(page, serv
     with ordered(page, service) as (_, order):
         assert order["kind"] == "measure-adaptive"
         assert order["planning"]["minutes"] == 8
-        assert service.orders("/plans") == []
     wanted = []
     for name in (None, "Off", "On", "No wish"):
         if name:
@@ -110,17 +115,24 @@ def test_a_target_is_sent_as_a_standard_uncertainty(page, service):
 
 def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, service):
     error = {"title": "No", "detail": "the travel is too short", "action": "Slower."}
+    expect(page.locator("[data-card=curve]")).to_contain_text("Planning")
     service.planned |= {"state": "failed", "error": error}
+    refused = page.locator(".notice", has_text="the travel is too short")
+    expect(refused).to_be_visible()  # of the curve
+    page.get_by_role("button", name="Understood").click()
+    expect(refused).to_have_count(0)
     page.locator("#minutes").fill("1")
     follow(page, "Prepare the run")
-    expect(page.locator(".notice", has_text="the travel is too short")).to_be_visible()
+    expect(refused).to_be_visible()
     assert not service.jobs
     service.planned = {"id": "plan-1", "state": "succeeded"}
     service.plan["predicted_um"] = 1.15
     page.locator("#minutes").fill("2.5")
     job = prepare(page)
     wish = {"perpendicular_only": False}
-    assert [(place, order) for _, place, order in service.requests] == [
+    asked = [(place, order) for _, place, order in service.requests]
+    assert asked.pop(0)[1]["minutes"] == 3  # the curve, as the page opens
+    assert asked == [
         ("/plans", {"mode": "otf", "minutes": 1, **wish}),
         ("/plans", {"mode": "otf", "minutes": 2.5, **wish}),
         ("/jobs", {"kind": "measure-otf", "plan_id": "plan-1", **wish}),
@@ -133,9 +145,9 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(page, ser
 def test_temperatures_are_not_called_steady_before_they_are(page, service):
     row = page.locator('[data-type="temperature-steady"]')
     for level, shown, name in (
-        ("false", "told", "Temperatures are steady: not met"),
-        ("unknown", "unknown", "Temperatures are steady: not known"),
-        ("true", "true", "Temperatures are steady"),
+        ("false", "told", "Advised: Temperatures steady"),
+        ("unknown", "unknown", "Pending: Temperatures steady"),
+        ("true", "true", "Temperatures steady"),
     ):
         service.conditions = [WARM | {"level": level}]
         expect(row.locator("b")).to_have_text(name)
@@ -164,22 +176,23 @@ def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
     page.locator("[data-side=right]").click()
     page.locator("#feed").fill("4000")
     page.locator("#height").fill("-100")
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     prepare(page)
     right = {"min_mm": [1000, 0, -100], "max_mm": [3000, 400, -100]}
     front = {"min_mm": [-2500, -2500, -100], "max_mm": [3000, -500, -100]}
     areas = [{"name": "Right (+X)", **right}, {"name": "Front (−Y)", **front}]
     wish = {"perpendicular_only": False}
-    assert service.orders("/plans") == [
-        {
-            "mode": "otf",
-            "minutes": 3,
-            **wish,
-            "max_feed_mm_min": 4000,
-            "workspace": {"tracker": {"areas": areas}},
-            "stations": 2,
-        }
-    ]
-    drive = {"kind": "measure-otf", "plan_id": "plan-1", **wish}
+    assert service.orders("/plans")[-1] == {
+        "mode": "otf",
+        "minutes": 3,
+        **wish,
+        "max_feed_mm_min": 4000,
+        "workspace": {"tracker": {"areas": areas}},
+        "stations": 2,
+    }
+    rows = plan_curve()["points"][-1]["row"]
+    drive = {"kind": "measure-otf", "plan_id": "plan-1", "plan_rows": rows, **wish}
     assert service.orders() == [drive]
 
 
@@ -193,7 +206,7 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, servi
         "X −650 mm, Y 200 mm, Z 40 mm",
         "1:30 min; U = 2.40 µm after it",
         "2 stations are advised.",
-        "It pays: one place leaves EBZ (Tilt of Z about Y) weak.",
+        "Moving pays: one station leaves EBZ (Tilt of Z about Y) uncertain.",
     ):
         expect(card).to_contain_text(text)
     service.change(job, state="aborted")
@@ -204,7 +217,7 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(panel, servi
         "stations": PLACE["stations"] | {"recommended": 1},
     }
     go(page, f"#/check/{service.ready()}")
-    card = page.locator(".card", has_text="Stand it at")
+    card = page.locator(".card", has_text="Set it up at")
     expect(card).to_contain_text("X 1,200 mm, Y 300 mm, Z −80 mm")
     expect(card).to_contain_text("One station is enough.")
 
@@ -254,7 +267,7 @@ def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
     expect(page.get_by_label("X, to (mm)")).to_have_value("220.5")
     expect(minutes).to_have_value("3")
     minutes.fill("")
-    expect(page.locator("#reason")).to_contain_text("need a time to plan for")
+    expect(page.locator("#reason")).to_contain_text("need a time limit")
     expect(page.locator(NEXT)).to_be_disabled()
     minutes.fill("3")
     for end, typed, whole in (("X max_mm", "", "220.5"), ("Y max_mm", "50", "180")):
@@ -266,8 +279,10 @@ def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
         page.locator(f"[data-end='{end}']").fill(whole)
         expect(page.locator(NEXT)).to_be_enabled()
     page.locator("[data-place=chosen]").click()
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     prepare(page)
-    (order,) = service.orders("/plans")
+    order = service.orders("/plans")[-1]
     assert order["workspace"]["keep_out"] == [VICE]
     assert len(order["workspace"]["tracker"]["areas"]) == 4
     assert order["stations"] == 1
@@ -297,8 +312,10 @@ def test_a_box_in_inch_is_sent_in_mm_and_not_once_it_is_removed(panel, service):
     page = panel.open("#/plan")
     choose(page, "inch")
     fill_box(page, {"name": "vice", "min_mm": [1, 2, -4], "max_mm": [3, 4, -2]})
+    service.planned = made_plan()
+    expect(page.locator(".curve-tiles")).to_be_visible()
     job = prepare(page)
-    (box,) = service.orders("/plans")[0]["workspace"]["keep_out"]
+    (box,) = service.orders("/plans")[-1]["workspace"]["keep_out"]
     assert box["min_mm"] == pytest.approx([25.4, 50.8, -101.6])
     service.change(job, state="aborted")
     expect(page.locator("#state")).to_have_text("Aborted")
@@ -365,16 +382,9 @@ def show(
     panel, service: ScriptedService, predicted=None, **more
 ) -> tuple[Page, Locator]:
     service.connected = True
-    service.planned = {
-        "id": "plan-1",
-        "state": "succeeded",
-        "progress": 1.0,
-        "commanded": planned_path(),
-        "document": {"stations": None, "predicted": predicted},
-    }
+    service.planned = made_plan(predicted)
     page = panel.open("#/plan", **more)
     card = page.locator("[data-card=curve]")
-    card.get_by_role("button", name="Compute the curve").click()
     expect(card.locator(".handle")).to_be_visible()
     return page, card
 
@@ -399,7 +409,7 @@ def test_everything_follows_the_handle_by_keys_without_another_plan(panel, servi
     expect_texts(card, "0.50: usable", "ECX (Tilt of X about Z), U 1.00 µm")
     handle.press("ArrowRight")
     expect(handle).to_have_attribute("aria-valuenow", "2")
-    assert plans(service) == [6]
+    assert plans(service) == [3]
 
 
 def test_what_of_it_is_the_trackers_and_what_takes_that_away_is_said(panel, service):
@@ -436,7 +446,7 @@ def test_the_handle_is_dragged_and_the_plan_up_to_it_is_what_is_driven(panel, se
     minutes = page.get_by_label("Plan lines or points for at most")
     expect(minutes).to_have_value("1")
     prepare(page)
-    assert plans(service) == [6]
+    assert plans(service) == [3]
     assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
 
 
@@ -469,28 +479,19 @@ def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
     service.change(job, state="aborted")
     go(page, "#/plan")
     page.reload()
-    expect(page.locator("#minutes")).to_have_value("")
+    expect(page.locator("#minutes")).to_have_value("2")  # computed as the page opens
     prepare(page)
-    assert driven(service) == {}
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
 
 
 def test_a_curve_that_is_not_driven_says_so(panel, service):
     page, card = show(panel, service)
-    notice, plan = card.locator(".notice"), [6]
+    notice = card.locator(".notice")
     expect(notice).to_be_hidden()
-    across = page.get_by_role("checkbox", name="Only deviations across the path")
-    on_the_fly = page.locator("[data-kind=measure-otf]")
-    for other, back in (
-        (across, across),
-        (page.locator("[data-kind=measure-standstill]"), on_the_fly),
-    ):
-        other.click()
-        expect(notice).to_contain_text("compute it again")
-        back.click()
-        expect(notice).to_be_hidden()
+    plan = plans(service)
     for minutes, more in (("", []), ("12", [12])):
         page.locator("#minutes").fill(minutes)
-        expect(notice).to_contain_text("not what will be driven")
+        expect(notice).to_contain_text("a plan for other choices")
         job = prepare(page)
         plan += more
         assert plans(service) == plan
@@ -498,6 +499,20 @@ def test_a_curve_that_is_not_driven_says_so(panel, service):
         service.change(job, state="aborted")
         expect(page.locator("#state")).to_have_text("Aborted")
         go(page, "#/plan")
+
+
+def test_each_choice_has_its_curve_without_a_tap(panel, service):
+    page, card = show(panel, service)
+    for choice, wanted in (
+        (page.get_by_role("checkbox"), {"perpendicular_only": True}),
+        (page.locator("[data-kind=measure-standstill]"), {"mode": "standstill"}),
+        (card.get_by_role("button", name="6 min"), {"minutes": 6}),
+    ):
+        with page.expect_response("**/curve"):
+            choice.click()
+        assert wanted.items() <= service.orders("/plans")[-1].items()
+        expect(card.locator(".notice")).to_be_hidden()
+    assert len(plans(service)) == 4
 
 
 VERTICES = {
@@ -521,3 +536,14 @@ def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
     page.wait_for_function(f"() => {chosen} === {POINTS[-1]['row']}")
     card.locator(".handle").press("Home")
     page.wait_for_function(f"() => {chosen} === {POINTS[0]['row']}")
+
+
+def test_the_check_shows_tracker_and_beams_of_the_plan(panel, service):
+    page, _ = show(panel, service)
+    service.change(prepare(page), state="ready")
+    picture = page.locator(".path-view[role=img]")
+    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
+    expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
+    expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
+    beams = picture.locator("[data-trace='5'] path").get_attribute("d")
+    assert beams.count("M") == len(planned_path()["position"])

@@ -35,8 +35,8 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
         "total_um": part(0.5),
     }
     found["observability"]["unobservable"] = [
-        "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a "
-        "second target at least 140 mm to the side, in X or Y, separates them "
+        "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; "
+        "a second target at least 140 mm to the side, in X or Y, separates them "
         "(to 3.0 µrad, k = 2, on the same path)"
     ]
     page = panel.open(f"#/result/{service.measured()}")
@@ -59,13 +59,15 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
     expect(chart).to_have_class(re.compile("is-missing"))
     expect(chart).to_contain_text("Not determined by these data")
     # Why it is not determined is said once, and so in German.
-    said = "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length"
+    said = (
+        "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length"
+    )
     expect(page.get_by_text(said)).to_have_count(1)
     choose(page, "Deutsch")
-    card = page.locator(".card", has_text="Was diese Daten nicht verraten")
+    card = page.locator(".card", has_text="Nicht bestimmbare Größen")
     expect(card.locator("li")).to_have_text(
-        "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und EYZ zu "
-        "unterscheiden. Erkennbar wird es mit einem Ziel mindestens 140 mm seitlich. "
+        "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ unterscheidbar. "
+        "Erkennbar wird es mit einem Reflektor mindestens 140 mm seitlich. "
         "Auf derselben Bahn wird es dann auf 3,0 µrad bekannt (k = 2)."
     )
 
@@ -231,7 +233,7 @@ def test_a_result_that_is_not_to_be_used_is_loud_says_why_and_offers_no_files(
     expect(heading).to_have_text("Nicht verwenden")
     rows = band.locator("li")
     expect(rows.nth(0)).to_contain_text("das 3,50-Fache des Rauschens")
-    expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm ab")
+    expect(rows.nth(1)).to_contain_text("weichen um 9,0 µm voneinander ab")
     expect(rows.nth(2)).to_contain_text("um +0,42 mm neben ihrem Ort")
     expect(rows.nth(3)).to_contain_text("die Temperatur der Luft wurde nicht gemessen")
     expect(rows.nth(4)).to_contain_text("42 Messpunkte der Geraden 8, von 61,2 s bis")

@@ -7,8 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recorded import record_run
+from recorded import stream as follow
 from truepath.alignment.align import align
 from truepath.alignment.closure import find_committed
+from truepath.alignment.observations.reduction import beam_frame
 from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.errors import AlignmentError
 from truepath_drivers.interfaces.records import TrackerSamples
@@ -196,6 +198,67 @@ def test_a_target_that_creeps_is_not_at_a_standstill(record):
     moved = run.tracker.position_mm + off[:, None] * np.array([1.0, 0.0, 0.0])
     slid = align(with_stream(run, position_mm=moved))
     assert set(seen.row.tolist()) - set(slid.row.tolist()) == {7}
+
+
+def align_both(run):
+    """Align a whole Run, then the same as it comes in."""
+    live, parts = follow(run)
+    return align(run), live.observations(parts)
+
+
+DWELL = 7  # row of the dwell in which something happens
+
+
+@pytest.fixture(scope="module")
+def standing(record):
+    """Return a Run at points, what is seen of it, and the middle of one dwell."""
+    run, _ = record(4, "standstill", rows=30)
+    seen = align(run)
+    return run, seen, float(seen.at.time_s[seen.row == DWELL][0])
+
+
+@pytest.mark.parametrize("times", [0.5, 2.0], ids=["13 µm", "54 µm"])
+def test_of_a_dwell_that_was_knocked_its_longer_side_counts(standing, times):
+    run, seen, middle_s = standing
+    time_s, knock_s = run.tracker.device_time_s, middle_s + 0.1
+    step_mm = times * np.array([0.02, -0.015, 0.01])
+    after = (time_s >= knock_s)[:, None]
+    knocked = with_stream(run, position_mm=run.tracker.position_mm + after * step_mm)
+    for found in align_both(knocked):
+        assert found.row.tolist() == seen.row.tolist()
+        moved_mm = found.tracker_mm - seen.tracker_mm
+        left_mm = moved_mm - (seen.row > DWELL)[:, None] * step_mm
+        assert np.linalg.norm(left_mm, axis=1).max() < 0.002
+        (said,) = (each for each in found.left_out if each.row == DWELL)
+        assert said.begin_s == pytest.approx(knock_s, abs=0.02)
+        assert said.off_mm == pytest.approx(np.linalg.norm(step_mm), rel=0.1)
+
+
+@pytest.mark.parametrize("course", ["swing", "settling", "drift"])
+def test_what_moves_slowly_within_dwells_is_no_knock(standing, course):
+    run, seen, middle_s = standing
+    since_s = np.clip(run.tracker.device_time_s - middle_s, -0.35, 0.35)
+    way = {
+        "swing": 0.008 * np.sin(2.0 * np.pi / 0.7 * since_s),
+        "settling": 0.03 * np.exp(-(since_s + 0.35) / 0.1),
+        "drift": 0.03 * since_s,
+    }[course][:, None]
+    moving = with_stream(run, position_mm=run.tracker.position_mm + way)
+    found = align(moving)
+    assert found.row.tolist() == seen.row.tolist()
+    assert [each for each in found.left_out if each.cause == "cells"] == []
+
+
+def test_a_dwell_whose_samples_all_lie_apart_gives_no_cell(standing):
+    run, seen, middle_s = standing
+    k = np.flatnonzero(np.abs(run.tracker.device_time_s - middle_s) < 0.6)
+    frame = beam_frame(run.tracker.position_mm[k])
+    apart_mm = run.tracker.position_mm.copy()
+    apart_mm[k] += 0.1 * (-1.0) ** (k // 3)[:, None] * frame[np.arange(len(k)), k % 3]
+    others = np.flatnonzero(seen.row != DWELL)
+    for found in align_both(with_stream(run, position_mm=apart_mm)):
+        assert found.row.tolist() == seen.row[others].tolist()
+        assert found.tracker_mm == pytest.approx(seen.tracker_mm[others], abs=1e-9)
 
 
 def test_a_hold_in_mid_line_makes_two_passes_of_it(record):

@@ -219,9 +219,9 @@ def test_a_certificate_states_the_figures_that_a_verification_ran_for():
 
 
 MERGED = (
-    "ECZ (roll of Z) cannot be told from EXZ and EYZ with one tool length; a second "
-    "target at least 180 mm to the side, in X or Y, separates them (to 3.4 µrad, "
-    "k = 2, on the same path)"
+    "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; a "
+    "second target at least 180 mm to the side, in X or Y, separates them (to 3.4 "
+    "µrad, k = 2, on the same path)"
 )
 
 
@@ -258,7 +258,7 @@ def test_numbers_of_a_statement_stand_in_its_german_words():
     said = describe_unobservable(MERGED, GERMAN)
     form = "an S of the error along X"
     poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
-    assert "ECZ (Rollen von Z) ist mit dem Gemessenen nicht von EXZ und" in said
+    assert "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ " in said
     assert "mindestens 180 mm seitlich" in said
     assert "auf 3,4 µrad bekannt (k = 2)" in said
     said = describe_poorly_observable(poor, GERMAN)

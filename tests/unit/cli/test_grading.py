@@ -26,7 +26,7 @@ def test_a_person_gets_a_sentence_and_what_cannot_be_seen(command, files):
     said = command.run("grade", *files).out
     assert said.startswith("grade of the set-up: 0.")
     assert "worst of four usual places" in said
-    assert "cannot be seen: EBZ (turn of Z about Y) cannot be told from" in said
+    assert "cannot be seen: EBZ (turn of Z about Y) is not distinguishable from" in said
 
 
 def test_rows_without_a_feed_are_standstill_points(command, files, tmp_path):

@@ -8,18 +8,25 @@ import pytest
 from truepath.answers.discovery.discovery_json import discovery_json, effect_json
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
-from truepath.discovery.findings import find_share
-from truepath.discovery.name_trial import CERTAIN
-from truepath.discovery.open_questions import design_discrimination
+from truepath.discovery.findings import find_share, state_findings
+from truepath.discovery.name_trial import CERTAIN, POSSIBLE, Support, TriedNames
+from truepath.discovery.open_questions import (
+    FREE_FORM,
+    TRACKER,
+    design_discrimination,
+)
 from truepath.discovery.scan import scan_term
 from truepath.discovery.terms.cross_validation import build_lines
 from truepath.discovery.terms.term_equations import TermEquations
+from truepath_simulators.hidden.screws import ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
 from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
 KNOCK_S, STEP_UM = 20.0, (4.0, -3.0, 0.0)
 KNOCK = SetupStep(KNOCK_S, STEP_UM)
+LEAD_MM, WAVE_UM = 5.0, 4.0
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +65,46 @@ def test_an_effect_below_what_a_control_corrects_needs_nothing_done(knocked):
     stated = effect_json(replace(found, largest_mm=2e-4))
     assert stated["is_small"]
     assert stated["remedy"].endswith("it moves the target by 0.20 µm at most.")
+
+
+@pytest.fixture(scope="module")
+def crossing(record):
+    """A Run that crosses X on every line; a wave of X is 0 wherever it stands."""
+    rng, rows = np.random.default_rng(5), 24
+    share = rng.integers(1, 8, rows) + 22 * (np.arange(rows) % 2)
+    position = np.column_stack([LEAD_MM * share, *rng.uniform(10.0, 60.0, (2, rows))])
+    program = Program(np.round(position, 3), np.full(rows, 100.0), np.full(rows, 0.4))
+    setting = Setting(hidden=(ScrewCyclic("X", LEAD_MM, WAVE_UM, 0.0),))
+    run, _ = record(11, program=program, travel_mm=150.0, setting=setting)
+    return discover([run])
+
+
+def test_a_wave_is_as_large_as_within_cells_that_have_little_of_it(crossing):
+    label = "screw-cyclic X"
+    (found,) = (f for f in crossing.findings if f.candidate.label == label)
+    assert effect_json(found)["largest_um"] == pytest.approx(WAVE_UM, rel=0.1)
+
+
+def test_a_spike_is_as_large_as_at_the_reversal_before_the_first_cell(crossing):
+    fitter, label = crossing.fitter, "reversal-spike X X"
+    (term,) = (each for each in fitter.catalogue if each.label == label)
+    fit = fitter.fit([term.with_value(3.0)], refine=False)
+    (found,) = state_findings(fitter, fit, TriedNames(fit, fit, (), {}, {}))
+    assert found.largest_mm == pytest.approx(abs(found.theta[0]))
+
+
+def test_a_vibration_is_asked_against_a_free_form_unless_the_tracker_imitates_it(
+    knocked,
+):
+    """Its head may swing alike in any case; that is no error beyond what is stated."""
+    (found,) = knocked.findings
+    swing = replace(found, grade=POSSIBLE, is_imitated=True)
+    open_ = replace(knocked, fit=knocked.baseline_fit, findings=(), possible=(swing,))
+    for evidence, other in ((50.0, FREE_FORM), (0.0, TRACKER)):
+        doubted = {found.term.label: Support(evidence, 20.0, ())}
+        tried = replace(knocked.tried, doubted=doubted)
+        asked = design_discrimination(replace(open_, tried=tried))
+        assert [question.right for question in asked.questions] == [other]
 
 
 def test_a_knock_is_named_with_its_moment_and_size_and_closes_the_gap(knocked):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from truepath.alignment.align import align
+from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_evidence import NoiseEvidence
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.design_matrix import linearise
@@ -111,3 +112,12 @@ def test_what_was_taken_for_fast_is_lowered_where_nothing_shows_it(seen):
     model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
     (found,) = refine_runs(model, [RunInput(seen, seen.pose, start)])
     assert found.noise.fast == (1.0, 1.0)
+
+
+def test_one_place_tells_no_noise(record_small):
+    seen = align(record_small(3, "standstill")[0])
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
+    parts = seen, seen.select(np.array([0]))
+    start = guess_noise(seen, perpendicular_only=False)
+    with pytest.raises(Unidentifiable, match="add lines"):
+        refine_runs(model, [RunInput(each, seen.pose, start) for each in parts])

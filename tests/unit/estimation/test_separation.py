@@ -81,7 +81,7 @@ def test_the_second_tool_tells_the_turn_as_well_as_promised(symbol):
 def test_statements_name_partners_and_length_or_that_a_target_has_to_move_aside():
     said = statements(mill(FIRST))
     assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
-    assert "EBZ (turn of Z about Y) cannot be told from EXZ" in said["EBZ"]
+    assert "EBZ (turn of Z about Y) is not distinguishable from EXZ" in said["EBZ"]
     assert "a second tool at least" in said["EBZ"]
     assert "to the side, in X or Y," in said["ECZ"]
     said = statements(mill((0.0, 0.0, -100.0)))
@@ -122,7 +122,7 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
     for said in confounding_advice.describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
-        assert "tell too little for any tool" in said
+        assert "determine too little for any tool" in said
 
 
 def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():

@@ -93,6 +93,22 @@ def test_a_measurement_ends_at_its_target_with_its_reason_and_without_one_at_its
     assert (ended.target_um, ended.early_end) == (None, None)
 
 
+def test_a_target_is_reached_where_places_differ_for_that_is_in_the_uncertainty(
+    followed, make_cell, until
+):
+    job, live = followed(replace(OTF, target_um=2.0))
+    sizes = dict.fromkeys(("range_um", "azimuth_um", "elevation_um"), 12.0)
+    differ = Reason("places-differ", "doubtful", {**sizes, "ratio": 5.0})
+    values = {"distance_um": 3.0, "limit_um": 1.0}
+    drifts = Reason("loop-open", "doubtful", values)
+    for sigma_um, reasons in ((0.001, (differ, drifts)), (2.1, (differ,))):
+        live.publish(sigma_um, done=4, verdict=Verdict(reasons))
+        make_cell.cell.record(50)
+    assert "conclude" not in make_cell.cell.heard
+    live.publish(1.9, done=5, verdict=Verdict((differ,)))
+    assert until(job, "succeeded").early_end == EarlyEnd(1.9, 5, 10)
+
+
 @pytest.mark.database
 def test_a_job_goes_its_whole_way(dispatcher, context, running, cell, until, science):
     path, rows = cell.order.commanded, [*ROWS, OFF_THE_LINE]

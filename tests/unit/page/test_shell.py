@@ -114,6 +114,14 @@ def test_a_browser_keeps_the_files_of_this_page_and_asks_before_it_reuses_others
     assert again.status_code == 304
 
 
+@pytest.mark.parametrize("language", pages.LANGUAGES)
+def test_a_language_that_is_chosen_later_has_the_texts_of_effects_as_well(
+    client, language
+):
+    asked = f"{pages.STATIC_PATH}/{pages.digest_files()}/locales/{language}.json"
+    assert client.get(asked).json() == pages.catalogue(language)
+
+
 def test_catalogues_have_the_same_keys_and_the_same_blanks():
     first, *others = (pages.catalogue(language) for language in pages.LANGUAGES)
     for other in others:

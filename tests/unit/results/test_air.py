@@ -11,7 +11,7 @@ from truepath.answers.verification.places.conformity import (
     Conformity,
     decide_conformity,
 )
-from truepath.estimation.solve.known_scale import settle_scale
+from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
 from truepath.files.environment.refraction import (
     Refraction,
@@ -21,7 +21,11 @@ from truepath.files.environment.refraction import (
     refraction_to_json,
     state_length_ppm,
 )
-from truepath.kinematics.estimated_model import compute_scale_parameters
+from truepath.kinematics.estimated_model import (
+    EstimatedModel,
+    compute_scale_parameters,
+)
+from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.analysis import analyse
 from truepath.results.environment_json import (
@@ -271,6 +275,21 @@ def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
     found = state_findings(long, replace(provenance, runs=runs))
     said = assess_scale(found.estimate, found.known_scale).reasons
     assert {one.kind: one.state for one in said} == kinds
+
+
+@pytest.mark.parametrize(
+    ("off", "state"), [(2e-6, "usable"), (68e-6, "doubtful"), (-68e-6, "doubtful")]
+)
+def test_a_known_length_that_air_and_tracker_deny_is_doubted_on_two_axes(
+    mill, provenance, off, state
+):
+    """On three it is believed where it leaves them a machine's usual size."""
+    flat = replace(mill, tool_side=("Y",), axes=mill.axes[:2])
+    model, _ = build_identifiable_model(flat, np.array([[0.0, 0.0, -150.0]]))
+    found = EstimatedModel(model, np.zeros(model.size), 1e-8 * np.eye(model.size))
+    known = KnownScale(1, off, 1e-6, is_expected=abs(off) < 1e-5)
+    (reason,) = assess_scale(found, known).reasons
+    assert (reason.kind, reason.state) == ("scale-known", state)
 
 
 @pytest.mark.parametrize("sigma_mm", [0.001, 0.01])

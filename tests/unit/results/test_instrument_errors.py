@@ -9,8 +9,12 @@ from scipy.signal import lfilter
 from estimating import judge_map
 from following import follow, list_blocks, shift
 from recorded import choose_program, load_erring, load_small, record_run
+from truepath.alignment.align import align
 from truepath.discovery.discover import discover
+from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
+from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.run import PointBlock, PointRows
+from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess_discovery, assess_live
@@ -154,6 +158,20 @@ def shoot(seed, **how):
     return run, made, TrackerSamples(n, *at, np.zeros_like(n))
 
 
+def take_shots(run, shots):
+    """Return the Run with single shots, of whose scatter nothing is known."""
+    n = shots.sequence
+    rows = PointRows(n, np.ones_like(n), np.zeros((len(n), 3, 3)))
+    return replace(run, tracker=shots, points=rows)
+
+
+def find_noise(seen):
+    """Return the noise of a Run, beside a machine of which nothing is known."""
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
+    start = guess_noise(seen, perpendicular_only=False)
+    return refine_runs(model, [RunInput(seen, seen.pose, start)])[0].noise
+
+
 def differ(seed):
     """Return a Run whose places differ as a real tracker's do, and drift; its truth."""
     rng = np.random.default_rng([seed, 77])
@@ -238,13 +256,38 @@ def test_knots_that_are_far_apart_are_no_difference_between_places():
 def test_single_shots_are_as_uncertain_as_they_scatter():
     quiet = 0.3  # of the stated noise, of which shots say nothing
     run, made, shots = shoot(3, noise_scale=quiet)
-    n = shots.sequence
-    points = PointRows(n, np.ones_like(n), np.zeros((len(n), 3, 3)))
-    estimate = analyse(replace(run, tracker=shots, points=points)).estimate
+    estimate = analyse(take_shots(run, shots)).estimate
     noise = estimate.runs[0].noise
     each = np.hypot(noise.place, noise.ou)
     assert np.sqrt(np.mean(each**2)) == pytest.approx(quiet, rel=0.2)
     assert judge_map(estimate, made.truth.deviation_mm).inside > 0.85
+
+
+def test_few_single_shots_are_about_as_uncertain_as_the_tracker_is_stated():
+    run, _, shots = shoot(3)
+    seen = align(take_shots(run, shots))
+    noise = find_noise(seen.select(np.arange(0, len(seen), 4)))
+    each = np.hypot(noise.place, noise.ou)
+    assert 0.4 < np.sqrt(np.mean(each**2)) < 1.6
+
+
+def test_a_tracker_quieter_than_stated_is_as_certain_as_one_stated_so():
+    quiet = 0.2
+    run, _ = stand(3, noise_scale=quiet)
+    tracker = run.machine.tracker
+    sizes = "range_sigma_um", "range_ppm", "angle_sigma_urad", "transverse_sigma_um"
+    told = {name: quiet * getattr(tracker, name) for name in sizes}
+    honest = replace(run.machine, tracker=replace(tracker, **told))
+    found, expected = (
+        analyse(each).contributions.sigma_mm
+        for each in (run, replace(run, machine=honest))
+    )
+    assert found == pytest.approx(expected, rel=0.2)
+
+
+def test_many_places_that_do_not_differ_say_so():
+    noise = find_noise(align(stand(3)[0]))
+    assert max(noise.place) < 0.14
 
 
 @pytest.mark.long

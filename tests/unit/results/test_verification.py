@@ -239,6 +239,18 @@ def test_a_verification_in_two_runs_says_what_the_whole_says(
     assert "of each Run" in content["gauge"]
 
 
+def test_parts_that_are_separate_runs_have_a_noise_each(calibrated, remeasured):
+    run, truth = remeasured(105)
+    first, second = cut(run, 22, 22)
+    row = truth.recording.row[np.isin(run.tracker.sequence, second.tracker.sequence)]
+    each_mm = np.random.default_rng(8).normal(0.0, 0.02, (row.max() + 1, 3))
+    differing = shift(second, each_mm[np.maximum(row, 0)])
+    found = verify(calibrated, first, differing, first_row=(0, 22))
+    one, other = (np.mean(each.noise.place) for each in found.runs)
+    assert one < 0.5
+    assert other > 2.0
+
+
 def test_a_compensated_machine_is_left_with_what_is_stated_be_it_a_part(
     calibrated, remeasured
 ):

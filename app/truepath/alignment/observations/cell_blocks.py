@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.cell_gate import exclude_cells
+from truepath.alignment.observations.dwell_knock import find_knock
 from truepath.alignment.observations.observations import Pass
 from truepath.alignment.observations.reduction import (
     CELL_MM,
@@ -258,6 +259,9 @@ def reduce_standstills(
         inside = _find_settled(stream, first, last, wait_s)
         if len(inside) < _FEWEST_SAMPLES:
             continue
+        said: list[LeftOut] = []
+        if run.mode == "standstill":  # all its samples become one cell
+            inside, said = _keep_longer_side(stream, inside, row)
         distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
         sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
         if _creeps(stream.tracker_mm[inside], sigma_mm):
@@ -270,15 +274,30 @@ def reduce_standstills(
             run.machine.tracker.sigma_mm,
             min(count_cells(span), max(1, len(inside) // _FEWEST_SAMPLES)),
         )
-        left_out = _describe_outliers(cells, stream.time_s[inside], row)
+        if not len(cells.time_s):  # each sample is far off the others
+            continue
+        said += _describe_outliers(cells, stream.time_s[inside], row)
         expected = _at_rest(cells.time_s)
         cells, off = exclude_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
-        still = np.zeros((n, 3))
-        said = (*left_out, *off)
-        found.append(CellBlock(cells, row, -1, still, position, np.zeros(n), 0.0, said))
+        still, none = np.zeros((n, 3)), np.zeros(n)
+        left_out = (*said, *off)
+        found.append(CellBlock(cells, row, -1, still, position, none, 0.0, left_out))
     return found
+
+
+def _keep_longer_side(
+    stream: Stream, inside: Int64[np.ndarray, " n"], row: int
+) -> tuple[Int64[np.ndarray, " m"], list[LeftOut]]:
+    """The samples before or after a knock, and a record of the others."""
+    found = find_knock(stream.tracker_mm[inside])
+    if found is None:
+        return inside, []
+    first, off_mm = found
+    lost, kept = sorted((inside[:first], inside[first:]), key=len)
+    off = np.full(len(lost), off_mm)
+    return kept, describe_samples("cells", row, stream.time_s[lost], off)
 
 
 def _find_settled(

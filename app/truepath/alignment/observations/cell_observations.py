@@ -55,7 +55,8 @@ def join_blocks(
     )
     if run.mode != "standstill" or len(parts) == len(seen):
         return seen
-    # Samples of a place are off together: it is one cell, however long it took.
+    # Samples of a place are off together: it is one cell, however long it took. Where
+    # it was knocked, its block has only one side of that.
     return seen.join(np.flatnonzero(np.diff(own, prepend=-1)))
 
 

@@ -17,7 +17,10 @@ from truepath.answers.shown.templating import View
 Forms = Mapping[str, re.Pattern[str]]
 _SYMBOL = r"(?P<symbol>[A-Z0O]{3}) \(.*?\)"
 _UNOBSERVABLE: Forms = {
-    "merged": re.compile(rf"^{_SYMBOL} cannot be told from (?P<others>.+?) with "),
+    "merged": re.compile(
+        rf"^{_SYMBOL} (?:is not distinguishable|cannot be told) from "
+        r"(?P<others>.+?) with "
+    ),
     "still": re.compile(rf"^{_SYMBOL} does not move the target"),
     "resting": re.compile(r"^(?P<axes>[A-Z, ]+): rotary axes stand still on this path"),
     "unseen": re.compile(
@@ -33,7 +36,7 @@ _REMEDIES: Forms = {
     "by_another": re.compile("another tool length or offset"),
     "on_workpiece": re.compile("targets on the workpiece"),
     "off_line": re.compile("off one line with these"),
-    "by_lines": re.compile("lines or points tell too little"),
+    "by_lines": re.compile("lines or points (?:determine|tell) too little"),
     "by_standstill": re.compile("between standstills"),
     "by_more_lines": re.compile("not corner to corner"),
 }

@@ -323,7 +323,7 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
     # counts once, in the last part that begins before it: its approach is as planned
     # only where the previous row was executed as well, so the first row of a further
     # part that an earlier part has measured only leads to the next.
-    seen = [align_all([run], [run.name])[0] for run in runs]
+    seen = [_align_alone(run, number) for number, run in enumerate(runs)]
     begins: list[int] = []
     parts: list[_PartOfRun] = []
     for number, first in enumerate(first_row):
@@ -335,6 +335,12 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
         end = min(begins[number + 1 :], default=np.inf)
         parts.append(_PartOfRun(one, _select(one, first, begins[number], end)))
     return parts
+
+
+def _align_alone(run: Run, number: int) -> Observations:
+    # Each has a number of its own, as it shares neither noise nor seats with another.
+    (seen,) = align_all([run], [run.name])
+    return replace(seen, at=replace(seen.at, run=number))
 
 
 def _select(seen: Observations, first: int, begin: int, end: float) -> Observations:

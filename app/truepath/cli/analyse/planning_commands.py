@@ -123,7 +123,7 @@ def plan(
     ] = None,
     json: Json = False,
 ) -> None:
-    """The measurement that tells most in its time, and what it will leave unknown."""
+    """The most informative measurement in its time, with its expected uncertainty."""
     collect_garbage_rarely()
     if verify:
         _plan_verification(machine, output, verify, seed, control or (), json=json)

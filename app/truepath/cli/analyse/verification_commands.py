@@ -63,7 +63,7 @@ def verify(
     ] = None,
     json: Json = False,
 ) -> None:
-    """A measurement that the calibration did not use, held against its result."""
+    """A measurement that the calibration did not use, compared with its result."""
     collect_garbage_rarely()
     from truepath.answers.verification.verification import verify
     from truepath.answers.verification.verification_report import write_verification

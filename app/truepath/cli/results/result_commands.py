@@ -133,7 +133,7 @@ def export(
     ] = False,
     json: Json = False,
 ) -> None:
-    """A controller's compensation file, and what it leaves behind."""
+    """A controller's compensation file, and the error that remains with it."""
     collect_garbage_rarely()
     from truepath.compensation.active_files import read_given_tables
     from truepath.compensation.export import export_files

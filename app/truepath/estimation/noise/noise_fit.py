@@ -62,11 +62,12 @@ _MEDIAN = 0.455  # of χ² of one
 _FAST = 1.2  # ratio of the scatter of means to that of samples
 _LOW = 0.3  # quantile of differences
 _NEIGHBOURS = 40
-_FEWEST_PLACES = 3
 _FEW_DIFFER = 0.3  # of the variance: below, a few places cause the rest
 _OF_APART = 2.0  # least correlation time over the time between places
 _SIZES = np.log([[1e-3, 30.0]] * 3)
-_PLACES = np.log([[0.15, 30.0]] * 3)  # few places show less than is typical by chance
+# Few places show less than is typical by chance; of the scatter of samples, as stated
+# or as found where that is less.
+_LEAST_OF_FEW, _FEW_PLACES, _MOST_OF_PLACES = 0.15, 32, 30.0
 _TIME, _JITTER = np.log([[0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
@@ -262,8 +263,6 @@ def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
 
     A few wrong places, or a step, would inflate it for all.
     """
-    if len(evidence.residual) < _FEWEST_PLACES:
-        return noise
     square, expected = evidence.compare_neighbours(noise)
     times = np.median(square / expected, axis=0) / _MEDIAN
     times = np.where(times < _FEW_DIFFER, times, 1.0)
@@ -391,7 +390,7 @@ def _maximise_from_both(
 def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
-    low, high = np.array(_list_bounds(noise)).T
+    low, high = _list_bounds(noise, len(evidence.residual)).T
     high[3] = min(high[3], np.log(longest_s))
     if (
         any(noise.place) and len(evidence.residual) > 1
@@ -470,9 +469,15 @@ def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
     return np.log([*known, *(each for each in noise.place if each)])
 
 
-def _list_bounds(noise: NoiseModel) -> list[Float64[np.ndarray, "2"]]:
-    jitter = [_JITTER] if np.isfinite(noise.along_sigma_mm) else []
-    return [*_SIZES, _TIME, *jitter, *(_PLACES if any(noise.place) else [])]
+def _list_bounds(noise: NoiseModel, places: int) -> Float64[np.ndarray, "k 2"]:
+    bounds = [*_SIZES, _TIME]
+    if np.isfinite(noise.along_sigma_mm):
+        bounds.append(_JITTER)
+    if any(noise.place):
+        least = _LEAST_OF_FEW * min(1.0, (_FEW_PLACES / places) ** 0.5)
+        shown = [min(noise.white[k] or 1.0, 1.0) for k in (0, 1, 1)]
+        bounds += [np.log([least * each, _MOST_OF_PLACES]) for each in shown]
+    return np.array(bounds)
 
 
 def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:

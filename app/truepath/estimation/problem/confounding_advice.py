@@ -84,7 +84,8 @@ def _statement(
     said = f"{merged.symbol} ({describe_symbol(merged.symbol)})"
     if merged.partners:
         with_what = "one tool length" if tools == 1 else "the measured tool offsets"
-        said += f" cannot be told from {' and '.join(merged.partners)} with {with_what}"
+        partners = " and ".join(merged.partners)
+        said += f" is not distinguishable from {partners} with {with_what}"
     else:
         said += " does not move the target"
     if _asks_for_the_table(merged.symbol, model.machine):
@@ -105,7 +106,9 @@ def _statement(
                 f"{said}; {asked.format(f' at least {length_mm:.0f} mm')} {does} "
                 f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
             )
-    return f"{said}; the lines or points tell too little for any tool to change that"
+    return (
+        f"{said}; the lines or points determine too little for any tool to change that"
+    )
 
 
 def _asks_for_the_table(symbol: str, machine: Machine) -> bool:

@@ -44,22 +44,22 @@ SENTENCES: Mapping[str, Sentence] = {
     ),
     "stream-astray": Sentence(
         "From {from_s} to {to_s} on the tracker's clock, from line {line} on, the "
-        "target stands at places up to {distance_um} off those of the path; nothing of "
-        "that time is used.",
+        "reflector is up to {distance_um} off the path; data of that time are not "
+        "used.",
         "Look whether tracker or reflector was moved by more than a millimetre at that "
         "time, or the frame, a sign or a unit of the stream changed.",
     ),
     "air-uncorrected": Sentence(
-        "The tracker's ranges are not corrected for the air: {why}. Every length, and "
-        "with it every positioning error, is wrong by as much as the air is off what "
-        "the tracker assumed: up to 270 µm in a metre.",
+        "The tracker's ranges are not corrected for the air: {why}. The scale of "
+        "all lengths and positioning deviations is uncertain by up to 270 µm/m.",
         "Measure temperature and pressure of the air, and measure again.",
     ),
     "air-assumed": Sentence(
-        "Usual air is taken for what was not measured of it: {why}. Every length is "
-        "known to {within_um} in a metre (k = 2), as the uncertainties say.",
-        "Measure temperature and pressure of the air, state the site's altitude, or "
-        "hold a known length against the tracker.",
+        "Typical air is assumed in place of measured values: {why}. The scale of "
+        "all lengths is known to {within_um} per metre (k = 2); this is included in"
+        " U.",
+        "Measure temperature and pressure of the air, enter the site's altitude, or"
+        " measure a known length with the tracker.",
     ),
     "sensor-left-out": Sentence(
         "Readings of a sensor are not believed, and not used: {what}.",
@@ -77,8 +77,8 @@ SENTENCES: Mapping[str, Sentence] = {
         "All linear axes are off by {distance_um} a metre alike (within {within_um}, "
         "k = 2): by the pressure or temperature of the air that the tracker takes, by "
         "its scale, or by a machine that is warmer or colder than its scales say.",
-        "Look at what the tracker takes for the air, and at the temperature of the "
-        "machine; hold a known length against the tracker.",
+        "Check the air values of the tracker and the temperature of the machine; "
+        "measure a known length with the tracker.",
     ),
     "scale-known": Sentence(
         "Known lengths ({lengths}) say that all distances of the tracker were off "
@@ -109,9 +109,10 @@ SENTENCES: Mapping[str, Sentence] = {
         "Let the program run to its end, and record from before its start until after.",
     ),
     "path-cut-short": Sentence(
-        "The target stands still {before} times before the first row of the path and "
-        "{after} times after its last: rows are missing there, or more was recorded.",
-        "Give the whole path where the file was cut short; only its rows are used.",
+        "The reflector is at rest {before} times before the first row of the path "
+        "and {after} times after its last: rows are missing there, or more was "
+        "recorded.",
+        "Give the complete path; only its rows are used.",
     ),
     "chain-other": Sentence(
         "The data fit {other} {times_ratio} times better than the declared {declared}: "
@@ -119,8 +120,8 @@ SENTENCES: Mapping[str, Sentence] = {
         "Correct kinematic_chain in the machine file, and analyse again.",
     ),
     "other-feed": Sentence(
-        "Lines {lines} were driven at {lowest_percent} to {highest_percent} of the "
-        "feed of the path.",
+        "Lines {lines} were measured at {lowest_percent} to {highest_percent} of "
+        "the feed of the path.",
         "Set the feed override to 100 % for the next Run; the tables do not rest on "
         "it.",
     ),
@@ -143,24 +144,25 @@ SENTENCES: Mapping[str, Sentence] = {
         "Import the recording with its own times, or at the rate that the tracker had.",
     ),
     "held-on-the-way": Sentence(
-        "The machine stood still in the middle of lines: {times} times, on {lines}, "
-        "for {longest_s} at the longest.",
-        "Nothing is lost by it; find out who held the feed if nobody meant to.",
+        "The machine stopped in the middle of lines: {times} times, on {lines}, for"
+        " {longest_s} at the longest.",
+        "No data are lost; find out what held the feed.",
     ),
     "much-left-out": Sentence(
         "{left_out_percent} of the samples are left out; up to {usual_percent} is "
-        "usual.",
+        "typical.",
         "Clear the line of sight, look at the lock of the tracker, measure again.",
     ),
     "fit-beyond-noise": Sentence(
-        "The residual of the whole fit is {ratio} times that of noise; up to "
-        "{limit_ratio} is usual.",
+        "The residual of the fit is {ratio} times that of noise; up to "
+        "{limit_ratio} is typical.",
         "Let a discovery look for what the model lacks, or measure again.",
     ),
     "noise-beyond-stated": Sentence(
-        "Samples scatter {ratio} times as much as the machine file states of the "
-        "tracker; up to {limit_ratio} is usual.",
-        "State the tracker's noise as it is, or look for vibration and turbulent air.",
+        "Samples scatter {ratio} times as much as specified for the tracker in the "
+        "machine file; up to {limit_ratio} is typical.",
+        "Correct the tracker's noise in the machine file, or look for vibration and"
+        " turbulent air.",
     ),
     "places-differ": Sentence(
         "What the tracker says of one place differs from the next by {range_um} along "
@@ -170,8 +172,8 @@ SENTENCES: Mapping[str, Sentence] = {
         "Look for air, vibration or a loose mount; state the tracker's noise as it is.",
     ),
     "loop-open": Sentence(
-        "Places that were measured early and late differ by {distance_um}; up to "
-        "{limit_um} is usual.",
+        "Points that were measured early and late differ by {distance_um}; up to "
+        "{limit_um} is typical.",
         "Let tracker and machine warm up, fasten tracker and reflector, measure again.",
     ),
     "set-up-moved": Sentence(
@@ -192,15 +194,16 @@ SENTENCES: Mapping[str, Sentence] = {
         "free.",
     ),
     "knock-unseen": Sentence(
-        "Data are left out at rows {rows}, and nothing measured before is measured "
-        "again after: a knock of tracker or reflector there would look the same.",
-        "Fasten tracker and reflector; measure anew, the first target once more at the "
-        "end.",
+        "Data are left out at rows {rows}, and no earlier point is measured again "
+        "after: an unintended shift of tracker or reflector there is not "
+        "detectable.",
+        "Fasten tracker and reflector; measure again, the first reflector once more"
+        " at the end.",
     ),
     "not-measured-again": Sentence(
-        "Too little of what was measured before is measured again after rows {rows}: "
-        "a knock of tracker or reflector there would not show.",
-        "Measure the first target once more at the end, as plans do.",
+        "Too few earlier points are measured again after rows {rows}: an unintended"
+        " shift of tracker or reflector there is not detectable.",
+        "Measure the first reflector once more at the end, as plans do.",
     ),
     "ramps-swing": Sentence(
         "The machine swings while it accelerates: a stretch of a ramp counts as if it "
@@ -211,14 +214,14 @@ SENTENCES: Mapping[str, Sentence] = {
     "axis-scaled": Sentence(
         "Axis {axes} moved {by} too far, more than machines do: the program may have "
         "been scaled, or be another one.",
-        "Compare the program that ran with the one that is stated; run it without "
-        "scaling. If they are one, correct the scale of the axis.",
+        "Compare the program that ran with the specified one; run it without "
+        "scaling. If they agree, correct the scale of the axis.",
     ),
     "axes-leaning": Sentence(
         "Axes {axes} are off square by {by}, more than machines are: the program may "
         "have been changed, or be another one.",
-        "Compare the program that ran with the one that is stated. If they are one, "
-        "align the machine.",
+        "Compare the program that ran with the specified one. If they agree, align "
+        "the machine.",
     ),
     "axis-shifted": Sentence(
         "Axis {axes} is {by} off its place against the rotary axes, more than machines "
@@ -227,9 +230,9 @@ SENTENCES: Mapping[str, Sentence] = {
         "with the machine.",
     ),
     "little-gained": Sentence(
-        "The mean error found is {found_um}; a compensation with it is expected to "
-        "leave {left_um}.",
-        "Measure more lines, or from a nearer place; or leave the machine as it is.",
+        "The mean error found is {found_um}; {left_um} is expected to remain after "
+        "compensation.",
+        "Measure more lines, or from a nearer station; or use the machine as it is.",
     ),
     "lines-off": Sentence(
         "The newest lines or points ({lines}) do not fit what came before and are left "
@@ -238,7 +241,7 @@ SENTENCES: Mapping[str, Sentence] = {
     ),
     "model-in-use": Sentence(
         "It rests on the model {model}, which is doubtful itself.",
-        "Look at the reasons of the model; make it anew from a Run that is usable.",
+        "Look at the reasons of the model; make it again from a Run that is usable.",
     ),
     STATED: Sentence("{text}", ""),
 }

@@ -21,6 +21,7 @@ import structlog
 
 from truepath.child_process import BACKGROUND_NICENESS, ChildProcess
 from truepath.files.bundle.run import PointBlock
+from truepath.files.earlier.verdict import verdict_from_json
 from truepath.jobs.running.live_process import (
     Estimated,
     EstimateFailed,
@@ -53,6 +54,7 @@ WAITING_BLOCKS = 100  # about ten seconds of the stream
 FINISH_S = 20.0
 ANSWER_S = 60.0
 _MICRO = 1e3  # mm to µm
+_IN_UNCERTAINTY = "places-differ"  # a doubt that no further line takes away
 
 Show = Callable[[Mapping[str, Any]], None]
 
@@ -168,7 +170,8 @@ class LiveSteering:
     """Steers a measurement by its live estimate: further parts, or an early end.
 
     Without a further part, or without a reply in time, the measurement ends in order;
-    an estimate that is not usable without reservation reaches no target. One thread.
+    an estimate that is not usable without reservation reaches no target, unless it is
+    for places that differ: that is in its uncertainty, and would stay. One thread.
 
     commanded : the first part of an adaptive measurement; None for one planned in full
     target_um : volumetric uncertainty (k = 1) at which the rest is omitted
@@ -247,8 +250,11 @@ class LiveSteering:
 
     def _has_reached(self, estimate: Mapping[str, Any]) -> bool:
         reached_um = estimate["volumetric_uncertainty_um"]
-        is_usable = estimate["verdict"]["state"] == "usable"
-        return is_usable and reached_um <= (self.target_um or 0.0)
+        grave = [
+            r for r in verdict_from_json(estimate["verdict"]).reasons if r.severity
+        ]
+        is_trusted = all(reason.kind == _IN_UNCERTAINTY for reason in grave)
+        return is_trusted and reached_um <= (self.target_um or 0.0)
 
     def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
         part = self.live.pop_part()

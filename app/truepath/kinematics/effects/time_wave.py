@@ -151,7 +151,7 @@ class VibrationFamily(SinusoidFamily):
         [de]
         title = Schwingung
         cause = Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an Tisch,
-            Spindel oder Tracker, oder der Kopf des Trackers pendelt um sein Ziel.
+            Spindel oder Tracker, oder der Kopf des Trackers pendelt.
         looks_like = Eine Welle in der Zeit mit einer einzigen Frequenz, gleich welche
             Achse fährt.
         remedy = Einen am Boden befestigten Reflektor ansehen: Schwingt er auch, Tracker

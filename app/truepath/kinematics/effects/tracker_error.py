@@ -75,8 +75,8 @@ class TrackerEccentricityFamily(BeamFamily):
             from a second place to separate it from the machine.
         [de]
         title = Exzentrischer Teilkreis des Trackers
-        cause = Der Teilkreis des Trackers sitzt neben seiner Achse oder hat einen Stoß
-            bekommen.
+        cause = Der Teilkreis des Trackers sitzt neben seiner Achse oder hat sich
+            verschoben.
         looks_like = Die Punkte sind um den Tracker um einen Winkel gedreht, der einem
             Sinus der Blickrichtung folgt, gleich welche Achse fährt.
         remedy = Die eigene Kompensation des Trackers durchführen (Zweilagen- und

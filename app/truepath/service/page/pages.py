@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
@@ -49,14 +49,19 @@ router = APIRouter(include_in_schema=False)
 class PageFiles(StaticFiles):
     """Static files: a browser keeps those that it requests under their digest.
 
-    It revalidates all others each time it needs them.
+    It revalidates all others each time it needs them. Texts of a language include
+    those of effects.
     """
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """The file, or 304, with headers that control its reuse."""
         first, _, rest = path.partition(os.sep)
         is_kept = first == digest_files()
-        response = await super().get_response(rest if is_kept else path, scope)
+        wanted = Path(rest if is_kept else path)
+        if str(wanted.parent) == "locales" and wanted.stem in LANGUAGES:
+            response: Response = JSONResponse(catalogue(wanted.stem))
+        else:
+            response = await super().get_response(str(wanted), scope)
         response.headers.update(_KEEP if is_kept else _REVALIDATE)
         return response
 
@@ -69,12 +74,14 @@ def static_files() -> StaticFiles:
 
 @cache
 def digest_files() -> str:
-    """Short digest of all files of the page, read once per process."""
+    """Short digest of all files and texts of the page, read once per process."""
     digest = sha256()
     for file in sorted(_STATIC.rglob("*")):
         if file.is_file():
             digest.update(str(file.relative_to(_STATIC)).encode())
             digest.update(file.read_bytes())
+    for language in LANGUAGES:
+        digest.update(json.dumps(_effect_texts(language)).encode())
     return digest.hexdigest()[:16]
 
 

@@ -198,6 +198,8 @@ export function createActions(store, go) {
     const job = await during("prepare", async () => api.createJob(withModel(
       request ? { ...order, plan_id: (await makePlan(withModel(request, machine), tell)).id } : order, machine)));
     if (!job) return null;
+    const curve = order.plan_id ? await api.planCurve(order.plan_id).catch(() => null) : null;
+    if (curve) store.set({ trackers: { ...store.get().trackers, [job.id]: curve.tracker_mm } });
     hear(job);
     follow(job);
     go(addressOf(job));
@@ -223,6 +225,8 @@ export function createActions(store, go) {
       if (answersWell(machine) && !isActive(job) && place(location.hash).step === "connect") go("#/plan");
     }),
     prepare: begin,
+    /** Keep that a step that may be left out was done for a result. */
+    did: (step, id) => store.set({ done: { ...store.get().done, [id]: { ...store.get().done[id], [step]: true } } }),
     verify, issue, choose,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {

@@ -36,6 +36,9 @@ export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);
 /** What people call the machine of this panel: by its record, else by its file. */
 export const machineName = ({ machines, machine_id, machine }) =>
   machines.find(({ id }) => id === machine_id)?.name || machine?.name || "";
+/** The control of the machine of this panel, as its record and its driver call it. */
+export const controlOf = ({ machines, machine_id, machine }) =>
+  [machines.find(({ id }) => id === machine_id)?.control, machine?.motion?.maker, machine?.motion?.model].filter(Boolean).join(" ");
 
 export const isConnected = (machine) => Boolean(machine?.connected);
 

@@ -29,7 +29,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, machines: [], machine_id: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null, verification: null,
-  conditions: null, safetyRead: null, arming: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, deviceError: null, busy: null, planned: null, asked: null, proves: {}, issued: null,
+  conditions: null, safetyRead: null, arming: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, deviceError: null, busy: null, planned: null, asked: null, proves: {}, done: {}, trackers: {}, issued: null,
   link: { stale: false, asked: false, last: null, age_s: 0 },
 });
 const go = (address) => {
@@ -197,12 +197,13 @@ async function start() {
 
 // A file that misses its zone would be opened in place of the page.
 for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
-document.getElementById("open-settings").addEventListener("click", () => {
-  toggleSettings(() => show(current, false));
-});
-document.addEventListener("truepath:themed", () => {
+/** In other words or colours; before the first view there is nothing to draw anew. */
+function showAgain() {
   if (mounted) show(current, false);
-});
+}
+
+document.getElementById("open-settings").addEventListener("click", () => toggleSettings(showAgain));
+document.addEventListener("truepath:themed", showAgain);
 document.addEventListener("truepath:logged-out", leave);
 await enter(root);
 addEventListener("hashchange", route);

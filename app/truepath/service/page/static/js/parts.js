@@ -23,6 +23,13 @@ export const tableFrame = (label, ...content) =>
 export const pairs = (rows) =>
   h("dl", { class: "pairs" }, rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
 
+/** Bars on one scale, the longest `highest`: bars([[name, value, text, class], …], highest). */
+export const bars = (rows, highest) => h("div", { class: "gap" }, h("dl", {}, rows.map(([name, value, text, kind]) => {
+  const inside = h("i", { class: kind });
+  inside.style.width = `${(100 * value) / highest}%`;
+  return [h("dt", {}, name), h("dd", {}, inside, h("span", {}, text))];
+})));
+
 /** One number with its name; `write(value)` changes it. */
 export function tile(name, value = "–") {
   const number = h("dd", {}, value);

@@ -1,6 +1,6 @@
 /* What surrounds the views: state and stamp in the bar, steps, problems, the next button. */
 import { h, icon, mark, write } from "./dom.js";
-import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, jobUnderWay, machineName, OPTIONAL, reach, STEPS } from "./flow.js";
+import { GROUPS, hasEnded, isActive, isComputing, isConnected, isMeasuring, jobUnderWay, machineName, OPTIONAL, reach, resultId, STEPS } from "./flow.js";
 import { holdToConfirm } from "./hold.js";
 import { notice, shapeOf, toneOf, wordOf } from "./parts.js";
 import { clock, t } from "./texts.js";
@@ -44,7 +44,7 @@ function updateStamp({ stale, asked, last }) {
 
 /** Write the steps in their groups; those that can be reached are links. */
 export function updateSteps(state, current) {
-  const key = JSON.stringify([current, STEPS.map((step) => reach(step, state)), t("step.connect")]);
+  const key = JSON.stringify([current, STEPS.map((step) => [reach(step, state), isDone(step, state, current)]), t("step.connect")]);
   const list = element("steps");
   if (list.dataset.key === key) return;
   list.dataset.key = key;
@@ -63,11 +63,11 @@ function groupEntry({ name, steps }, state, current) {
 
 const isPassed = (step, current) => STEPS.indexOf(step) < STEPS.indexOf(current);
 
-/** What may be left out is not ticked off by going past it. */
-const isDone = (step, current) => isPassed(step, current) && !OPTIONAL.has(step);
+/** What may be left out is ticked off once it was done, not by going past it. */
+const isDone = (step, state, current) => (OPTIONAL.has(step) ? step !== current && Boolean(state.done[resultId(state)]?.[step]) : isPassed(step, current));
 
 function stepEntry(step, state, current) {
-  const done = isDone(step, current);
+  const done = isDone(step, state, current);
   const inside = [h("span", { class: "step-dot" }, done ? icon("check") : String(STEPS.indexOf(step) + 1)),
     h("span", { class: "step-name" }, t(`step.${step}`))];
   const address = reach(step, state);

@@ -4,7 +4,7 @@ import { currentLanguage, known, number, t } from "./texts.js";
 
 /** What data do not determine: its beginning, and what would, by key. */
 const UNOBSERVABLE = {
-  merged: /^(?<symbol>E[XYZABC]{2}) \(.*?\) cannot be told from (?<others>.+?) with /,
+  merged: /^(?<symbol>E[XYZABC]{2}) \(.*?\) (?:is not distinguishable|cannot be told) from (?<others>.+?) with /,
   still: /^(?<symbol>E[XYZABC]{2}) \(.*?\) does not move the target/,
   undirected: /^lost motion: the result does not state what the direction of travel does/,
   resting: /^(?<axes>[A-Z, ]+): rotary axes stand still on this path/,
@@ -14,7 +14,7 @@ const REMEDIES = {
   by_tool: /at least (\d+) mm longer or shorter/, by_side: /at least (\d+) mm to the side/,
   by_other_tool: /tool longer or shorter/, by_other_side: /target to the side/, by_another: /another tool length or offset/,
   on_workpiece: /targets on the workpiece/, off_line: /off one line with these/,
-  by_lines: /lines or points tell too little/, by_standstill: /between standstills/, by_more_lines: /not corner to corner/,
+  by_lines: /lines or points (?:determine|tell) too little/, by_standstill: /between standstills/, by_more_lines: /not corner to corner/,
 };
 const PRECISION = /\(to ([\d.]+) µrad, k = 2, on the same path\)/;
 const NUMBER = "−?[\\d.]+";

@@ -91,6 +91,9 @@ export function clock(moment) {
 /** Day and month of an ISO stamp. */
 export const day = (stamp) => new Intl.DateTimeFormat(region(), { day: "numeric", month: "short" }).format(new Date(stamp));
 
+/** A name that the service gives, its ISO stamps as people write them. */
+export const named = (text) => text.replace(/\d{4}-\d\d-\d\dT[\d:.]+Z/g, dateTime);
+
 /** Date and time of an ISO stamp. */
 export function dateTime(stamp) {
   if (!stamp) return "–";

@@ -11,7 +11,7 @@ const linear = (axes) => ["X", "Y", "Z"].map((name) => axes.indexOf(name));
 
 const pick = (row, columns) => columns.map((c) => (c < 0 ? 0 : row[c]));
 
-function traces(rows, travel, standing, boxes) {
+function traces(rows, travel, standing, boxes, { tracker_mm, offset_mm }) {
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
   const line = (name, width) => ({ color: colour(name), width });
   const dots = { size: 3.5, color: colour("plan") };
@@ -23,8 +23,16 @@ function traces(rows, travel, standing, boxes) {
     { ...base, mode: "markers", x: [], y: [], z: [],
       marker: { size: 6, color: colour("text"), line: { color: colour("panel"), width: 2 } } },
     boxTrace(boxes),
+    ...(tracker_mm ? [
+      { ...base, mode: "lines", opacity: 0.55, line: line("trace-y", 1),
+        ...coordinates(rows.flatMap((row) => [tracker_mm, row.map((v, i) => v + offset_mm[i]), null])) },
+      { ...base, mode: "markers", marker: { size: 8, symbol: "diamond", color: colour("trace-y") }, ...coordinates([tracker_mm]) },
+    ] : []),
   ];
 }
+
+/** Where the first reflector sits on the tool. */
+export const offsetOf = (machine) => machine?.tool_offset_mm ?? Object.values(machine?.targets ?? {})[0]?.offset_mm ?? [0, 0, 0];
 
 /** Travel of X, Y and Z: of the machine, widened to the plan. */
 function travelOf(machine, rows) {
@@ -38,14 +46,16 @@ function travelOf(machine, rows) {
 
 /** Draw a plan in `element`; answers {progress, view, close}.
  *
- * progress(done, position): rows reached and the axis positions now, or null
+ * plan: also has `tracker_mm` where that is known, which is drawn with its beams; progress(done, position): rows reached and the axis positions now, or null
  */
 export async function drawPath(element, plan, machine) {
   const columns = linear(plan.axes);
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
   const standing = !plan.feed_mm_min?.length;
-  const scene = await drawScene(element, traces(rows, travel, standing, plan.keep_out ?? []), travel, true);
+  const seen = { tracker_mm: plan.tracker_mm, offset_mm: offsetOf(machine) };
+  const room = travel.map((ends, i) => [...ends, ...(plan.tracker_mm ? [plan.tracker_mm[i]] : [])]).map((all) => [Math.min(...all), Math.max(...all)]);
+  const scene = await drawScene(element, traces(rows, travel, standing, plan.keep_out ?? [], seen), room, true);
 
   const name = element.getAttribute("aria-label");
   let wanted = null;

@@ -41,10 +41,21 @@ export function followConditions(store) {
 
 /** Card with all conditions; `close` ends the asking. */
 export function conditionsCard(store) {
+  const none = h("li", { class: "empty" }, t("condition.none"));
+  return listCard(store, t("condition.title"), (conditions) => (conditions ? [...conditions].sort(byUrgency).map(row) : [none]));
+}
+
+/** Card with the temperatures before a Run; hidden where no thermometer shows any. */
+export function temperatureCard(store) {
+  return listCard(store, t("condition.temperatures"), (conditions) =>
+    (conditions ?? []).filter(({ type, temperatures }) => type === TEMPERATURES && temperatures?.length).map(row));
+}
+
+function listCard(store, title, rowsOf) {
   const list = h("ul", { class: "conditions" });
-  let shown = "";
-  const close = followConditions(store);
-  const element = card(t("condition.title"), list);
+  const element = card(title, list);
+  element.hidden = true;
+  let shown = null;
   return {
     element,
     update({ conditions, link }) {
@@ -52,32 +63,10 @@ export function conditionsCard(store) {
       const key = JSON.stringify(conditions);
       if (key === shown) return;
       shown = key;
-      list.replaceChildren(...(conditions ? [...conditions].sort(byUrgency).map(row)
-        : [h("li", { class: "empty" }, t("condition.none"))]));
+      list.replaceChildren(...rowsOf(conditions));
+      element.hidden = !list.children.length;
     },
-    close,
-  };
-}
-
-/** Card with the temperatures before a Run; hidden where no thermometer shows any. */
-export function temperatureCard(store) {
-  const list = h("ul", { class: "conditions" });
-  const element = card(t("condition.temperatures"), list);
-  element.hidden = true;
-  let shown = "";
-  const close = followConditions(store);
-  return {
-    element,
-    update({ conditions, link }) {
-      markStale(element, link.stale ? link.age_s : null);
-      const found = conditions?.find(({ type }) => type === TEMPERATURES);
-      const key = JSON.stringify(found);
-      if (key === shown) return;
-      shown = key;
-      element.hidden = !found?.temperatures?.length;
-      list.replaceChildren(...(element.hidden ? [] : [row(found)]));
-    },
-    close,
+    close: followConditions(store),
   };
 }
 
@@ -96,17 +85,17 @@ function row(condition) {
   const words = explain(condition);
   return h("li", { "data-level": state, "data-type": type },
     icon(SHAPES[level]),
-    h("b", {}, nameOf(type, level)),
-    h("span", { class: "condition-since" }, t("condition.since", { at })),
+    h("b", {}, nameOf(type, state)),
+    state !== "true" && h("span", { class: "condition-since" }, t("condition.since", { at })),
     words ? h("p", {}, words) : null,
     temperatures?.length ? h("p", { class: "quiet" }, temperatures.map(temperature).join("; ")) : null,
     state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle")));
 }
 
-/** A condition by its name, which says that all is well: so it says as well where that is not so, or not known. */
-function nameOf(type, level) {
+/** A condition by its name, the state that is required; a word before it where that is missing or unknown. */
+function nameOf(type, state) {
   const name = known(`condition.${type}`, type.replaceAll("-", " "));
-  return level === "true" ? name : t(`condition.is_${level}`, { name });
+  return state === "true" ? name : t(`condition.is_${state}`, { name });
 }
 
 /** What is wrong and what to do; of what is well, a state that is worth a word. */

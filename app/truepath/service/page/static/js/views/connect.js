@@ -3,7 +3,7 @@ import { h, icon, mark, s } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
 import { card, head, notice, pairs } from "../parts.js";
 import { wordProblem } from "../problems.js";
-import { dateTime, number, t } from "../texts.js";
+import { dateTime, known, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { conditionsCard } from "./conditions-card.js";
 import { deviceCard } from "./device-card.js";
@@ -103,7 +103,14 @@ function describeSensors({ sensors, sensors_refused: refused }) {
   const words = ({ value, is_set: isSet, is_likely: isLikely }) => [value === null ? "–" : number(value, 2),
     isSet && t("connect.way_set"), isLikely ? t("connect.way_likely") : isSet && t("connect.way_unlikely")].filter(Boolean).join(" · ");
   return [h("h2", {}, t("connect.sensors")), refused && notice("fault", t("connect.sensors_refused"), refused),
-    pairs(sensors.map((way) => [`${way.channel}: ${way.how}`, words(way)]))].filter(Boolean);
+    pairs(sensors.map((way) => [wordWay(way), words(way)]))].filter(Boolean);
+}
+
+/** A way to read a sensor: "Air: register 100, word order big". */
+function wordWay({ channel, how }) {
+  const name = channel.slice(0, channel.lastIndexOf("_"));
+  const way = how.replace(/(\w+) = "?(\w+)"?/g, (_, key, value) => `${known(`sensor.way.${key}`, key)} ${value}`);
+  return `${known(`sensor.${name}`, name)}: ${way}`;
 }
 
 function watchdogFact({ has_watchdog: has }) {

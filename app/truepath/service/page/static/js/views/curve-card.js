@@ -1,7 +1,8 @@
 /* What time buys: the curve of a long plan, and the part of it that the handle chooses. */
-import { h, icon, mark, write } from "../dom.js";
+import { h, mark, write } from "../dom.js";
 import { notice, segments, tile } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { offsetOf } from "../plots/job-path.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
 import { drawPlanSpace } from "../plots/plan-space.js";
 import { sayUnobservable } from "../statements.js";
@@ -11,10 +12,10 @@ import { quantity } from "../units.js";
 import { adviceCard, settleCard } from "./advice-card.js";
 
 const LONGEST_MIN = ["3", "6", "12"];
-const NO_OFFSET = [0, 0, 0];
 
 /** What has been computed, kept while the operator looks elsewhere. */
-const ahead = { longest: "6", minutes: 0, key: "", plan: null, at: 0 };
+const ahead = { longest: "3", minutes: 0, key: "", plan: null, at: 0 };
+const REST_MS = 500; // until choices that change count
 
 /** The beginning of the computed plan that is driven: what the card shows; null where it is none of these choices.
  *
@@ -41,42 +42,48 @@ const minutesOf = (point) => Math.max(0.5, Math.ceil(point.time_s / 6) / 10);
 
 /** The card; `update(state)` hears of the machine, `close` ends it.
  *
- * asked(): what a plan is asked whatever its length, with all that it is computed from; foresee(request, tell): has one made
+ * asked(): what a plan is asked whatever its length, with all that it is computed from, null where none can be asked for;
+ * foresee(request, tell): has one made
  * choice: {by, minutes, reach_um}, of what is chosen; pick({by, minutes, reach_um}): tells what was chosen
  */
 export function curveCard({ asked, foresee, choice, pick }) {
   let drawn = null;
   let machine = null;
-  let isBusy = false;
+  let wanted = ahead.plan ? `${ahead.minutes} ${ahead.key}` : "";
+  let due = null;
   let closed = false;
   const waiting = h("p", { class: "quiet", role: "status" });
-  const compute = h("button", { class: "button", type: "button", "data-needs": "operator", onclick: ask },
-    icon("play"), h("span", {}, t("curve.compute")));
   const byPlace = h("div", { class: "curve-by" });
-  const head = h("div", { class: "curve-ask" }, h("span", { class: "label" }, t("curve.longest")),
+  const head = h("div", { class: "curve-ask" }, h("h2", {}, t("curve.title")), h("span", { class: "label" }, t("curve.longest")),
     segments(t("curve.longest"), LONGEST_MIN.map((m) => [m, `${number(m)} min`]), ahead.longest, (value) => {
       ahead.longest = value;
-      show();
-    }, true), compute, waiting, byPlace);
+      askSoon();
+    }, true), waiting, byPlace);
   const body = h("div", { class: "stack" });
-  const element = h("section", { class: "card stack", "data-card": "curve", "aria-label": t("curve.title") },
-    h("div", {}, h("h2", {}, t("curve.title")), h("p", { class: "quiet" }, t("curve.text"))), head, body);
+  const element = h("section", { class: "card stack", "data-card": "curve", "aria-label": t("curve.title") }, head, body);
 
-  async function ask() {
-    const [key, minutes] = [keyOf(asked()), Number(ahead.longest)];
-    isBusy = true;
-    show();
-    const plan = await foresee({ ...asked().order, minutes }, (share) => write(waiting, t("plan.planning", { percent: number(100 * (share ?? 0)) })));
-    isBusy = false;
+  /** Have the curve computed that belongs to the choices, once these rest; another choice makes it void. */
+  function askSoon() {
+    const [all, minutes] = [asked(), Number(ahead.longest)];
+    const own = `${minutes} ${keyOf(all)}`;
+    if (!all || own === wanted || element.hidden) return;
+    wanted = own;
+    clearTimeout(due);
+    due = setTimeout(ask, REST_MS, own, all, minutes);
+  }
+
+  async function ask(own, all, minutes) {
+    const tell = (share) => own === wanted && write(waiting, t("plan.planning", { percent: number(100 * (share ?? 0)) }));
+    tell(0);
+    const plan = await foresee({ ...all.order, minutes }, tell);
+    if (own !== wanted || closed) return;
     write(waiting, "");
-    if (plan) {
-      forget();
-      Object.assign(ahead, { key, minutes, plan, at: plan.curve.points.length - 1 });
-      const at = placeOf(choice());
-      ahead.at = at ?? ahead.at;
-      const { reach_um, ...time } = choiceAt(ahead.at);
-      if (key === keyOf(asked())) pick({ reach_um, ...(at === null ? time : {}) }); // what is shown is chosen
-    }
+    if (!plan) return;
+    forget();
+    Object.assign(ahead, { key: keyOf(all), minutes, plan, at: plan.curve.points.length - 1 });
+    ahead.at = placeOf(choice()) ?? ahead.at;
+    const { reach_um, ...time } = choiceAt(ahead.at);
+    pick({ reach_um, ...(choice().minutes === null ? time : {}) }); // what is shown is chosen, but where a time was
     show();
   }
 
@@ -86,10 +93,10 @@ export function curveCard({ asked, foresee, choice, pick }) {
   }
 
   function show() {
-    mark(compute, "disabled", isBusy || !machine);
+    askSoon();
     if (!ahead.plan || !machine || closed) return;
     drawn ??= drawAhead(body, byPlace, machine, choice, pick);
-    const isDriven = shownPart(asked(), choice()) !== null;
+    const isDriven = asked() !== null && shownPart(asked(), choice()) !== null;
     if (isDriven) drawn.follow(placeOf(choice()));
     drawn.age(!isDriven);
   }
@@ -102,6 +109,7 @@ export function curveCard({ asked, foresee, choice, pick }) {
     },
     close() {
       closed = true;
+      clearTimeout(due);
       forget();
     },
   };
@@ -189,6 +197,5 @@ function place(plan, machine) {
   const columns = ["X", "Y", "Z"].map((name) => axes.indexOf(name));
   const parts = stations ?? [{ position, position_mm: plan.curve.tracker_mm }];
   const rows = parts.flatMap((part) => part.position.map((row) => ({ at_mm: columns.map((c) => row[c]), tracker_mm: part.position_mm })));
-  const offset_mm = machine.tool_offset_mm ?? Object.values(machine.targets ?? {})[0]?.offset_mm ?? NO_OFFSET;
-  return { rows, offset_mm, boxes: boxes ?? [], travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
+  return { rows, offset_mm: offsetOf(machine), boxes: boxes ?? [], travel: ["X", "Y", "Z"].map((name) => [machine.axes[name].min_mm, machine.axes[name].max_mm]) };
 }

@@ -1,9 +1,9 @@
 /* Step 6: what the model lacks, why, what to do about it, and how far the gap has closed. */
-import { links } from "../api.js";
+import { effects, links } from "../api.js";
 import { h, icon } from "../dom.js";
 import { isDiscovery } from "../flow.js";
-import { card, head, linkButton, notice } from "../parts.js";
-import { known, number, t } from "../texts.js";
+import { bars, card, head, linkButton, notice } from "../parts.js";
+import { currentLanguage, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCards, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
@@ -65,7 +65,20 @@ export function askCard(job, actions) {
 
 /** What is going to happen, before it is asked for. */
 function prospect(job) {
-  return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
+  if (!job.run_id) return notice(null, t("discover.no_run"));
+  return card(null, h("p", {}, t("discover.how")), catalogue());
+}
+
+/** Every effect that is installed, asked for when it is opened. */
+function catalogue() {
+  const list = h("dl", {}, h("dt", {}, t("discover.catalogue_loading")));
+  const details = h("details", {}, h("summary", {}, t("discover.catalogue")), list);
+  details.addEventListener("toggle", async () => {
+    const found = await effects(currentLanguage());
+    list.replaceChildren(...found.flatMap((one) => [h("dt", {}, one.title),
+      h("dd", {}, [one.looks_like, one.cause, one.enters_analyse ? "" : t("discover.ends_with_run")].join(" ").trim())]));
+  }, { once: true });
+  return details;
 }
 
 function found({ job, discovery }, extra, closing) {
@@ -86,21 +99,16 @@ function downloads({ id, verdict }) {
 function gapCard(gap) {
   const highest = 1.1 * Math.max(gap.before, gap.after, gap.noise_floor);
   const [before, after, floor] = [gap.before, gap.after, gap.noise_floor].map(micrometres);
-  const bar = (name, value, shown, kind) => {
-    const inside = h("i", { class: kind });
-    inside.style.width = `${(100 * value) / highest}%`;
-    return [h("dt", {}, name), h("dd", {}, inside, h("span", {}, shown))];
-  };
+  const shown = bars([[t("discover.before"), gap.before, before, "is-before"], [t("discover.after"), gap.after, after, "is-after"]], highest);
   const mark = h("div", { class: "gap-floor", "aria-hidden": "true" });
   mark.style.setProperty("--at", String(gap.noise_floor / highest));
-  return card(t("discover.gap"),
-    h("div", { class: "gap" }, h("dl", {}, bar(t("discover.before"), gap.before, before, "is-before"),
-      bar(t("discover.after"), gap.after, after, "is-after")), mark),
+  shown.append(mark);
+  return card(t("discover.gap"), shown,
     h("p", { class: "gap-key" }, t("discover.floor", { value: floor })),
     h("p", { class: "quiet" }, [t("discover.gap_text", { before, after, floor }), complete(gap)].join(" ")));
 }
 
-/** What the other lines tell too little to foretell these ones better. */
+/** Residual that is expected of a complete model. */
 const complete = ({ expected }) =>
   (expected === undefined ? "" : t("discover.complete", { value: micrometres(expected) }));
 

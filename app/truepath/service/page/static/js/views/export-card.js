@@ -1,21 +1,25 @@
 /* The files that a controller corrects by: what they leave is seen before they are taken. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { card, linkButton, notice, pairs, problemNotice, segments, wordFormat } from "../parts.js";
+import { bars, card, linkButton, notice, pairs, problemNotice, segments, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { sayUnmeasured } from "../statements.js";
 import { known, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
 
-/** A card with a choice of controllers; null where the result is not to be used.
+/** Whether files are for the control that a machine is said to have. */
+export const isOwn = ({ control }, own) => own.toLowerCase().includes(control.split(/[\s,]/)[0].toLowerCase());
+
+/** A card with a choice of controllers, that of the machine first and chosen; null where the result is not to be used.
  *
- * stated_um: mean volumetric error that the result states, where it states one; onFiles(): hears that files were made
+ * stated_um: mean volumetric error that the result states, where it states one; own: the machine's control; onFiles(): hears that files were made
  */
-export function exportCard(job, { verdict, stated_um }, onFiles) {
+export function exportCard(job, { verdict, stated_um, own }, onFiles) {
   if (verdict?.state === "not-usable" || verdict === "not-usable") return null;
   const choices = h("div", { class: "choices", role: "radiogroup", "aria-label": t("export.choose") });
   const ways = h("div");
   const said = h("div", { class: "stack", "aria-live": "polite" });
+  let carried = "";
   let order = { format: null, unmeasured: "hold", choices: {}, difference: false, active_files: {} };
 
   /** Have the files made and say what they leave; a later choice makes an earlier one void. */
@@ -30,11 +34,12 @@ export function exportCard(job, { verdict, stated_um }, onFiles) {
 
   function take(made) {
     onFiles();
-    return [...basisOf(made, order, choose), ...account(made, order, stated_um)];
+    return [...basisOf(made, order, choose), ...account(made, order, stated_um, carried)];
   }
 
   /** Choose a format as its control usually has it, and show what else may be chosen of it. */
   function chooseFormat(format) {
+    carried = wordFormat(format.name, "carries", format.carries);
     const usual = Object.entries(format.choices).map(([name, [first]]) => [name, first]);
     ways.replaceChildren(...Object.entries(format.choices).map(([name, words]) => wayField(name, words,
       (word) => choose({ choices: { ...order.choices, [name]: word } }))));
@@ -51,19 +56,21 @@ export function exportCard(job, { verdict, stated_um }, onFiles) {
   element.dataset.needs = "metrologist";
   // Without the list there is no card: the result stands all the same.
   api.formats().then((formats) => {
-    choices.append(...formats.map((format) => choice(format, () => chooseFormat(format))));
+    const [first, ...others] = formats.sort((a, b) => isOwn(b, own) - isOwn(a, own)).map((format) => choice(format, () => chooseFormat(format)));
+    choices.append(first, ...others);
     element.hidden = false;
+    if (isOwn(formats[0], own) && first.checkVisibility()) first.click();
   }, () => {});
   return element;
 }
 
 /** One of the choices; they are radio buttons of one group. */
-function choice({ name, control, carries }, chosen) {
+function choice({ name, control }, chosen) {
   const button = h("button", { class: "choice", type: "button", role: "radio", "aria-checked": "false",
     "data-format": name, onclick: () => {
       for (const other of button.parentElement.children) other.setAttribute("aria-checked", String(other === button));
       chosen();
-    } }, h("strong", {}, wordFormat(name, "control", control)), h("span", {}, wordFormat(name, "carries", carries)));
+    } }, h("strong", {}, wordFormat(name, "control", control)));
   return button;
 }
 
@@ -81,23 +88,24 @@ function noteOf({ format, note }, choices) {
 }
 
 /** What the files leave, what they lack, what to do with them, and the way to take them. */
-function account(made, { choices, unmeasured }, stated_um) {
+function account(made, { choices, unmeasured }, stated_um, carried) {
   const { before, after, after_where_measured: inside } = made.volumetric_error_um;
   const rows = [
-    [t("export.before"), quantity(before.mean, "gap")],
-    [t("export.after"), left(after)],
+    [t("export.carries"), carried],
     made.unmeasured.length && inside && [t("export.inside"), left(inside)],
     [t("export.not_carried"), wordFormat(made.format, "not_carried", made.not_carried)],
   ].filter(Boolean);
   return [
+    bars([[t("export.before"), before.mean, quantity(before.mean, "gap"), "is-before"], [t("export.after"), after.mean, left(after), "is-after"]],
+      Math.max(before.mean, after.mean)),
+    h("div", { class: "downloads", role: "group", "aria-label": t("export.title") },
+      linkButton(made.links.archive, "download", t("export.take"), { download: "" })),
     pairs(rows),
     h("p", { class: "quiet" }, [t("export.on_places"), stated_um !== undefined && t("export.on_grid", { value: quantity(stated_um, "gap", decimalsOf("error")) })].filter(Boolean).join(" ")),
     ...rotaryAccount(made),
     !made.sign.verified && notice("held", t("export.sign"), t("export.sign_text")),
     made.unmeasured.length > 0 && h("ul", { class: "lines" }, made.unmeasured.map((text) => h("li", {}, sayUnmeasured(text, unmeasured)))),
     h("p", { class: "quiet" }, noteOf(made, choices)),
-    h("div", { class: "downloads", role: "group", "aria-label": t("export.title") },
-      linkButton(made.links.archive, "download", t("export.take"), { download: "" })),
   ].filter(Boolean);
 }
 

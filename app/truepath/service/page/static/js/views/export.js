@@ -1,12 +1,12 @@
 /* The step Export: the errors in the form that a control corrects by. */
 import * as api from "../api.js";
 import { h } from "../dom.js";
-import { isDiscovery, reach, statesTables } from "../flow.js";
+import { controlOf, isDiscovery, reach, statesTables } from "../flow.js";
 import { card, head, linkButton, notice, problemNotice, wordFormat } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { t } from "../texts.js";
 import { quantity } from "../units.js";
-import { exportCard } from "./export-card.js";
+import { exportCard, isOwn } from "./export-card.js";
 import { newMeasurement, onward } from "./onward.js";
 
 /** Button that leads on. */
@@ -19,20 +19,23 @@ export function lead(state, { go }) {
 }
 
 /** Show the choice of controls, and the files that were made before. */
-export function mount(root) {
+export function mount(root, { actions }) {
   const body = h("div", { class: "stack" });
   let shown = null;
   root.append(head(t("export.title"), t("export.text")), body);
 
   function show(job, { verdict, volumetric_error: stated }, state) {
     const kept = h("div");
+    const own = controlOf(state);
     const loader = simulatedLoader(job, state, () => relist());
     const list = async () => {
-      const [found, loaded] = await Promise.all([api.compensations(job.id), loader?.read()]);
+      const [all, loaded] = await Promise.all([api.compensations(job.id), loader?.read()]);
+      const found = all.sort((a, b) => isOwn(b, own) - isOwn(a, own));
+      if (found.length) actions.did("export", job.id);
       kept.replaceChildren(...keptFiles(found, loader && ((made) => loader.button(made, loaded)), loader?.said));
     };
     const relist = () => list().catch(() => {});
-    const making = exportCard(job, { verdict, stated_um: stated?.before?.mean.value_um }, relist);
+    const making = exportCard(job, { verdict, stated_um: stated?.before?.mean.value_um, own }, relist);
     body.replaceChildren(making ?? notice("fault", t("export.not_usable"), t("export.not_usable_text")),
       h("div", { "data-only": "without-metrologist" }, notice(null, t("session.metrologist_only"))), kept);
     relist();

@@ -18,10 +18,10 @@ const LONGEST = 0.12; // of the travel's diagonal, the largest arrow at first
 
 /** The card, with what kept files leave and what a verification has measured.
  *
- * proof: promise of the newest verification of the result, or null
+ * proof: promise of the newest verification of the result, or null; did(step): hears which steps were done for it
  * `addOther(job, result)` offers another calibration, `close` ends it
  */
-export function mapCard(job, result, proof) {
+export function mapCard(job, result, proof, did) {
   const shown = { state: "before", view: VOLUME, level: null, factor: null, map: null, first: null, scale: null };
   const maps = new Map();
   const others = new Map();
@@ -53,18 +53,20 @@ export function mapCard(job, result, proof) {
   });
   show(shown.state);
   // Without the list there are two states: they stand all the same.
-  api.compensations(job.id).then((kept) => kept.forEach(addFiles), () => {}).then(() => proof).then(addPlaces);
+  api.compensations(job.id).then(addKept, () => {}).then(() => proof).then(addPlaces);
 
   function add(state, text) {
     if (!states.querySelector(`[data-value="${CSS.escape(state)}"]`)) states.add(state, text);
   }
 
-  function addFiles({ id, format, control }) {
-    add(id, t("map.with_files", { control: wordFormat(format, "control", control) }));
+  function addKept(kept) {
+    if (kept.length) did("export");
+    for (const { id, format, control } of kept) add(id, t("map.with_files", { control: wordFormat(format, "control", control) }));
   }
 
   /** Offer what a verification has measured at standstill; on lines one direction is open. */
   function addPlaces(verified) {
+    if (verified) did("verify");
     if (!verified?.verification.places.standstill.some(Boolean)) return;
     places = verified.verification;
     add(PLACES, t(places.compensated ? "map.left" : "map.again"));
@@ -200,14 +202,14 @@ function build() {
   const [volume, slice] = ["volume", "slice"].map(picture);
   const tools = h("div", { class: "map-tools" });
   const cameras = h("div", { class: "map-cameras" });
-  const key = h("div");
+  const key = h("div", { class: "map-key" });
   const scales = h("div", { class: "map-scales" });
   const note = h("p", { class: "quiet" });
   const numbers = h("div", { class: "map-numbers" });
   const frame = h("div", { class: "map-frame" }, volume, slice, cameras);
   const element = h("section", { class: "card map-card", "data-card": "map", "aria-label": t("map.title") },
-    h("div", { class: "card-head" }, h("h2", {}, t("map.title"))), tools, frame,
-    h("div", { class: "map-under" }, h("div", {}, key, scales), factorField, levelField), note, numbers);
+    h("h2", { class: "unseen" }, t("map.title")), tools, frame, key,
+    h("div", { class: "map-under" }, scales, factorField, levelField), note, numbers);
   return { element, picture: frame, volume, slice, tools, cameras, key, scales, note, numbers, factor, factorRead, factorField,
     level, levelRead, levelField };
 }

@@ -23,6 +23,7 @@ export function pathCard(live) {
     plan = next;
     missing.hidden = true;
     view.hidden = false;
+    if (plan.tracker_mm) key.append(entry("sight", t("curve.sight")));
     if (plan.keep_out?.length) key.append(entry("box", t("keepout.title")));
     const drawn = await drawPath(view, plan, machine);
     if (closed) drawn.close();

@@ -53,11 +53,17 @@ export function lead(state, { actions, go }) {
       run: () => actions.prepare(...orders(state)) } };
 }
 
+const isFeedGood = () => !streams() || within(choices.most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
+
+/** Whether a plan can be asked for with what is chosen, by who looks on. */
+const mayBePlanned = ({ machine, machine_id }) => isConnected(machine) && document.body.dataset.role !== "viewer"
+  && isFeedGood() && !refuseBoxes(machine_id) && !refusePlace();
+
 function refusal({ machine, machine_id, busy, planned }) {
-  const { most_feed_mm_min, minutes, expanded_um } = choices;
+  const { minutes, expanded_um } = choices;
   if (busy) return planned !== null ? t("plan.planning", { percent: number(100 * planned) }) : t("plan.preparing");
   if (!isConnected(machine)) return t("plan.not_connected");
-  if (streams() && !within(most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most)) return t("plan.feed_refused");
+  if (!isFeedGood()) return t("plan.feed_refused");
   if (!within(minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
   if (choosesPlace() && isUsualPath()) return t("place.minutes_missing");
   if (refuseBoxes(machine_id)) return refuseBoxes(machine_id);
@@ -129,7 +135,7 @@ export function mount(root, { store, actions }) {
   const temperatures = temperatureCard(store);
   temperatures.element.classList.add("below");
   const curve = curveCard({
-    asked: () => asked(store.get()),
+    asked: () => (mayBePlanned(store.get()) ? asked(store.get()) : null),
     foresee: actions.foresee,
     choice: effective,
     pick(picked) {
@@ -139,7 +145,7 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("plan.text")), answered(store.get()), modelNotice(store.get().machine), temperatures.element, curve.element,
+    head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element, temperatures.element, answered(store.get()),
     h("div", { class: "columns" },
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular(changed)), place, keepOut.element),
@@ -149,13 +155,13 @@ export function mount(root, { store, actions }) {
   return {
     update(state) {
       temperatures.update(state);
-      curve.update(state);
       keepOut.update(state);
       if (shownId !== state.machine_id) {
         shownId = state.machine_id;
         planFor(shownId);
       }
       curve.element.hidden = isAdaptive();
+      curve.update(state);
       minutes.element.hidden = isForTarget();
       feed.element.hidden = !streams();
       target.element.hidden = !mayEndEarly();
@@ -173,7 +179,7 @@ export function mount(root, { store, actions }) {
 function answered(state) {
   const named = (device) => [device.maker, device.model, device.serial_number].filter(Boolean).join(" ");
   const { tracker, motion } = state.machine ?? {};
-  return tracker && motion ? h("p", { class: "quiet", id: "answered" },
+  return tracker && motion ? h("p", { class: "quiet below", id: "answered" },
     t("plan.answered", { machine: machineName(state), tracker: named(tracker), control: named(motion) })) : "";
 }
 

@@ -4,7 +4,7 @@ import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, machineName, statesTables } from "../flow.js";
 import { card, head, kindOf, linkButton, problemNotice, shapeOf, tableFrame, wordOf } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { dateTime, day, duration, number, t } from "../texts.js";
+import { dateTime, day, duration, named, number, t } from "../texts.js";
 import { decimalsOf, figure, quantity } from "../units.js";
 import { describe as describeChange } from "./compare-card.js";
 import { dropZone } from "./drop.js";
@@ -185,7 +185,7 @@ function runTable({ runs, busy }, actions) {
   if (!runs.length) return h("p", { class: "empty" }, t("records.no_runs"));
   const titles = [t("records.name"), t("records.created"), t("run.samples")];
   return table(titles, runs.map((run) => h("tr", {},
-    h("td", {}, run.name ?? run.id), h("td", {}, dateTime(run.created ?? run.started)),
+    h("td", {}, named(run.name ?? "–")), h("td", {}, dateTime(run.created ?? run.started)),
     h("td", { class: "number" }, number(run.samples)),
     h("td", {}, h("div", { class: "row-actions" },
       h("button", { class: "button", type: "button", "data-needs": "operator", disabled: Boolean(busy),

@@ -54,7 +54,7 @@ export function mount(root, { actions, go }) {
     root.replaceChildren(heading(job, result, !band, machines), ...(band ? [band] : []), top,
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     const proof = jobs.some(isProof) ? findProof(job.id, jobs) : null;
-    map = mapCard(job, result, proof);
+    map = mapCard(job, result, proof, (step) => actions.did(step, job.id));
     const stream = runs.find((run) => run.id === job.run_id) ?? job.health;
     top.append(h("div", { class: "stack" }, headline(job, result, proof), summary(stream, result)), map.element);
     charts = drawTables(body, result);

@@ -1,7 +1,7 @@
 /* Which Runs tell how the machine changes, when they were, and what it may be off by. */
 import { h, icon } from "../dom.js";
 import { card, tableFrame } from "../parts.js";
-import { dateTime, t } from "../texts.js";
+import { dateTime, named, t } from "../texts.js";
 import { numberField, within } from "./number-field.js";
 
 const LEAST_UM = 0.01;
@@ -46,15 +46,16 @@ export function trendForm(store) {
   }
 
   function row(run) {
-    const hours = h("input", { inputmode: "decimal", autocomplete: "off", class: "hours", "aria-label": `${t("trend.at")}: ${run.name}`,
+    const name = named(run.name);
+    const hours = h("input", { inputmode: "decimal", autocomplete: "off", class: "hours", "aria-label": `${t("trend.at")}: ${name}`,
       oninput: () => { if (chosen.has(run.id)) chosen.set(run.id, hours.value); tell(); } });
-    const use = h("input", { type: "checkbox", class: "use", "aria-label": run.name,
+    const use = h("input", { type: "checkbox", class: "use", "aria-label": name,
       onchange: () => {
         if (use.checked) chosen.set(run.id, hours.value);
         else chosen.delete(run.id);
         tell();
       } });
-    return h("tr", { "data-run": run.id }, h("td", {}, h("label", { class: "use-cell" }, use)), h("td", {}, run.name),
+    return h("tr", { "data-run": run.id }, h("td", {}, h("label", { class: "use-cell" }, use)), h("td", {}, name),
       h("td", {}, dateTime(run.created)), h("td", {}, hours));
   }
 

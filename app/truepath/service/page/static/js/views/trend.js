@@ -7,7 +7,7 @@ import { colour } from "../plots/css-colour.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
-import { number, t } from "../texts.js";
+import { named, number, t } from "../texts.js";
 import { quantity, shown, unitOf } from "../units.js";
 import { temperatureDependenceCard } from "./temperature-card.js";
 import { trendForm } from "./trend-form.js";
@@ -157,7 +157,7 @@ function entriesOf({ runs, later }) {
 }
 
 function runsCard({ runs, later }) {
-  const row = (at) => h("tr", {}, h("td", {}, at.name ?? t("trend.predicted")),
+  const row = (at) => h("tr", {}, h("td", {}, at.name ? named(at.name) : t("trend.predicted")),
     h("td", { class: "right" }, number(at.time_h, 2)), h("td", { class: "right" }, quantity(at.change_um.median, "error")),
     h("td", { class: "right" }, quantity(at.change_um.high, "error")));
   const titles = [t("trend.run"), t("trend.hours"), t("trend.off"), t("trend.off_high")];

@@ -1,7 +1,7 @@
 /* What a result says of itself: loud where it is not simply usable. */
 import { h, icon } from "../dom.js";
 import { notice } from "../parts.js";
-import { known, number, t } from "../texts.js";
+import { known, named, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 
 const STATES = ["usable", "doubtful", "not-usable"];
@@ -37,7 +37,7 @@ function sentence({ kind, run, values, remedy }, said) {
   if (values.why_kind) texts.why = known(`verdict.why.${values.why_kind}`, values.why);
   const own = known(`verdict.${kind}`, null, texts);
   if (own === null) return [said, remedy];
-  return [run ? `${t("verdict.run", { run })} ${own}` : own, known(`verdict.${kind}_remedy`, remedy)];
+  return [run ? `${t("verdict.run", { run: named(run) })} ${own}` : own, known(`verdict.${kind}_remedy`, remedy)];
 }
 
 /** The band above a result; null where there is nothing to know. */

@@ -47,7 +47,7 @@ const order = (id, machine_id) => ({
 });
 
 /** Show what can be driven and held against what; or what came of it. */
-export function mount(root, { store }) {
+export function mount(root, { store, actions }) {
   const body = h("div", { class: "stack" });
   let drawn = null;
   root.append(head(t("verify.title"), t("verify.text")), body);
@@ -57,6 +57,7 @@ export function mount(root, { store }) {
     const before = h("div", { class: "stack" });
     body.replaceChildren(form(job, state, () => store.set({})), before);
     findProof(job.id, state.jobs).then((proof) => {
+      if (proof) actions.did("verify", job.id);
       if (proof && drawn === job.id) before.replaceChildren(h("h2", {}, t("verify.before")), ...proofCards(proof));
     }, () => {});
   }
