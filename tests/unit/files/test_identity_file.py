@@ -13,7 +13,6 @@ from truepath.files.bundle import identity_file
     [
         ({"schema": "identity/2"}, "schema"),
         ({"opertor": "A"}, '"opertor" is no field'),
-        ({"machine_serial": "1"}, '"machine_serial" is no field; write serial_number$'),
         ({"operator": 3}, "operator is 3"),
         ({"operator": "A\nB"}, "one line"),
         ([], "is no object"),
@@ -24,6 +23,11 @@ def test_a_wrong_identity_is_refused_by_its_key(tmp_path, content, place):
     file.write_text(json.dumps(content))
     with pytest.raises(BundleError, match=place):
         identity_file.read_identity(file)
+
+
+def test_earlier_names_are_read_on():
+    stated = identity_file.read_assignments(["machine_serial=1", "tracker_serial=2"])
+    assert stated == {"serial_number": "1", "tracker_serial_number": "2"}
 
 
 def test_a_damaged_file_of_earlier_versions_and_a_word_of_nothing_are_named(tmp_path):

@@ -42,17 +42,20 @@ def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_change
     known = {"serial_number": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
     stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
-    answer = client.post(place, json={"language": "de", "identity": stated})
+    by_earlier_name = {**stated, "tracker_serial": "7"}
+    answer = client.post(place, json={"language": "de", "identity": by_earlier_name})
     assert answer.status_code == 201, answer.text
     first = answer.json()
+    tracker = {"tracker_serial_number": "7"}
     assert answer.headers["location"] == first["links"]["self"]
-    assert first["identity"] == {"serial_number": "4711", **stated}
+    assert first["identity"] == {"serial_number": "4711", **stated, **tracker}
     record = service.setup.registry.get("default")
-    assert (record.place, record.stated) == ("Hall 4", {"operator": "A. Weiß"})
+    assert record.place == "Hall 4"
+    assert record.stated == {"operator": "A. Weiß", **tracker}
     client.patch("/api/v1/machines/default", json={"serial_number": "4712"})
     second = client.post(place, json={}).json()
     assert second["number"] != first["number"]
-    kept = {"serial_number": "4712", "place": "Hall 4", "operator": "A. Weiß"}
+    kept = {"serial_number": "4712", "place": "Hall 4", **record.stated}
     listed = client.get(place).json()
     assert second["identity"] == listed["identity"] == kept
     numbers = [one["number"] for one in listed["items"]]

@@ -42,7 +42,7 @@ FIELDS: tuple[Field, ...] = Field.__args__
 OF_ONE_MEASUREMENT: frozenset[Field] = frozenset({"warm_up", "measured_on"})
 """Stated anew each time: what was true of the last measurement is not of this one."""
 
-_EARLIER: Mapping[str, Field] = {
+EARLIER_NAMES: Mapping[str, Field] = {
     "machine_serial": "serial_number",
     "tracker_serial": "tracker_serial_number",
 }
@@ -64,7 +64,7 @@ def identity_from_json(content: object, *, file: str) -> Identity:
     """Non-empty texts of an object. Raises BundleError naming the key."""
     if not isinstance(content, Mapping):
         raise BundleError("is no object, {…}", file=file, remedy="write an object")
-    stated = dict(content)
+    stated = rename_earlier(content)
     if stated.pop("schema", SCHEMA) != SCHEMA:
         raise BundleError(
             f"schema is {quote(content['schema'])}",
@@ -99,16 +99,14 @@ def read_stored_identities(file: Path) -> Mapping[str, Identity]:
         remedy = "restore it, or remove it and state the identities again"
         raise BundleError("holds no machines", file=name, remedy=remedy)
     return {
-        str(machine): identity_from_json(rename_earlier(stated), file=name)
+        str(machine): identity_from_json(stated, file=name)
         for machine, stated in machines.items()
     }
 
 
-def rename_earlier(stated: Any) -> Any:
-    """Stored texts by the names of today; what is no object stays."""
-    if not isinstance(stated, Mapping):
-        return stated
-    return {_EARLIER.get(key, key): text for key, text in stated.items()}
+def rename_earlier(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Texts by the names of today."""
+    return {EARLIER_NAMES.get(key, key): text for key, text in stated.items()}
 
 
 def write_stored_identities(file: Path, machines: Mapping[str, Identity]) -> None:
@@ -122,8 +120,7 @@ def write_stored_identities(file: Path, machines: Mapping[str, Identity]) -> Non
 
 def _check(key: object, text: object, file: str) -> str:
     if key not in FIELDS:
-        known = f"one of {', '.join(FIELDS)}"
-        remedy = f"write {_EARLIER.get(str(key), known)}"
+        remedy = f"write one of {', '.join(FIELDS)}"
         raise BundleError(f"{quote(key)} is no field", file=file, remedy=remedy)
     if not isinstance(text, str) or not is_line(text):
         remedy = f"write one line of text of at most {LONGEST_LINE} characters"

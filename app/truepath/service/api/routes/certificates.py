@@ -12,12 +12,12 @@ from typing import Annotated, Any, Literal
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, AwareDatetime, BaseModel, ConfigDict, Field
 
 from truepath.catalogue.machine_registry import MachineRecord
 from truepath.child_process import WorkerProcess
 from truepath.errors import NotFound
-from truepath.files.bundle.identity_file import Identity
+from truepath.files.bundle.identity_file import EARLIER_NAMES, Identity
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.jobs.dispatch.identities import (
     describe_identity,
@@ -50,6 +50,12 @@ _ISSUING = CapacityLimiter(2)
 Language = Literal["en", "de"]
 
 
+def _either(name: str) -> AliasChoices:
+    """The name of today, or the earlier one."""
+    earlier = (old for old, new in EARLIER_NAMES.items() if new == name)
+    return AliasChoices(name, *earlier)
+
+
 class IdentityIn(RequestBody):
     """What people state; all may be left out, and an empty text is as good as none.
 
@@ -58,10 +64,12 @@ class IdentityIn(RequestBody):
 
     machine_maker: Name = ""
     machine_model: Name = ""
-    serial_number: Name = ""
+    serial_number: Name = Field("", validation_alias=_either("serial_number"))
     control: Name = ""
     tracker: Name = Field("", description="Maker and model.")
-    tracker_serial_number: Name = ""
+    tracker_serial_number: Name = Field(
+        "", validation_alias=_either("tracker_serial_number")
+    )
     tracker_certificate: Name = Field("", description="Number of its own certificate.")
     tracker_calibrated_on: Name = ""
     target: Name = Field("", description="Reflector: kind and serial number.")
