@@ -5,6 +5,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -23,10 +24,11 @@ from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
-from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.jobs.kinds import workflow
 from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
+from truepath.jobs.running.live_estimation import LiveSteering
 from truepath.kinematics.machine.machine import Target
 from truepath.machines.conditions.conditions import NotInOrder
 from truepath.measurement import messages
@@ -93,20 +95,30 @@ def test_a_measurement_ends_at_its_target_with_its_reason_and_without_one_at_its
     assert (ended.target_um, ended.early_end) == (None, None)
 
 
-def test_a_target_is_reached_where_places_differ_for_that_is_in_the_uncertainty(
-    followed, make_cell, until
+BY_UM = dict.fromkeys(("range_um", "azimuth_um", "elevation_um"), 9.0)
+DIFFER = Reason("places-differ", "doubtful", {**BY_UM, "ratio": 5.0})
+DRIFTS = Reason("loop-open", "doubtful", {"distance_um": 3.0, "limit_um": 1.0})
+OFF = Reason("lines-off", "not-usable", {"lines": "4", "distance_um": 50.0})
+
+
+@pytest.mark.parametrize(
+    ("reasons", "heard"),
+    [
+        ((), [messages.CellVerb.CONCLUDE]),
+        ((DIFFER,), [messages.CellVerb.CONCLUDE]),
+        ((DIFFER, DRIFTS), []),
+        ((OFF,), []),
+    ],
+)
+def test_only_a_doubt_that_is_in_the_uncertainty_leaves_a_target_reached(
+    reasons, heard
 ):
-    job, live = followed(replace(OTF, target_um=2.0))
-    sizes = dict.fromkeys(("range_um", "azimuth_um", "elevation_um"), 12.0)
-    differ = Reason("places-differ", "doubtful", {**sizes, "ratio": 5.0})
-    values = {"distance_um": 3.0, "limit_um": 1.0}
-    drifts = Reason("loop-open", "doubtful", values)
-    for sigma_um, reasons in ((0.001, (differ, drifts)), (2.1, (differ,))):
-        live.publish(sigma_um, done=4, verdict=Verdict(reasons))
-        make_cell.cell.record(50)
-    assert "conclude" not in make_cell.cell.heard
-    live.publish(1.9, done=5, verdict=Verdict((differ,)))
-    assert until(job, "succeeded").early_end == EarlyEnd(1.9, 5, 10)
+    said = []
+    verdict = verdict_json(Verdict(reasons))
+    newest = {"volumetric_uncertainty_um": 1.9, "verdict": verdict}
+    live, cell = SimpleNamespace(newest=newest), SimpleNamespace(send=said.append)
+    LiveSteering(live, cell, None, 2.0, on_part=lambda *_: None).advance()
+    assert said == heard
 
 
 @pytest.mark.database

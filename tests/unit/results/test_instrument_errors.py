@@ -272,7 +272,7 @@ def test_few_single_shots_are_about_as_uncertain_as_the_tracker_is_stated():
 
 
 def test_a_tracker_quieter_than_stated_is_as_certain_as_one_stated_so():
-    quiet = 0.2
+    quiet = 0.05
     run, _ = stand(3, noise_scale=quiet)
     tracker = run.machine.tracker
     sizes = "range_sigma_um", "range_ppm", "angle_sigma_urad", "transverse_sigma_um"
@@ -282,7 +282,7 @@ def test_a_tracker_quieter_than_stated_is_as_certain_as_one_stated_so():
         analyse(each).contributions.sigma_mm
         for each in (run, replace(run, machine=honest))
     )
-    assert found == pytest.approx(expected, rel=0.2)
+    assert found == pytest.approx(expected, rel=0.1)
 
 
 def test_many_places_that_do_not_differ_say_so():
