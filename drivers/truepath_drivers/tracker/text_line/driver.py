@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,8 @@ from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Re
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
 from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
-from truepath_drivers.tracker.text_line.layout import LineBlock, LineLayout
+from truepath_drivers.tracker.text_line.layout import LineBlock, LineLayout, choose
+from truepath_drivers.tracker.text_line.line_order import Line, LineOrder
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.serial_port import SerialPort
 from truepath_drivers.transport.tcp_port import TcpPort
@@ -26,6 +28,7 @@ _STEP_S = 0.05
 _RATE_TOLERANCE = 0.01
 _MOST_APART_S = 0.2  # counter and time of one line
 _LONGEST_GAP_S = 2.0  # of lost lines, but for a pause of the stream
+_LONGEST_HELD_S = 0.25  # 0.5 s without a sample would be a silence
 
 
 class TextLineTracker(Tracker, ByteLink):
@@ -38,6 +41,9 @@ class TextLineTracker(Tracker, ByteLink):
     arrival_times : stamp lines as they arrive, where they carry neither time nor
         counter; such samples are for points at standstill, and losses are not
         detectable
+    duplicates : a line with the number and time of one before is dropped and counted as
+        damaged (`drop`), or ConnectionLost (`error`)
+    reorder_s : longest time that a line by UDP is held while one before it is missing
     start_command, stop_command : lines to send, empty if it streams without
     name, serial_number : of the instrument, for the Run
 
@@ -61,7 +67,10 @@ class TextLineTracker(Tracker, ByteLink):
         axes: str = "x,y,z",
         valid: str = "0",
         counter_wraps: int = 0,
+        invalid_place: str = "",
         arrival_times: bool = False,
+        duplicates: str = "drop",
+        reorder_s: float = 0.0,
         start_command: str = "",
         stop_command: str = "",
         name: str = "text stream",
@@ -75,13 +84,19 @@ class TextLineTracker(Tracker, ByteLink):
             time_unit=time_unit,
             axes=axes,
             valid=valid,
+            invalid_place=invalid_place,
         )
         self._stamped = self._layout.has_time or self._layout.has_counter
         _check_stamps(self._stamped, arrival_times)
+        _check_order(self._stamped, duplicates, reorder_s)
+        if reorder_s:
+            _check_reordering(reorder_s, rate_hz, counter_wraps, udp=udp)
         if udp and (start_command or stop_command):
             raise Refused("a UDP port listens only; leave the commands out")
         self._port = _byte_port(port, host, baudrate, udp=udp)
         self._rate_hz, self._wraps = rate_hz, counter_wraps
+        self._refuses_doubles, self._reorder_s = duplicates == "error", reorder_s
+        self._late = round(reorder_s * rate_hz)  # lines that one may come late by
         self._identity = Identity("text lines", name, serial_number, "")
         self._commands = (start_command, stop_command)
         self._lock = threading.RLock()
@@ -171,12 +186,14 @@ class TextLineTracker(Tracker, ByteLink):
     def _begin(self) -> None:
         self._rest, self._in_step = b"", False
         self._jumps, self._refused, self._pace = True, 0, Pace()
+        self._order = LineOrder(self._late)
         self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
+        self._taken: deque[tuple[int, float]] = deque(maxlen=self._late + 1)
 
     def _drop_stale(self) -> None:
         """A sender without commands streams before `start` too."""
         self._rest, self._in_step, self._jumps = b"", False, True
-        self._pace = Pace()
+        self._pace, self._order = Pace(), LineOrder(self._late)
         while self._port.read(0.0):
             pass
 
@@ -238,31 +255,43 @@ class TextLineTracker(Tracker, ByteLink):
         self._health = replace(old, **sums)
 
     def _stamp(self, block: LineBlock) -> TrackerSamples:
-        if not len(block):
-            return TrackerSamples.empty()
-        if self._layout.has_time and self._last_sequence < 0:
+        if self._layout.has_time and self._last_sequence < 0 and len(block):
             self._first_s = float(block.time_s[0])
         times_s = block.time_s if self._stamped else self._spread(len(block))
-        taken: list[tuple[int, float]] = []
-        good = np.zeros(len(block), bool)
+        taken: list[Line] = []
         for row, time_s in enumerate(times_s.tolist()):
             step = self._count_step(float(block.counter[row]), time_s)
             if not self._layout.has_time and self._stamped:
                 time_s = step / self._rate_hz
-            if self._accept(step, time_s):
-                taken.append((step, time_s))
-                good[row] = True
-        self._count(crc_errors=int((~good).sum()))
-        if taken:
-            self._keep_pace(*taken[-1])
-        sequence = np.array([step for step, _ in taken], np.int64)
-        stamps_s = np.array([time_s for _, time_s in taken], np.float64)
+            place_mm, status = block.position_mm[row], int(block.status[row])
+            self._order.add(step, time_s, place_mm, status)
+            taken += self._take_due(-np.inf)  # the missing may be among the rest
+        taken += self._take_due(host_clock.now_s() - self._reorder_s)
+        if not taken:
+            return TrackerSamples.empty()
+        self._keep_pace(taken[-1].step, taken[-1].time_s)
         return TrackerSamples(
-            sequence, stamps_s, block.position_mm[good], block.status[good]
+            np.array([line.step for line in taken], np.int64),
+            np.array([line.time_s for line in taken], np.float64),
+            np.array([line.position_mm for line in taken], np.float64),
+            np.array([line.status for line in taken], np.int64),
         )
 
+    def _take_due(self, since_s: float) -> list[Line]:
+        taken: list[Line] = []
+        while True:
+            begins = self._last_sequence < 0
+            next_step = np.inf if begins else self._last_sequence + 1
+            line = self._order.pop(next_step, since_s)
+            if line is None:
+                return taken
+            if self._accept(line.step, line.time_s):
+                taken.append(line)
+            else:
+                self._count(crc_errors=1)
+
     def _keep_pace(self, step: int, time_s: float) -> None:
-        """Raises Refused for a rate or unit of time that differs from the options."""
+        """Raises ConnectionLost for a rate or a unit of time unlike the options."""
         found = self._pace.look(time_s if self._stamped else step / self._rate_hz)
         if found is not None:
             raise ConnectionLost(
@@ -278,7 +307,8 @@ class TextLineTracker(Tracker, ByteLink):
             return self._last_sequence + 1
         if not self._wraps or self._last_sequence < 0:
             return int(counter)
-        return self._last_sequence + int(counter - self._last_sequence) % self._wraps
+        earliest = self._last_sequence - 2 * self._late  # late ones are no turn ahead
+        return earliest + int(counter - earliest) % self._wraps
 
     def _accept(self, step: int, time_s: float) -> bool:
         """A damaged digit of a counter or time must not end the stream: a line far
@@ -292,6 +322,11 @@ class TextLineTracker(Tracker, ByteLink):
         agrees = abs(gap_s - steps_s) < _MOST_APART_S or not self._stamped
         goes_on = self._jumps or (near and agrees)
         if missing < 0 or gap_s <= 0.0 or not goes_on:
+            if self._refuses_doubles and (step, time_s) in self._taken:
+                raise ConnectionLost(
+                    f"{self._port.name}: line {step} at {time_s:g} s came twice: look "
+                    "for a second sender or path, or say duplicates = drop"
+                )
             self._refused += 1
             if self._refused > _LONGEST_GAP_S * self._rate_hz:
                 raise ConnectionLost(
@@ -301,6 +336,7 @@ class TextLineTracker(Tracker, ByteLink):
             return False
         self._count(lost_samples=missing)
         self._last_sequence, self._last_time_s = step, time_s
+        self._taken.append((step, time_s))
         self._jumps, self._refused = False, 0
         return True
 
@@ -323,6 +359,29 @@ def _check_stamps(stamped: bool, arrival_times: bool) -> None:
         )
     if stamped and arrival_times:
         raise Refused("lines carry a time or counter; leave arrival_times out")
+
+
+def _check_order(stamped: bool, duplicates: str, reorder_s: float) -> None:
+    choose("duplicates", duplicates, ("drop", "error"))
+    if not stamped and (duplicates == "error" or reorder_s):
+        raise Refused(
+            "lines with neither time nor counter tell nothing of their order; leave "
+            "duplicates and reorder_s out"
+        )
+
+
+def _check_reordering(
+    reorder_s: float, rate_hz: float, counter_wraps: int, *, udp: bool
+) -> None:
+    if not udp:
+        raise Refused("serial and TCP links keep the order; reorder_s is for udp")
+    steps = reorder_s * rate_hz
+    fits = not counter_wraps or 4.0 * steps <= counter_wraps
+    if not (steps >= 1.0 and reorder_s <= _LONGEST_HELD_S and fits):
+        raise Refused(
+            f"reorder_s is {reorder_s:g}: give 0, or from one period of rate_hz to "
+            f"{_LONGEST_HELD_S:g} s, at most a quarter of counter_wraps"
+        )
 
 
 def _byte_port(

@@ -40,6 +40,8 @@ class LineLayout:
     columns : names of `_FIELDS` with commas between; `-` is an ignored field
     valid : words of the status field that allow a sample's use
     axes : signs and names of the fields that become x, y, z, right-handed
+    invalid_place : x, y, z as the sender writes them while it has no position; empty if
+        it writes no such place
     """
 
     def __init__(
@@ -52,17 +54,19 @@ class LineLayout:
         time_unit: str = "s",
         axes: str = "x,y,z",
         valid: str = "0",
+        invalid_place: str = "",
     ) -> None:
         self.fields = [name.strip() for name in columns.split(",")]
         _check_fields(self.fields)
-        self._delimiter = _DELIMITERS[_choose("delimiter", delimiter, _DELIMITERS)]
+        self._delimiter = _DELIMITERS[choose("delimiter", delimiter, _DELIMITERS)]
         if decimal_comma and delimiter == "comma":
             raise Refused("commas cannot separate both fields and decimals")
         self._decimal_comma = decimal_comma
-        self._scale_mm = _LENGTH_MM[_choose("unit", unit, _LENGTH_MM)]
-        self._scale_s = _SECONDS[_choose("time_unit", time_unit, _SECONDS)]
+        self._scale_mm = _LENGTH_MM[choose("unit", unit, _LENGTH_MM)]
+        self._scale_s = _SECONDS[choose("time_unit", time_unit, _SECONDS)]
         self._order, self._signs = _parse_axes(axes)
         self._valid = {word.strip() for word in valid.split(",")}
+        self._invalid_place = _parse_place(invalid_place)
 
     @property
     def has_time(self) -> bool:
@@ -81,6 +85,7 @@ class LineLayout:
         position_mm = self._scale_mm * self._signs * table[:, 2:5][:, self._order]
         status = table[:, 5].astype(np.int64)
         lost = ~np.isfinite(position_mm).all(axis=1)
+        lost |= (table[:, 2:5] == self._invalid_place).all(axis=1)
         status[lost] |= NO_POSITION
         position_mm[lost] = 0.0
         block = LineBlock(table[:, 0] * self._scale_s, table[:, 1], position_mm, status)
@@ -138,7 +143,8 @@ def _read_number(name: str, word: str) -> float:
     raise ValueError(f"{name} is {word!r}, no number")
 
 
-def _choose(option: str, word: str, known: Collection[str]) -> str:
+def choose(option: str, word: str, known: Collection[str]) -> str:
+    """The word. Raises Refused if it is none of those known."""
     if word not in known:
         raise Refused(f"{option} {word!r} is none of {', '.join(known)}")
     return word
@@ -146,7 +152,7 @@ def _choose(option: str, word: str, known: Collection[str]) -> str:
 
 def _check_fields(fields: list[str]) -> None:
     for name in fields:
-        _choose("column", name, _FIELDS)
+        choose("column", name, _FIELDS)
         if name != "-" and fields.count(name) > 1:
             raise Refused(f"column {name} is named twice")
     for name in "xyz":
@@ -161,3 +167,14 @@ def _parse_axes(axes: str) -> tuple[list[int], NDArray[np.float64]]:
         raise Refused(f"axes {axes!r}: write each of x, y, z once, as in x,-y,z")
     signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in parts])
     return ["xyz".index(name) for _, name in parts], signs
+
+
+def _parse_place(text: str) -> NDArray[np.float64]:
+    """NaN, which no place equals, where there is no text."""
+    if not text:
+        return np.full(3, np.nan)
+    with suppress(ValueError):
+        place = np.array([_read_number("place", word) for word in text.split(",")])
+        if place.shape == (3,) and np.isfinite(place).all():
+            return place
+    raise Refused(f"invalid_place {text!r}: write x, y, z in numbers, as in 0,0,0")

@@ -21,12 +21,22 @@ class SentText(HandPort):
         return super().read(timeout_s)
 
 
-def read_lines(lines, rate_hz=500.0, **options):
-    """Return the samples of lines after half a one, and the health."""
+def send(lines):
+    return "".join(f"{line}\n" for line in lines).encode("latin-1")
+
+
+def start_reading(lines, rate_hz=500.0, **options):
+    """Return a tracker to which half a line has come, and these after it."""
     tracker = TextLineTracker(1, host="h", rate_hz=rate_hz, **options)
-    tracker._port = SentText("\n".join(["half a line", *lines, ""]).encode("latin-1"))
+    tracker._port = SentText(send(["half a line", *lines]))
     tracker.connect()
     tracker.start(rate_hz)
+    return tracker
+
+
+def read_lines(lines, **options):
+    """Return the samples of lines after half a one, and the health."""
+    tracker = start_reading(lines, **options)
     return tracker.read(0.0), tracker.health
 
 
@@ -73,6 +83,90 @@ def test_a_counter_that_is_damaged_or_contradicts_its_time_costs_its_line_alone(
     samples, health = read_lines(lines, columns=columns, counter_wraps=wraps)
     assert samples.sequence.tolist() == [1, 2, 4, 5]
     assert health.crc_errors == 1
+
+
+UNSTAMPED = {"columns": "x,y,z", "arrival_times": True}
+BY_UDP = {"columns": "counter,x,y,z", "udp": True, "rate_hz": 100.0}
+
+
+def count_lines(*counters):
+    return [f"{counter},1,2,3" for counter in counters]
+
+
+@pytest.mark.parametrize("reorder_s", [0.0, 0.05])
+def test_a_doubled_line_is_dropped_and_counted_or_an_error(reorder_s):
+    options, lines = {**BY_UDP, "reorder_s": reorder_s}, count_lines(1, 2, 2, 3)
+    samples, health = read_lines(lines, **options)
+    assert samples.sequence.tolist() == [1, 2, 3]
+    assert (health.lost_samples, health.crc_errors) == (0, 1)
+    with pytest.raises(ConnectionLost, match=r"line 2 .* came twice"):
+        read_lines(lines, **options, duplicates="error")
+
+
+def test_a_late_line_is_no_doubled_one_and_a_late_double_is():
+    options = {**BY_UDP, "duplicates": "error"}
+    samples, _ = read_lines(count_lines(1, 3, 2, 4), **options)
+    assert samples.sequence.tolist() == [1, 3, 4]
+    with pytest.raises(ConnectionLost, match="twice"):
+        read_lines(count_lines(1, 2, 3, 2), **options, reorder_s=0.05)
+
+
+SWAPPED = {
+    "counters": (count_lines(254, 256, 255, 259, 257, 258), {}),
+    "wrapped": (count_lines(254, 0, 255, 3, 1, 2), {"counter_wraps": 256}),
+    "times": (
+        [f"{t},1,2,3" for t in (9.0, 9.02, 9.01, 9.05, 9.03, 9.04)],
+        {"columns": "time,x,y,z"},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SWAPPED)
+def test_lines_out_of_order_are_put_in_order(case):
+    lines, more = SWAPPED[case]
+    _, health = read_lines(lines, **BY_UDP | more)
+    assert health.crc_errors == 3
+    samples, health = read_lines(lines, **BY_UDP | more, reorder_s=0.05)
+    assert (samples.sequence - samples.sequence[0]).tolist() == list(range(6))
+    np.testing.assert_allclose(np.diff(samples.device_time_s), 0.01)
+    assert (health.lost_samples, health.crc_errors) == (0, 0)
+
+
+def test_a_line_is_held_for_a_missing_one_no_longer_than_said(hand_clock):
+    tracker = start_reading(count_lines(1, 3), **BY_UDP, reorder_s=0.05)
+    assert tracker.read(0.0).sequence.tolist() == [1]
+    hand_clock.time_s += 0.04
+    assert len(tracker.read(0.0)) == 0
+    hand_clock.time_s += 0.02
+    assert tracker.read(0.0).sequence.tolist() == [3]
+    assert tracker.health.lost_samples == 1
+
+
+def test_a_missing_line_that_waited_while_nobody_read_is_taken(hand_clock):
+    tracker = start_reading(count_lines(1, 3), **BY_UDP, reorder_s=0.05)
+    tracker.read(0.0)
+    hand_clock.time_s += 1.0
+    tracker._port.due = send(count_lines(4, 2, 5))
+    assert tracker.read(0.01).sequence.tolist() == [2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("wraps", [0, 20])
+def test_lines_held_are_no_more_than_come_in_that_time(wraps, hand_clock):
+    lines, options = count_lines(1, *range(3, 9), 2), {"counter_wraps": wraps}
+    tracker = start_reading(lines, **BY_UDP | options, reorder_s=0.05)
+    assert tracker.read(0.0).sequence.tolist() == [1, *range(3, 9)]
+    assert (tracker.health.lost_samples, tracker.health.crc_errors) == (1, 1)
+
+
+def test_the_place_written_without_a_beam_is_a_lost_sample_in_its_place():
+    lines = ["1,9.5,2,3", "2,0.0,-1.50,0", "3,0,0,0", "4,9.5,2,3"]
+    options = {"columns": "counter,x,y,z", "unit": "m", "axes": "y,-x,z"}
+    samples, _ = read_lines(lines, **options)
+    assert samples.status.tolist() == [0, 0, 0, 0]
+    samples, health = read_lines(lines, **options, invalid_place="0, -1.5, 0")
+    assert samples.sequence.tolist() == [1, 2, 3, 4]
+    assert samples.status.tolist() == [0, 0x80, 0, 0]
+    assert (health.lost_samples, health.crc_errors) == (0, 0)
 
 
 SEMICOLON = {"columns": "time,x,y,z", "delimiter": "semicolon"}
@@ -135,3 +229,25 @@ def test_lines_without_a_stamp_need_the_word_of_the_user():
 def test_settings_that_contradict_themselves_are_refused(wrong):
     with pytest.raises(Refused):
         TextLineTracker(1, rate_hz=500.0, **wrong)
+
+
+WRONG_WORDS = {
+    "none of drop, error": {"duplicates": "ignore"},
+    "is for udp": {"reorder_s": 0.05, "udp": False},
+    "reorder_s is 0.3": {"reorder_s": 0.3},
+    "reorder_s is -1": {"reorder_s": -1.0},
+    "reorder_s is nan": {"reorder_s": float("nan")},
+    "one period of rate_hz": {"reorder_s": 0.001},
+    "quarter of counter_wraps": {"reorder_s": 0.05, "counter_wraps": 19},
+    "duplicates and": {**UNSTAMPED, "duplicates": "error"},
+    "reorder_s out": {**UNSTAMPED, "reorder_s": 0.05},
+    "'0,0': write x": {"invalid_place": "0,0"},
+    "'0,0,nan': write x": {"invalid_place": "0,0,nan"},
+    "'0;0;0': write x": {"invalid_place": "0;0;0"},
+}
+
+
+@pytest.mark.parametrize("said", WRONG_WORDS)
+def test_an_order_or_a_place_that_cannot_be_is_refused_in_words(said):
+    with pytest.raises(Refused, match=said):
+        TextLineTracker(1, **BY_UDP | WRONG_WORDS[said])
