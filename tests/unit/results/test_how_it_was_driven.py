@@ -151,7 +151,7 @@ def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
     assert {"held-on-the-way", "other-feed"} <= values_of(verdict).keys()
     assert verdict.state == "usable"  # all the same
     text = " ".join(map(str, verdict.reasons))
-    assert "stood still in the middle of lines: 2 times" in text
+    assert "stopped in the middle of lines: 2 times" in text
     assert "80.0 % of the feed of the path" in text
 
 
