@@ -38,7 +38,7 @@ PAGE = {"width": 720, "height": 1000}
 LARGEST_BYTES = 400_000
 IDENTITY = {
     "machine_maker": "Example Machine Works",
-    "machine_serial": "4711",
+    "serial_number": "4711",
     "tracker": "simulated tracker",
     "operator": "A. Weiß",
     "place": "Hall 3",

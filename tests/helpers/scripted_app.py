@@ -85,6 +85,7 @@ def list_states(service: ScriptedService) -> dict[str, Callable[..., Any]]:
         "drivers": lambda: {"items": data.DRIVERS},
         "plans/{plan_id}/curve": data.plan_curve,
         "plans/{plan_id}": lambda: service.planned,
+        "effects": lambda: {"items": data.EFFECTS},
         "compensation-formats": lambda: {"items": [*data.FORMATS.values()]},
         "nc-dialects": lambda: data.EXAMPLES["list_nc_dialects"],
         "jobs/{job_id}/plan": lambda: service.plan,

@@ -8,6 +8,7 @@ from importlib import resources
 import numpy as np
 
 from truepath.compensation.format_registry import describe_format, load_format
+from truepath.kinematics.effects.family import describe_family, find_family
 
 EXAMPLES = json.loads(
     resources.files("truepath.service.api").joinpath("examples.json").read_text("utf-8")
@@ -300,6 +301,7 @@ def volumetric_map(state, compensation=None):
     }
 
 
+EFFECTS = [describe_family(find_family(n)) for n in ("backlash", "setup-step")]
 FORMATS = {
     name: describe_format(name, load_format(name))
     for name in ("heidenhain", "linuxcnc")

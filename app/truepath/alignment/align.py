@@ -176,11 +176,11 @@ def _match_or_explain(
             nominal, stops, matching = found
             fits, of = len(matching.stop), min(len(stops), len(nominal.first))
             if fits >= _CLEARLY * of:
+                said = describe_other(run.machine, other)
                 raise AlignmentError(
-                    f"the data fit {describe_other(run.machine, other)} far better "
-                    f"than the declared {run.machine.chain}: {fits} of {of} "
-                    "standstills are where it has them; correct the chain, or the "
-                    f"axis' direction, in machine.json. As declared, {error}"
+                    f"the recording fits {said.other} far better than "
+                    f"{said.declared}, which machine.json states: {fits} of {of} "
+                    f"standstills agree; write {said.remedy} there. As stated, {error}"
                 ) from error
         raise
 

@@ -17,7 +17,11 @@ from truepath.cli.analyse import (
     trend_commands,
     verification_commands,
 )
-from truepath.cli.measure import driver_commands, machine_commands
+from truepath.cli.measure import (
+    driver_commands,
+    machine_commands,
+    machine_file_command,
+)
 from truepath.cli.results import result_commands
 from truepath.cli.service import (
     operation_commands,
@@ -78,6 +82,7 @@ app.command()(service_commands.serve)
 app.command()(service_commands.demo)
 app.command()(driver_commands.drivers)
 app.command()(driver_commands.formats)
+app.command()(driver_commands.effects)
 app.command()(driver_commands.plugins)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
@@ -107,6 +112,7 @@ app.command()(operation_commands.restore)
 app.command()(operation_commands.support_bundle)
 app.command()(operation_commands.settings)
 app.command()(operation_commands.systemd_unit)
+app.add_typer(machine_file_command.machine, name="machine")
 app.add_typer(machine_commands.machines, name="machines")
 app.add_typer(operation_commands.catalogue, name="catalogue")
 app.add_typer(operation_commands.tls, name="tls")

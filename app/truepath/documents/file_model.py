@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, Self, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -18,10 +18,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     Strict,
     ValidationError,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from truepath.errors import BundleError
@@ -30,7 +32,8 @@ from truepath.errors import BundleError
 class FileModel(BaseModel):
     """An object of a file. Unknown keys are ignored.
 
-    Numbers are finite and neither texts nor truth values; a key of null is missing.
+    Numbers are finite and neither texts nor truth values; a key of null is missing. The
+    refusal of a missing key gives the example of its field, if it has one.
     """
 
     model_config = ConfigDict(
@@ -41,15 +44,30 @@ class FileModel(BaseModel):
         defer_build=True,  # a command reads few kinds of files
     )
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _reject_null(cls, content: object) -> object:
-        if isinstance(content, Mapping):
-            for name, field in cls.model_fields.items():
-                key = field.alias or name
-                if key in content and content[key] is None:
-                    raise reject("is missing", "add it", key)
-        return content
+    def _reject_missing(
+        cls, content: object, validate: ModelWrapValidatorHandler[Self]
+    ) -> Self:
+        fields = {
+            field.alias or name: field for name, field in cls.model_fields.items()
+        }
+        for key, field in fields.items():
+            if isinstance(content, Mapping) and content.get(key, field) is None:
+                raise reject("is missing", _add(key, field), key)
+        try:
+            return validate(content)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            key = str(first["loc"][0]) if len(first["loc"]) == 1 else ""
+            if first["type"] == "missing" and key in fields:
+                raise reject("is missing", _add(key, fields[key]), key) from error
+            raise
+
+
+def _add(key: str, field: FieldInfo) -> str:
+    example = f', as "{key}": {quote(field.examples[0])}' if field.examples else ""
+    return f"add it{example}"
 
 
 def reject(problem: str, remedy: str = "", *place: str | int) -> PydanticCustomError:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from truepath_drivers.interfaces.records import ARC_PLANES, Arc, Path
 
-SAME_RADIUS_MM = 1e-3  # ends are rounded
+SAME_RADIUS_MM = 2e-3  # ends and centre are rounded, by a control to 0.001 mm
 _CHORD_DEG = 1.0
 
 

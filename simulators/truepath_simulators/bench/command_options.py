@@ -10,7 +10,7 @@ from pathlib import Path
 from truepath_simulators.compensation.rules import BACKLASH_READINGS, Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import KINDS, parse_fault
-from truepath_simulators.hidden.effects_by_name import EFFECTS
+from truepath_simulators.hidden.effects_by_name import list_names
 from truepath_simulators.scenario import list_machines
 
 _LAST_PORT = 65535
@@ -83,7 +83,7 @@ def _add_simulation(add: Callable[..., object]) -> None:
         default=[],
         metavar="EFFECT[*SIZE_UM]",
         help="an effect that the model in use lacks, drawn by the seed, or a JSON "
-        "object with its numbers: " + ", ".join(EFFECTS),
+        "object with its numbers: " + ", ".join(list_names()),
     )
 
 

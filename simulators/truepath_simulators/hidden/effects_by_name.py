@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
+from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,7 @@ UNCATALOGUED = tuple(
     for n, kind in EFFECTS.items()
     if not kind.in_catalogue and not kind.on_ramps_alone
 )
+GROUP = "truepath.hidden_effects"  # of the entry points: effects of others, by name
 _USUAL_UM = 4.0
 _AT_REST = np.zeros(1)
 
@@ -163,6 +165,14 @@ def _try_effect(text: str, machine: MachineFile) -> HiddenEffect:
 
 
 def _kind(name: str) -> type[HiddenEffect]:
-    if name not in EFFECTS:
-        raise SimulatorError(f"hidden: no effect {name!r}; there are {list(EFFECTS)}")
-    return EFFECTS[name]
+    if name in EFFECTS:
+        return EFFECTS[name]
+    for point in entry_points(group=GROUP, name=name):
+        kind: type[HiddenEffect] = point.load()
+        return kind
+    raise SimulatorError(f"hidden: no effect {name!r}; there are {list_names()}")
+
+
+def list_names() -> list[str]:
+    """Ours, then those of other distributions."""
+    return [*EFFECTS, *sorted(entry_points(group=GROUP).names)]

@@ -73,6 +73,9 @@ def test_lists_go_on_with_the_others(command):
     assert {"linuxcnc", "csv"} <= set(found)
     assert {"broken", "leaving", "mute"}.isdisjoint(found)
     assert {"siemens-840d", "linuxcnc"} <= set(list_dialects())
+    found = [one["name"] for one in command.json("effects")["effects"]]
+    assert "backlash" in found
+    assert "broken" not in found
     assert "backlash" in {family.name for family in list_families()}
     assert "effect.backlash" in catalogue("de")
 

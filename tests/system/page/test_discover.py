@@ -293,3 +293,11 @@ def told(kind) -> dict:
 
 def discovered(service) -> str:
     return service.done("discover", run_id="run-9")
+
+
+def test_what_is_looked_for_is_listed_when_it_is_asked_for(panel, service):
+    page = panel.open(f"#/discover/{service.measured()}")
+    page.get_by_text("What is looked for").click()
+    listed = page.locator("main details dt")
+    expect(listed).to_have_text(["Backlash", "Step of the set-up"])
+    expect(page.locator("main details")).to_contain_text("It ends with its measurement")

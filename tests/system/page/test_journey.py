@@ -282,7 +282,7 @@ def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
     expect(page.locator(".kept-list li")).to_contain_text("Deutsch")
     order = service.requests[-1][2]
     assert order["language"] == "de"
-    assert order["identity"]["machine_serial"] == "4711"
+    assert order["identity"]["serial_number"] == "4711"
 
 
 def test_the_tolerance_of_a_machine_is_set_changed_and_taken_away(panel, service):

@@ -47,3 +47,13 @@ def test_numbers_that_come_as_text_are_numbers():
     tracker = make_device("tracker", "text-line", options)
     assert isinstance(tracker, TextLineTracker)
     assert tracker.capabilities.max_rate_hz == 250.0
+
+
+def test_effects_are_listed_with_what_cannot_enter_an_analysis(command):
+    found = {one["name"]: one for one in command.json("effects")["effects"]}
+    assert found["backlash"]["enters_analyse"]
+    assert "backlash compensation" in found["backlash"]["remedy"]
+    assert not found["setup-step"]["enters_analyse"]
+    said = command.run("effects").out
+    assert "setup-step: Step of the set-up, of the measurement; ends with its" in said
+    assert "  looks like  An axis stops short" in said

@@ -2,15 +2,18 @@
 
 import io
 import re
+import shutil
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from api_builders import edited
 from exports_of_makers import clock, french, german, leica, of_stream, plain, spatial
 from recorded import record_run
 from truepath.cli import command as command_line
+from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.nc_programs.programs import write_program
@@ -97,6 +100,28 @@ def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp
     np.testing.assert_allclose(commanded.feed_mm_min, truth.commanded.feed_mm_min)
     assert told.names == ("Z",)
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
+
+
+def test_a_recording_keeps_when_it_began_where_its_date_is_sure(
+    bring, truth, written, tmp_path
+):
+    read, _ = bring(of_stream(leica, truth.tracker)[0])
+    assert read.provenance["started"] == "2026-03-01T23:59:40+00:00"
+    shutil.rmtree(tmp_path / "bundle")
+    # No zone: that of this computer. No date: nothing. Which is the month: nothing.
+    for day, began in (("2026-11-30", "2026-11-30"), ("", None), ("03/04/2026", None)):
+
+        def stamp(t, day=day):
+            return f"{day} {clock(t, begin='08:00:00')}".strip()
+
+        read, said = bring(written(head="time,x_mm,y_mm,z_mm", stamp=stamp))
+        started = read.provenance.get("started")
+        assert (started or "").startswith(f"{began}T08:00:00" if began else "")
+        assert bool(started) == bool(began) == ("no date" not in said.out)
+    with edited(tmp_path / "bundle" / "machine.json") as content:
+        content["started"] = "yesterday"
+    with pytest.raises(BundleError, match='started is "yesterday"; write "started": "'):
+        read_bundle(tmp_path / "bundle")
 
 
 @pytest.mark.fault_row(43)

@@ -232,11 +232,19 @@ def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp
     assert {(tmp_path / name).parent.name for name in named} == {"out", "linuxcnc"}
 
 
-def test_circles_in_motion_have_no_program_and_say_so(command, machine_file, tmp_path):
+def test_circles_in_motion_have_a_program_where_the_control_drives_circles(
+    command, machine_file, machine, tmp_path
+):
     words = ["plan", machine_file, "--verify", "circles-in-motion", "-o"]
     said = command.json(*words, tmp_path / "out")
-    names = [file.rpartition("/")[2] for file in said["files"]]
-    assert names == ["path.csv", "plan.json"]
+    path = read_rows(tmp_path / "out" / "path.csv", machine)
+    names = {file.rpartition("/")[2] for file in said["files"]}
+    assert {"path.csv", "plan.json"} < names
+    programs = {p.parent.name: p for p in (tmp_path / "out").glob("*/*")}
+    assert set(programs) == {"fanuc", "heidenhain", "siemens-840d"}
+    for control, program in programs.items():
+        driven = read_program(program.read_text(), control).path
+        assert [arc is None for arc in driven.arc] == [arc is None for arc in path.arc]
     refused = command.refuse(*words, tmp_path / "no", *LINUXCNC)
     assert "the path has arcs" in refused
     assert "plan circles in place" in refused

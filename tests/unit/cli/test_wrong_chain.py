@@ -7,13 +7,15 @@ import pytest
 from tests.unit.alignment.test_arcs import random_path
 
 from api_builders import edited
-from recorded import record_run
+from recorded import load_small, record_run
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
+from truepath_simulators.motion import paths, turning_paths
 from truepath_simulators.scenario import load_machine
 
+UPRIGHT = '"direction": [0.0, 0.0, 1.0] in C'
+TABLES = '"kinematic_chain": "w-C-A-b-X-Y-Z-t"'
 BACK = {"A": [-1.0, 0.0, 0.0], "B": [0.0, -1.0, 0.0], "C": [0.0, 0.0, -1.0]}
 
 
@@ -42,23 +44,64 @@ def chain(declared):
 
 
 @pytest.mark.parametrize(
-    ("name", "edit", "fits"),
+    ("name", "edit", "fits", "write"),
     [
-        ("trunnion", reverse("C"), "w-C-A-b-X-Y-Z-t with axis C counted"),
-        ("trunnion", reverse("A", "C"), "axis A counted the other way and axis C"),
-        ("trunnion", chain("w-A-C-b-X-Y-Z-t"), "w-C-A-b-X-Y-Z-t far"),
-        ("trunnion", chain("w-b-X-Y-Z-C-A-t"), "w-C-A-b-X-Y-Z-t"),
-        ("head-table", chain("w-B-C-b-X-Y-Z-t"), "w-C-b-X-Y-Z-B-t"),
+        ("trunnion", reverse("C"), "w-C-A-b-X-Y-Z-t with axis C counted", UPRIGHT),
+        (
+            "trunnion",
+            reverse("A", "C"),
+            "axis A counted the other way and axis C",
+            f'"direction": [1.0, 0.0, 0.0] in A and {UPRIGHT}',
+        ),
+        ("trunnion", chain("w-A-C-b-X-Y-Z-t"), "w-C-A-b-X-Y-Z-t far", TABLES),
+        ("trunnion", chain("w-b-X-Y-Z-C-A-t"), "w-C-A-b-X-Y-Z-t", TABLES),
+        (
+            "head-table",
+            chain("w-B-C-b-X-Y-Z-t"),
+            "w-C-b-X-Y-Z-B-t",
+            '"kinematic_chain": "w-C-b-X-Y-Z-B-t"',
+        ),
     ],
 )
-def test_another_chain_or_sense_of_turns_is_named(command, tmp_path, name, edit, fits):
+def test_another_chain_or_sense_of_turns_is_named(
+    command, tmp_path, name, edit, fits, write
+):
     bundle = tmp_path / "bundle"
     write_bundle(recorded_on(name), bundle)
     with edited(bundle / "machine.json") as content:
         edit(content)
     said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
-    assert "the data fit chain" in said
+    assert "the recording fits chain" in said
     assert fits in said
+    assert f"write {write} there" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "truly", "stated", "fits"),
+    [
+        ("demo", "base", "workpiece", "a tracker on the floor"),
+        ("demo", "workpiece", "base", "a tracker on the table"),
+        ("trunnion", "base", "workpiece", "a tracker on the floor"),
+        ("trunnion", "workpiece", "base", "a tracker on the table"),
+    ],
+)
+def test_a_tracker_that_stands_elsewhere_is_found(
+    command, tmp_path, name, truly, stated, fits
+):
+    content = load_small(name)
+    content["tracker"] |= {"stands_on": truly, "rate_hz": 100.0}
+    machine = parse_machine(content)
+    if machine.rotary_axes:
+        program = turning_paths.turning_path(machine, 5, 24, 9000.0)
+    else:
+        program = paths.chord_path(machine, 5, 24, 9000.0)
+    bundle = tmp_path / "bundle"
+    write_bundle(record_run(content, program)[0], bundle)
+    with edited(bundle / "machine.json") as content:
+        content["tracker"]["stands_on"] = stated
+    said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
+    assert f"the recording fits {fits} far better" in said
+    assert f'write "stands_on": "{truly}" in tracker there' in said
 
 
 def test_a_recording_of_another_path_is_not_blamed_on_the_chain(command, tmp_path):
@@ -67,7 +110,7 @@ def test_a_recording_of_another_path_is_not_blamed_on_the_chain(command, tmp_pat
     edit_rows(bundle, slice(None, None, -1))
     said = command.refuse("analyse", bundle, "-o", tmp_path / "out", status=1)
     assert "the stream does not follow path.csv" in said
-    assert "the data fit" not in said
+    assert "the recording fits" not in said
 
 
 @pytest.mark.long

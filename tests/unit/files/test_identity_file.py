@@ -13,6 +13,7 @@ from truepath.files.bundle import identity_file
     [
         ({"schema": "identity/2"}, "schema"),
         ({"opertor": "A"}, '"opertor" is no field'),
+        ({"machine_serial": "1"}, '"machine_serial" is no field; write serial_number$'),
         ({"operator": 3}, "operator is 3"),
         ({"operator": "A\nB"}, "one line"),
         ([], "is no object"),

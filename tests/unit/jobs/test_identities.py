@@ -28,8 +28,9 @@ def registry(database):
 def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
     file = tmp_path / "identities.json"
     lathe = {"operator": "B"}
-    mill = {"machine_serial": "4711", "place": "Hall 3", "laboratory": "Lab"}
-    content = {"schema": "identities/1", "machines": {"mill": mill, "lathe": lathe}}
+    mill = {"serial_number": "4711", "place": "Hall 3", "tracker_serial_number": "7"}
+    earlier = {"machine_serial": "4711", "place": "Hall 3", "tracker_serial": "7"}
+    content = {"schema": "identities/1", "machines": {"mill": earlier, "lathe": lathe}}
     file.write_text(json.dumps(content))
     registry.change("mill-3", place="Hall 4")
     take_over_identities(tmp_path, registry)
@@ -42,6 +43,14 @@ def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
     assert registry.get("lathe").stated == lathe
     assert not file.exists()
     take_over_identities(tmp_path, registry)
+
+
+@pytest.mark.database
+def test_what_the_registry_keeps_under_an_earlier_name_has_the_name_of_today(registry):
+    registry.change("mill-3", stated={"tracker_serial": "7"})
+    assert describe_identity(registry.get("mill-3")) == {"tracker_serial_number": "7"}
+    store_identity(registry.get("mill-3"), {"tracker_serial_number": "8"}, registry)
+    assert registry.get("mill-3").stated == {"tracker_serial_number": "8"}
 
 
 @pytest.mark.database

@@ -39,20 +39,20 @@ def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_change
     client, service, with_result, place, quick_print
 ):
     service.setup.registry.change("default", serial_number="4711", place="Hall 3")
-    known = {"machine_serial": "4711", "place": "Hall 3"}
+    known = {"serial_number": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
     stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
     answer = client.post(place, json={"language": "de", "identity": stated})
     assert answer.status_code == 201, answer.text
     first = answer.json()
     assert answer.headers["location"] == first["links"]["self"]
-    assert first["identity"] == {"machine_serial": "4711", **stated}
+    assert first["identity"] == {"serial_number": "4711", **stated}
     record = service.setup.registry.get("default")
     assert (record.place, record.stated) == ("Hall 4", {"operator": "A. Weiß"})
     client.patch("/api/v1/machines/default", json={"serial_number": "4712"})
     second = client.post(place, json={}).json()
     assert second["number"] != first["number"]
-    kept = {"machine_serial": "4712", "place": "Hall 4", "operator": "A. Weiß"}
+    kept = {"serial_number": "4712", "place": "Hall 4", "operator": "A. Weiß"}
     listed = client.get(place).json()
     assert second["identity"] == listed["identity"] == kept
     numbers = [one["number"] for one in listed["items"]]

@@ -284,3 +284,13 @@ def test_a_ready_job_alone_is_graded_from_where_the_tracker_stands_and_gives_pro
     for job_id in (analysed, "nowhere"):
         answer = client.get(at(job_id, "nc-program"), params={"dialect": "fanuc"})
         is_problem(answer, 404, "not-found")
+
+
+def test_effects_are_listed_in_the_words_of_a_language(client):
+    for language, title in (("en", "Backlash"), ("de", "Umkehrspiel")):
+        answer = client.get("/api/v1/effects", params={"language": language})
+        found = {one["name"]: one for one in answer.json()["items"]}
+        assert found["backlash"]["title"] == title
+        assert found["backlash"]["enters_analyse"]
+        assert not found["table-drift"]["enters_analyse"]
+    assert client.get("/api/v1/effects?language=fr").status_code == 422

@@ -65,7 +65,7 @@ def test_what_is_not_printed_identifies_no_machine(client, is_problem):
     for code in ("0000", "000a", "202e", "2066", "d800"):
         text = f'"a\\u{code}b"'
         file = machine.replace('"NAME"', text)
-        stated = f'{{"identity": {{"machine_serial": {text}}}}}'
+        stated = f'{{"identity": {{"serial_number": {text}}}}}'
         for method, address, body, said in (
             ("PATCH", "machines/default", f'{{"serial_number": {text}}}', "validation"),
             ("POST", "jobs/any/certificates", stated, "validation"),

@@ -6,7 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from plugin_site import install
 from truepath_simulators.bench.bench import Bench
+from truepath_simulators.bench.command_options import make_parser
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden import effects_by_name as named
 from truepath_simulators.hidden import tracker
@@ -251,6 +253,35 @@ def test_an_effect_is_given_by_name_and_size_or_by_its_numbers():
 def test_numbers_that_the_machine_cannot_have_are_refused(text, names):
     with pytest.raises(SimulatorError, match=names):
         named.parse_hidden(text, 1, MACHINE)
+
+
+OTHERS = """
+from dataclasses import dataclass
+
+from truepath_simulators.hidden.effect import HiddenEffect
+
+
+@dataclass(frozen=True, slots=True)
+class Leaning(HiddenEffect):
+    name = "leaning-wall"
+    in_catalogue = False
+    width_um: float = 2.0
+
+    @classmethod
+    def draw(cls, rng, occasion):
+        return cls(occasion.size_um)
+"""
+
+
+def test_an_effect_of_another_distribution_can_be_hidden(tmp_path, monkeypatch):
+    points = {"hidden_effects": {"leaning-wall": "other_effects:Leaning"}}
+    site = install(tmp_path / "site", points, other_effects=OTHERS)
+    monkeypatch.syspath_prepend(site)
+    hidden = named.parse_hidden("leaning-wall*3", 1, MACHINE)
+    assert named.as_json(hidden) == {"name": "leaning-wall", "width_um": 3.0}
+    assert named.from_json(named.as_json(hidden)) == hidden
+    assert named.list_names()[-1] == "leaning-wall"
+    assert "leaning-wall" in make_parser().format_help()
 
 
 def test_a_bench_and_a_bundle_tell_what_was_hidden(tmp_path):

@@ -163,13 +163,12 @@ def encode_with_programs(
 ) -> dict[str, bytes]:
     """The rows, and their program for each control, by file name.
 
-    No control executes arcs by a program: a path with some has none unless it is
-    requested, and then it is refused.
+    Of a path with arcs, for each that drives them; another that is requested refuses.
     """
     is_path = isinstance(commanded, Path)
     files = {PATH if is_path else POINTS: encode_commanded(commanded)}
-    drives = () if is_path and any(commanded.arc) else list_dialects()
-    for control in controls or drives:
+    has_arcs = is_path and any(commanded.arc)
+    for control in controls or list_dialects(with_arcs=has_arcs):
         # One that was not requested is left out where it fails.
         with nullcontext() if controls else suppress(PluginFailed):
             text = write_program(commanded, machine, control, feed_mm_min=feed)

@@ -129,6 +129,7 @@ def import_recording(
         temperature=read.temperature,
         events=read.events,
         stream_file=str(recording),
+        provenance={"started": read.started} if read.started else {},
     )
     problems, notes = _hold_against_commanded(run, read)
     if not json:

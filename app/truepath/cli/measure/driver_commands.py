@@ -1,4 +1,4 @@
-"""The commands on installed plug-ins: `drivers`, `formats`, `plugins`."""
+"""The commands on installed plug-ins: `drivers`, `formats`, `effects`, `plugins`."""
 
 from __future__ import annotations
 
@@ -75,6 +75,22 @@ def formats(json: Json = False) -> None:
                 f", or X={words[0]},Y={words[-1]}" if key in one["by_axis"] else ""
             )
             print(f"  --{key.replace('_', '-')}  {', '.join(words)}{by_axis}")
+
+
+def effects(json: Json = False) -> None:
+    """The effects that discovery looks for, their causes and remedies."""
+    collect_garbage_rarely()
+    from truepath.kinematics.effects.family import describe_family, list_families
+
+    found = [describe_family(family) for family in list_families()]
+    if json:
+        print_json({"effects": found})
+        return
+    for one in found:
+        ends = "" if one["enters_analyse"] else "; ends with its Run, not for --model"
+        print(f"{one['name']}: {one['title']}, of the {one['of']}{ends}")
+        for key in ("cause", "looks_like", "remedy"):
+            print(f"  {key.replace('_', ' '):11} {one[key]}")
 
 
 def plugins(

@@ -17,14 +17,15 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path as FilePath
 from pathlib import PurePosixPath
 from typing import Any
 
-from truepath.documents.file_model import encode_json, parse_json
+from truepath.documents.file_model import encode_json, parse_json, quote
 from truepath.documents.whole_files import MAX_TEXT_BYTES, write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
@@ -93,6 +94,7 @@ _ENVIRONMENT, _SILENT = (
     "environment",
     "sensor-silent",
 )  # what environment.csv cannot hold
+_STARTED = "started"
 _TOLD, _LEFT_OUT = "told", "left_out"
 
 
@@ -143,6 +145,7 @@ def read_bundle(
             reference=decode_reference(reference()) if reference else (),
             stream_file=tracker_file,
             provenance={
+                **_read_start(content),
                 "source": FilePath(path).name,
                 f"{tracker_file} sha256": hashlib.sha256(stream).hexdigest(),
             },
@@ -201,7 +204,14 @@ def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
         "machine.json": encode_json(
-            machine_to_json(run.machine) | _describe_environment(run), indent=1
+            machine_to_json(run.machine)
+            | (
+                {_STARTED: run.provenance[_STARTED]}
+                if _STARTED in run.provenance
+                else {}
+            )
+            | _describe_environment(run),
+            indent=1,
         ),
         commanded: encode_commanded(run.commanded),
         "tracker.parquet": encode_stream(run.tracker, run.points),
@@ -373,6 +383,21 @@ def _describe_environment(run: Run) -> dict[str, Any]:
     if run.refraction != Refraction():
         content["refraction"] = refraction_to_json(run.refraction)
     return {_ENVIRONMENT: content} if content else {}
+
+
+def _read_start(content: Any) -> dict[str, str]:
+    """When the Run began, by ISO 8601, where it is stated. Raises BundleError."""
+    stated = content.get(_STARTED) if isinstance(content, dict) else None
+    if stated is None:
+        return {}
+    with suppress(ValueError):
+        at = datetime.fromisoformat(str(stated))
+        return {_STARTED: (at if at.tzinfo else at.astimezone()).isoformat()}
+    raise BundleError(
+        f"started is {quote(stated)}",
+        file="machine.json",
+        remedy='write "started": "2026-11-24T08:30:00+01:00"',
+    )
 
 
 def _read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from truepath.documents.file_model import (
     LONGEST_LINE,
@@ -24,10 +24,10 @@ from truepath.errors import BadInput, BundleError
 Field = Literal[
     "machine_maker",
     "machine_model",
-    "machine_serial",
+    "serial_number",
     "control",
     "tracker",
-    "tracker_serial",
+    "tracker_serial_number",
     "tracker_certificate",
     "tracker_calibrated_on",
     "target",
@@ -41,6 +41,11 @@ Field = Literal[
 FIELDS: tuple[Field, ...] = Field.__args__
 OF_ONE_MEASUREMENT: frozenset[Field] = frozenset({"warm_up", "measured_on"})
 """Stated anew each time: what was true of the last measurement is not of this one."""
+
+_EARLIER: Mapping[str, Field] = {
+    "machine_serial": "serial_number",
+    "tracker_serial": "tracker_serial_number",
+}
 
 SCHEMA, STORE_SCHEMA = "identity/1", "identities/1"
 _LARGEST_BYTES = 1 << 20
@@ -93,7 +98,17 @@ def read_stored_identities(file: Path) -> Mapping[str, Identity]:
     if not isinstance(machines, Mapping):
         remedy = "restore it, or remove it and state the identities again"
         raise BundleError("holds no machines", file=name, remedy=remedy)
-    return {str(k): identity_from_json(v, file=name) for k, v in machines.items()}
+    return {
+        str(machine): identity_from_json(rename_earlier(stated), file=name)
+        for machine, stated in machines.items()
+    }
+
+
+def rename_earlier(stated: Any) -> Any:
+    """Stored texts by the names of today; what is no object stays."""
+    if not isinstance(stated, Mapping):
+        return stated
+    return {_EARLIER.get(key, key): text for key, text in stated.items()}
 
 
 def write_stored_identities(file: Path, machines: Mapping[str, Identity]) -> None:
@@ -107,7 +122,8 @@ def write_stored_identities(file: Path, machines: Mapping[str, Identity]) -> Non
 
 def _check(key: object, text: object, file: str) -> str:
     if key not in FIELDS:
-        remedy = f"write one of {', '.join(FIELDS)}"
+        known = f"one of {', '.join(FIELDS)}"
+        remedy = f"write {_EARLIER.get(str(key), known)}"
         raise BundleError(f"{quote(key)} is no field", file=file, remedy=remedy)
     if not isinstance(text, str) or not is_line(text):
         remedy = f"write one line of text of at most {LONGEST_LINE} characters"

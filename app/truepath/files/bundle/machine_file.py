@@ -43,6 +43,8 @@ _USUAL = TrackerNoise()
 _LARGEST = 1e6
 _LEAST_TRAVEL = {"mm": 1.0, "deg": 0.01}
 
+_AXIS = {"type": "linear", "min_mm": 0, "max_mm": 500}
+
 Mm = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 Deg = Annotated[float, Field(ge=-1e5, le=1e5)]
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
@@ -64,9 +66,9 @@ Place = Annotated[Vector, AfterValidator(_require_within)]
 class LinearAxisFile(FileModel):
     """A linear axis."""
 
-    type: Literal["linear"]
-    min_mm: Mm
-    max_mm: Mm
+    type: Literal["linear"] = Field(description="linear", examples=["linear"])
+    min_mm: Mm = Field(description="Travel, in machine coordinates.", examples=[0])
+    max_mm: Mm = Field(description="Highest position.", examples=[500])
 
     @model_validator(mode="after")
     def _require_travel(self) -> LinearAxisFile:
@@ -81,11 +83,18 @@ class LinearAxisFile(FileModel):
 class RotaryAxisFile(FileModel):
     """A rotary axis; without a direction it turns about that of its name."""
 
-    type: Literal["rotary"]
-    min_deg: Deg
-    max_deg: Deg
-    origin_mm: Place = (0.0, 0.0, 0.0)
-    direction: Place | None = None
+    type: Literal["rotary"] = Field(description="rotary", examples=["rotary"])
+    min_deg: Deg = Field(description="Travel; one of 360 is a full turn.", examples=[0])
+    max_deg: Deg = Field(description="Highest position.", examples=[360])
+    origin_mm: Place = Field(
+        default=(0.0, 0.0, 0.0),
+        description="A point that it turns about, linear axes at 0.",
+    )
+    direction: Place | None = Field(
+        default=None,
+        description="About which it turns right-handed while its position grows; of "
+        "a table, the table itself. Left out, X of A, Y of B, Z of C.",
+    )
 
     @model_validator(mode="after")
     def _require_travel_and_direction(self) -> RotaryAxisFile:
@@ -106,9 +115,9 @@ class RotaryAxisFile(FileModel):
 class AxesFile(FileModel):
     """The axes by name, in the order in which a machine has them."""
 
-    X: LinearAxisFile
-    Y: LinearAxisFile
-    Z: LinearAxisFile
+    X: LinearAxisFile = Field(examples=[_AXIS])
+    Y: LinearAxisFile = Field(examples=[_AXIS])
+    Z: LinearAxisFile = Field(examples=[_AXIS])
     A: RotaryAxisFile | None = None
     B: RotaryAxisFile | None = None
     C: RotaryAxisFile | None = None
@@ -131,9 +140,17 @@ class AxesFile(FileModel):
 class TargetFile(FileModel):
     """A target; how well its place is known."""
 
-    on: Literal["tool", "workpiece"]
-    offset_mm: Place
-    seat_sigma_mm: Positive = SEAT_SIGMA_MM
+    on: Literal["tool", "workpiece"] = Field(
+        description="tool, or workpiece: on the table."
+    )
+    offset_mm: Place = Field(
+        description="As `tool_offset_mm`; on the table from the zero point of the "
+        "machine. All axes at 0.",
+        examples=[[20, 30, -150]],
+    )
+    seat_sigma_mm: Positive = Field(
+        default=SEAT_SIGMA_MM, description="Standard uncertainty of each coordinate."
+    )
 
 
 _KEYS: dict[str, Any] = {
@@ -162,14 +179,35 @@ class SpecificationFile(_Keys):
 class TrackerFile(FileModel):
     """The tracker's noise, usual where it is not stated, and where it stands."""
 
-    range_sigma_um: Positive = _USUAL.range_sigma_um
-    range_ppm: NotNegative = _USUAL.range_ppm
-    angle_sigma_urad: NotNegative = _USUAL.angle_sigma_urad
-    transverse_sigma_um: NotNegative = _USUAL.transverse_sigma_um
-    rate_hz: RateHz = _USUAL.rate_hz
-    stands_on: Literal["workpiece", "base"] = "workpiece"
-    specification: SpecificationFile | None = None
-    face: Literal[1, 2] | None = None
+    range_sigma_um: Positive = Field(
+        default=_USUAL.range_sigma_um,
+        description="Noise of one sample along the beam, 1 σ.",
+    )
+    range_ppm: NotNegative = Field(
+        default=_USUAL.range_ppm, description="And so much more with the distance."
+    )
+    angle_sigma_urad: NotNegative = Field(
+        default=_USUAL.angle_sigma_urad,
+        description="Noise across the beam, by distance.",
+    )
+    transverse_sigma_um: NotNegative = Field(
+        default=_USUAL.transverse_sigma_um,
+        description="Noise across it at any distance.",
+    )
+    rate_hz: RateHz = Field(
+        default=_USUAL.rate_hz, description="Samples, or shots of a polled tracker."
+    )
+    stands_on: Literal["workpiece", "base"] = Field(
+        default="workpiece",
+        description="workpiece: on the table; base: on floor or bed.",
+    )
+    specification: SpecificationFile | None = Field(
+        default=None,
+        description="What it may be off by; that of a typical one if left out.",
+    )
+    face: Literal[1, 2] | None = Field(
+        default=None, description="In which it measures, if it has two."
+    )
 
     @model_validator(mode="after")
     def _require_noise_across(self) -> TrackerFile:
@@ -191,9 +229,15 @@ class TrackerFile(FileModel):
 class MotionFile(FileModel):
     """What the machine can; the usual is taken for what it does not state."""
 
-    max_feed_mm_min: Annotated[float, Field(ge=10.0, le=1e6)] | None = None
-    acceleration_mm_s2: Annotated[float, Field(ge=1.0, le=1e6)] | None = None
-    jerk_mm_s3: Annotated[float, Field(ge=10.0, le=1e9)] | None = None
+    max_feed_mm_min: Annotated[float, Field(ge=10.0, le=1e6)] | None = Field(
+        default=None, description="Highest feed of a plan; 10 000 if left out."
+    )
+    acceleration_mm_s2: Annotated[float, Field(ge=1.0, le=1e6)] | None = Field(
+        default=None, description="Along a line; 1000 if left out."
+    )
+    jerk_mm_s3: Annotated[float, Field(ge=10.0, le=1e9)] | None = Field(
+        default=None, description="Along a line; unlimited if left out."
+    )
 
     def limits(self) -> MotionLimits:
         """Limits of motion, with the names of those assumed."""
@@ -205,9 +249,20 @@ class MotionFile(FileModel):
 class ApproachFile(FileModel):
     """How an NC program goes to its first row."""
 
-    clearance_mm: dict[str, Mm] | None = None
-    order: list[str] = Field(default_factory=list)
-    feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Approach().feed_mm_min
+    clearance_mm: dict[str, Mm] | None = Field(
+        default=None,
+        description="Linear axes that go first, in this order, and where to; {} is "
+        "none. Left out, Z to the upper end of its travel, less 10 mm or 2 %.",
+    )
+    order: list[str] = Field(
+        default_factory=list,
+        description="In which all axes then go to row 1. Left out, that of the "
+        "machine, those of `clearance_mm` last, in reverse.",
+    )
+    feed_mm_min: Annotated[float, Field(ge=1.0, le=2e4)] = Field(
+        default=Approach().feed_mm_min,
+        description="Of rotary axes deg/min; no more than `max_feed_mm_min`.",
+    )
 
     def require_axes(self, axes: tuple[Axis, ...]) -> None:
         """Raise a refusal of what the axes cannot do."""
@@ -235,18 +290,36 @@ class ApproachFile(FileModel):
 class SiteFile(FileModel):
     """Where the machine stands; its altitude tells which pressures there can be."""
 
-    altitude_m: Annotated[float, Field(ge=-450.0, le=6000.0)] | None = None
+    altitude_m: Annotated[float, Field(ge=-450.0, le=6000.0)] | None = Field(
+        default=None, description="Above the sea."
+    )
 
 
 class MachineFile(FileModel):
     """A machine file."""
 
-    schema_: Literal["machine/1"] = Field(alias="schema")
-    name: Line = "machine"
-    axes: AxesFile
-    kinematic_chain: Text
-    tool_offset_mm: Place | None = None
-    targets: dict[str, TargetFile] | None = None
+    schema_: Literal["machine/1"] = Field(
+        alias="schema", description="Of this file.", examples=["machine/1"]
+    )
+    name: Line = Field(
+        default="machine", description="By which Runs and results know the machine."
+    )
+    axes: AxesFile = Field(
+        description="X, Y and Z; A, B and C where there are such.",
+        examples=[{"X": _AXIS}],
+    )
+    kinematic_chain: Text = Field(
+        description="w, axes that move the table, b for the bed, axes that move the "
+        "tool, t.",
+        examples=["w-X-b-Y-Z-t"],
+    )
+    tool_offset_mm: Place | None = Field(
+        default=None,
+        description="The reflector, from the point that the control shows.",
+    )
+    targets: dict[str, TargetFile] | None = Field(
+        default=None, description="In place of `tool_offset_mm`: reflectors by name."
+    )
     tracker: TrackerFile = TrackerFile()
     motion: MotionFile | None = None
     approach: ApproachFile = ApproachFile()
@@ -264,7 +337,8 @@ class MachineFile(FileModel):
     @model_validator(mode="after")
     def _require_targets(self) -> MachineFile:
         if self.targets is None and self.tool_offset_mm is None:
-            raise reject("is missing", "add it", "tool_offset_mm")
+            remedy = 'add it, as "tool_offset_mm": [20, 30, -150]'
+            raise reject("is missing", remedy, "tool_offset_mm")
         if self.targets == {}:
             raise reject("is empty", "name at least one target", "targets")
         for name in self.targets or ():

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime, timedelta
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +27,7 @@ _OF_DAY = re.compile(
     r"\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?$",
     re.IGNORECASE,
 )
+_ZONE = re.compile(r"(?:Z|UTC|[+-]\d\d:?\d\d)$", re.IGNORECASE)
 _RATES_HZ = (0.9, 20_000.0)  # of a stream
 _LONGEST = 400.0  # times the duration of the motion: longest recording
 _COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
@@ -49,23 +50,33 @@ def read_clock(
     options: TextOptions,
     decimal: str,
     least_s: float,
-) -> tuple[NDArray[np.float64], str]:
-    """Seconds since the first row, and how they were read. Raises BundleError.
+) -> tuple[NDArray[np.float64], str, str]:
+    """Seconds since the first row, how they were read, and when it was.
+
+    That is in ISO 8601, in the zone of the file, else of this computer; empty where
+    no date is stated, or day and month could be either. Raises BundleError.
 
     decimal : of the positions
     least_s : duration of the commanded motion
     """
     texts = cells.columns[time.index]
     if not any(":" in text for text in texts[:: len(texts) // 100 + 1]):
-        return _read_counted(cells, time, options, decimal, least_s)
+        return *_read_counted(cells, time, options, decimal, least_s), ""
+    started = ""
     time_s = _read_of_day(cells, time)
     days = texts if date_column is None else cells.columns[date_column.index]
     if DATE.search(days[0]):
-        time_s += _DAY_S * _read_days(cells, days, options)
-        how = "date and time"
+        elapsed, first = _read_days(cells, days, options)
+        time_s, how = time_s + _DAY_S * elapsed, "date and time"
+        if first is not None:
+            at = datetime(first.year, first.month, first.day)
+            at += timedelta(seconds=float(time_s[0]))
+            has_zone = _ZONE.search(texts[0].strip()) is not None
+            at = at.replace(tzinfo=UTC) if has_zone else at.astimezone()
+            started = at.isoformat(timespec="seconds")
     else:
         time_s, how = _unwrap_midnight(cells, time, time_s, options), "time of day"
-    return time_s - time_s[0], how
+    return time_s - time_s[0], how, started
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +279,8 @@ def _unwrap_midnight(
 
 def _read_days(
     cells: Cells, texts: Sequence[str], options: TextOptions
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], date | None]:
+    """Days since the first, and which that is, where it can be only one."""
     first = [text.partition("T")[0].partition(" ")[0] for text in texts]
     short_of = {
         text: found[0] if (found := DATE.search(text)) else text for text in {*first}
@@ -295,7 +307,9 @@ def _read_days(
             remedy="say --date-order dmy or mdy",
         )
     day_of = dict(zip(words, fitting[0], strict=True))
-    return np.array([day_of[word] - fitting[0][0] for word in short], float)
+    day = date.fromordinal(fitting[0][0])
+    elapsed = np.array([day_of[word] - fitting[0][0] for word in short], float)
+    return elapsed, day if len({days[0] for days in fitting}) == 1 else None
 
 
 def _order_days(words: list[str], order: str) -> list[int] | None:

@@ -62,6 +62,7 @@ class Recording:
     commanded : of the samples: the stops of a path where they are shots
     columns : all of the file, those without a role are left out
     row_of : name of a point in the file to its row, from 1
+    started : in ISO 8601, empty where the file has no date
     problems : ambiguities; where there are some, the rest is based on guesses
     """
 
@@ -76,6 +77,7 @@ class Recording:
     row_of: dict[str, int]
     events: tuple[RunEvent, ...] = ()
     problems: tuple[BundleError, ...] = ()
+    started: str = ""
 
 
 class _Problems:
@@ -137,9 +139,9 @@ def read_recording(
         commanded = _list_stops(commanded)
     guess_s = np.arange(len(cells), dtype=np.float64)
     guess_s *= _guess_step_s(cells, commanded)
-    time_s, clock, beside = attempt(
+    time_s, clock, started, beside = attempt(
         lambda: _read_times(cells, columns, commanded, options, decimal),
-        (guess_s, "not known", ()),
+        (guess_s, "not known", "", ()),
     )
     shots = Shots(position_mm, status == 0, time_s)
     rows, mapping, said = attempt(
@@ -164,6 +166,7 @@ def read_recording(
         samples, points = _average_points(samples.select(used), rows[used])
     facts = {"rows": f"{len(cells)}", "separator": cells.delimiter}
     facts |= {"decimals": decimal, "unit": unit + why, "time": clock}
+    facts |= {"started": started or "no date, or not a sure one"}
     facts |= {"axes": options.axes, **_count(samples, points)}
     if mapping:
         told = [f"{name} is {row}" for name, row in mapping.items()]
@@ -186,6 +189,7 @@ def read_recording(
         mapping,
         doubted,
         tuple(problems.known),
+        started,
     )
 
 
@@ -433,21 +437,23 @@ def _read_times(
     commanded: Commanded,
     options: TextOptions,
     decimal: str,
-) -> tuple[NDArray[np.float64], str, tuple[str, ...]]:
+) -> tuple[NDArray[np.float64], str, str, tuple[str, ...]]:
     time, date = find_column(columns, "time"), find_column(columns, "date")
     rate_hz = options.rate_hz or (state_rate(cells) if time is None else None)
     least_s = _drive_s(commanded)
     if rate_hz is not None:
         time_s = _read_numbering(cells, columns) / rate_hz
         notes: list[str] = []
+        started = ""
         if time is not None:
             with suppress(BundleError):
-                stamps, _ = read_clock(cells, time, date, options, decimal, least_s)
+                read = read_clock(cells, time, date, options, decimal, least_s)
+                stamps, _, started = read
                 notes += _compare_rate(stamps, time_s, rate_hz)
-        return time_s, f"{rate_hz:g} rows a second", tuple(notes)
+        return time_s, f"{rate_hz:g} rows a second", started, tuple(notes)
     are_few = len(cells) < STREAM_ROWS * len(commanded)
     if are_few and not isinstance(commanded, Path) and time is None:
-        return np.arange(len(cells), dtype=float), "none; points in order", ()
+        return np.arange(len(cells), dtype=float), "none; points in order", "", ()
     time = _require(cells, columns, "time", _guess_step_s(cells, commanded))
     return *read_clock(cells, time, date, options, decimal, least_s), ()
 

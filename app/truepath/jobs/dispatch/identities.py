@@ -17,6 +17,7 @@ from truepath.files.bundle.identity_file import (
     OF_ONE_MEASUREMENT,
     Identity,
     read_stored_identities,
+    rename_earlier,
     write_stored_identities,
 )
 
@@ -25,7 +26,7 @@ log = structlog.get_logger(__name__)
 _OWN = {
     "machine_maker": "maker",
     "machine_model": "model",
-    "machine_serial": "serial_number",
+    "serial_number": "serial_number",
     "control": "control",
     "customer": "customer",
     "place": "place",
@@ -50,7 +51,10 @@ def describe_identity(record: MachineRecord | None) -> Identity:
     if record is None:
         return {}
     own = {field: getattr(record, column) for field, column in _OWN.items()}
-    return {**record.stated, **{field: text for field, text in own.items() if text}}
+    return {
+        **rename_earlier(record.stated),
+        **{field: text for field, text in own.items() if text},
+    }
 
 
 def store_identity(
@@ -66,7 +70,9 @@ def store_identity(
     if record is not None and lasting.items() - before.items():
         own = {_OWN[field]: text for field, text in lasting.items() if field in _OWN}
         other = {k: v for k, v in lasting.items() if k not in _OWN}
-        registry.change(record.id, **own, stated={**record.stated, **other})
+        registry.change(
+            record.id, **own, stated={**rename_earlier(record.stated), **other}
+        )
     return {**before, **given}
 
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from configparser import ConfigParser
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from textwrap import dedent
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -279,6 +279,19 @@ def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
 
     # One search for all: each reads the metadata of every installed distribution.
     return tuple(gather(GROUP, ask).values())
+
+
+def describe_family(family: Family, language: str = "en") -> dict[str, Any]:
+    """For lists of what discovery looks for.
+
+    enters_analyse : a model can keep it; else it ends with its Run
+    """
+    return {
+        "name": family.name,
+        "of": family.role.value,
+        **asdict(family.words[language]),
+        "enters_analyse": family.makes is not None,
+    }
 
 
 def find_family(name: str) -> Family:

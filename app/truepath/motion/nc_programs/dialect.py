@@ -14,6 +14,34 @@ _START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
 _STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
 
 
+PLANES = {"XY": "G17", "ZX": "G18", "YZ": "G19"}
+"""Planes of arcs, and their codes where a control has G-code."""
+CENTRES = {"X": "I", "Y": "J", "Z": "K"}
+"""Letters of the centre of an arc, from its begin, in G-code."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramArc:
+    """A circular motion to a row, in whole turns and a rest.
+
+    axes : of its plane, XY, YZ or ZX
+    begin : of both axes; centre : from there; rounded as printed
+    turns : before the rest, which is a whole turn at most
+    is_positive : from the first axis towards the second, G3
+    """
+
+    axes: str
+    begin: tuple[float, float]
+    centre: tuple[float, float]
+    turns: int
+    is_positive: bool
+
+    @property
+    def code(self) -> str:
+        """The G-code of its sense."""
+        return "G3" if self.is_positive else "G2"
+
+
 @dataclass(frozen=True, slots=True)
 class ProgramRow:
     """One motion: to a row of the path, or on the way to the first.
@@ -24,6 +52,7 @@ class ProgramRow:
     feed : of the linear axes, mm/min; of the rotary axes, deg/min, where only they move
     path_feed : of all axes together, a degree counted as a millimetre
     target_change : action of the operator before the motion, empty for nothing
+    arc : of the motion; None on a straight line
     """
 
     number: int
@@ -34,6 +63,7 @@ class ProgramRow:
     path_feed: float
     dwell_s: float
     target_change: str = ""
+    arc: ProgramArc | None = None
 
     @property
     def label(self) -> str:
@@ -69,6 +99,7 @@ class Dialect(ABC):
     counts_degrees : the feed is that of linear and rotary axes together, a degree being
         counted as a millimetre; else it is that of the linear axes where one moves
     frame : how the program ensures machine coordinates, for the header
+    drives_arcs : paths with arcs have a program
     """
 
     interface_version: ClassVar[int] = 1
@@ -80,6 +111,7 @@ class Dialect(ABC):
     longest_dwell_s: ClassVar[float] = 3600.0
     counts_degrees: ClassVar[bool] = False
     frame: ClassVar[str]
+    drives_arcs: ClassVar[bool] = False
 
     def program_name(self, wanted: str, checksum: str) -> str:
         """A name that the control accepts: the wanted one unless overridden.
@@ -106,6 +138,14 @@ def _write_nothing(_row: ProgramRow) -> Iterable[str]:
     return ()
 
 
+def write_words(
+    names: Iterable[str], values: Iterable[float], form: str, begin: str = ""
+) -> str:
+    """Words of a block; form : of each number, begin : of each word."""
+    words = zip(names, values, strict=True)
+    return " ".join(f"{begin}{name}{value:{form}}" for name, value in words)
+
+
 @dataclass(frozen=True, slots=True)
 class BlockForms:
     """The blocks of a control, as formats, and their order.
@@ -125,19 +165,23 @@ class BlockForms:
         self,
         content: ProgramContent,
         write_before: Callable[[ProgramRow], Iterable[str]] = _write_nothing,
+        write_arc: Callable[[ProgramRow, ProgramArc], Iterable[str]] | None = None,
     ) -> Iterator[str]:
         """Blocks of all rows, with the stops at which the operator acts.
 
         write_before : blocks before the motion of a row
+        write_arc : blocks of a motion on an arc, where the dialect drives some
         """
         yield from self._write_stop(_CHECK_WAY)
         for row in (*content.approach, *content.rows):
             if row.target_change:
                 yield from self._write_stop(row.target_change)
             yield from write_before(row)
-            words = zip(row.axes, row.position, strict=True)
-            ends = " ".join(f"{axis}{value:{self.number}}" for axis, value in words)
-            yield self.motion.format(row=row, ends=ends)
+            if row.arc and write_arc:
+                yield from write_arc(row, row.arc)
+            else:
+                ends = write_words(row.axes, row.position, self.number)
+                yield self.motion.format(row=row, ends=ends)
             if row.number == 1:
                 yield from self._write_stop(_START_RECORDING)
             if row.dwell_s > 0:

@@ -8,31 +8,47 @@ offset is in the way: it compares the machine position (#5021 …) of each axis 
 work position (#5041 …) and raises an alarm where they differ; this takes custom macro
 B. `G61` stops exactly. `G5.1 Q0` switches AI contour control off; a control without
 that option skips the block by its switch for `/`. F is the feed of all axes together, a
-degree counted as a millimetre.
+degree counted as a millimetre. `G20` or `G21` outlasts the program on this control, so
+the one that was active is kept (#4006) and set again before the end; where no value was
+kept, `G#1` is ignored. A circle of several turns is a block a turn, in `G64` until the
+last, so that the axes do not stop on it.
 
 Source: FANUC series 0i and 30i operator's manuals (decimal point programming; G61; feed
-per minute with rotary axes; system variables of the current position).
+per minute with rotary axes; system variables of the current position and of modal
+information; variables as the number of a G code, undefined variables).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 from truepath.motion.nc_programs.dialect import (
+    CENTRES,
+    PLANES,
     BlockForms,
     Dialect,
+    ProgramArc,
     ProgramContent,
+    ProgramRow,
     number_blocks,
+    write_words,
 )
-from truepath.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
+from truepath.motion.nc_programs.gcode import (
+    ARCS,
+    GCodeReader,
+    Groups,
+    Word,
+    split_words,
+)
 from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     line_error,
 )
 
-_SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "/G5.1 Q0", "G61")
+_KEEP_UNIT, _RESTORE_UNIT = "#1=#4006", "G#1"
+_SAFE_START = (_KEEP_UNIT, "G21", "G17 G40 G49 G80 G90 G94", "G54", "/G5.1 Q0", "G61")
 _CONTINUOUS = "G64"
 _FORMS = BlockForms(
     motion="G1 {ends} F{row.path_feed:.3f} ({row.label})",
@@ -53,6 +69,7 @@ class Fanuc(Dialect):
     longest_dwell_s = 9999.0
     counts_degrees = True
     frame = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
+    drives_arcs = True
 
     def program_name(self, wanted: str, checksum: str) -> str:
         """An O-number from the checksum: other paths have other numbers."""
@@ -60,10 +77,11 @@ class Fanuc(Dialect):
 
     def write(self, content: ProgramContent) -> str:
         """From `%` to `%`, with a guard against work offsets before row 1."""
-        check_way, stop, *rows = _FORMS.write_rows(content)
+        check_way, stop, *rows = _FORMS.write_rows(content, write_arc=_write_arc)
         guards = [_write_guard(*axis) for axis in enumerate(content.axes)]
         head = ["%", f"{content.name} (TRUEPATH)", *(f"({s})" for s in content.header)]
-        blocks = [*_SAFE_START, check_way, stop, *guards, *rows, _CONTINUOUS, "M30"]
+        end = [_CONTINUOUS, _RESTORE_UNIT, "M30"]
+        blocks = [*_SAFE_START, check_way, stop, *guards, *rows, *end]
         return "\n".join([*head, *number_blocks(blocks), "%", ""])
 
     def read(self, text: str) -> ProgrammedMotion:
@@ -81,6 +99,18 @@ class Fanuc(Dialect):
         return reader.control.finish()
 
 
+def _write_arc(row: ProgramRow, arc: ProgramArc) -> Iterator[str]:
+    columns = [row.axes.index(axis) for axis in arc.axes]
+    centre = write_words((CENTRES[a] for a in arc.axes), arc.centre, ".3f")
+    yield f"{PLANES[arc.axes]} {_CONTINUOUS}"
+    for rest in range(arc.turns, -1, -1):
+        place = [row.position[c] for c in columns] if rest == 0 else arc.begin
+        ends = write_words(arc.axes, place, ".3f")
+        stop = "" if rest else "G61 "
+        yield f"{stop}{arc.code} {ends} {centre} F{row.feed:.3f} ({row.label})"
+    yield "G17"
+
+
 def _write_guard(index: int, name: str) -> str:
     machine, work = _MACHINE + index, _WORK + index
     return (
@@ -92,6 +122,8 @@ def _write_guard(index: int, name: str) -> str:
 _COMMENT = re.compile(r"\([^()]*\)")
 _NUMBER = re.compile(r"O(\d{1,8})")
 _NO_CONTOUR_CONTROL = re.compile(r"(?:N\d+ )?/?G0?5\.1\s*Q0")
+_KEEPS_UNIT = re.compile(r"(?:N\d+ )?#1\s*=\s*#4006")
+_RESTORES_UNIT = re.compile(r"(?:N\d+ )?G#1")
 _GUARD = re.compile(
     r"(?:N\d+ )?IF\s*\[ABS\[#(\d+)-#(\d+)\]\s*GT\s*0?\.\d+\]\s*THEN\s*#3000=\d+"
 )
@@ -110,14 +142,17 @@ class _Reader(GCodeReader):
         "the work offset": ("G54", "G55", "G56", "G57", "G58", "G59"),
     }
     path_modes = ("G61", "G62", "G64")
-    passive = ("G1", "G4")
+    passive = ("G1", *ARCS, "G4")
 
     def __init__(self, text: str, name: str) -> None:
         super().__init__(text, name, counts_degrees=True)
         self._checked: set[int] = set()  # axes, from 0, whose offset was checked
 
     def read_block(self, line: int, block: str) -> None:
-        if _NO_CONTOUR_CONTROL.fullmatch(block):
+        if _NO_CONTOUR_CONTROL.fullmatch(block) or _KEEPS_UNIT.fullmatch(block):
+            return
+        if _RESTORES_UNIT.fullmatch(block):
+            self.apply_codes(line, {"G20"})  # for all that is known here
             return
         guard = _GUARD.fullmatch(block)
         if guard:

@@ -7,14 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from truepath.motion.nc_programs.dialect import CENTRES, PLANES
 from truepath.motion.nc_programs.programmed_motion import (
     AXES,
+    Circle,
     ProgrammedMotion,
     SimulatedControl,
     line_error,
 )
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
+
+ARCS = ("G2", "G3")
 
 Groups = Mapping[str, Sequence[str]]
 """Modal groups by name; the first code of each is the one a motion needs."""
@@ -81,6 +85,7 @@ class GCodeReader:
         self._group_of = {c: name for name, codes in groups.items() for c in codes}
         self._active: dict[str, str] = {}
         self.feed: float | None = None
+        self.turns = 0  # of the next circle, before its rest
         self.ended = False
 
     def read_block(self, line: int, block: str) -> None:
@@ -96,10 +101,27 @@ class GCodeReader:
             self.feed = words["F"].value
         ends = {n: self.read_end(word) for n, word in words.items() if n in AXES}
         if ends:
-            self.check_motion(line, codes)
+            circle = self._read_circle(line, codes, words)
+            self.check_motion(line, codes, PLANES[circle.axes] if circle else "")
             self.check_ends(line, ends)
             exact_stop = self._active.get("the path mode") == self.path_modes[0]
-            self.control.move(line, ends, self.feed, exact_stop=exact_stop)
+            self.control.move(
+                line, ends, self.feed, exact_stop=exact_stop, circle=circle
+            )
+
+    def _read_circle(
+        self, line: int, codes: set[str], words: Mapping[str, Word]
+    ) -> Circle | None:
+        """Its centre is in I, J, K from the begin, whatever the dimension."""
+        if codes.isdisjoint(ARCS):
+            return None
+        for axes in PLANES:
+            names = [CENTRES[axis] for axis in axes]
+            if {*names} == {*CENTRES.values()} & words.keys():
+                first, second = (self.read_end(words[name]) for name in names)
+                turns, self.turns = self.turns, 0
+                return Circle(axes, (first, second), "G3" in codes, turns)
+        raise line_error(line, "a circle needs two of I, J and K")
 
     def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
         """Removes the word of a dwell from its block; s, −1 without one."""
@@ -125,9 +147,12 @@ class GCodeReader:
             else:
                 raise line_error(line, f"{code} has no place in a measuring path")
 
-    def check_motion(self, line: int, codes: set[str]) -> None:
-        """Reject a motion that is not straight, or in another frame or mode."""
-        if "G1" not in codes:
+    def check_motion(self, line: int, codes: set[str], plane: str = "") -> None:
+        """Reject a motion of another kind, or in another frame or mode.
+
+        plane : of a circle
+        """
+        if codes.isdisjoint({"G1", *ARCS}):
             raise line_error(line, "a motion without G1")
         if self.frame and codes.isdisjoint(self.frame):
             raise line_error(
@@ -135,9 +160,10 @@ class GCodeReader:
             )
         for name, allowed in self.groups.items():
             active = self._active.get(name, "not set")
-            if active != allowed[0]:
+            needed = plane if plane and name == "the plane" else allowed[0]
+            if active != needed:
                 raise line_error(
-                    line, f"a motion while {name} is {active}; {allowed[0]} is needed"
+                    line, f"a motion while {name} is {active}; {needed} is needed"
                 )
 
     def finish(self) -> ProgrammedMotion:

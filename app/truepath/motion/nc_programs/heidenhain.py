@@ -5,7 +5,8 @@ length; `R0` disables its radius. A TNC has no exact-stop mode, and it smooths
 transitions between lines, so each row has a dwell (cycle 9), a short one where the path
 has none: a dwell makes the axes stop. Cycle 32 bounds the smoothing; without a value it
 is again that of the machine. Rotary axes move at deg/min; on a line with both kinds a
-degree counts as a millimetre.
+degree counts as a millimetre. Centre and ends of circles count from the place where
+they begin: `M91` has no place in their blocks. A turn is a block.
 
 Source: iTNC 530 and TNC 640 user's manuals (M91; cycles 9 and 32; M116 for the feed).
 """
@@ -13,10 +14,20 @@ Source: iTNC 530 and TNC 640 user's manuals (M91; cycles 9 and 32; M116 for the 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
-from truepath.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
+from truepath.motion.nc_programs.dialect import (
+    PLANES,
+    BlockForms,
+    Dialect,
+    ProgramArc,
+    ProgramContent,
+    ProgramRow,
+    write_words,
+)
 from truepath.motion.nc_programs.programmed_motion import (
     AXES,
+    Circle,
     ProgrammedMotion,
     SimulatedControl,
     line_error,
@@ -41,6 +52,7 @@ class Heidenhain(Dialect):
     least_dwell_s = 0.1
     counts_degrees = True
     frame = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
+    drives_arcs = True
 
     def write(self, content: ProgramContent) -> str:
         """Blocks are numbered without a gap."""
@@ -48,7 +60,7 @@ class Heidenhain(Dialect):
             f"BEGIN PGM {content.name} MM",
             *(f"; {line}" for line in content.header),
             *_NO_SMOOTHING,
-            *_FORMS.write_rows(content),
+            *_FORMS.write_rows(content, write_arc=_write_arc),
             *_MACHINES_SMOOTHING,
             "M30",
             f"END PGM {content.name} MM",
@@ -60,9 +72,24 @@ class Heidenhain(Dialect):
         return _Reader(text).finish()
 
 
+def _write_arc(row: ProgramRow, arc: ProgramArc) -> Iterator[str]:
+    columns = [row.axes.index(axis) for axis in arc.axes]
+    sense = "+" if arc.is_positive else "-"
+    for rest in range(arc.turns, -1, -1):
+        led = [row.position[c] for c in columns] if rest == 0 else arc.begin
+        step = [round(b - a, 4) + 0.0 for a, b in zip(arc.begin, led, strict=True)]
+        ends = write_words(arc.axes, step, "+.4f", "I")
+        yield f"CC {write_words(arc.axes, arc.centre, '+.4f', 'I')}"
+        yield f"C {ends} DR{sense} R0 F{row.feed:.3f} ; {row.label}"
+
+
 _BLOCK = re.compile(r"(\d+) (.+)")
 _PROGRAM = re.compile(r"(BEGIN|END) PGM (\w+) (MM|INCH)")
 _LINE = re.compile(r"L((?: [A-Z][-+]\d+\.\d*)+) R0(?: F(\d+\.?\d*))? M91")
+_POLE = re.compile(r"CC I([XYZ])([-+]\d+\.\d*) I([XYZ])([-+]\d+\.\d*)")
+_CIRCLE = re.compile(
+    r"C I([XYZ])([-+]\d+\.\d*) I([XYZ])([-+]\d+\.\d*) DR([-+]) R0(?: F(\d+\.?\d*))?"
+)
 _END = re.compile(r"([A-Z])([-+]\d+\.\d*)")
 _PASSIVE = re.compile(
     r"|M30|CYCL DEF 9\.0 DWELL TIME|CYCL DEF 32\.0 TOLERANCE|CYCL DEF 32\.1( T[\d.]+)?"
@@ -75,6 +102,7 @@ class _Reader:
         self._control = SimulatedControl(text, counts_degrees=True)
         self._feed: float | None = None
         self._ended = False
+        self._pole: tuple[str, float, float] | None = None
         for number, line in enumerate(text.splitlines(), 1):
             numbered = _BLOCK.fullmatch(line.rstrip())
             if numbered is None or int(numbered.group(1)) != number - 1:
@@ -99,6 +127,11 @@ class _Reader:
             raise line_error(line, "it does not begin with BEGIN PGM")
         elif straight:
             self._drive(line, straight)
+        elif pole := _POLE.fullmatch(block):
+            first, x, second, y = pole.groups()
+            self._pole = first + second, float(x), float(y)
+        elif circle := _CIRCLE.fullmatch(block):
+            self._turn(line, *circle.groups())
         elif dwell:
             self._control.dwell(line, float(dwell.group(1)))
         elif block == "STOP":
@@ -121,6 +154,21 @@ class _Reader:
                 line, f"{word} PGM {name} does not fit the lines before it"
             )
         self._control.name, self._ended = name, not begins
+
+    def _turn(
+        self, line: int, first: str, x: str, second: str, y: str, sense: str, feed: str
+    ) -> None:
+        axes = first + second
+        if axes not in PLANES or self._pole is None or self._pole[0] != axes:
+            raise line_error(line, f"a circle in {axes} without CC in this order")
+        (_, *centre), self._pole = self._pole, None
+        self._feed = float(feed) if feed else self._feed
+        self._control.turn(
+            line,
+            (float(x), float(y)),
+            Circle(axes, (centre[0], centre[1]), sense == "+"),
+            self._feed,
+        )
 
     def _drive(self, line: int, straight: re.Match[str]) -> None:
         ends = {name: float(value) for name, value in _END.findall(straight.group(1))}

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from truepath.errors import PlanningError
-from truepath_drivers.interfaces.records import Path
+from truepath_drivers.interfaces.records import Arc, Path
 
 AXES = "XYZABC"
 _LINEAR = "XYZ"
@@ -21,6 +22,8 @@ _ROW = re.compile(
     r"^[^;(]*[XYZABC]\s*[-+]?\.?\d[^;(]*[;(]\s*ROW (\d+)\b", re.IGNORECASE
 )
 _CHECKSUM = re.compile(r"PATH CHECKSUM ([0-9A-F]{12})\b")
+_DECIMALS = 6  # of ends that are sums, mm
+_SAME_RADIUS_MM = 3e-3  # both ends and the centre are rounded
 _DIGITS = 12  # of a checksum: short enough to compare by eye
 
 
@@ -33,8 +36,22 @@ class ApproachMotion:
 
 
 @dataclass(frozen=True, slots=True)
+class Circle:
+    """A circular motion as a block states it.
+
+    axes : of its plane; centre : from the begin; turns : whole ones before the rest
+    is_positive : from the first axis towards the second
+    """
+
+    axes: str
+    centre: tuple[float, float]
+    is_positive: bool
+    turns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class ProgrammedMotion:
-    """Straight motions of a program, as a control would execute them.
+    """Motions of a program, as a control would execute them.
 
     name : of the program, as the control lists it
     position : (n, axes) ends of the motions in machine coordinates, mm and deg
@@ -44,6 +61,7 @@ class ProgrammedMotion:
     row : (n,) row of the path, from 1; 0 where the program gives none
     stated_checksum : of the original path, empty if not given
     approach : motions before the first numbered row
+    arc : of each motion, None where it is straight; blocks of one row are one arc
     """
 
     name: str
@@ -55,6 +73,7 @@ class ProgrammedMotion:
     row: Int64[np.ndarray, " n"]
     stated_checksum: str = ""
     approach: tuple[ApproachMotion, ...] = ()
+    arc: tuple[Arc | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.position)
@@ -67,7 +86,9 @@ class ProgrammedMotion:
     @property
     def path(self) -> Path:
         """The motion as a path, for `path.csv` of a bundle."""
-        return Path(self.axes, self.position, self.feed_mm_min, self.dwell_s)
+        arc = self.arc if any(self.arc) else ()
+        feeds = self.feed_mm_min, self.dwell_s
+        return Path(self.axes, self.position, *feeds, arc=arc)
 
 
 def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) -> str:
@@ -106,6 +127,7 @@ class SimulatedControl:
         self._dwell_s: list[float] = []
         self._exact: list[bool] = []
         self._row: list[int] = []
+        self._arc: list[Arc | None] = []
         self.name = name
 
     def move(
@@ -115,6 +137,7 @@ class SimulatedControl:
         feed: float | None,
         *,
         exact_stop: bool,
+        circle: Circle | None = None,
     ) -> None:
         """Move to `words`; axes that are not named stay. Raises PlanningError."""
         if feed is None or not feed > 0:
@@ -133,11 +156,58 @@ class SimulatedControl:
         before = self._rows[-1] if self._rows else None
         values = before or (0.0,) * len(self._axes)
         end = tuple(words.get(n, v) for n, v in zip(self._axes, values, strict=True))
+        arc = self._find_arc(line, circle, before, end) if circle else None
+        row, last = self._row_in.get(line, 0), self._arc[-1] if self._arc else None
+        if arc and last and row and row == self._row[-1]:
+            self._rows[-1], self._exact[-1] = end, exact_stop
+            self._arc[-1] = replace(last, turn_deg=last.turn_deg + arc.turn_deg)
+            return
+        self._arc.append(arc)
         self._feed.append(feed * self._divide_linear_by_whole(before, end))
         self._rows.append(end)
         self._dwell_s.append(0.0)
         self._exact.append(exact_stop)
-        self._row.append(self._row_in.get(line, 0))
+        self._row.append(row)
+
+    def turn(
+        self,
+        line: int,
+        step: tuple[float, float],
+        circle: Circle,
+        feed: float | None,
+    ) -> None:
+        """A circle to an end that counts from its begin; to its last digit."""
+        here = self._here
+        begin = [here.get(name, math.nan) for name in circle.axes]
+        ends = {
+            name: round(a + d, _DECIMALS)
+            for name, a, d in zip(circle.axes, begin, step, strict=True)
+        }
+        self.move(line, ends, feed, exact_stop=False, circle=circle)
+
+    def _find_arc(
+        self,
+        line: int,
+        circle: Circle,
+        before: tuple[float, ...] | None,
+        end: tuple[float, ...],
+    ) -> Arc:
+        columns = [self._axes.index(n) for n in circle.axes if n in self._axes]
+        if before is None or len(columns) != 2:
+            raise line_error(line, "a circle without a place where it begins")
+        centre = [before[c] + d for c, d in zip(columns, circle.centre, strict=True)]
+        ends = [
+            complex(*(place[c] - m for c, m in zip(columns, centre, strict=True)))
+            for place in (before, end)
+        ]
+        if abs(abs(ends[0]) - abs(ends[1])) > _SAME_RADIUS_MM or abs(ends[0]) < 1.0:
+            raise line_error(line, "a circle that does not lead to its end")
+        sense = 1.0 if circle.is_positive else -1.0
+        rest = math.degrees(sense * cmath.phase(ends[1] / ends[0])) % 360.0
+        if all(before[column] == end[column] for column in columns):
+            rest = 360.0
+        turn_deg = sense * (rest + 360.0 * circle.turns)
+        return Arc(circle.axes, (centre[0], centre[1]), turn_deg)
 
     def dwell(self, line: int, seconds: float) -> None:
         """Dwell after the last motion; ignored before the first."""
@@ -166,6 +236,7 @@ class SimulatedControl:
             np.array(self._row, np.int64),
             self._stated,
             tuple(self._approach),
+            tuple(self._arc),
         )
 
     def moves_rotary_only(self, words: Mapping[str, float]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from textwrap import wrap
@@ -17,7 +18,12 @@ from truepath.motion.motion_times import (
     DEFAULT_FEED_MM_MIN,
     travel_time_s,
 )
-from truepath.motion.nc_programs.dialect import Dialect, ProgramContent, ProgramRow
+from truepath.motion.nc_programs.dialect import (
+    Dialect,
+    ProgramArc,
+    ProgramContent,
+    ProgramRow,
+)
 from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     compute_checksum,
@@ -33,10 +39,13 @@ from truepath.plugins import (
     is_ours,
     load_point,
 )
+from truepath_drivers.interfaces.arcs import find_reach
 from truepath_drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
 _COLUMNS = 60  # of a header line; every control's screen shows as many
+_DECIMALS = 6  # mm, of differences
+_SAME_TURN_DEG = 0.03  # ends of small circles are rounded
 _LEAST_FEED = 0.1  # mm/min
 LARGEST_FEED_MM_MIN = 99_999.0  # that controls of all kinds read
 _NAME_LENGTH = 16  # every control here takes as many
@@ -44,9 +53,13 @@ _NAME_LENGTH = 16  # every control here takes as many
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 
-def list_dialects() -> tuple[str, ...]:
-    """Names of the installed dialects, third parties' included."""
-    return tuple(name_controls())
+def list_dialects(*, with_arcs: bool = False) -> tuple[str, ...]:
+    """Names of the installed dialects, third parties' included.
+
+    with_arcs : those that drive arcs alone
+    """
+    drives = gather(GROUP, lambda _, make: bool(make().drives_arcs) or not with_arcs)
+    return tuple(name for name, fits in drives.items() if fits)
 
 
 def name_controls() -> dict[str, str]:
@@ -147,10 +160,11 @@ def _compose(
 
 
 def _check_limits(kind: Dialect, path: Path) -> None:
-    if any(path.arc):
+    if any(path.arc) and not kind.drives_arcs:
         raise PlanningError(
-            "the path has arcs, and measuring programs have straight lines; let the "
-            "service drive it, or plan circles in place of circles-in-motion"
+            f"the path has arcs, and {kind.control} drives straight lines alone in "
+            "machine coordinates; let the service drive it, or plan circles in place "
+            "of circles-in-motion"
         )
     if len(path) > kind.most_rows:
         raise PlanningError(
@@ -183,6 +197,7 @@ def _compare(
         and bool(motion.exact_stop.all())
         and motion.row.tolist() == list(range(1, len(path) + 1))
         and motion.checksum == motion.stated_checksum
+        and _has_same_arcs(motion.path, path, 2.0 * half)
     )
     if not same:
         raise PlanningError(
@@ -201,10 +216,30 @@ def _compare(
                 )
 
 
+def _has_same_arcs(read: Path, path: Path, within_mm: float) -> bool:
+    pairs = zip(*(one.arc or (None,) * len(one) for one in (read, path)), strict=True)
+    return all(
+        a == b
+        or (
+            a is not None
+            and b is not None
+            and a.axes == b.axes
+            and math.dist(a.centre_mm, b.centre_mm) < within_mm
+            and abs(a.turn_deg - b.turn_deg) < _SAME_TURN_DEG
+        )
+        for a, b in pairs
+    )
+
+
 def _round_path(path: Path, kind: Dialect) -> Path:
     position = np.round(path.position, kind.decimals) + 0.0  # no negative zero
+    arc = tuple(
+        one and replace(one, centre_mm=_round_all(one.centre_mm, kind.decimals))
+        for one in path.arc
+    )
     dwell_s: Float64[np.ndarray, " n"] = np.maximum(path.dwell_s, kind.least_dwell_s)
-    rounded = replace(path, position=position, dwell_s=np.round(dwell_s, 3))
+    dwell_s = np.round(dwell_s, 3)
+    rounded = replace(path, position=position, dwell_s=dwell_s, arc=arc)
     if not kind.counts_degrees:
         return rounded
     # A large rotation on a short line would need a feed that no control reads.
@@ -226,9 +261,28 @@ def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
             path_feed=float(path.feed_mm_min[index] * share[index]),
             dwell_s=float(path.dwell_s[index]),
             target_change=_word_target_change(path, index),
+            arc=_describe_arc(path, index),
         )
         for index in range(len(path))
     )
+
+
+def _describe_arc(path: Path, index: int) -> ProgramArc | None:
+    arc = path.arc[index] if path.arc and index else None
+    if arc is None:
+        return None
+    columns = [path.axes.index(name) for name in arc.axes]
+    first, second = (float(v) for v in path.position[index - 1, columns])
+    u_mm, v_mm = arc.centre_mm
+    # A rest of a millionth of a turn is rounding.
+    turns = math.ceil(abs(arc.turn_deg) / 360.0 - 1e-6) - 1
+    centre = _round_all((u_mm - first, v_mm - second), _DECIMALS)
+    return ProgramArc(arc.axes, (first, second), centre, turns, arc.turn_deg > 0.0)
+
+
+def _round_all(values: tuple[float, float], decimals: int) -> tuple[float, float]:
+    first, second = (round(value, decimals) + 0.0 for value in values)
+    return first, second
 
 
 def _write_header(
@@ -250,6 +304,8 @@ def _write_header(
         _describe_approach(_list_approach(kind, path, machine)),
         "EACH MOTION STATES ITS ROW OF THE PATH, FROM 1",
     ]
+    if any(path.arc):
+        facts.append("CIRCLES BEGIN WHERE THE AXES STAND, NO ROTATION MAY BE ACTIVE")
     if rounded > 1e-9:
         facts.append(f"POSITIONS ARE ROUNDED, BY AT MOST {rounded:.4f}")
     return tuple(
@@ -345,7 +401,8 @@ def _divide_whole_by_straight(path: Path) -> Float64[np.ndarray, " n"]:
 
 def _state_travel(path: Path, machine: Machine) -> list[str]:
     axes = {axis.name: axis for axis in machine.axes}
-    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    reach = find_reach(path)[0]
+    low, high = reach.min(axis=0), reach.max(axis=0)
     return [
         f"{name} USES {_format_number(low[i])} TO {_format_number(high[i])} OF "
         f"{_format_number(axes[name].low)} TO {_format_number(axes[name].high)} "

@@ -5,7 +5,8 @@ whatever work offset is set; `D0` deselects the tool. `G60 G601` stops exactly, 
 fine window, and `COMPOF` switches off the block compressor; after the last row `G64` is
 set, and `M30` restores the machine's initial modes. `FGROUP` selects the axes of the
 feed F: the linear axes, or the rotary axes where they turn alone; a degree counts as a
-millimetre (`FGREF` at its default).
+millimetre (`FGREF` at its default). `TURN` is the number of whole turns before the rest
+of a circle; its centre counts from its begin.
 
 Source: SINUMERIK 840D sl programming manual, fundamentals (frames; feed control).
 """
@@ -17,13 +18,22 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 from truepath.motion.nc_programs.dialect import (
+    CENTRES,
+    PLANES,
     BlockForms,
     Dialect,
+    ProgramArc,
     ProgramContent,
     ProgramRow,
     number_blocks,
+    write_words,
 )
-from truepath.motion.nc_programs.gcode import GCodeReader, Groups, find_name
+from truepath.motion.nc_programs.gcode import (
+    ARCS,
+    GCodeReader,
+    Groups,
+    find_name,
+)
 from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     line_error,
@@ -52,6 +62,7 @@ class Siemens(Dialect):
     control = "Siemens 840D"
     suffix = ".mpf"
     frame = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
+    drives_arcs = True
 
     def write(self, content: ProgramContent) -> str:
         """The program's name is that of its file and in a comment."""
@@ -81,9 +92,18 @@ def _write_blocks(content: ProgramContent) -> Iterator[str]:
 
     yield from _SAFE_START
     yield _write_feed_group(group)
-    yield from _FORMS.write_rows(content, write_group)
+    yield from _FORMS.write_rows(content, write_group, _write_arc)
     yield _CONTINUOUS
     yield "M30"
+
+
+def _write_arc(row: ProgramRow, arc: ProgramArc) -> Iterator[str]:
+    ends = write_words(row.axes, row.position, ".4f")
+    centre = write_words((CENTRES[a] for a in arc.axes), arc.centre, ".4f")
+    turns = f" TURN={arc.turns}" if arc.turns else ""
+    yield PLANES[arc.axes]
+    yield f"{arc.code} SUPA {ends} {centre}{turns} F{row.feed:.3f} ; {row.label}"
+    yield "G17"
 
 
 def _write_feed_group(axes: tuple[str, ...]) -> str:
@@ -92,6 +112,7 @@ def _write_feed_group(axes: tuple[str, ...]) -> str:
 
 _NAME = re.compile(r"^; PROGRAM (\w+)$", re.MULTILINE)
 _MESSAGE = re.compile(r'MSG\s*\(("[^"]*")?\)')
+_TURNS = re.compile(r"\bTURN=(\d{1,3})\b")
 _FEED_GROUP = re.compile(r"(?:N\d+ )?FGROUP\(([A-Z](?:,[A-Z])*)\)")
 
 
@@ -109,7 +130,7 @@ class _Reader(GCodeReader):
     }
     path_modes = ("G60", "G64", "G641", "G642")
     frame = ("SUPA", "G153")
-    passive = ("G1", "G4", "G601", "G602", "G603", "COMPOF")
+    passive = ("G1", *ARCS, "G4", "G601", "G602", "G603", "COMPOF")
     dwell_letter = "F"
     end = "M30"
     modal = "GMD"
@@ -121,7 +142,9 @@ class _Reader(GCodeReader):
         if group:
             self.feed_group = group.group(1).replace(",", "")
             return
-        super().read_block(line, block)
+        turns = _TURNS.search(block)
+        self.turns = int(turns.group(1)) if turns else 0
+        super().read_block(line, _TURNS.sub("", block))
 
     def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
         has_linear = any(name in "XYZ" for name in self.feed_group)

@@ -153,7 +153,7 @@ def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear_or_as_a_machine_s
 
 
 SMOOTHING = {
-    "fanuc": (["/G5.1 Q0", "G61"], ["G64", "M30"]),
+    "fanuc": (["/G5.1 Q0", "G61"], ["G64", "G#1", "M30"]),
     "heidenhain": (
         ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1 T0.002"],
         ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1", "M30"],

@@ -58,10 +58,10 @@ class IdentityIn(RequestBody):
 
     machine_maker: Name = ""
     machine_model: Name = ""
-    machine_serial: Name = ""
+    serial_number: Name = ""
     control: Name = ""
     tracker: Name = Field("", description="Maker and model.")
-    tracker_serial: Name = ""
+    tracker_serial_number: Name = ""
     tracker_certificate: Name = Field("", description="Number of its own certificate.")
     tracker_calibrated_on: Name = ""
     target: Name = Field("", description="Reflector: kind and serial number.")
@@ -82,7 +82,7 @@ class CertificateRequest(RequestBody):
             "examples": [
                 {
                     "language": "en",
-                    "identity": {"machine_serial": "4711", "operator": "A. Weiß"},
+                    "identity": {"serial_number": "4711", "operator": "A. Weiß"},
                 }
             ]
         },

@@ -105,6 +105,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /nc-dialects": _VIEWER,
     "GET /compensation-formats": _VIEWER,
     "GET /drivers": _VIEWER,
+    "GET /effects": _VIEWER,
     "GET /models": _VIEWER,
     "GET /models/{model_id}": _VIEWER,
     "GET /models/{model_id}/versions": _VIEWER,

@@ -177,6 +177,8 @@ export function compareWithReference(id, file, { reference_um, reference_urad })
   return call("POST", `/jobs/${id}/comparisons?${query}`, { form, patience_ms: 120000 });
 }
 
+/** What discovery looks for, in the words of a language. */
+export const effects = async (language) => items(await call("GET", `/effects?language=${language}`));
 export const formats = async () => items(await call("GET", "/compensation-formats"));
 /** Have compensation files made; answers what they leave. */
 export const createCompensation = (id, order) =>

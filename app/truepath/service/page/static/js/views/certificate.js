@@ -8,8 +8,8 @@ import { decisionOf, findProof } from "./proof.js";
 import { newMeasurement } from "./onward.js";
 
 const GROUPS = {
-  machine: ["machine_maker", "machine_model", "machine_serial", "control", "customer", "place"],
-  tracker: ["tracker", "tracker_serial", "tracker_certificate", "tracker_calibrated_on", "target"],
+  machine: ["machine_maker", "machine_model", "serial_number", "control", "customer", "place"],
+  tracker: ["tracker", "tracker_serial_number", "tracker_certificate", "tracker_calibrated_on", "target"],
   measurement: ["operator", "laboratory", "measured_on", "warm_up"],
 };
 const NAMES = { en: "English", de: "Deutsch" };
@@ -93,8 +93,8 @@ export function mount(root, { store, actions }) {
 async function identityOf(job, kept, machine) {
   const record = job.machine ? await api.machineRecord(job.machine).catch(() => null) : null;
   const { tracker } = machine ?? {};
-  const ofTracker = tracker && isMeasuring(job) ? { tracker: `${tracker.maker} ${tracker.model}`.trim(), tracker_serial: tracker.serial_number } : {};
-  const ofMachine = record ? { machine_maker: record.maker, machine_model: record.model, machine_serial: record.serial_number,
+  const ofTracker = tracker && isMeasuring(job) ? { tracker: `${tracker.maker} ${tracker.model}`.trim(), tracker_serial_number: tracker.serial_number } : {};
+  const ofMachine = record ? { machine_maker: record.maker, machine_model: record.model, serial_number: record.serial_number,
     control: record.control, customer: record.customer, place: record.place } : {};
   const all = Object.values(GROUPS).flat();
   return Object.fromEntries(all.map((name) => [name, ofMachine[name] || kept[name] || ofTracker[name] || ""]));

@@ -1,9 +1,9 @@
 /* Step 6: what the model lacks, why, what to do about it, and how far the gap has closed. */
-import { links } from "../api.js";
+import { effects, links } from "../api.js";
 import { h, icon } from "../dom.js";
 import { isDiscovery } from "../flow.js";
 import { card, head, linkButton, notice } from "../parts.js";
-import { known, number, t } from "../texts.js";
+import { currentLanguage, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCards, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
@@ -65,7 +65,20 @@ export function askCard(job, actions) {
 
 /** What is going to happen, before it is asked for. */
 function prospect(job) {
-  return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
+  if (!job.run_id) return notice(null, t("discover.no_run"));
+  return card(null, h("p", {}, t("discover.how")), catalogue());
+}
+
+/** Every effect that is installed, asked for when it is opened. */
+function catalogue() {
+  const list = h("dl", {}, h("dt", {}, t("discover.catalogue_loading")));
+  const details = h("details", {}, h("summary", {}, t("discover.catalogue")), list);
+  details.addEventListener("toggle", async () => {
+    const found = await effects(currentLanguage());
+    list.replaceChildren(...found.flatMap((one) => [h("dt", {}, one.title),
+      h("dd", {}, [one.looks_like, one.cause, one.enters_analyse ? "" : t("discover.ends_with_run")].join(" ").trim())]));
+  }, { once: true });
+  return details;
 }
 
 function found({ job, discovery }, extra, closing) {
