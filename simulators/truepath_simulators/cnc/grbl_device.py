@@ -47,7 +47,7 @@ class GrblDevice:
 
     def __init__(self, *, homes: bool = True, words: str = "SIM-G1") -> None:
         self.settings: dict[int, float] = {
-            **{10: 1, 13: 0, 20: 1, 22: float(homes), 23: 0, 32: 0},
+            **{1: 255, 10: 1, 13: 0, 20: 1, 22: float(homes), 23: 0, 32: 0},
             **dict.fromkeys((100, 101, 102), 1000.0),
             **dict.fromkeys((110, 111, 112), 6000.0),
             **dict.fromkeys((120, 121, 122), 500.0),

@@ -9,6 +9,7 @@ import numpy as np
 
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl.motion import GrblMotion
+from truepath_drivers.cnc.grbl.program import find_least_feed
 from truepath_drivers.cnc.grbl.protocol import AXES, Settings
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.cnc.priority_lock import PriorityLock
@@ -37,7 +38,6 @@ from truepath_drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
 
-_LEAST_FEED = 1.0
 _LONGEST_DWELL_S = 3000.0  # GRBL counts 65 535 steps of 0.05 s
 _TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any more
 _OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
@@ -252,7 +252,7 @@ class GrblController(MotionController):
         settings = self._require_settings()
         check_positions(AXES, settings.travel, path.position)
         most = float(np.linalg.norm(settings.rate_mm_min))
-        check_feeds(path.feed_mm_min, _LEAST_FEED, most)
+        check_feeds(path.feed_mm_min, find_least_feed(settings), most)
 
     def _require_settings(self) -> Settings:
         if self._session.settings is None:

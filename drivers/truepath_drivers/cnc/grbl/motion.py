@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class GrblMotion:
         self._driven: Path | None = None
         self._ended, self._stops_as = MotionState.IDLE, MotionState.ABORTED
         self._line, self._text = 0, ""
-        self._looked_s = self._obeyed_s = 0.0
+        self._looked_s = self._looked_wall_s = self._obeyed_s = 0.0
         self.is_under_way = self.is_stopping = False
         self.loaded: Path | None = None
 
@@ -60,12 +60,14 @@ class GrblMotion:
     def look(self) -> MotionStatus:
         """Read the machine, feed it, and draw what it means for our motion.
 
-        A motion for which nobody has asked in a second is held.
+        A motion for which nobody has asked in a second, or got no answer, is held. The
+        clock on the wall runs on where the computer sleeps.
         """
-        session, now_s, before_s = self._session, host_clock.now_s(), self._looked_s
-        self._looked_s = now_s
+        session = self._session
+        now_s, wall_s = host_clock.now_s(), host_clock.wall_s()
+        away_s = max(now_s - self._looked_s, wall_s - self._looked_wall_s)
         is_fed = self.is_under_way and not (session.is_homing or session.held_by)
-        if is_fed and now_s - before_s > _UNASKED_S:
+        if is_fed and away_s > _UNASKED_S:
             session.brake("watchdog")
         try:
             report = session.look()
@@ -73,6 +75,7 @@ class GrblMotion:
             if session.held_by and (self.is_under_way or self.is_stopping):
                 session.press_again()  # it may have been lost as well
             raise
+        self._looked_s, self._looked_wall_s = now_s, wall_s
         if session.has_begun_anew:
             session.has_begun_anew = False
             if self.is_under_way or self.is_stopping:
@@ -207,10 +210,25 @@ class GrblMotion:
             text = "" if at_goal else "GRBL stands where the motion does not end"
             self._end(MotionState.FINISHED if at_goal else MotionState.ABORTED, text)
         elif session.dry > 1:
-            session.brake("watchdog")
+            self._follow_dry(report)
         elif session.silence_s > _SILENT_S and not session.is_homing:
             self._stop_silent(report)
         return report
+
+    def _follow_dry(self, report: Report) -> None:
+        """Go on where this computer was slow for a moment; all else does not move."""
+        session = self._session
+        if not self._is_at(session.sent_to, report):
+            self.brake("GRBL stands where no line ends: it has lost its queue")
+        elif session.has_lost_time or session.dry_s > _UNASKED_S:
+            session.brake("watchdog")
+        elif session.feed_on():
+            log.warning(
+                "%s: row %d was not driven at one feed: this computer was slow, and "
+                "the axes stood for a moment",
+                session.name,
+                self._line + 1,
+            )
 
     def _follow_stop(self, report: Report) -> Report:
         """Press until it brakes; once it stands, forget what a stop was for."""
@@ -237,9 +255,10 @@ class GrblMotion:
             self.brake("GRBL stands and owes replies: lines or replies were lost")
 
     def _is_at_goal(self, report: Report) -> bool:
-        if self._driven is None:
-            return True
-        off = np.abs(self._driven.position[-1] - report.position)
+        return self._driven is None or self._is_at(self._driven.position[-1], report)
+
+    def _is_at(self, place: Sequence[float], report: Report) -> bool:
+        off = np.abs(np.subtract(place, report.position))
         return bool((off <= self._settings.step_mm + _ROUNDED_MM).all())
 
     def _end(self, state: MotionState, text: str = "") -> None:

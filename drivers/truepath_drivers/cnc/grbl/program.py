@@ -17,6 +17,9 @@ from truepath_drivers.interfaces.records import Path
 
 START = b"G21G90G94G17G40G49G80\n"
 _AHEAD_S = 0.9  # of motion in GRBL's queue, which is what it drives unasked
+LASTS_S = (
+    0.5  # that a full queue lasts at least: pieces of a row that begins are shorter
+)
 _BRAKING = 0.8  # share of the queue in which a motion can come to a stand
 _DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 
@@ -25,12 +28,14 @@ _DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 class Block:
     """A line, and what its reply means.
 
+    end : where it drives to; empty where it drives nowhere
     is_barrier : nothing is sent behind it before its reply
     ends_row : the row has been driven, the dwell is over
     wait_s : longest that GRBL may be idle over it
     """
 
     text: bytes
+    end: tuple[float, ...] = ()
     is_barrier: bool = False
     ends_row: bool = False
     wait_s: float = 0.0
@@ -51,10 +56,24 @@ def write_blocks(
             done += _find_piece(step, done, feed * find_override(), settings)
             at = there if done >= 1.0 else here + step * done
             ends = (f"{axis}{value:.4f}" for axis, value in zip(AXES, at, strict=True))
-            yield Block(f"G53G1{''.join(ends)}F{feed:.2f}\n".encode())
+            line = f"G53G1{''.join(ends)}F{feed:.2f}\n".encode()
+            yield Block(line, (float(at[0]), float(at[1]), float(at[2])))
         dwell_s = float(path.dwell_s[row])
-        yield Block(f"G4P{dwell_s:.3f}\n".encode(), True, True, _DWELL_SHARE * dwell_s)
+        yield Block(
+            f"G4P{dwell_s:.3f}\n".encode(),
+            is_barrier=True,
+            ends_row=True,
+            wait_s=_DWELL_SHARE * dwell_s,
+        )
         here = there
+
+
+def find_least_feed(settings: Settings) -> float:
+    """Lowest feed, mm/min, at which each line is a step of the motors or more.
+
+    GRBL plans no others: its queue would last as long as it liked.
+    """
+    return 60.0 * float(settings.step_mm.max()) * settings.queue / _AHEAD_S
 
 
 def _find_piece(

@@ -100,6 +100,7 @@ class Settings:
     travel: tuple[tuple[float, float], ...]
     homes: bool
     has_soft_limits: bool
+    keeps_drives_on: bool
     tells_machine_mm: bool
     version: str
     words: str
@@ -120,6 +121,7 @@ def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
         )
         shown, inches, inverted = int(told[10]), told[13] != 0.0, int(told[23])
         homes, has_soft_limits = told[22] != 0.0, told[20] != 0.0
+        keeps_drives_on = told[1] == 255.0
     except KeyError as error:
         raise ConnectionLost(
             f"GRBL's setting ${error} did not come; check baud rate and cable"
@@ -140,6 +142,7 @@ def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
         ),
         homes,
         has_soft_limits,
+        keeps_drives_on,
         bool(shown & 1) and not inches,
         version[1].decode() if version else "",
         version[2].decode("ascii", "replace") if version else "",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import threading
 from collections import deque
@@ -10,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from truepath_drivers import host_clock
-from truepath_drivers.cnc.grbl.program import Block
+from truepath_drivers.cnc.grbl.program import LASTS_S, Block
 from truepath_drivers.cnc.grbl.protocol import (
     ALARMS,
     ASK,
@@ -27,7 +28,12 @@ from truepath_drivers.cnc.grbl.protocol import (
     parse_report,
     parse_settings,
 )
-from truepath_drivers.interfaces.errors import DeviceTimeout, Refused, WrongDevice
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.line_link import LineLink
 
@@ -53,6 +59,7 @@ class GrblSession:
     has_begun_anew : unasked, since this was set back
     is_homed : None where nobody here has seen it
     dry : looks, one after the other, that saw it idle for want of lines
+    sent_to : where the last line that was sent drives to; empty before one
     """
 
     def __init__(self, port: BytePort, open_s: float, reply_s: float) -> None:
@@ -90,6 +97,19 @@ class GrblSession:
             return 0.0
         return host_clock.now_s() - self._changed_s - self._owed[0].wait_s
 
+    @property
+    def dry_s(self) -> float:
+        """For how long it has been seen dry."""
+        return host_clock.now_s() - self._dry_since_s
+
+    @property
+    def has_lost_time(self) -> bool:
+        """Whether it ran dry sooner after its queue was full than that lasts.
+
+        Time has passed that this computer does not know of, or the queue was lost.
+        """
+        return self._dry_since_s - self._full_s < LASTS_S
+
     def open(self) -> Settings:
         """Connect, end what is left of an earlier motion, and read what machine it is.
 
@@ -111,6 +131,11 @@ class GrblSession:
                 raise Refused(
                     f"{self.name}: GRBL drives beyond its travel or moves after an "
                     "alarm; set $20=1, and build it with HOMING_INIT_LOCK"
+                )
+            if not settings.keeps_drives_on:
+                raise Refused(
+                    f"{self.name}: GRBL switches its drives off where it stands: an "
+                    "axis may drop; set $1=255"
                 )
             if not settings.tells_machine_mm:
                 raise Refused(
@@ -165,7 +190,7 @@ class GrblSession:
         with self._wire:
             if self.stops != stops:
                 return False
-            self.held_by, self._may_be_idle = "", True
+            self.held_by, self._full_s = "", -math.inf
             self.signal(RESUME)
             return True
 
@@ -187,9 +212,9 @@ class GrblSession:
 
         GRBL answers no question while it homes, nor after an alarm of a limit: then the
         last position is told. Where lines are left and it stands idle, it has run dry,
-        or begun anew unheard: then nothing is sent.
+        or begun anew unheard: then nothing is sent, unless by `feed_on`.
         """
-        until_s = host_clock.now_s() + _FEEDS_S
+        self._feeds_until_s = host_clock.now_s() + _FEEDS_S
         self._take_until(host_clock.now_s() + _GLANCE_S)
         if self.is_homing and not self.held_by:
             self._report = replace(self._report, state="Home")
@@ -199,14 +224,26 @@ class GrblSession:
         report = self._ask()
         is_dry = not (self.is_sent or self._owed or self._may_be_idle)
         self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
+        if self.dry == 1:
+            self._dry_since_s = host_clock.now_s()
         while report.state in ("Idle", "Run") and not (self.dry or self.is_done):
-            if host_clock.now_s() > until_s:
+            if host_clock.now_s() > self._feeds_until_s:
                 break
             is_fed, owed = self.feed(), len(self._owed)
             report = self._ask()
             if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
+                is_read = not self._owed or self._owed[0].is_barrier
+                if report.state == "Run" and not is_read:  # two answers later
+                    self._full_s = host_clock.now_s()
                 break
         return report
+
+    def feed_on(self) -> bool:
+        """Send more to what has run dry; not where the look for it took too long."""
+        if host_clock.now_s() > self._feeds_until_s:
+            return False
+        self.dry, self._full_s = 0, -math.inf
+        return self.feed()
 
     def feed(self) -> bool:
         """Send what fits, never a line twice; tell whether there was any."""
@@ -218,6 +255,7 @@ class GrblSession:
                     break
                 self._owed.append(block)
                 self._may_be_idle = block.is_barrier
+                self.sent_to = block.end or self.sent_to
                 self._free -= len(block.text)
                 lines += block.text
                 self._next = next(self._blocks, None)
@@ -244,6 +282,8 @@ class GrblSession:
                 raise DeviceTimeout(f"{self.name}: no answer to {text}")
         if self.error:
             raise Refused(f"{self.name}: {self.error}")
+        if self.has_begun_anew:
+            raise ConnectionLost(f"{self.name}: GRBL began anew at {text}; try again")
         return list(self._told)
 
     def restart(self) -> Report:
@@ -297,6 +337,8 @@ class GrblSession:
         self._changed_s = host_clock.now_s()
         self.held_by, self._may_be_idle = "", True
         self.rows = self.dry = 0
+        self.sent_to: tuple[float, ...] = ()
+        self._full_s = self._dry_since_s = self._feeds_until_s = -math.inf
 
     def _await_begin(self, within_s: float) -> None:
         deadline_s = host_clock.now_s() + within_s
@@ -354,6 +396,8 @@ class GrblSession:
         elif report := parse_report(line):
             self._report, self._is_new = report, True
             if report.override is not None:
+                if report.override > (self.override or 0.0):
+                    self._full_s = -math.inf  # what is planned lasts no longer as long
                 self.override = report.override
             if report.state != "Alarm":
                 self.alarm = 0
@@ -368,6 +412,8 @@ class GrblSession:
         block = self._owed.popleft()
         self._free += len(block.text)
         self.touch()
+        if block.is_barrier:  # nothing is planned any more
+            self._full_s = -math.inf
         if line == b"ok":
             self.rows += block.ends_row
             self.is_homed = True if self.is_homing else self.is_homed

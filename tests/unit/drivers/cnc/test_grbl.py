@@ -988,7 +988,9 @@ def test_a_board_that_begins_anew_unheard_is_not_fed(driving, port, device):
     device._drop_motion()
     device.state, device.position = "Idle", np.zeros(3)
     look_for(driving, 2.0)
-    assert driving.status().hold_reason == "watchdog"
+    status = driving.status()
+    assert status.state is MotionState.ABORTED
+    assert "has lost its queue" in status.alarm
     assert device.position == pytest.approx(np.zeros(3))
 
 
@@ -1150,3 +1152,145 @@ def test_a_network_keeps_no_lines_for_later():
         option = socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT
         assert line._socket.getsockopt(*option) == 1000
         line.close()
+
+
+# What stood, or moved again, where a computer is slow.
+
+
+def drive_by_late_answers(grbl, device, late_s, each_s):
+    """Drive a row whose lines come too slowly; the states that are told."""
+    answer_late(device, late_s)
+    states = set()
+    for _ in range(10):
+        states.add(grbl.status().state)
+        device.update(host_clock.now_s())
+        host_clock.sleep_s(each_s)
+    return states
+
+
+@pytest.mark.parametrize(("late_s", "each_s"), [(0.1, 0.4), (0.14, 0.3)])
+def test_what_ran_dry_before_its_queue_was_full_goes_on(
+    grbl, device, caplog, late_s, each_s
+):
+    take = device.take
+    grbl.move_to([-100.0, -1.0, -1.0], 1200.0)
+    assert drive_by_late_answers(grbl, device, late_s, each_s) == {MotionState.RUNNING}
+    assert "row 1 was not driven at one feed" in caplog.text
+    device.take = take
+    assert grbl.wait(60.0).state is MotionState.FINISHED
+    lines = [line for line in device.executed if b"X" in line]
+    assert len(set(lines)) == len(lines)
+    assert device.position == pytest.approx([-100.0, -1.0, -1.0])
+
+
+def test_a_row_at_one_feed_is_not_said_to_have_stood(driving, caplog):
+    driving.hold()
+    driving.wait(5.0)
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+    assert "at one feed" not in caplog.text
+
+
+def test_what_is_dry_and_answers_too_late_to_be_fed_is_held(grbl, device):
+    grbl.move_to([-100.0, -1.0, -1.0], 1200.0)
+    grbl.status()
+    states = drive_by_late_answers(grbl, device, 0.35, 0.05)
+    assert MotionState.HELD in states
+    assert grbl.status().hold_reason == "watchdog"
+
+
+def test_a_queue_that_was_lost_while_the_computer_was_slow_is_the_end(grbl, device):
+    grbl.move_to([-100.0, -1.0, -1.0], 1200.0)
+    drive_by_late_answers(grbl, device, 0.14, 0.3)
+    device._drop_motion()
+    device.state, device.position = "Idle", np.zeros(3)
+    for _ in range(10):
+        status = grbl.status()
+    assert status.state is MotionState.ABORTED
+    assert "has lost its queue" in status.alarm
+    assert device.position == pytest.approx(np.zeros(3))
+
+
+def test_a_computer_that_slept_is_held_also_where_its_clock_stood(
+    driving, clock, device
+):
+    host_clock.sleep_s(0.6)  # until it sleeps, and after it
+    clock.wall_jump_s += 3600.0
+    device.update(host_clock.now_s())
+    device.update(host_clock.now_s() + 3600.0)
+    assert device.state == "Idle"
+    dry_at = device.position.copy()
+    device._now_s = host_clock.now_s()
+    assert driving.wait(5.0).hold_reason == "watchdog"
+    assert device.position == pytest.approx(dry_at)
+
+
+def test_a_wall_clock_that_is_set_back_holds_nothing(driving, clock):
+    clock.wall_jump_s -= 3600.0
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_what_was_asked_without_an_answer_for_a_second_is_held(driving, port, device):
+    take, device.take = device.take, bytes
+    for _ in range(6):
+        with pytest.raises(DeviceTimeout):
+            driving.status()
+    assert device.state != "Run"
+    stood_at = device.position.copy()
+    device.take = take
+    assert driving.wait(5.0).hold_reason == "watchdog"
+    assert stands(device)
+    assert device.position == pytest.approx(stood_at)
+    driving.resume()
+    assert driving.wait(60.0).state is MotionState.FINISHED
+
+
+def test_an_override_that_a_person_raises_holds_nothing(grbl, device):
+    for _ in range(9):
+        device.receive(b"\x92")
+    look_for(grbl, 1.0)
+    grbl.move_to([-20.0, -1.0, -1.0], 3000.0)
+    look_for(grbl, 1.0)
+    device.receive(b"\x90")
+    assert grbl.wait(60.0).state is MotionState.FINISHED
+
+
+def test_a_board_that_was_another_one_while_it_was_held_dry_is_not_fed(driving, device):
+    host_clock.sleep_s(3.0)
+    assert driving.wait(5.0).hold_reason == "watchdog"
+    device.position = np.zeros(3)
+    driving.resume()
+    status = driving.wait(5.0)
+    assert status.state is MotionState.ABORTED
+    assert device.position == pytest.approx(np.zeros(3))
+
+
+def test_drives_that_are_switched_off_at_standstill_are_refused(port, device):
+    device.settings[1] = 25
+    with pytest.raises(Refused, match=r"\$1=255"):
+        driver.GrblController(port="").connect()
+
+
+def test_a_feed_whose_pieces_are_no_step_is_refused(port, device):
+    device.settings |= dict.fromkeys((100, 101, 102), 80.0)
+    with driver.GrblController(port="") as grbl:
+        grbl.home(10.0)
+        before = device.position.copy()
+        with pytest.raises(Refused, match="12 mm/min"):
+            grbl.move_to([-5.0, -1.0, -1.0], 12.0)
+        grbl.move_to([-5.0, -1.0, -1.0], 13.0)
+        grbl.status()
+        assert device.position == pytest.approx(before)
+        host_clock.sleep_s(2.0)
+        assert stands(device)
+
+
+def test_a_board_that_begins_anew_within_a_command_is_not_believed(port, device):
+    def do_system(line):
+        if line == b"$N":
+            device.restart()
+        usual(line)
+
+    usual, device._do_system = device._do_system, do_system
+    with pytest.raises(ConnectionLost, match=r"anew at \$N"):
+        driver.GrblController(port="").connect()
