@@ -233,7 +233,7 @@ class GrblSession:
             report = self._ask()
             if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
                 is_read = not self._owed or self._owed[0].is_barrier
-                if report.state == "Run" and not is_read:  # two answers later
+                if not is_read:  # two answers after it was sent
                     self._full_s = host_clock.now_s()
                 break
         return report
@@ -242,7 +242,7 @@ class GrblSession:
         """Send more to what has run dry; not where the look for it took too long."""
         if host_clock.now_s() > self._feeds_until_s:
             return False
-        self.dry, self._full_s = 0, -math.inf
+        self.dry = 0
         return self.feed()
 
     def feed(self) -> bool:
@@ -412,8 +412,6 @@ class GrblSession:
         block = self._owed.popleft()
         self._free += len(block.text)
         self.touch()
-        if block.is_barrier:  # nothing is planned any more
-            self._full_s = -math.inf
         if line == b"ok":
             self.rows += block.ends_row
             self.is_homed = True if self.is_homing else self.is_homed

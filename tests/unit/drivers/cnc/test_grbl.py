@@ -974,7 +974,7 @@ def test_what_ran_dry_while_the_computer_slept_is_held(driving, port, device):
     port.pass_time = lambda: device.update(host_clock.now_s() + 3600.0)
     port.pass_time()
     dry_at = device.position.copy()
-    look_for(driving, 0.5)
+    look_for(driving, 0.2)
     status = driving.status()
     assert (status.state, status.hold_reason) == (MotionState.HELD, "watchdog")
     assert device.position == pytest.approx(dry_at)
@@ -1252,6 +1252,7 @@ def test_an_override_that_a_person_raises_holds_nothing(grbl, device):
     grbl.move_to([-20.0, -1.0, -1.0], 3000.0)
     look_for(grbl, 1.0)
     device.receive(b"\x90")
+    assert look_for(grbl, 2.0, each_s=0.2).state is not MotionState.HELD
     assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
