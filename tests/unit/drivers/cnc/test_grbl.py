@@ -1252,7 +1252,7 @@ def test_an_override_that_a_person_raises_holds_nothing(grbl, device):
     grbl.move_to([-20.0, -1.0, -1.0], 3000.0)
     look_for(grbl, 1.0)
     device.receive(b"\x90")
-    assert look_for(grbl, 2.0, each_s=0.2).state is not MotionState.HELD
+    assert look_for(grbl, 1.2, each_s=0.4).state is not MotionState.HELD
     assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
