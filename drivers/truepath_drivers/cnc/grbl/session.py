@@ -226,24 +226,15 @@ class GrblSession:
         self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
         if self.dry == 1:
             self._dry_since_s = host_clock.now_s()
-        while report.state in ("Idle", "Run") and not (self.dry or self.is_done):
-            if host_clock.now_s() > self._feeds_until_s:
-                break
-            is_fed, owed = self.feed(), len(self._owed)
-            report = self._ask()
-            if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
-                is_read = not self._owed or self._owed[0].is_barrier
-                if not is_read:  # two answers after it was sent
-                    self._full_s = host_clock.now_s()
-                break
-        return report
+        return report if self.dry else self._fill(report)
 
     def feed_on(self) -> bool:
         """Send more to what has run dry; not where the look for it took too long."""
         if host_clock.now_s() > self._feeds_until_s:
             return False
         self.dry = 0
-        return self.feed()
+        self._fill(self._report)
+        return True
 
     def feed(self) -> bool:
         """Send what fits, never a line twice; tell whether there was any."""
@@ -339,6 +330,7 @@ class GrblSession:
         self.rows = self.dry = 0
         self.sent_to: tuple[float, ...] = ()
         self._full_s = self._dry_since_s = self._feeds_until_s = -math.inf
+        self._is_hastened = False  # what was sent lasts less long than it was made for
 
     def _await_begin(self, within_s: float) -> None:
         deadline_s = host_clock.now_s() + within_s
@@ -352,6 +344,19 @@ class GrblSession:
         else:  # on its way back from a door GRBL hears no `!`
             is_at_door = self._report.state.startswith("Door")
             self.signal(HOLD + DOOR if is_at_door else HOLD)
+
+    def _fill(self, report: Report) -> Report:
+        while report.state in ("Idle", "Run") and not self.is_done:
+            if host_clock.now_s() > self._feeds_until_s:
+                break
+            is_fed, owed = self.feed(), len(self._owed)
+            report = self._ask()
+            if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
+                is_read = not self._owed or self._owed[0].is_barrier
+                if not (is_read or self._is_hastened):  # two answers after it was sent
+                    self._full_s = host_clock.now_s()
+                break
+        return report
 
     def _ask(self) -> Report:
         deadline_s = host_clock.now_s() + self._reply_s
@@ -396,8 +401,8 @@ class GrblSession:
         elif report := parse_report(line):
             self._report, self._is_new = report, True
             if report.override is not None:
-                if report.override > (self.override or 0.0):
-                    self._full_s = -math.inf  # what is planned lasts no longer as long
+                if self.override is not None and report.override > self.override:
+                    self._is_hastened, self._full_s = True, -math.inf
                 self.override = report.override
             if report.state != "Alarm":
                 self.alarm = 0
@@ -411,6 +416,7 @@ class GrblSession:
             return
         block = self._owed.popleft()
         self._free += len(block.text)
+        self._is_hastened &= not block.is_barrier
         self.touch()
         if line == b"ok":
             self.rows += block.ends_row

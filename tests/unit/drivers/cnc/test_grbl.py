@@ -1249,10 +1249,17 @@ def test_an_override_that_a_person_raises_holds_nothing(grbl, device):
     for _ in range(9):
         device.receive(b"\x92")
     look_for(grbl, 1.0)
-    grbl.move_to([-20.0, -1.0, -1.0], 3000.0)
+    grbl.load(path_to([-20.0, -1.0, -1.0], [-280.0, -1.0, -1.0], feed=3000.0))
+    grbl.start()
     look_for(grbl, 1.0)
     device.receive(b"\x90")
-    assert look_for(grbl, 1.2, each_s=0.4).state is not MotionState.HELD
+    assert look_for(grbl, 1.2, each_s=0.4).state is MotionState.RUNNING
+    assert look_for(grbl, 4.0).line == 1
+    device.update(host_clock.now_s() + 3600.0)
+    device._now_s = host_clock.now_s()
+    look_for(grbl, 0.2)
+    assert grbl.status().hold_reason == "watchdog"  # the next row is even again
+    grbl.resume()
     assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
