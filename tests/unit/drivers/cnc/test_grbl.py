@@ -1183,6 +1183,19 @@ def test_what_ran_dry_before_its_queue_was_full_goes_on(
     assert device.position == pytest.approx([-100.0, -1.0, -1.0])
 
 
+def test_what_ran_dry_keeps_to_its_feed_again(grbl, device):
+    take = device.take
+    grbl.move_to([-200.0, -1.0, -1.0], 1200.0)
+    drive_by_late_answers(grbl, device, 0.14, 0.3)
+    device.take = take
+    look_for(grbl, 1.0, each_s=0.33)
+    here, begin_s = device.position.copy(), host_clock.now_s()
+    look_for(grbl, 2.0, each_s=0.33)
+    grbl.status()
+    driven_s = host_clock.now_s() - begin_s
+    assert here[0] - device.position[0] == pytest.approx(20.0 * driven_s, abs=1.0)
+
+
 def test_a_row_at_one_feed_is_not_said_to_have_stood(driving, caplog):
     driving.hold()
     driving.wait(5.0)
