@@ -1189,6 +1189,7 @@ def test_what_ran_dry_keeps_to_its_feed_again(grbl, device):
     drive_by_late_answers(grbl, device, 0.14, 0.3)
     device.take = take
     look_for(grbl, 1.0, each_s=0.33)
+    device.update(host_clock.now_s())
     here, begin_s = device.position.copy(), host_clock.now_s()
     look_for(grbl, 2.0, each_s=0.33)
     grbl.status()
