@@ -34,6 +34,8 @@ from truepath_drivers.interfaces.records import (
     MotionStatus,
     Path,
 )
+from truepath_drivers.interfaces.tracker import EventSource
+from truepath_drivers.interfaces.tracker_records import TrackerEvent
 from truepath_drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
@@ -43,7 +45,7 @@ _TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any mor
 _OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
 
 
-class GrblController(MotionController):
+class GrblController(MotionController, EventSource):
     """GRBL 1.1 with three axes, on a serial `port`, or at `host` behind a converter.
 
     serial_number : refuse any other machine; GRBL's own words, set by `$I=`
@@ -187,6 +189,11 @@ class GrblController(MotionController):
 
     def send_heartbeat(self) -> None:
         """GRBL has no watchdog."""
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Rows that were not driven at one feed."""
+        events = self._motion.events
+        return tuple(events.popleft() for _ in range(len(events)))
 
     def reset(self) -> None:
         """Clear an alarm; a machine that homes has to be homed after it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -19,6 +20,7 @@ from truepath_drivers.interfaces.records import (
     MotionStatus,
     Path,
 )
+from truepath_drivers.interfaces.tracker_records import TrackerEvent, TrackerEventKind
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +30,10 @@ _DISOBEYS_S = 1.0  # in which a hold has been taken
 _UNASKED_S = 1.0  # after so long a motion does not go on by itself
 _LOOK_S = 0.02
 _ROUNDED_MM = 2e-3  # of a report, beside a step of the motor
+_UNEVEN = (
+    "the axes stood within a row for a moment, which was not driven at one feed: this "
+    "computer was too slow to send it in time"
+)
 
 
 class GrblMotion:
@@ -35,13 +41,15 @@ class GrblMotion:
 
     loaded : the path that `start` may run
     is_stopping : it brakes, and is forgotten by a reset once it stands
+    events : that nobody has taken, the last ones
     """
 
     def __init__(self, session: GrblSession) -> None:
         self._session = session
         self._driven: Path | None = None
         self._ended, self._stops_as = MotionState.IDLE, MotionState.ABORTED
-        self._line, self._text = 0, ""
+        self._line, self._uneven_line, self._text = 0, -1, ""
+        self.events: deque[TrackerEvent] = deque(maxlen=100)
         self._looked_s = self._looked_wall_s = self._obeyed_s = 0.0
         self.is_under_way = self.is_stopping = False
         self.loaded: Path | None = None
@@ -189,7 +197,8 @@ class GrblMotion:
         if not self._session.is_done:
             raise Refused(f"{self._session.name}: GRBL owes a reply; reset it")
         self._session.begin(blocks, stops, homes=path is None)
-        self._driven, self._line, self._text = path, 0, ""
+        self._driven, self._text = path, ""
+        self._line, self._uneven_line = 0, -1
         self.is_under_way, self._ended = True, MotionState.IDLE
         self._session.feed()
 
@@ -222,13 +231,10 @@ class GrblMotion:
             self.brake("GRBL stands where no line ends: it has lost its queue")
         elif session.has_lost_time or session.dry_s > _UNASKED_S:
             session.brake("watchdog")
-        elif session.feed_on():
-            log.warning(
-                "%s: row %d was not driven at one feed: this computer was slow, and "
-                "the axes stood for a moment",
-                session.name,
-                self._line + 1,
-            )
+        elif session.feed_on() and self._line != self._uneven_line:
+            self._uneven_line = self._line
+            log.warning("%s: row %d: %s", session.name, self._line + 1, _UNEVEN)
+            self.events.append(TrackerEvent(TrackerEventKind.UNEVEN, _UNEVEN))
 
     def _follow_stop(self, report: Report) -> Report:
         """Press until it brakes; once it stands, forget what a stop was for."""
