@@ -181,7 +181,10 @@ class GrblController(MotionController, EventSource):
 
     def abort(self) -> None:
         """Brake and forget the path; the axes keep their position."""
-        self._session.count_stop()
+        if self._motion.is_under_way:
+            self._motion.brake()  # at once: nobody takes it for a hold
+        else:
+            self._session.count_stop()
         if self._session.settings is None:
             return
         with self._lock.hold(urgent=True):

@@ -30,9 +30,10 @@ os.kill(os.getpid(), 9)
 
 @pytest.fixture(scope="module")
 def control() -> Iterator[tuple[DeviceProcess, dict]]:
-    process = DeviceProcess("cnc.grbl_process", {"speed": 3.0})
+    process = DeviceProcess("cnc.grbl_process", {"homes": True})
     try:
-        options = process.listening()
+        # It shares this computer, where a board does not: it may answer later.
+        options = process.listening() | {"reply_timeout_s": 2.0}
         with GrblController(**options) as grbl:
             assert grbl.status().state is MotionState.UNHOMED
             grbl.home(10.0)
@@ -57,7 +58,7 @@ def test_a_machine_whose_host_dies_stands_soon(control):
     first = process.query_state()
     time.sleep(0.3)
     assert process.query_state() == first
-    assert first["state"] == "Idle"
+    assert first["state"] in ("Idle", "Hold")  # held by a host that was slow before
     assert first["position"][0] > -280.0
     with GrblController(**options) as grbl:
         assert grbl.status().state is MotionState.IDLE

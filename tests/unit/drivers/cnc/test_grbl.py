@@ -855,6 +855,38 @@ def test_an_abort_ends_also_what_does_not_obey_a_hold(driving, device, deaf):
     assert status.state is (MotionState.ALARM if deaf == 1000 else MotionState.ABORTED)
 
 
+def test_an_abort_is_never_told_as_a_hold(driving, monkeypatch):
+    def hold_late(*, urgent=False):
+        if urgent:
+            host_clock.sleep_s(1.0)
+        return hold(urgent=urgent)
+
+    hold = driving._lock.hold
+    monkeypatch.setattr(driving._lock, "hold", hold_late)
+    thread = threading.Thread(target=driving.abort)
+    thread.start()
+    states = {look_for(driving, 0.05).state for _ in range(15)}
+    host_clock.join(thread, 10.0)
+    assert MotionState.HELD not in states
+    assert driving.status().state is MotionState.ABORTED
+
+
+def test_an_abort_whose_character_the_line_does_not_take_is_sent_again(
+    driving, port, device
+):
+    write = port.write
+
+    def hang(data):
+        port.write = write
+        raise DeviceTimeout("takes no bytes")
+
+    port.write = hang
+    with pytest.raises(DeviceTimeout):
+        driving.abort()
+    assert driving.wait(5.0).state is MotionState.ABORTED
+    assert stands(device)
+
+
 def test_lines_that_are_cut_off_are_the_end_of_the_motion(driving, port, device):
     write = port.write
 
