@@ -223,7 +223,7 @@ def polled(motion):
     return FakePolled(motion)
 
 
-class FakeMotion(MotionController):
+class FakeMotion(MotionController, EventSource):
     """A controller in this process: constant speed, `speed` times faster than told."""
 
     axes = ("X", "Y", "Z")
@@ -231,7 +231,7 @@ class FakeMotion(MotionController):
 
     def __init__(self, speed=20.0):
         self.speed = speed
-        self.calls = []
+        self.calls, self.events = [], []
         self.out_of_reach = self.stops_unasked = False
         self.has_watchdog = self.limits_override = True
         self.override = self.referenced = self.compensation = None
@@ -274,6 +274,10 @@ class FakeMotion(MotionController):
             stated = self.override, self.referenced, self.compensation
             why = self.alarm, self._reason
             return MotionStatus(self._state, tuple(self.here), line, *why, *stated)
+
+    def take_events(self):
+        events, self.events = tuple(self.events), []
+        return events
 
     def limit_override(self, largest):
         if not self.limits_override:

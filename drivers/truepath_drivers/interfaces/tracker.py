@@ -96,7 +96,7 @@ class ByteLink(ABC):
 
 
 class EventSource(ABC):
-    """Reports events of the instrument: a lost beam, a warning."""
+    """Reports events of the device: a lost beam, a warning, a row at no one feed."""
 
     @abstractmethod
     def take_events(self) -> tuple[TrackerEvent, ...]:

@@ -101,16 +101,17 @@ class PointMeasurement:
 
 
 class TrackerEventKind(StrEnum):
-    """Kind of an event at a tracker."""
+    """Kind of an event at a tracker, or at a controller."""
 
     BEAM_LOST = "tracker-beam-lost"
     BEAM_LOCKED = "tracker-beam-locked"
     WARNING = "tracker-warning"
+    UNEVEN = "motion-uneven"
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerEvent:
-    """An event at a tracker, as text.
+    """An event at a tracker, or at a controller, as text.
 
     action : remedy for the operator; empty where none is needed
     """

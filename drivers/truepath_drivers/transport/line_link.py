@@ -53,12 +53,12 @@ class LineLink:
         self._is_open = False
         self._port.close()
 
-    def send(self, line: bytes) -> None:
+    def send(self, line: bytes, end: bytes = _END) -> None:
         """Send a line, whose end is added."""
         if not self._is_open:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
         try:
-            self._port.write(line + _END)
+            self._port.write(line + end)
         except ConnectionLost:
             self._is_open = False
             raise

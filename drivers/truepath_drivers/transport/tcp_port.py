@@ -14,7 +14,14 @@ _KEEP_ALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 
 
 class TcpPort(SocketPort):
-    """A client socket without Nagle's delay, monitored by keep-alive probes."""
+    """A client socket without Nagle's delay, monitored by keep-alive probes.
+
+    silent_s : after which it is given up where the peer takes no bytes, None: minutes
+    """
+
+    def __init__(self, host: str, port: int, silent_s: float | None = None) -> None:
+        super().__init__(host, port)
+        self._silent_s = silent_s
 
     @property
     def name(self) -> str:
@@ -36,6 +43,9 @@ class TcpPort(SocketPort):
         for option, seconds in _KEEP_ALIVE.items():
             if hasattr(socket, option):
                 opened.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), seconds)
+        if self._silent_s is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
+            silent_ms = round(1000 * self._silent_s)
+            opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, silent_ms)
         opened.settimeout(_WRITE_TIMEOUT_S)
         self._socket = opened
 

@@ -105,7 +105,7 @@ def test_the_list_of_plug_ins_has_all_the_broken_ones_with_why(capsys):
     broken = found["effects", "broken"]
     assert f"{broken['distribution']} {broken['version']}" == NAME
     assert "the licence has run out" in broken["fault"]
-    ours = found["motion_controllers", "modbus"]
+    ours = found["motion_controllers", "grbl"]
     assert (ours["distribution"], ours["interface_version"]) == ("truepath", 1)
     assert not ours["fault"]
     assert any("'../up'" in why for why in told["left_out"])

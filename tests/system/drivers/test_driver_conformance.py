@@ -19,7 +19,8 @@ TRACKERS, CONTROLLERS = (
 POLLED = {"geocom": "pty", "t2sa": "tcp"}  # each has simulated instruments of its own
 # Where drivers of ours find a device; a new one needs a word here.
 HERE = {"streaming", "modbus", *POLLED}
-ELSEWHERE = {"text-line", "linuxcnc"}  # behind a relay, and a real one
+# Behind a relay, a real one, and a process of its own.
+ELSEWHERE = {"text-line", "linuxcnc", "grbl"}
 ABSENT = {
     "text-line": {"port": "/dev/truepath-no-such-port", "rate_hz": 500.0},
     "streaming": {"port": "/dev/truepath-no-such-port"},
@@ -27,6 +28,7 @@ ABSENT = {
     "t2sa": {"host": "127.0.0.1", "port": 9},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
     "linuxcnc": {"host": "127.0.0.1", "port": 9},
+    "grbl": {"port": "/dev/truepath-no-such-port"},
 }
 
 

@@ -141,3 +141,12 @@ def test_warnings_of_trackers_are_told_and_recorded(measure, polled, journal, me
     assert ("tracker-warning", "battery low") in [(e.kind, e.text) for e in run.events]
     assert summarize_run(run).told == ("battery low",)
     measured("1 of 1 told, in the Run and in its result")
+
+
+def test_events_of_controllers_are_recorded_and_told(measure, motion):
+    motion.events = [TrackerEvent(TrackerEventKind.UNEVEN, "stood within a row")]
+    _, run = measure()
+    assert ("motion-uneven", "stood within a row") in [
+        (event.kind, event.text) for event in run.events
+    ]
+    assert summarize_run(run).told == ("stood within a row",)

@@ -141,7 +141,7 @@ class MeasurementMonitor:
         if host_clock.wait(self.state.aborted, self.settings.poll_s):
             raise Aborted("aborted on request")
         self._disk.check()
-        self._report_tracker_events()
+        self._report_device_events()
         self.stream.check(may_lose_beam=self._is_task_under_way)
         here, status = self._machine.position, self._machine.poll()
         if status is None:
@@ -197,10 +197,10 @@ class MeasurementMonitor:
         self.stream.end()
         self._machine.flush()
 
-    def _report_tracker_events(self) -> None:
-        if not isinstance(self._tracker, EventSource):
-            return
-        for event in self._tracker.take_events():
+    def _report_device_events(self) -> None:
+        devices = self._tracker, self.motion
+        sources = (device for device in devices if isinstance(device, EventSource))
+        for event in (event for source in sources for event in source.take_events()):
             if event.action:
                 fault = Fault(event.kind, event.text, event.action)
                 self.events.report_fault(fault)

@@ -1,0 +1,272 @@
+"""The driver of controllers that speak GRBL 1.1."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from truepath_drivers import host_clock
+from truepath_drivers.cnc.grbl.motion import GrblMotion
+from truepath_drivers.cnc.grbl.program import find_least_feed
+from truepath_drivers.cnc.grbl.protocol import AXES, Settings
+from truepath_drivers.cnc.grbl.session import GrblSession
+from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.cnc.travel import (
+    arrange_path,
+    check_dwells,
+    check_feeds,
+    check_positions,
+)
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.interfaces.motion import MotionController
+from truepath_drivers.interfaces.records import (
+    Identity,
+    MotionState,
+    MotionStatus,
+    Path,
+)
+from truepath_drivers.interfaces.tracker import EventSource
+from truepath_drivers.interfaces.tracker_records import TrackerEvent
+from truepath_drivers.transport.make_port import make_port
+
+log = logging.getLogger(__name__)
+
+_LONGEST_DWELL_S = 3000.0  # GRBL counts 65 535 steps of 0.05 s
+_TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any more
+_OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
+
+
+class GrblController(MotionController, EventSource):
+    """GRBL 1.1 with three axes, on a serial `port`, or at `host` behind a converter.
+
+    serial_number : refuse any other machine; GRBL's own words, set by `$I=`
+    open_s : longest wait for the control that begins anew when its port is opened
+    reply_timeout_s : longest wait for a reply
+    poll_s : time between two looks of `wait`
+
+    GRBL has no watchdog. `status` and `wait` send it the next lines, a twentieth of a
+    second each: where nobody looks any more, it stands when its queue is empty, and
+    after a second without a look it is held.
+    Every verb may be called from any thread; `hold` and `abort` go before the others.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str | int,
+        host: str | None = None,
+        baudrate: int = 115_200,
+        serial_number: str = "",
+        open_s: float = 3.0,
+        reply_timeout_s: float = 0.5,
+        poll_s: float = 0.05,
+    ) -> None:
+        line = make_port(port, host, baudrate, _TCP_SILENT_S)
+        self._session = GrblSession(line, open_s, reply_timeout_s)
+        self._serial_number, self._poll_s = serial_number, poll_s
+        self._motion = GrblMotion(self._session)
+        self._lock = PriorityLock()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes; none before `connect`."""
+        return AXES if self._session.settings else ()
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest position of each axis; none before `connect`."""
+        return self._session.settings.travel if self._session.settings else ()
+
+    def connect(self) -> Identity:
+        """Open the line and read what machine it is. Nothing moves any more then."""
+        with self._lock.hold():
+            settings = self._session.settings
+            if settings is None or not self._session.is_open:
+                self._motion.forget()
+                settings = self._session.open()
+                log.info(
+                    "%s: GRBL %s answers; this driver has met a simulated one only",
+                    self._session.name,
+                    settings.version,
+                )
+            if self._serial_number not in ("", settings.words):
+                self._session.close()
+                raise WrongDevice(
+                    f"{self._session.name}: GRBL calls itself {settings.words!r}, not "
+                    f"{self._serial_number!r}"
+                )
+        return Identity(
+            "GRBL", "GRBL", settings.words, settings.version, stops_unasked=True
+        )
+
+    def status(self) -> MotionStatus:
+        """Read state and position, and send GRBL what it has room for."""
+        self._require_settings()
+        with self._lock.hold():
+            return self._motion.look()
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        """Start a straight move."""
+        stops = self._session.stops
+        where = np.atleast_2d(np.asarray(position, np.float64))
+        row = Path(AXES, where, np.array([feed_mm_min], np.float64), np.zeros(1))
+        self._check(row)
+        with self._lock.hold():
+            self._motion.begin(row, stops)
+
+    def load(self, path: Path) -> None:
+        """Keep a path; GRBL has no room for one."""
+        self._require_settings()
+        path = arrange_path(path, AXES, drives_arcs=False)
+        if not len(path):
+            raise Refused("the path has no rows")
+        self._check(path)
+        check_dwells(path.dwell_s, _LONGEST_DWELL_S)
+        with self._lock.hold():
+            self._motion.take(path)
+
+    def start(self) -> None:
+        """Run the loaded path from its first row."""
+        stops = self._session.stops
+        self._require_settings()
+        if (path := self._motion.loaded) is None:
+            raise Refused("no path is loaded; load one")
+        with self._lock.hold():
+            self._motion.begin(path, stops)
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        """Wait until the axes stand, feeding them meanwhile."""
+        deadline_s = host_clock.now_s() + timeout_s
+        while True:
+            status = self.status()
+            self._motion.require_able(status)
+            if status.state is not MotionState.RUNNING:
+                return status
+            left_s = deadline_s - host_clock.now_s()
+            if left_s <= 0:
+                raise DeviceTimeout(
+                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
+                    f"at line {status.line}"
+                )
+            host_clock.sleep_s(min(self._poll_s, left_s))
+
+    def hold(self) -> None:
+        """Feed hold; a reset where it homes. Nothing is held before `connect`."""
+        if self._session.settings is None:
+            return
+        if self._motion.is_under_way:
+            self._session.brake("command")
+            return
+        self._session.count_stop()
+        with self._lock.hold(urgent=True):
+            runs = self._motion.look().state is MotionState.RUNNING
+            if runs or self._motion.is_under_way:
+                self._session.brake("command")
+
+    def resume(self) -> None:
+        """Go on after a hold, ours or of the operator, but not after a later one."""
+        stops = self._session.stops
+        self._require_settings()
+        with self._lock.hold():
+            self._motion.resume(stops)
+
+    def abort(self) -> None:
+        """Brake and forget the path; the axes keep their position."""
+        if self._motion.is_under_way:
+            self._motion.brake()  # at once: nobody takes it for a hold
+        else:
+            self._session.count_stop()
+        if self._session.settings is None:
+            return
+        with self._lock.hold(urgent=True):
+            self._motion.stop()
+
+    def send_heartbeat(self) -> None:
+        """GRBL has no watchdog."""
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Rows that were not driven at one feed."""
+        events = self._motion.events
+        return tuple(events.popleft() for _ in range(len(events)))
+
+    def reset(self) -> None:
+        """Clear an alarm; a machine that homes has to be homed after it."""
+        self._require_settings()
+        with self._lock.hold():
+            self._motion.reset()
+
+    def home(self, timeout_s: float) -> None:
+        """Home all axes (`$H`)."""
+        stops = self._session.stops
+        if not self._require_settings().homes:
+            raise Refused(f"{self._session.name}: homing is not enabled ($22=0)")
+        deadline_s = host_clock.now_s() + timeout_s
+        try:
+            with self._lock.hold():
+                self._motion.home(stops)
+            while (status := self.status()).state is MotionState.RUNNING:
+                if host_clock.now_s() > deadline_s:
+                    raise DeviceTimeout(
+                        f"{self._session.name}: not homed in {timeout_s:g} s"
+                    )
+                host_clock.sleep_s(self._poll_s)
+        except BaseException:
+            if self._session.is_homing:
+                self._session.brake("command")
+            raise
+        if self._session.error:
+            raise MotionFault(f"{self._session.name}: {self._session.error}")
+        self._motion.require_able(status)
+        if status.state is not MotionState.FINISHED:
+            raise MotionFault(f"{self._session.name} does not home: {status.alarm}")
+
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override where it is above, a step a look.
+
+        GRBL keeps these characters as flags: ten that come at once count once.
+        """
+        self._require_settings()
+        if largest < 0.1:
+            raise Refused("GRBL's feed override does not go below 10 %")
+        deadline_s = host_clock.now_s() + _OVERRIDE_S
+        while True:
+            with self._lock.hold():
+                for _ in range(2):  # a change is told in the second at the latest
+                    self._motion.look()
+                if self._session.lower(largest):
+                    return
+                if host_clock.now_s() > deadline_s:
+                    raise Refused(f"{self._session.name} does not lower its feed")
+
+    def close(self) -> None:
+        """Abort a motion that runs, release the port."""
+        with self._lock.hold(urgent=True):  # all of it: nothing begins in between
+            try:
+                if self._session.settings and self._session.is_open:
+                    self._motion.leave()
+            except DeviceError as error:
+                log.warning("%s closed unanswered: %s", self._session.name, error)
+            finally:
+                self._session.close()
+
+    def _check(self, path: Path) -> None:
+        settings = self._require_settings()
+        check_positions(AXES, settings.travel, path.position)
+        most = float(np.linalg.norm(settings.rate_mm_min))
+        check_feeds(path.feed_mm_min, find_least_feed(settings), most)
+
+    def _require_settings(self) -> Settings:
+        if self._session.settings is None:
+            raise ConnectionLost(
+                f"{self._session.name} is not connected; connect first"
+            )
+        return self._session.settings

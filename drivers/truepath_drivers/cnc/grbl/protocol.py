@@ -1,0 +1,152 @@
+"""The words of GRBL 1.1: reports, settings, alarms, characters that act at once.
+
+Source: GRBL's own interface, commands and code lists (github.com/gnea/grbl, doc).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truepath_drivers.interfaces.errors import ConnectionLost
+
+HOLD, RESUME, ASK, RESET, DOOR = b"!", b"~", b"?", b"\x18", b"\x84"
+TEN_LESS, ONE_LESS = b"\x92", b"\x94"
+AXES = ("X", "Y", "Z")
+MUTE_ALARMS = (1, 2)  # no `?` is answered before a reset
+ALARMS = {
+    1: "a limit switch was hit; the position is likely lost",
+    2: "the target is beyond the soft limits",
+    3: "reset in motion; the position is likely lost",
+    4: "the probe was not in its first state",
+    5: "the probe met nothing",
+    6: "homing was reset",
+    7: "a door was opened during homing",
+    8: "homing did not get off the switch",
+    9: "homing found no switch",
+    10: "homing found no second switch of an axis",
+}
+ERRORS = {
+    5: "homing is not enabled ($22=0)",
+    8: "not while it runs or holds",
+    9: "locked by an alarm",
+    13: "a door is open",
+    20: "an unknown G-code",
+}
+_STANDS = {"Idle", "Hold:0", "Door:0", "Door:1", "Alarm", "Check", "Sleep"}
+_BRAKES = {"Hold:0", "Hold:1", "Door:0", "Door:1", "Door:2"}
+_NUMBER = rb"(-?\d+\.\d+)"
+_REPORT = re.compile(
+    rb"<(\w+(?::\d)?)\|MPos:%b,%b,%b(?:\|[^|<>]+)*>" % ((_NUMBER,) * 3)
+)
+_OVERRIDE = re.compile(rb"\|Ov:(\d+),")
+_SETTING = re.compile(rb"\$(\d+)=(-?[\d.]+)")
+_BUILD = re.compile(rb"\[VER:([^:]*):(.*)\]")
+_OPTION = re.compile(rb"\[OPT:([^,\]]*),(\d+),(\d+).*\]")
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """An answer to `?`.
+
+    state : with what is behind its colon: "Hold:1" brakes, "Hold:0" stands
+    override : None where this report leaves it out
+    """
+
+    state: str
+    position: tuple[float, ...]
+    override: float | None = None
+
+    @property
+    def stands(self) -> bool:
+        """Whether nothing moves for certain: a state that is not known may."""
+        return self.state in _STANDS
+
+    @property
+    def brakes(self) -> bool:
+        """Whether a hold has been taken: only a resume lets it move again."""
+        return self.state in _BRAKES
+
+
+def parse_report(line: bytes) -> Report | None:
+    """The report in a line; None where it is damaged or tells no machine position."""
+    found = _REPORT.fullmatch(line)
+    if found is None:
+        return None
+    override = _OVERRIDE.search(line)
+    return Report(
+        found[1].decode(),
+        (float(found[2]), float(found[3]), float(found[4])),
+        int(override[1]) / 100.0 if override else None,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What `$$` and `$I` tell of a machine.
+
+    step_mm, rate_mm_min, acceleration_mm_s2 : of each axis
+    options : letters of what it was built with
+    queue : lines that it plans ahead
+    buffer_bytes : that it keeps of lines it has not read yet
+    """
+
+    step_mm: NDArray[np.float64]
+    rate_mm_min: NDArray[np.float64]
+    acceleration_mm_s2: NDArray[np.float64]
+    travel: tuple[tuple[float, float], ...]
+    homes: bool
+    has_soft_limits: bool
+    keeps_drives_on: bool
+    tells_machine_mm: bool
+    version: str
+    words: str
+    options: str
+    queue: int
+    buffer_bytes: int
+
+
+def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
+    """The settings of a machine. Raises ConnectionLost where some are lost."""
+    told = {int(m[1]): float(m[2]) for line in lines if (m := _SETTING.fullmatch(line))}
+    version = next((m for line in build if (m := _BUILD.fullmatch(line))), None)
+    option = next((m for line in build if (m := _OPTION.fullmatch(line))), None)
+    try:
+        steps, rate, acceleration, length = (
+            np.array([told[base + axis] for axis in range(len(AXES))])
+            for base in (100, 110, 120, 130)
+        )
+        shown, inches, inverted = int(told[10]), told[13] != 0.0, int(told[23])
+        homes, has_soft_limits = told[22] != 0.0, told[20] != 0.0
+        keeps_drives_on = told[1] == 255.0
+    except KeyError as error:
+        raise ConnectionLost(
+            f"GRBL's setting ${error} did not come; check baud rate and cable"
+        ) from error
+    if option is None:
+        raise ConnectionLost("GRBL's options ([OPT:) did not come; check the cable")
+    # Machine positions are negative, unless homing sets the origin (letter Z).
+    sets_origin = b"Z" in option[1]
+    return Settings(
+        1.0 / steps,
+        rate,
+        acceleration,
+        tuple(
+            (0.0, float(size))
+            if sets_origin and inverted >> axis & 1
+            else (-float(size), 0.0)
+            for axis, size in enumerate(length)
+        ),
+        homes,
+        has_soft_limits,
+        keeps_drives_on,
+        bool(shown & 1) and not inches,
+        version[1].decode() if version else "",
+        version[2].decode("ascii", "replace") if version else "",
+        option[1].decode("ascii", "replace"),
+        int(option[2]),
+        min(int(option[3]), 128),
+    )

@@ -1,0 +1,461 @@
+"""A GRBL that is connected: its one line, both ways. The caller locks, save to stop."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from truepath_drivers import host_clock
+from truepath_drivers.cnc.grbl.program import LASTS_S, Block
+from truepath_drivers.cnc.grbl.protocol import (
+    ALARMS,
+    ASK,
+    DOOR,
+    ERRORS,
+    HOLD,
+    MUTE_ALARMS,
+    ONE_LESS,
+    RESET,
+    RESUME,
+    TEN_LESS,
+    Report,
+    Settings,
+    parse_report,
+    parse_settings,
+)
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from truepath_drivers.transport.byte_port import BytePort
+from truepath_drivers.transport.line_link import LineLink
+
+log = logging.getLogger(__name__)
+
+_ASK_AGAIN_S = 0.2
+_LOOK_S = 0.02
+_GLANCE_S = 0.002  # for what has come already
+_MOST_LATE = 9  # answers that are discarded before one is believed
+_FEEDS_S = 0.3  # after which a look sends nothing more: its caller may have gone
+_STEPS_DOWN = 20  # in which an override has been lowered by all that there is
+
+
+class GrblSession:
+    """Lines that GRBL reads in their order, and characters that it obeys at once.
+
+    stops : counts the holds and aborts asked for; none begins or resumes past a new one
+    held_by : why no line is sent and what drives is held; empty where none holds it
+    is_homing : it answers nothing, and hears a reset only
+    alarm : code of the last one, 0 where there is none
+    error : why no further line is sent
+    rows : that are done
+    has_begun_anew : unasked, since this was set back
+    is_homed : None where nobody here has seen it
+    dry : looks, one after the other, that saw it idle for want of lines
+    sent_to : where the last line that was sent drives to; empty before one
+    """
+
+    def __init__(self, port: BytePort, open_s: float, reply_s: float) -> None:
+        self._link = LineLink(port)
+        self._open_s, self._reply_s = open_s, reply_s
+        self._wire = threading.Lock()  # the order of the wire is that of the verbs
+        self.settings: Settings | None = None
+        self.stops = 0
+        self._discard_old()
+
+    @property
+    def name(self) -> str:
+        """Path of the port."""
+        return self._link.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it was opened and not lost since."""
+        return self._link.is_open
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every line was sent and answered."""
+        return self._next is None and not self._owed
+
+    @property
+    def is_sent(self) -> bool:
+        """Whether every line was sent."""
+        return self._next is None
+
+    @property
+    def silence_s(self) -> float:
+        """How much longer than it may a reply has stayed away from an idle GRBL."""
+        if not self._owed:
+            return 0.0
+        return host_clock.now_s() - self._changed_s - self._owed[0].wait_s
+
+    @property
+    def dry_s(self) -> float:
+        """For how long it has been seen dry."""
+        return host_clock.now_s() - self._dry_since_s
+
+    @property
+    def has_lost_time(self) -> bool:
+        """Whether it ran dry sooner after its queue was full than that lasts.
+
+        Time has passed that this computer does not know of, or the queue was lost.
+        """
+        return self._dry_since_s - self._full_s < LASTS_S
+
+    def open(self) -> Settings:
+        """Connect, end what is left of an earlier motion, and read what machine it is.
+
+        Many boards begin anew when their port is opened: an axis has to be homed then.
+        """
+        self.close()
+        self._link.open()
+        try:
+            self._bring_to_stand()
+            if self.restart().state.startswith("Door"):
+                raise Refused(f"{self.name}: a door is open; close it, connect again")
+            settings = parse_settings(self.command("$$"), self.command("$I"))
+            if not settings.version.startswith("1.1"):
+                raise WrongDevice(
+                    f"{self.name}: GRBL {settings.version} answers; this driver "
+                    "speaks with 1.1"
+                )
+            if not settings.has_soft_limits or "L" in settings.options:
+                raise Refused(
+                    f"{self.name}: GRBL drives beyond its travel or moves after an "
+                    "alarm; set $20=1, and build it with HOMING_INIT_LOCK"
+                )
+            if not settings.keeps_drives_on:
+                raise Refused(
+                    f"{self.name}: GRBL switches its drives off where it stands: an "
+                    "axis may drop; set $1=255"
+                )
+            if not settings.tells_machine_mm:
+                raise Refused(
+                    f"{self.name}: GRBL tells inches or no machine position; set $13=0 "
+                    "and $10=1"
+                )
+            if lines := [x for x in self.command("$N") if re.match(rb"\$N\d=.", x)]:
+                raise Refused(
+                    f"{self.name}: GRBL runs {lines[0].decode('ascii', 'replace')} "
+                    "after each reset; take it out"
+                )
+        except BaseException:
+            self.close()
+            raise
+        self.settings = settings
+        return settings
+
+    def close(self) -> None:
+        """Release the port. Idempotent."""
+        with self._wire:
+            self.stops += 1
+            self.settings = None
+            self._discard_old()
+        self._link.close()
+
+    def signal(self, character: bytes) -> None:
+        """Send a character that acts at once, from any thread, without a lock."""
+        self._link.send(character, end=b"")
+
+    def count_stop(self) -> None:
+        """Let nothing begin or go on that was asked for before; hold what has begun."""
+        with self._wire:
+            self.stops += 1
+            if self.settings and not self.is_done:
+                self.held_by = "command"
+                self._press()
+
+    def brake(self, why: str) -> None:
+        """Hold what drives and send no more lines, from any thread, without a lock."""
+        with self._wire:
+            self.stops += 1
+            self.held_by = why
+            self._press()
+
+    def press_again(self) -> None:
+        """Hold once more what has not obeyed, or was released by somebody else."""
+        with self._wire:
+            self._press()
+
+    def release(self, stops: int) -> bool:
+        """Let it go on, unless it was stopped anew since `stops` were counted."""
+        with self._wire:
+            if self.stops != stops:
+                return False
+            self.held_by, self._full_s = "", -math.inf
+            self.signal(RESUME)
+            return True
+
+    def begin(self, blocks: Iterable[Block], stops: int, *, homes: bool) -> None:
+        """Have lines sent whenever there is room; raises Refused after a stop."""
+        with self._wire:
+            if self.stops != stops:
+                raise Refused(f"{self.name}: held or aborted before it began")
+            self._load(blocks)
+            self.error, self.is_homing = "", homes
+
+    def unload(self) -> None:
+        """Send no more of a motion that has ended; what GRBL owes, it owes still."""
+        with self._wire:
+            self._blocks, self._next, self.held_by = iter(()), None, ""
+
+    def look(self) -> Report:
+        """Ask for the state, take the replies that have come, send what fits now.
+
+        GRBL answers no question while it homes, nor after an alarm of a limit: then the
+        last position is told. Where lines are left and it stands idle, it has run dry,
+        or begun anew unheard: then nothing is sent, unless by `feed_on`.
+        """
+        self._feeds_until_s = host_clock.now_s() + _FEEDS_S
+        self._take_until(host_clock.now_s() + _GLANCE_S)
+        if self.is_homing and not self.held_by:
+            self._report = replace(self._report, state="Home")
+            return self._report
+        if self.is_homing:
+            self._await_begin(self._reply_s)  # a `?` in a reset is lost
+        report = self._ask()
+        is_dry = not (self.is_sent or self._owed or self._may_be_idle)
+        self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
+        if self.dry == 1:
+            self._dry_since_s = host_clock.now_s()
+        return report if self.dry else self._fill(report)
+
+    def feed_on(self) -> bool:
+        """Send more to what has run dry; not where the look for it took too long."""
+        if host_clock.now_s() > self._feeds_until_s:
+            return False
+        self.dry = 0
+        self._fill(self._report)
+        return True
+
+    def feed(self) -> bool:
+        """Send what fits, never a line twice; tell whether there was any."""
+        with self._wire:
+            lines = b""
+            while (block := self._next) and len(block.text) <= self._free:
+                is_closed = self._owed and self._owed[-1].is_barrier
+                if self.held_by or self.error or self._is_mute or is_closed:
+                    break
+                self._owed.append(block)
+                self._may_be_idle = block.is_barrier
+                self.sent_to = block.end or self.sent_to
+                self._free -= len(block.text)
+                lines += block.text
+                self._next = next(self._blocks, None)
+            if lines:
+                self.touch()
+                self.error = "a line was cut off on its way"
+                self._link.send(lines, end=b"")
+                self.error = ""
+            return bool(lines)
+
+    def touch(self) -> None:
+        """Begin the patience anew: it moves, or is held."""
+        self._changed_s = host_clock.now_s()
+
+    def command(self, text: str) -> list[bytes]:
+        """Have one line done; what GRBL says to it. Raises Refused."""
+        self._told.clear()
+        self._load([Block(f"{text}\n".encode())])
+        self.error = ""
+        self.feed()
+        deadline_s = host_clock.now_s() + self._reply_s
+        while self._owed:
+            if not self._take_one(deadline_s):
+                raise DeviceTimeout(f"{self.name}: no answer to {text}")
+        if self.error:
+            raise Refused(f"{self.name}: {self.error}")
+        if self.has_begun_anew:
+            raise ConnectionLost(f"{self.name}: GRBL began anew at {text}; try again")
+        return list(self._told)
+
+    def restart(self) -> Report:
+        """Begin anew what stands: what GRBL had of a motion is gone.
+
+        It forgets the override as well, which a person may have lowered: lowered again.
+        """
+        homed, override = self.is_homed, self.override
+        self.has_begun_anew = False
+        self.signal(RESET)
+        self._await_begin(self._open_s)
+        report, self.has_begun_anew = self._ask(), False
+        self.is_homed = None if report.state == "Alarm" else homed
+        if override is not None:
+            for _ in range(_STEPS_DOWN):
+                self._ask()
+                self._ask()
+                if self.lower(override):
+                    break
+        return report
+
+    def lower(self, most: float) -> bool:
+        """Lower the override by a step where it is above; tell whether it is not.
+
+        A change is told in the second report at the latest.
+        """
+        if self.override is None or self.override <= most:
+            return self.override is not None
+        self.signal(TEN_LESS if self.override - most >= 0.1 else ONE_LESS)
+        return False
+
+    def explain_alarm(self) -> str:
+        """The alarm by its code and name."""
+        return f"ALARM:{self.alarm}, {ALARMS.get(self.alarm, 'unknown to GRBL 1.1')}"
+
+    def _discard_old(self) -> None:
+        self._told: deque[bytes] = deque(maxlen=200)
+        self._report, self._is_new = Report("", (0.0, 0.0, 0.0)), False
+        self._late, self._is_mute = 0, False
+        self.is_homing = self.has_begun_anew = False
+        self.override: float | None = None
+        self.is_homed: bool | None = None
+        self.alarm, self.error = 0, ""
+        self._load(())
+
+    def _load(self, blocks: Iterable[Block]) -> None:
+        self._blocks: Iterator[Block] = iter(blocks)
+        self._next = next(self._blocks, None)
+        self._owed: deque[Block] = deque()
+        self._free = self.settings.buffer_bytes if self.settings else 128
+        self._changed_s = host_clock.now_s()
+        self.held_by, self._may_be_idle = "", True
+        self.rows = self.dry = 0
+        self.sent_to: tuple[float, ...] = ()
+        self._full_s = self._dry_since_s = self._feeds_until_s = -math.inf
+        self._is_hastened = False  # what was sent lasts less long than it was made for
+
+    def _await_begin(self, within_s: float) -> None:
+        deadline_s = host_clock.now_s() + within_s
+        while not self.has_begun_anew:
+            if not self._take_one(deadline_s):
+                raise DeviceTimeout(f"{self.name}: does not come back after a reset")
+
+    def _press(self) -> None:
+        if self.is_homing:
+            self.signal(RESET)
+        else:  # on its way back from a door GRBL hears no `!`
+            is_at_door = self._report.state.startswith("Door")
+            self.signal(HOLD + DOOR if is_at_door else HOLD)
+
+    def _fill(self, report: Report) -> Report:
+        while report.state in ("Idle", "Run") and not self.is_done:
+            if host_clock.now_s() > self._feeds_until_s:
+                break
+            is_fed, owed = self.feed(), len(self._owed)
+            report = self._ask()
+            if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
+                is_read = not self._owed or self._owed[0].is_barrier
+                if not (is_read or self._is_hastened):  # two answers after it was sent
+                    self._full_s = host_clock.now_s()
+                break
+        return report
+
+    def _ask(self) -> Report:
+        deadline_s = host_clock.now_s() + self._reply_s
+        while True:
+            self._is_new = False
+            if not self._is_mute:
+                self.signal(ASK)
+            while not self._is_new and not self._is_mute:
+                if not self._take_one(deadline_s):
+                    self._late = min(self._late + 1, _MOST_LATE)
+                    raise DeviceTimeout(
+                        f"{self.name}: GRBL does not answer; it drives what it has, a "
+                        "second or so, and stands then. Is the cable plugged in?"
+                    )
+            if self._is_mute or not self._late:
+                break
+            self._late -= 1  # this one may be of before
+        self._late = 0
+        if self._is_mute:
+            self._report = replace(self._report, state="Alarm")
+        return self._report
+
+    def _take_until(self, deadline_s: float) -> None:
+        while self._take_one(deadline_s):
+            pass
+
+    def _take_one(self, deadline_s: float) -> bool:
+        line = self._link.receive(deadline_s)
+        if line is None:
+            return False
+        if line == b"ok" or line.startswith(b"error:"):
+            self._take_answer(line)
+        elif line.startswith(b"ALARM:"):
+            self.alarm, self.is_homed = _number(line), None
+            if self.alarm in MUTE_ALARMS:
+                self._is_mute, self.is_homing = True, False
+        elif line.startswith(b"Grbl"):
+            self.has_begun_anew = True
+            self.is_homing = self._is_mute = False
+            self.is_homed = self.override = None
+            self._load(())
+        elif report := parse_report(line):
+            self._report, self._is_new = report, True
+            if report.override is not None:
+                if self.override is not None and report.override > self.override:
+                    self._is_hastened, self._full_s = True, -math.inf
+                self.override = report.override
+            if report.state != "Alarm":
+                self.alarm = 0
+        else:
+            self._told.append(line)
+        return True
+
+    def _take_answer(self, line: bytes) -> None:
+        if not self._owed:
+            log.warning("%s: GRBL answers what was not asked", self.name)
+            return
+        block = self._owed.popleft()
+        self._free += len(block.text)
+        self._is_hastened &= not block.is_barrier
+        self.touch()
+        if line == b"ok":
+            self.rows += block.ends_row
+            self.is_homed = True if self.is_homing else self.is_homed
+        else:
+            code, text = _number(line), block.text.decode().strip()
+            self.error = f"error:{code} at {text}, {ERRORS.get(code, 'not taken')}"
+        self.is_homing = False
+
+    def _bring_to_stand(self) -> None:
+        """The port is ours alone: what runs is left of somebody who has gone."""
+        begin_s = host_clock.now_s()
+        while (now_s := host_clock.now_s()) < begin_s + self._open_s:
+            self._is_new = False
+            self.signal(ASK)
+            while not self._is_new and self._take_one(now_s + _ASK_AGAIN_S):
+                pass
+            if self._is_new and self._report.stands and self._report.state != "Idle":
+                return
+            if self._is_new:
+                self.signal(HOLD)  # an idle one may dwell, with lines behind it
+                host_clock.sleep_s(_LOOK_S)
+            elif self._is_mute or now_s > begin_s + self._open_s / 2:
+                self.signal(RESET)  # it homes, or a limit has stopped it
+                host_clock.sleep_s(_ASK_AGAIN_S)
+        if self._report.state:
+            log.warning("%s: GRBL does not obey a hold; it is reset", self.name)
+        elif self._link.has_received:
+            raise WrongDevice(
+                f"{self.name}: something answers, but not as GRBL 1.1 does; check "
+                "baudrate and port, and whether $10=1"
+            )
+        else:
+            raise DeviceTimeout(
+                f"{self.name}: nothing answers; check port, cable and power of the "
+                "control"
+            )
+
+
+def _number(line: bytes) -> int:
+    digits = line.partition(b":")[2].strip()
+    return int(digits) if digits.isdigit() else 0
