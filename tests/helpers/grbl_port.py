@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.transport.byte_port import BytePort
@@ -17,6 +19,7 @@ class GrblPort(BytePort):
         self.device = device
         self.is_gone = False
         self.sent = b""
+        self._lock = threading.RLock()  # a stop comes from another thread
 
     name = "grbl"
 
@@ -27,17 +30,20 @@ class GrblPort(BytePort):
     def read(self, timeout_s: float) -> bytes:
         end_s = host_clock.now_s() + timeout_s
         while True:
-            self.pass_time()
-            if said := self.device.take():
+            with self._lock:
+                self.pass_time()
+                said = self.device.take()
+            if said:
                 return said
             if host_clock.now_s() >= end_s:
                 return b""
             host_clock.sleep_s(min(_STEP_S, end_s - host_clock.now_s()))
 
     def write(self, data: bytes) -> None:
-        self.pass_time()
-        self.sent += data
-        self.device.receive(data)
+        with self._lock:
+            self.pass_time()
+            self.sent += data
+            self.device.receive(data)
 
     def pass_time(self) -> None:
         if self.is_gone:
