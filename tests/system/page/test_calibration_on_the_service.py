@@ -290,9 +290,9 @@ def test_the_rows_in_the_controller_are_those_that_the_curve_shows(panel, worn, 
         rows = int(tile.inner_text()) + 1
         operator.press("Prepare the run")
         operator.hold_until("Hold to start motion", "**/#/run/*")
-        wait_for(lambda: read_path(rig)[0], "a path in the controller")
-        shown = path_words(select_rows(planned, slice(rows)))
-        assert read_path(rig) == (rows, path_crc(shown))
+        words = path_words(select_rows(planned, slice(rows)))
+        shown = rows, path_crc(words)
+        wait_for(lambda shown=shown: read_path(rig) == shown, "the path that is shown")
         assert worn.post("/api/v1/stop").status_code < 300
         follow(worn, job_of(page), "aborted")
         page.evaluate("location.hash = '#/plan'")

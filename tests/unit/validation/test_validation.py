@@ -80,7 +80,7 @@ def test_an_order_of_axes_that_the_data_do_not_tell_is_no_end_of_an_analysis(
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_gantries_reach_the_information_bound(validation):
+def test_gantries_reach_the_information_bound(validation, perfect_trackers):
     script = validation("large_machines")
     gantry = next(world for world in script.WORLDS if world.travel_mm[0] == 3000.0)
     found = [script.outcome(gantry, seed) for seed in range(1, 5)]
@@ -94,7 +94,9 @@ def test_gantries_reach_the_information_bound(validation):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_the_direction_of_travel_halves_what_corner_paths_leave(validation):
+def test_the_direction_of_travel_halves_what_corner_paths_leave(
+    validation, perfect_trackers
+):
     script = validation("along_the_path")
     ratios = [o.ratio for o in script.outcomes(5)]
     assert np.median(ratios) < 0.5
@@ -116,7 +118,7 @@ def test_u_carries_what_few_targets_leave_open(validation):
 @pytest.mark.long
 @pytest.mark.timeout(1500)
 def test_files_that_carry_all_errors_leave_a_twentieth_and_what_they_state(
-    validation, tmp_path, monkeypatch
+    validation, tmp_path, monkeypatch, perfect_trackers
 ):
     """Twenty machines in no table of the documents, as the exact machine stands."""
     tables = validation("compensation_tables")
