@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.cell_gate import exclude_cells
-from truepath.alignment.observations.dwell_knock import find_knock
 from truepath.alignment.observations.observations import Pass
 from truepath.alignment.observations.reduction import (
     CELL_MM,
     Cells,
+    beam_frame,
     count_cells,
     reduce_to_cells,
 )
@@ -290,14 +290,62 @@ def reduce_standstills(
 def _keep_longer_side(
     stream: Stream, inside: Int64[np.ndarray, " n"], row: int
 ) -> tuple[Int64[np.ndarray, " m"], list[LeftOut]]:
-    """The samples before or after a knock, and a record of the others."""
-    found = find_knock(stream.tracker_mm[inside])
+    """The samples before or after a shift, and a record of the others."""
+    found = _find_shift(stream.tracker_mm[inside])
     if found is None:
         return inside, []
     first, off_mm = found
     lost, kept = sorted((inside[:first], inside[first:]), key=len)
     off = np.full(len(lost), off_mm)
     return kept, describe_samples("cells", row, stream.time_s[lost], off)
+
+
+# An unintended shift of tracker or reflector within a dwell, told from its own samples:
+# all of them become one cell, whose mean would be of neither place. It is sudden: two
+# means, before and after it, leave of either side no more than its noise, and the
+# samples next to it differ as the sides do. A swing, a settling or a drift leaves a
+# quarter of what the sides differ by, or more; air that wanders may leave less, but
+# takes time.
+_FEWEST_OF_SIDE, _SHORTEST = 5, 0.1  # samples of a side; share of the dwell
+_QUARTERS = 4
+_CLEARLY = 8.0  # times what a side varies by
+_BESIDE, _AT_ONCE = 0.05, 0.7  # of the dwell; of the step
+_LEAST_MM = 0.005  # less moves the mean by less than the air does
+
+
+def _find_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | None:
+    """The first sample after a shift and the size of the shift in mm.
+
+    None where the target stood still.
+    """
+    n = len(tracker_mm)
+    least = max(_FEWEST_OF_SIDE, round(_SHORTEST * n))
+    first = np.arange(least, n - least + 1)
+    if not len(first):
+        return None
+    middle_mm = tracker_mm.mean(axis=0)
+    rest = (tracker_mm - middle_mm) @ beam_frame(middle_mm[None])[0].T
+    noise = np.sqrt(np.mean(np.diff(rest, axis=0) ** 2, axis=0) / 2.0)
+    before = np.cumsum(rest / np.maximum(noise, 1e-9), axis=0)[first - 1]
+    gain = np.sum(before**2, axis=1) / (first * (n - first))
+    shift = int(first[np.argmax(gain)])
+    sides = rest[:shift], rest[shift:]
+    by_noise = noise * np.sqrt(_QUARTERS / min(map(len, sides)))
+    varies = np.max([by_noise, *map(_measure_variation, sides)], axis=0)
+    step = sides[1].mean(axis=0) - sides[0].mean(axis=0)
+    near = max(_FEWEST_OF_SIDE, round(_BESIDE * n))
+    at_once = sides[1][:near].mean(axis=0) - sides[0][-near:].mean(axis=0)
+    is_clear = np.abs(step) > np.maximum(_CLEARLY * varies, _LEAST_MM)
+    is_sudden = at_once * np.sign(step) > _AT_ONCE * np.abs(step)
+    if not (is_clear & is_sudden).any():
+        return None
+    return shift, float(np.linalg.norm(step))
+
+
+def _measure_variation(side: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+    """Root mean square of what its quarters are off its mean."""
+    means = np.array([part.mean(axis=0) for part in np.array_split(side, _QUARTERS)])
+    return np.sqrt(np.mean((means - side.mean(axis=0)) ** 2, axis=0))
 
 
 def _find_settled(

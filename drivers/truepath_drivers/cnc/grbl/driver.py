@@ -13,6 +13,7 @@ from truepath_drivers.cnc.grbl.program import find_least_feed
 from truepath_drivers.cnc.grbl.protocol import AXES, Settings
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.cnc.rest import wait_for_rest
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_dwells,
@@ -145,19 +146,9 @@ class GrblController(MotionController, EventSource):
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand, feeding them meanwhile."""
-        deadline_s = host_clock.now_s() + timeout_s
-        while True:
-            status = self.status()
-            self._motion.require_able(status)
-            if status.state is not MotionState.RUNNING:
-                return status
-            left_s = deadline_s - host_clock.now_s()
-            if left_s <= 0:
-                raise DeviceTimeout(
-                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
-                    f"at line {status.line}"
-                )
-            host_clock.sleep_s(min(self._poll_s, left_s))
+        return wait_for_rest(
+            self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
+        )
 
     def hold(self) -> None:
         """Feed hold; a reset where it homes. Nothing is held before `connect`."""

@@ -20,6 +20,7 @@ from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.cnc.linuxcnc.session import LinuxCncSession
 from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink
 from truepath_drivers.cnc.priority_lock import PriorityLock
+from truepath_drivers.cnc.rest import wait_for_rest
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_arcs,
@@ -186,20 +187,9 @@ class LinuxCncController(MotionController):
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes are at rest, beating meanwhile."""
-        deadline_s = host_clock.now_s() + timeout_s
-        while True:
-            self.send_heartbeat()
-            status = self.status()
-            self._motion.require_able(status)
-            if status.state is not MotionState.RUNNING:
-                return status
-            left_s = deadline_s - host_clock.now_s()
-            if left_s <= 0:
-                raise DeviceTimeout(
-                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
-                    f"at line {status.line}"
-                )
-            host_clock.sleep_s(min(self._poll_s, left_s))
+        return wait_for_rest(
+            self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
+        )
 
     def hold(self) -> None:
         """Feed hold. No action before the first connection."""

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath_drivers import host_clock
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.commands import CommandChannel
 from truepath_drivers.cnc.modbus.controller_map import Controller
 from truepath_drivers.cnc.modbus.path_words import arc_words, path_crc, path_words
 from truepath_drivers.cnc.modbus.register_values import encode
+from truepath_drivers.cnc.rest import wait_for_rest
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_arcs,
@@ -24,7 +24,6 @@ from truepath_drivers.cnc.travel import (
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
-    DeviceTimeout,
     MotionFault,
     Refused,
 )
@@ -140,21 +139,9 @@ class ModbusController(MotionController):
 
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes are at rest, beating meanwhile."""
-        deadline_s = host_clock.now_s() + timeout_s
-        while True:
-            self.send_heartbeat()
-            status = self.status()
-            if status.state in UNABLE:
-                raise MotionFault(f"{self._channel.name}: {status.alarm}")
-            if status.state is not MotionState.RUNNING:
-                return status
-            left_s = deadline_s - host_clock.now_s()
-            if left_s <= 0:
-                raise DeviceTimeout(
-                    f"{self._channel.name}: still in motion after {timeout_s:g} s, "
-                    f"at line {status.line}"
-                )
-            host_clock.sleep_s(min(self._poll_s, left_s))
+        return wait_for_rest(
+            self, self._channel.name, self._require_able, timeout_s, self._poll_s
+        )
 
     def hold(self) -> None:
         """Feed hold. No action before the first connection.
@@ -203,6 +190,10 @@ class ModbusController(MotionController):
         except DeviceError as error:
             log.warning("%s closed without an answer: %s", self._channel.name, error)
         self._channel.close()
+
+    def _require_able(self, status: MotionStatus) -> None:
+        if status.state in UNABLE:
+            raise MotionFault(f"{self._channel.name}: {status.alarm}")
 
     def _require_controller(self) -> Controller:
         controller = self._channel.controller

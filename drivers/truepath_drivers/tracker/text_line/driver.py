@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
 import threading
 from collections import deque
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,6 @@ from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSam
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
 from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 from truepath_drivers.tracker.text_line.layout import LineBlock, LineLayout, choose
-from truepath_drivers.tracker.text_line.line_order import Line, LineOrder
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.serial_port import SerialPort
 from truepath_drivers.transport.tcp_port import TcpPort
@@ -423,3 +424,50 @@ class Pace:
         if len(newest) < 2 or not (np.all(newest > _MOST) or np.all(newest < -_MOST)):
             return None
         return float(1.0 + newest.mean())
+
+
+class Line(NamedTuple):
+    """One line, with its number and its time.
+
+    arrival : how many came before it; arrived_s : on the host's clock
+    """
+
+    step: int
+    time_s: float
+    arrival: int
+    arrived_s: float
+    position_mm: NDArray[np.float64]
+    status: int
+
+
+class LineOrder:
+    """Lines in the order of their numbers, each held while one before it is missing.
+
+    most : that are held; 0 gives each line on as it comes
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._held: list[Line] = []
+        self._added = 0
+
+    def add(
+        self, step: int, time_s: float, position_mm: NDArray[np.float64], status: int
+    ) -> None:
+        """Hold a line that has just arrived."""
+        now_s = host_clock.now_s()
+        line = Line(step, time_s, self._added, now_s, position_mm, status)
+        self._added += 1
+        heapq.heappush(self._held, line)
+
+    def pop(self, next_step: float, since_s: float) -> Line | None:
+        """The first line, if its number is due, if more than `most` are held, or if it
+        is held since then.
+        """
+        if not self._held:
+            return None
+        first = self._held[0]
+        is_full = len(self._held) > self._most
+        if is_full or first.step <= next_step or first.arrived_s <= since_s:
+            return heapq.heappop(self._held)
+        return None
