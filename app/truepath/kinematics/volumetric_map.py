@@ -18,10 +18,11 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 from truepath.numerics.rigid import cross_matrix
+from truepath.numerics.sobol import draw_sobol_points
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
-_SOBOL = 11  # 2^11 points where there are rotary axes
+_EVEN = 2**11  # points where there are rotary axes
 _ROUNDING = 1e-12  # of the largest singular value: a motion without effect
 _NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
@@ -189,10 +190,7 @@ def _evenly_spread(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """A grid of five axes would have too many points."""
-    # Imported where it is used: the library takes a third of a second to come up.
-    from scipy.stats import qmc
-
-    unit = qmc.Sobol(len(machine.axes), seed=0).random_base2(_SOBOL)
+    unit = draw_sobol_points(len(machine.axes), _EVEN)
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import qmc
 
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.numerics.sobol import draw_sobol_points
 from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 
 _GRID = 9  # points an axis
@@ -144,7 +144,7 @@ def sample_travel_evenly(
 ) -> Float64[np.ndarray, "n a"]:
     """Quasi-random positions (Sobol), evenly distributed; the same in every call."""
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = qmc.Sobol(len(axes), rng=np.random.default_rng(0)).random(count)
+    unit = draw_sobol_points(len(axes), count)
     return low + unit * (high - low)
 
 

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from truepath.estimation.over_time.drift_process import (
     SIZES,
@@ -276,8 +276,10 @@ def _sample_populations(
 
 
 def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
-    drawn = norm.ppf(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
-    return np.asarray(drawn, float)
+    # Imported where it is used: the library takes a third of a second to come up.
+    from scipy.stats import qmc
+
+    return ndtri(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
 
 
 def _find_likelihoods(

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
@@ -66,7 +66,7 @@ class Scatter:
         """Further factor, so that k = 2 still covers 95 %."""
         if not np.isfinite(self.freedom):
             return 1.0
-        return float(student.ppf(_COVERAGE, self.freedom)) / _NORMAL
+        return float(stdtrit(self.freedom, _COVERAGE)) / _NORMAL
 
 
 @dataclass(frozen=True)
