@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-
 from truepath_drivers import host_clock
+from truepath_drivers.helpers.received_bytes import ReceivedBytes
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.transport.byte_port import BytePort
 
@@ -23,8 +22,7 @@ class LineLink:
         self._port = port
         self._is_open = False
         self._rest = b""
-        self._kept = bytearray()
-        self._lock = threading.Lock()
+        self._kept = ReceivedBytes(_KEPT_BYTES)
         self.lines = 0
 
     @property
@@ -74,7 +72,7 @@ class LineLink:
             except ConnectionLost:
                 self._is_open = False
                 raise
-            self._keep(data)
+            self._kept.add(data)
             self._rest = (self._rest + data)[-_LONGEST:]
         line, self._rest = self._rest.split(_END, 1)
         self.lines += 1
@@ -84,17 +82,10 @@ class LineLink:
         """Discard pending bytes, which belong to no request; gives them."""
         stale, self._rest = self._rest, b""
         while data := self._port.read(0.0):
-            self._keep(data)
+            self._kept.add(data)
             stale += data
         return stale
 
     def take_bytes(self) -> bytes:
         """Bytes since the last call, at most the last 1 MiB."""
-        with self._lock:
-            data, self._kept = bytes(self._kept), bytearray()
-        return data
-
-    def _keep(self, data: bytes) -> None:
-        with self._lock:
-            self._kept += data
-            del self._kept[:-_KEPT_BYTES]
+        return self._kept.take()

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath_drivers.cnc.grbl.protocol import AXES, Settings
+from truepath_drivers.helpers.line_feeding import Line
 from truepath_drivers.interfaces.records import Path
 
 START = b"G21G90G94G17G40G49G80\n"
@@ -25,18 +26,15 @@ _DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class Block(Line):
     """A line, and what its reply means.
 
     end : where it drives to; empty where it drives nowhere
-    is_barrier : nothing is sent behind it before its reply
     ends_row : the row has been driven, the dwell is over
     wait_s : longest that GRBL may be idle over it
     """
 
-    text: bytes
     end: tuple[float, ...] = ()
-    is_barrier: bool = False
     ends_row: bool = False
     wait_s: float = 0.0
 
@@ -57,7 +55,7 @@ def write_blocks(
             at = there if done >= 1.0 else here + step * done
             ends = (f"{axis}{value:.4f}" for axis, value in zip(AXES, at, strict=True))
             line = f"G53G1{''.join(ends)}F{feed:.2f}\n".encode()
-            yield Block(line, (float(at[0]), float(at[1]), float(at[2])))
+            yield Block(line, end=(float(at[0]), float(at[1]), float(at[2])))
         dwell_s = float(path.dwell_s[row])
         yield Block(
             f"G4P{dwell_s:.3f}\n".encode(),

@@ -7,7 +7,7 @@ import math
 import re
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 
 from truepath_drivers import host_clock
@@ -28,6 +28,7 @@ from truepath_drivers.cnc.grbl.protocol import (
     parse_report,
     parse_settings,
 )
+from truepath_drivers.helpers.line_feeding import LineFeed
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
@@ -83,19 +84,19 @@ class GrblSession:
     @property
     def is_done(self) -> bool:
         """Whether every line was sent and answered."""
-        return self._next is None and not self._owed
+        return self._feed.is_done
 
     @property
     def is_sent(self) -> bool:
         """Whether every line was sent."""
-        return self._next is None
+        return self._feed.is_sent
 
     @property
     def silence_s(self) -> float:
         """How much longer than it may a reply has stayed away from an idle GRBL."""
-        if not self._owed:
+        if not (owed := self._feed.unanswered):
             return 0.0
-        return host_clock.now_s() - self._changed_s - self._owed[0].wait_s
+        return host_clock.now_s() - self._changed_s - owed[0].wait_s
 
     @property
     def dry_s(self) -> float:
@@ -205,7 +206,8 @@ class GrblSession:
     def unload(self) -> None:
         """Send no more of a motion that has ended; what GRBL owes, it owes still."""
         with self._wire:
-            self._blocks, self._next, self.held_by = iter(()), None, ""
+            self._feed.discard_rest()
+            self.held_by = ""
 
     def look(self) -> Report:
         """Ask for the state, take the replies that have come, send what fits now.
@@ -222,7 +224,7 @@ class GrblSession:
         if self.is_homing:
             self._await_begin(self._reply_s)  # a `?` in a reset is lost
         report = self._ask()
-        is_dry = not (self.is_sent or self._owed or self._may_be_idle)
+        is_dry = not (self.is_sent or self._feed.unanswered or self._may_be_idle)
         self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
         if self.dry == 1:
             self._dry_since_s = host_clock.now_s()
@@ -239,23 +241,18 @@ class GrblSession:
     def feed(self) -> bool:
         """Send what fits, never a line twice; tell whether there was any."""
         with self._wire:
-            lines = b""
-            while (block := self._next) and len(block.text) <= self._free:
-                is_closed = self._owed and self._owed[-1].is_barrier
-                if self.held_by or self.error or self._is_mute or is_closed:
-                    break
-                self._owed.append(block)
+            if self.held_by or self.error or self._is_mute:
+                return False
+            blocks = self._feed.take()
+            for block in blocks:
                 self._may_be_idle = block.is_barrier
                 self.sent_to = block.end or self.sent_to
-                self._free -= len(block.text)
-                lines += block.text
-                self._next = next(self._blocks, None)
-            if lines:
+            if blocks:
                 self.touch()
                 self.error = "a line was cut off on its way"
-                self._link.send(lines, end=b"")
+                self._link.send(b"".join(block.text for block in blocks), end=b"")
                 self.error = ""
-            return bool(lines)
+            return bool(blocks)
 
     def touch(self) -> None:
         """Begin the patience anew: it moves, or is held."""
@@ -268,7 +265,7 @@ class GrblSession:
         self.error = ""
         self.feed()
         deadline_s = host_clock.now_s() + self._reply_s
-        while self._owed:
+        while self._feed.unanswered:
             if not self._take_one(deadline_s):
                 raise DeviceTimeout(f"{self.name}: no answer to {text}")
         if self.error:
@@ -321,10 +318,8 @@ class GrblSession:
         self._load(())
 
     def _load(self, blocks: Iterable[Block]) -> None:
-        self._blocks: Iterator[Block] = iter(blocks)
-        self._next = next(self._blocks, None)
-        self._owed: deque[Block] = deque()
-        self._free = self.settings.buffer_bytes if self.settings else 128
+        room = self.settings.buffer_bytes if self.settings else 128
+        self._feed = LineFeed(blocks, room)
         self._changed_s = host_clock.now_s()
         self.held_by, self._may_be_idle = "", True
         self.rows = self.dry = 0
@@ -349,10 +344,11 @@ class GrblSession:
         while report.state in ("Idle", "Run") and not self.is_done:
             if host_clock.now_s() > self._feeds_until_s:
                 break
-            is_fed, owed = self.feed(), len(self._owed)
+            is_fed, owed = self.feed(), len(self._feed.unanswered)
             report = self._ask()
-            if not is_fed and len(self._owed) >= owed:  # nor did a reply make room
-                is_read = not self._owed or self._owed[0].is_barrier
+            unanswered = self._feed.unanswered
+            if not is_fed and len(unanswered) >= owed:  # nor did a reply make room
+                is_read = not unanswered or unanswered[0].is_barrier
                 if not (is_read or self._is_hastened):  # two answers after it was sent
                     self._full_s = host_clock.now_s()
                 break
@@ -411,11 +407,9 @@ class GrblSession:
         return True
 
     def _take_answer(self, line: bytes) -> None:
-        if not self._owed:
+        if (block := self._feed.answer()) is None:
             log.warning("%s: GRBL answers what was not asked", self.name)
             return
-        block = self._owed.popleft()
-        self._free += len(block.text)
         self._is_hastened &= not block.is_barrier
         self.touch()
         if line == b"ok":

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable
 
 from truepath_drivers import host_clock
+from truepath_drivers.helpers.received_bytes import ReceivedBytes
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_drivers.tracker.streaming.measurements import is_measurement
@@ -44,8 +44,7 @@ class Receiver:
         self._ping = ping
         self._changed = threading.Condition()
         self._bodies: list[bytes] = []
-        self._kept: deque[bytes] = deque()
-        self._kept_bytes = 0
+        self._kept = ReceivedBytes(KEPT_BYTES)
         self._awaited: int | None = None
         self._reply: Reply | None = None
         self._closing = threading.Event()
@@ -81,11 +80,7 @@ class Receiver:
 
     def take_link_bytes(self) -> bytes:
         """Bytes since the last call; without calls the oldest are dropped."""
-        with self._changed:
-            data = b"".join(self._kept)
-            self._kept.clear()
-            self._kept_bytes = 0
-        return data
+        return self._kept.take()
 
     def expect(self, transaction: int) -> None:
         """Keep the reply of this transaction, and of no other."""
@@ -127,7 +122,7 @@ class Receiver:
         self.bytes_received += len(data)
         bodies = self.frames.feed(data)
         with self._changed:
-            self._keep(data)
+            self._kept.add(data)
             was_empty = not self._bodies
             answered = [self._queue(body) for body in bodies]
             # The taker sleeps through the rest of its block, whatever else comes.
@@ -143,12 +138,6 @@ class Receiver:
         if len(self._bodies) < (QUEUED_FRAMES if measured else 2 * QUEUED_FRAMES):
             self._bodies.append(body)
         return not measured and self._answers(body)
-
-    def _keep(self, data: bytes) -> None:
-        self._kept.append(data)
-        self._kept_bytes += len(data)
-        while self._kept_bytes > KEPT_BYTES:
-            self._kept_bytes -= len(self._kept.popleft())
 
     def _answers(self, body: bytes) -> bool:
         match parse_message(body):

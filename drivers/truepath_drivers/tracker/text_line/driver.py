@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import threading
 from collections import deque
 from dataclasses import replace
@@ -12,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath_drivers import host_clock
+from truepath_drivers.helpers.numbering import SampleNumbers
+from truepath_drivers.helpers.received_bytes import ReceivedBytes
+from truepath_drivers.helpers.reordering import Reordering
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
@@ -103,7 +105,7 @@ class TextLineTracker(Tracker, ByteLink):
         self._lock = threading.RLock()
         self._is_open = self._streams = False
         self._health = LinkHealth()
-        self._kept = bytearray()
+        self._kept = ReceivedBytes(_KEPT_BYTES)
         self._begin()
 
     @property
@@ -118,7 +120,7 @@ class TextLineTracker(Tracker, ByteLink):
             if not self._is_open:
                 self._port.open()
                 self._is_open, self._health = True, LinkHealth()
-                self._kept.clear()
+                self._kept.take()
                 self._begin()
             return self._identity
 
@@ -179,22 +181,21 @@ class TextLineTracker(Tracker, ByteLink):
 
     def take_link_bytes(self) -> bytes:
         """Bytes received since the last call."""
-        with self._lock:
-            data = bytes(self._kept)
-            self._kept.clear()
-            return data
+        return self._kept.take()
 
     def _begin(self) -> None:
         self._rest, self._in_step = b"", False
         self._jumps, self._refused, self._pace = True, 0, Pace()
-        self._order = LineOrder(self._late)
-        self._last_sequence, self._last_time_s, self._first_s = -1, -np.inf, 0.0
+        self._order = Reordering[Line](self._late, self._reorder_s)
+        self._numbers = SampleNumbers(self._rate_hz, self._wraps, self._late)
+        self._last_time_s = -np.inf
         self._taken: deque[tuple[int, float]] = deque(maxlen=self._late + 1)
 
     def _drop_stale(self) -> None:
         """A sender without commands streams before `start` too."""
         self._rest, self._in_step, self._jumps = b"", False, True
-        self._pace, self._order = Pace(), LineOrder(self._late)
+        self._pace = Pace()
+        self._order = Reordering[Line](self._late, self._reorder_s)
         while self._port.read(0.0):
             pass
 
@@ -234,8 +235,7 @@ class TextLineTracker(Tracker, ByteLink):
         except ConnectionLost:
             self._is_open = False
             raise
-        self._kept += data
-        del self._kept[:-_KEPT_BYTES]
+        self._kept.add(data)
         self._rest += data
 
     def _decode(self) -> TrackerSamples:
@@ -256,18 +256,16 @@ class TextLineTracker(Tracker, ByteLink):
         self._health = replace(old, **sums)
 
     def _stamp(self, block: LineBlock) -> TrackerSamples:
-        if self._layout.has_time and self._last_sequence < 0 and len(block):
-            self._first_s = float(block.time_s[0])
         times_s = block.time_s if self._stamped else self._spread(len(block))
         taken: list[Line] = []
         for row, time_s in enumerate(times_s.tolist()):
             step = self._count_step(float(block.counter[row]), time_s)
             if not self._layout.has_time and self._stamped:
                 time_s = step / self._rate_hz
-            place_mm, status = block.position_mm[row], int(block.status[row])
-            self._order.add(step, time_s, place_mm, status)
-            taken += self._take_due(-np.inf)  # the missing may be among the rest
-        taken += self._take_due(host_clock.now_s() - self._reorder_s)
+            line = Line(step, time_s, block.position_mm[row], int(block.status[row]))
+            self._order.add(step, time_s, line)
+            taken += self._take_due(more_waits=True)
+        taken += self._take_due()
         if not taken:
             return TrackerSamples.empty()
         self._keep_pace(taken[-1].step, taken[-1].time_s)
@@ -278,18 +276,14 @@ class TextLineTracker(Tracker, ByteLink):
             np.array([line.status for line in taken], np.int64),
         )
 
-    def _take_due(self, since_s: float) -> list[Line]:
+    def _take_due(self, *, more_waits: bool = False) -> list[Line]:
         taken: list[Line] = []
-        while True:
-            begins = self._last_sequence < 0
-            next_step = np.inf if begins else self._last_sequence + 1
-            line = self._order.pop(next_step, since_s)
-            if line is None:
-                return taken
+        while line := self._order.pop(self._numbers.last, more_waits=more_waits):
             if self._accept(line.step, line.time_s):
                 taken.append(line)
             else:
                 self._count(crc_errors=1)
+        return taken
 
     def _keep_pace(self, step: int, time_s: float) -> None:
         """Raises ConnectionLost for a rate or a unit of time unlike the options."""
@@ -302,21 +296,18 @@ class TextLineTracker(Tracker, ByteLink):
             )
 
     def _count_step(self, counter: float, time_s: float) -> int:
-        if not self._layout.has_counter:
-            if self._layout.has_time:
-                return round((time_s - self._first_s) * self._rate_hz)
-            return self._last_sequence + 1
-        if not self._wraps or self._last_sequence < 0:
-            return int(counter)
-        earliest = self._last_sequence - 2 * self._late  # late ones are no turn ahead
-        return earliest + int(counter - earliest) % self._wraps
+        if self._layout.has_counter:
+            return self._numbers.from_counter(int(counter))
+        if self._layout.has_time:
+            return self._numbers.from_time(time_s)
+        return self._numbers.last + 1
 
     def _accept(self, step: int, time_s: float) -> bool:
         """A damaged digit of a counter or time must not end the stream: a line far
         ahead is rejected as well, except at the start of a stream.
         """
-        first = self._last_sequence < 0
-        missing = 0 if first else step - self._last_sequence - 1
+        last = self._numbers.last
+        missing = 0 if last < 0 else step - last - 1
         gap_s = time_s - self._last_time_s
         steps_s = (missing + 1) / self._rate_hz
         near = max(steps_s, gap_s) < _LONGEST_GAP_S
@@ -335,8 +326,8 @@ class TextLineTracker(Tracker, ByteLink):
                     "connect again; if the counter wraps, say counter_wraps"
                 )
             return False
-        self._count(lost_samples=missing)
-        self._last_sequence, self._last_time_s = step, time_s
+        self._numbers.accept(step)
+        self._last_time_s = time_s
         self._taken.append((step, time_s))
         self._jumps, self._refused = False, 0
         return True
@@ -395,6 +386,15 @@ def _byte_port(
     return SerialPort(str(port), baudrate)
 
 
+class Line(NamedTuple):
+    """One line, with its number and its time."""
+
+    step: int
+    time_s: float
+    position_mm: NDArray[np.float64]
+    status: int
+
+
 _WINDOW_S = 5.0
 _MOST = 0.1  # of a window; a wrong rate or unit deviates by more
 
@@ -424,50 +424,3 @@ class Pace:
         if len(newest) < 2 or not (np.all(newest > _MOST) or np.all(newest < -_MOST)):
             return None
         return float(1.0 + newest.mean())
-
-
-class Line(NamedTuple):
-    """One line, with its number and its time.
-
-    arrival : how many came before it; arrived_s : on the host's clock
-    """
-
-    step: int
-    time_s: float
-    arrival: int
-    arrived_s: float
-    position_mm: NDArray[np.float64]
-    status: int
-
-
-class LineOrder:
-    """Lines in the order of their numbers, each held while one before it is missing.
-
-    most : that are held; 0 gives each line on as it comes
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._held: list[Line] = []
-        self._added = 0
-
-    def add(
-        self, step: int, time_s: float, position_mm: NDArray[np.float64], status: int
-    ) -> None:
-        """Hold a line that has just arrived."""
-        now_s = host_clock.now_s()
-        line = Line(step, time_s, self._added, now_s, position_mm, status)
-        self._added += 1
-        heapq.heappush(self._held, line)
-
-    def pop(self, next_step: float, since_s: float) -> Line | None:
-        """The first line, if its number is due, if more than `most` are held, or if it
-        is held since then.
-        """
-        if not self._held:
-            return None
-        first = self._held[0]
-        is_full = len(self._held) > self._most
-        if is_full or first.step <= next_step or first.arrived_s <= since_s:
-            return heapq.heappop(self._held)
-        return None
