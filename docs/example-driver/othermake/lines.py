@@ -14,8 +14,10 @@ from __future__ import annotations
 
 from collections import deque
 
+from truepath_drivers.helpers.numbering import SampleNumbers
+from truepath_drivers.helpers.received_bytes import ReceivedBytes
+
 MAX_LINE = 200
-KEPT_BYTES = 1 << 22
 
 Sample = tuple[int, float, tuple[float, float, float], int]
 """In Truepath's terms: whole number, device seconds, right-handed place, status."""
@@ -36,31 +38,24 @@ class Inbox:
     """Samples and replies among the bytes that come.
 
     Numbers and times, which begin anew with every GO, are made to go on.
-    lost : samples that the device took and that never came
     """
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
         self.replies: deque[str] = deque()
-        self.link_bytes = bytearray()
-        self.good_lines = self.bad_lines = self.bad_bytes = self.lost = 0
+        self.link_bytes = ReceivedBytes()
+        self.bad_lines = 0
         self._rest = b""
-        self._first = self._next = 0  # of this stream; of the next sample
-        self._clock_ms = 0.0
+        self._numbers, self._clock_ms = SampleNumbers(), 0.0
 
     def take(self, data: bytes) -> None:
         """Sort the next bytes."""
-        self.link_bytes += data
-        del self.link_bytes[:-KEPT_BYTES]
+        self.link_bytes.add(data)
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-MAX_LINE:]
         for line in lines:
             text = check(line)
-            if text is None or not self._sort(text):
-                self.bad_lines += 1
-                self.bad_bytes += len(line)
-            else:
-                self.good_lines += 1
+            self.bad_lines += text is None or not self._sort(text)
 
     def _sort(self, text: str) -> bool:
         kind, *fields = text.split(" ")
@@ -68,9 +63,8 @@ class Inbox:
             if kind == "S":
                 return self._take_sample(fields)
             if kind == "GO":
-                self._first, self._clock_ms = self._next, float(fields[1])
-            elif kind == "HALT":
-                self._miss_until(self._first + int(fields[0]))
+                self._clock_ms = float(fields[1])
+                self._numbers.restart_counter()
         except (ValueError, IndexError):
             return False
         self.replies.append(text)
@@ -78,15 +72,9 @@ class Inbox:
 
     def _take_sample(self, fields: list[str]) -> bool:
         n, ms, x, y, z, good = map(float, fields)
-        number = self._first + int(n)
-        if number < self._next:
+        number = self._numbers.from_counter(int(n))
+        if not self._numbers.accept(number):
             return False  # it came twice
-        self._miss_until(number)
-        self._next = number + 1
         time_s = 1e-3 * (self._clock_ms + ms)
         self.samples.append((number, time_s, (x, -y, z), 0 if good == 1.0 else 1))
         return True
-
-    def _miss_until(self, number: int) -> None:
-        self.lost += max(number - self._next, 0)
-        self._next = max(number, self._next)

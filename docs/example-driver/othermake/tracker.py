@@ -105,20 +105,13 @@ class OthermakeTracker(Tracker, ByteLink):
 
     def take_link_bytes(self) -> bytes:
         """Return the bytes as they came."""
-        if self._inbox is None:
-            return b""
-        with self._looking:
-            taken = bytes(self._inbox.link_bytes)
-            self._inbox.link_bytes.clear()
-        return taken
+        return b"" if self._inbox is None else self._inbox.link_bytes.take()
 
     @property
     def health(self) -> LinkHealth:
-        """Counts since `connect`."""
-        if (inbox := self._inbox) is None:
-            return LinkHealth()
-        bad = {"crc_errors": inbox.bad_lines, "skipped_bytes": inbox.bad_bytes}
-        return LinkHealth(frames=inbox.good_lines, lost_samples=inbox.lost, **bad)
+        """Damaged lines since `connect`."""
+        inbox = self._inbox
+        return LinkHealth(crc_errors=inbox.bad_lines if inbox else 0)
 
     def _ask_who(self) -> Identity:
         self._ask("HALT")

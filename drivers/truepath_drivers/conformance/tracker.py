@@ -18,6 +18,7 @@ from truepath_drivers.interfaces.tracker import Tracker
 
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
 _HIDDEN = 0.005  # share of the steps; a link that loses so few is no evidence
+_DAMAGED = 0.1  # share of the samples
 _REPEATED = 0.3  # share; the resolution of a text may let some be alike
 LEAST = 50  # samples for the check of rate and times, for a second
 
@@ -58,18 +59,15 @@ def silence_is_an_empty_block_in_time(make: MakeTracker) -> None:
 
 
 def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
-    """A stream has whole blocks, rising numbers and times, losses that are counted."""
+    """A stream has whole blocks with rising numbers and times."""
     with make() as tracker:
         tracker.start(TERMS.get().rate_hz)
         samples = _read(tracker, 100)
-        health = tracker.health
     _require_shapes(samples)
     require(bool((np.diff(samples.sequence) > 0).all()), "numbers do not rise")
     require(bool((np.diff(samples.device_time_s) > 0).all()), "times do not rise")
     finite = np.isfinite(samples.position_mm).all()
     require(bool(finite), "a position is not finite")
-    gaps = int(samples.sequence[-1] - samples.sequence[0]) + 1 - len(samples)
-    require(health.lost_samples >= gaps, "a gap in the numbers is not in the health")
 
 
 def times_are_those_of_the_samples(make: MakeTracker) -> None:
@@ -120,19 +118,15 @@ def each_sample_is_measured_anew(make: MakeTracker) -> None:
     require(again <= _REPEATED, said)
 
 
-def health_counts_what_has_come(make: MakeTracker) -> None:
-    """The health counts every frame, and as lost the gaps in the numbers, no more."""
+def health_counts_damage_alone(make: MakeTracker) -> None:
+    """Over a good link the damage is nothing, or close to it; losses are not damage."""
     with make() as tracker:
         tracker.start(TERMS.get().rate_hz)
-        samples = _read(tracker, 100)
-        tracker.stop()
-        samples = TrackerSamples.join([samples, tracker.read(0.05)])
-        health = tracker.health
-    frames = health.frames
-    require(frames >= len(samples), f"{len(samples)} samples came in {frames} frames")
-    gaps = int(samples.sequence[-1] - samples.sequence[0]) + 1 - len(samples)
-    lost = health.lost_samples
-    require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
+        before = tracker.health.crc_errors
+        count = len(_read(tracker, 100))
+        damaged = tracker.health.crc_errors - before
+    said = f"{damaged} damaged frames are counted beside {count} good ones"
+    require(0 <= damaged <= _DAMAGED * count, said)
 
 
 def start_twice_is_one_stream(make: MakeTracker) -> None:
@@ -148,10 +142,7 @@ def start_twice_is_one_stream(make: MakeTracker) -> None:
 
 
 def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
-    """Numbers and times of one connection rise over `stop` and `start`.
-
-    Samples received before the stop are read after it.
-    """
+    """Numbers and times of one connection rise over `stop` and `start`."""
     with make() as tracker:
         blocks: list[TrackerSamples] = []
         for _ in range(2):
@@ -161,12 +152,9 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
             tracker.stop()
             blocks.append(tracker.read(0.05))
         samples = TrackerSamples.join(blocks)
-        lost = tracker.health.lost_samples
     sequence, time_s = samples.sequence, samples.device_time_s
     require(bool((np.diff(sequence) > 0).all()), "numbers do not rise over a pause")
     require(bool((np.diff(time_s) > 0).all()), "times do not rise over a pause")
-    gaps = int(sequence[-1] - sequence[0]) + 1 - len(sequence)
-    require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
 
 
 def impossible_rates_are_refused(make: MakeTracker) -> None:
@@ -195,7 +183,7 @@ TRACKER_CHECKS: tuple[Callable[[MakeTracker], None], ...] = (
     times_are_those_of_the_samples,
     a_target_at_rest_is_valid_and_in_mm,
     each_sample_is_measured_anew,
-    health_counts_what_has_come,
+    health_counts_damage_alone,
     start_twice_is_one_stream,
     numbers_go_on_after_a_pause,
     impossible_rates_are_refused,

@@ -73,6 +73,11 @@ class TrackerSamples:
     def __len__(self) -> int:
         return len(self.sequence)
 
+    @property
+    def lost(self) -> int:
+        """Samples that are missing between the first and the last, by the numbers."""
+        return int(np.diff(self.sequence).sum()) - max(len(self) - 1, 0)
+
     @classmethod
     def empty(cls) -> TrackerSamples:
         """A block of no samples."""
@@ -195,7 +200,12 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
-    """Counts of a link since it was opened."""
+    """Damage on a link since it was opened. Losses are told by the numbers of samples.
+
+    crc_errors : frames or lines that came damaged and gave no sample
+    frames, skipped_bytes, device_overflows : for diagnosis, where a driver has them
+    lost_samples : reported by earlier drivers, read by nobody
+    """
 
     frames: int = 0
     lost_samples: int = 0

@@ -103,12 +103,10 @@ def test_damaged_lines_are_counted_and_never_samples(rig):
         blocks = []
         while sum(map(len, blocks)) < 300:
             blocks.append(tracker.read(2.0))
-        tracker.stop()
-        rest = len(tracker.read(0.0))
         health = tracker.health
     read = TrackerSamples.join(blocks)
     assert health.crc_errors > 20
-    assert health.lost_samples >= read.sequence[-1] + 1 - len(read) - rest
+    assert read.lost > 20
     assert np.ptp(read.position_mm, axis=0).max() < 0.1
 
 

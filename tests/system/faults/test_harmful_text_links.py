@@ -50,7 +50,6 @@ def read_lines(relay, harm, seed):
     ):
         read = read_through(tracker, proxy, harm)
         steps = np.diff(read.sequence)
-        assert tracker.health.lost_samples == (steps - 1).sum()
         harmed = proxy.harmed
         lines = bytes(proxy.sent_by_device).decode().split("\r\n")
     assert (steps > 0).all()

@@ -61,7 +61,6 @@ class GoodTracker(Tracker):
         self.need_connection()
         if not self.streams:
             return TrackerSamples.empty()
-        self.read_s = host_clock.now_s()
         number = self.number + np.arange(10)
         self.number += 10
         place, status = self.place + self.measure(number), np.full(10, self.status)
@@ -72,10 +71,6 @@ class GoodTracker(Tracker):
 
     def stamp(self, number):
         return number * 2e-3
-
-    @property
-    def health(self) -> LinkHealth:
-        return LinkHealth(frames=self.number)
 
     def need_connection(self) -> None:
         if not self.connected:
@@ -206,10 +201,6 @@ def double(self, number):
     return np.repeat(GoodTracker.measure(self, number)[::2], 2, axis=0)
 
 
-def forget_what_waits(self):
-    self.number += int(500 * (host_clock.now_s() - self.read_s))
-
-
 def move_unasked(self):
     self.here = np.add(self.here, [1.0, 1.0, -1.0])
 
@@ -224,7 +215,6 @@ def does(value=None):
 
 STANDS = MotionStatus(MotionState.IDLE, (0.0, 0.0, 0.0), 0)
 TIMES = tracker.times_are_those_of_the_samples
-COUNTS = tracker.health_counts_what_has_come
 FAULTY_TRACKERS = [
     (device.connect_tells_who_answers, "connect", does(Identity("", "", "", ""))),
     (
@@ -234,9 +224,7 @@ FAULTY_TRACKERS = [
     ),
     (tracker.silence_is_an_empty_block_in_time, "streams", always(True)),
     (tracker.samples_have_rising_numbers_and_times, "number", always(0)),
-    (tracker.numbers_go_on_after_a_pause, "health", always(LinkHealth(lost_samples=7))),
     (tracker.numbers_go_on_after_a_pause, "read", begin_clock_anew),
-    (tracker.numbers_go_on_after_a_pause, "stop", forget_what_waits),
     (TIMES, "stamp", lambda self, n: n * 2.0),  # ms
     # Half the rate; arrival, in blocks of ten; one of 50 lost, the rest counted.
     (TIMES, "stamp", lambda self, n: n * 4e-3),
@@ -250,8 +238,11 @@ FAULTY_TRACKERS = [
     (tracker.samples_have_rising_numbers_and_times, "read", say_twice),
     (tracker.each_sample_is_measured_anew, "measure", does(np.zeros((10, 3)))),
     (tracker.each_sample_is_measured_anew, "measure", double),
-    (COUNTS, "health", always(LinkHealth())),
-    (COUNTS, "health", property(lambda self: LinkHealth(self.number, 5))),
+    (
+        tracker.health_counts_damage_alone,
+        "health",
+        property(lambda self: LinkHealth(crc_errors=self.number)),
+    ),
     (tracker.impossible_rates_are_refused, "start", does()),
     (tracker.a_closed_tracker_has_no_samples, "need_connection", does()),
     (tracker.stop_from_another_thread_ends_the_stream, "stop", does()),

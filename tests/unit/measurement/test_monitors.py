@@ -17,7 +17,7 @@ from truepath.measurement.monitors.stream_reader import StreamDamage
 from truepath.measurement.monitors.tracker_self_test import try_tracker
 from truepath.measurement.run_file.event_log import EventLog
 from truepath.measurement.time_limits import EngineSettings
-from truepath_drivers.interfaces.records import LinkHealth, MotionState, TrackerSamples
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 
 RATE_HZ = 500.0
 
@@ -149,7 +149,7 @@ class Streaming(FakeTracker):
     def __init__(self, rate_hz=500.0, lost=0, status=0, left=0):
         super().__init__()
         self.rate_hz, self.lost, self.status, self.left = rate_hz, lost, status, left
-        self.silences, self.next, self.heard, self.lost_samples = 3, 0, [], 0
+        self.silences, self.next, self.heard = 3, 0, []
 
     def start(self, rate_hz):
         super().start(rate_hz)
@@ -158,10 +158,6 @@ class Streaming(FakeTracker):
     def stop(self):
         super().stop()
         self.heard.append("stop")
-
-    @property
-    def health(self):
-        return LinkHealth(lost_samples=self.lost_samples)
 
     def read(self, timeout_s):
         if self.left:
@@ -175,7 +171,6 @@ class Streaming(FakeTracker):
     def block(self, by_s=0.0):
         sequence = np.arange(self.next, self.next + 10)
         self.next += 10 + self.lost
-        self.lost_samples += self.lost
         place = np.tile([0.0, 0.0, 2000.0], (10, 1))
         status = np.full(10, self.status, np.int64)
         return TrackerSamples(sequence, by_s + sequence / self.rate_hz, place, status)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from truepath.measurement.messages import TrackerTrial, TrackerTried
@@ -25,7 +23,6 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
         distance_mm = float(np.linalg.norm(point.position_mm))
         return TrackerTried(point.count, point.count, 0, distance_mm)
     drop_earlier_samples(tracker)
-    lost_before = tracker.health.lost_samples
     blocks: list[TrackerSamples] = []
     tracker.start(trial.rate_hz)
     try:
@@ -38,13 +35,11 @@ def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
                 blocks.append(block)
     finally:
         tracker.stop()
-    lost = tracker.health.lost_samples - lost_before
-    usable_mm = [b.position_mm[b.status == 0] for b in blocks]
-    distances_mm = [np.linalg.norm(block, axis=1) for block in usable_mm]
-    found_mm = np.concatenate([*distances_mm, np.zeros(0)])
+    read = TrackerSamples.join(blocks)
+    found_mm = np.linalg.norm(read.position_mm[read.status == 0], axis=1)
     mean_mm = float(found_mm.mean()) if len(found_mm) else None
     return TrackerTried(
-        sum(map(len, blocks)), len(found_mm), lost, mean_mm, _compute_rate_hz(blocks)
+        len(read), len(found_mm), read.lost, mean_mm, _compute_rate_hz(read)
     )
 
 
@@ -54,11 +49,10 @@ def drop_earlier_samples(tracker: Tracker) -> None:
         pass
 
 
-def _compute_rate_hz(blocks: Sequence[TrackerSamples]) -> float | None:
+def _compute_rate_hz(read: TrackerSamples) -> float | None:
     """Includes lost samples; None where there are too few."""
-    joined = TrackerSamples.join(blocks)
-    if len(joined) < _LEAST_TIMED:
+    if len(read) < _LEAST_TIMED:
         return None
-    span_s = float(joined.device_time_s[-1] - joined.device_time_s[0])
-    count = int(joined.sequence[-1] - joined.sequence[0])
+    span_s = float(read.device_time_s[-1] - read.device_time_s[0])
+    count = len(read) + read.lost - 1
     return count / span_s if span_s > 0.0 and count > 0 else None

@@ -54,7 +54,6 @@ class Decoded:
 class SampleDecoder:
     """Turns bodies in order into samples with unwrapped numbers and device seconds.
 
-    lost_samples : samples that the device took and that are in no block
     device_overflows : samples that follow an overflow inside the device
     stale : repeated or late measurements since the last one that was kept
     """
@@ -62,11 +61,6 @@ class SampleDecoder:
     def __init__(self) -> None:
         self.device_overflows = self.stale = 0
         self._unwrapper = Unwrapper()
-
-    @property
-    def lost_samples(self) -> int:
-        """Samples that the device took and that are in no block."""
-        return self._unwrapper.lost
 
     def decode(self, bodies: Sequence[bytes]) -> Decoded:
         """Samples and messages of bodies that `FrameReader` passed."""
@@ -135,7 +129,6 @@ def link_health(frames: FrameReader, decoder: SampleDecoder) -> LinkHealth:
     """Counts of both stages as one record."""
     return LinkHealth(
         frames=frames.frames,
-        lost_samples=decoder.lost_samples,
         crc_errors=frames.crc_errors,
         skipped_bytes=frames.skipped_bytes,
         device_overflows=decoder.device_overflows,
@@ -171,13 +164,9 @@ _TURN = 1 << 16
 
 
 class Unwrapper:
-    """Continues sequence numbers and microseconds from block to block of one stream.
-
-    lost : samples that were taken according to the numbers but never received
-    """
+    """Continues sequence numbers and microseconds from block to block of one stream."""
 
     def __init__(self) -> None:
-        self.lost = 0
         self._sequence = -1  # last one, unwrapped
         self._wrapped: int | None = None  # last one, as on the wire
         self._clock_us = 0
@@ -190,7 +179,6 @@ class Unwrapper:
         if self._wrapped is not None and clock_us >= self._clock_us:
             missed = (next_sequence - self._wrapped - 1) % _TURN
         # An earlier clock is that of a device switched off and on: nothing was missed.
-        self.lost += missed
         self._sequence += missed
         self._wrapped = (next_sequence - 1) % _TURN
         self._clock_us = clock_us
@@ -250,7 +238,6 @@ class Unwrapper:
             if whole < 1 or (tick < 0 and not self._fresh):
                 continue
             keep[i], self._fresh = True, False
-            self.lost += whole - 1
             self._sequence += whole
             step, tick = 0, 0
         return sequence, clock, keep

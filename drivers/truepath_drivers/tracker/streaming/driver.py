@@ -228,7 +228,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     @property
     def health(self) -> LinkHealth:
-        """Counts since `connect`; losses are those of the samples already read."""
+        """Counts since `connect`."""
         return link_health(self._frames, self._decoder)
 
     def _open(self) -> Identity:
