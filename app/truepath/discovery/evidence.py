@@ -39,7 +39,9 @@ def prior_precision(
     The typical size matters for the existence of a term only; fitted, it has a hundred
     times this size as a prior.
     """
-    usual = _FREE * np.concatenate([np.zeros(0), *(t.candidate.usual for t in terms)])
+    usual = _FREE * np.concatenate(
+        [np.zeros(0), *(t.candidate.prior_sigma for t in terms)]
+    )
     size = len(base)
     total = np.zeros((size + len(usual), size + len(usual)))
     total[:size, :size] = base
@@ -58,7 +60,9 @@ class Remainder:
     def log_bayes(self) -> Float64[np.ndarray, " t"]:
         """One for each term, without the cost of the search."""
         each = zip(self.information, self.data, self.terms, strict=True)
-        return np.array([log_bayes(S, r, term.candidate.usual) for S, r, term in each])
+        return np.array(
+            [log_bayes(S, r, term.candidate.prior_sigma) for S, r, term in each]
+        )
 
 
 def log_bayes(

@@ -200,7 +200,7 @@ def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypoth
     half = own[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     gram = np.zeros_like(covariance)
     gram[:size, :size] = machine
-    usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
+    usual = np.concatenate([np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)])
     more = np.arange(size, len(gram))
     gram[more, more] = (USUAL_MM / usual) ** 2
     square, shape = np.linalg.eigh(half.T @ gram @ half)

@@ -91,7 +91,7 @@ def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> f
             fast, _ = one.within.sums([candidate.effect], 1)
             information += fast[0, :-1, :-1]
             data += fast[0, :-1, -1]
-    return log_bayes(information, data, candidate.usual)
+    return log_bayes(information, data, candidate.prior_sigma)
 
 
 def _moment_gains(
@@ -115,7 +115,7 @@ def _moment_gains(
             square.append(np.swapaxes(J, 1, 2) @ one.precision @ J)
         data += _sum_sides(pulled[0], pulled[1], begin)
         information += _sum_sides(square[0], square[1], begin)
-    each, usual = zip(information, data, strict=True), term.candidate.usual
+    each, usual = zip(information, data, strict=True), term.candidate.prior_sigma
     return np.array([log_bayes(S, r, usual) for S, r in each])
 
 
@@ -147,7 +147,7 @@ def _wave_gains(
         for products, weight in parts:
             data += products
             information += weight
-    usual = float(term.candidate.usual[0])
+    usual = float(term.candidate.prior_sigma[0])
     information *= usual**2
     power = 0.5 * np.abs(data) ** 2 * usual**2
     return power / (1.0 + information) - np.log1p(information)

@@ -232,7 +232,9 @@ class TermFitter:
 
     def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
         known = self._data(prior).precision
-        usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
+        usual = np.concatenate(
+            [np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)]
+        )
         own = np.arange(len(known), len(known) + len(usual))
         precision = np.pad(known, (0, len(usual)))
         precision[own, own] = usual**-2

@@ -52,7 +52,7 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
     for candidate in family.propose(at):
         numbers = family.list_numbers(candidate)
         again = restore_effect(family, at.machine, candidate.keys, numbers)
-        if not family.in_machine or isinstance(candidate.effect, WarmingUp):
+        if not family.is_kept or isinstance(candidate.effect, WarmingUp):
             assert again is None
             continue
         assert again is not None
@@ -66,7 +66,7 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
 def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
     few = at.select(np.arange(0, len(at), 25))  # names do not depend on the data
     for candidate in family.propose(few):
-        size = len(candidate.usual)
+        size = len(candidate.prior_sigma)
         found = CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
         for name in family.state(found):
             whole = UNIT.sub("", name.partition("[")[0])

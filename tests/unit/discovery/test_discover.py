@@ -246,4 +246,4 @@ def quick_gain(term, residuals, moment_s):
     J = term.with_value(float(moment_s)).candidate.effect.jacobian(residuals[0].at)
     data = np.einsum("nip,ni->p", J, residuals[0].weighted)
     square = np.einsum("nip,nij,njq->pq", J, residuals[0].precision, J)
-    return log_bayes(square, data, term.candidate.usual)
+    return log_bayes(square, data, term.candidate.prior_sigma)

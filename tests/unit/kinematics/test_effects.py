@@ -8,7 +8,7 @@ import pytest
 from mills import build_mill
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects import conformance, free_form
-from truepath.kinematics.effects.base import Effect, columns_along
+from truepath.kinematics.effects.base import Effect, Role, columns_along
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.family import list_families
 from truepath.kinematics.effects.look_error import LookErrorFamily
@@ -146,6 +146,21 @@ class CrookedFamily(ServoMismatchFamily):
             self.make_candidate(Crooked(), [1.0]),
             self.make_candidate(Crooked(), [1.0]),
         ]
+
+
+class EarlierFamily(ServoMismatchFamily):
+    """Says its role itself, and names by `makes` alone what restores its effect."""
+
+    effect = None
+    makes = ServoMismatchFamily.effect
+    role = Role.STRUCTURE
+
+
+@pytest.mark.parametrize("check", conformance.CHECKS)
+def test_a_family_of_earlier_versions_conforms_and_is_kept(check, seen):
+    check(EarlierFamily(), seen)
+    assert EarlierFamily().is_kept
+    assert not EarlierFamily().names_cause
 
 
 def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen):

@@ -144,7 +144,7 @@ def add_confounded(
         bent = motion.prior()
         kind = found.get(bent.kind, USUAL_PRECISION)
         own = found.get(f"{bent.kind} {motion.axis.name}", kind)
-        usual = 2.0 / (1.0 / kind + 1.0 / own) / bent.usual
+        usual = 2.0 / (1.0 / kind + 1.0 / own) / bent.typical
         if not is_turn(motion.symbol):
             usual = min(usual, precision.get(motion.name, usual))
         precision[motion.name] = usual
@@ -177,7 +177,7 @@ def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]
         form = np.diag(charge.form)
         smooth = np.flatnonzero(form > _FREE * form.max())[:_SMOOTH]
         square = result.theta[part] ** 2 + np.diag(result.covariance[part, part])
-        energy = float(np.mean(form[smooth] * square[smooth])) / charge.usual
+        energy = float(np.mean(form[smooth] * square[smooth])) / charge.typical
         on_axis = f"{charge.kind} {motion.axis.name}"
         energies.setdefault(on_axis, [1.0 / USUAL_PRECISION]).append(energy)
         if motion.name not in model.confounded:

@@ -102,7 +102,7 @@ def guess_prior(
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
     precision = {
-        name: 1.0 if charge.is_known else USUAL_PRECISION / charge.usual
+        name: 1.0 if charge.is_known else USUAL_PRECISION / charge.typical
         for name, charge in charges.items()
     }
     for name, form in (straight or {}).items():
@@ -184,7 +184,7 @@ def find_kind_precisions(prior: BendingPrior) -> dict[str, float]:
     """Geometric mean precision of each kind, scaled to a typical size of 1."""
     found: dict[str, list[float]] = {}
     for name, charge in prior.charges.items():
-        relative = np.log(prior.precision[name] * charge.usual)
+        relative = np.log(prior.precision[name] * charge.typical)
         found.setdefault(charge.kind, []).append(float(relative))
     return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
 
@@ -201,9 +201,9 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         free = charge.rank - old * float(np.sum(spread * charge.form))
         # An effect that is zero within the noise, or not observed yet, keeps a finite
         # precision.
-        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
+        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.typical
         if charge.kind:
-            centre = usual[charge.kind] / charge.usual
+            centre = usual[charge.kind] / charge.typical
             precision[name] = pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy

@@ -107,6 +107,7 @@ class BacklashFamily(Family):
     """One candidate per axis, linear or rotary."""
 
     name = "backlash"
+    effect = Backlash
     varies_with = "way"
     makes = _lost_positioning
     keys = {"axis": ANY_AXIS}
@@ -198,7 +199,7 @@ class LateralBacklashFamily(Family):
     value_name = "turnover_mm"
     numbers = ("turnover_mm",)
     is_smooth = False
-    makes = GradualBacklash
+    effect = GradualBacklash
     keys = {"axis": replace(AXIS, phrase=""), "motion": MOTION}
     words = read_words("""
         [en]

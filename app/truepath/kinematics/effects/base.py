@@ -48,7 +48,7 @@ class QuadraticPrior:
     """A quadratic form θᵀKθ penalised by a prior.
 
     form : (p, p) K; rank : shapes that it penalises; the others are free
-    usual : θᵀKθ of an effect of typical size
+    typical : θᵀKθ of an effect of typical size
     kind : effects of a kind have similar precision; empty for one on its own
     is_known : the form is the precision itself; nothing of it is found from the data
     counted : shapes, those penalised least, that determine how well the precision is
@@ -57,7 +57,7 @@ class QuadraticPrior:
 
     form: Float64[np.ndarray, "p p"]
     rank: int
-    usual: float
+    typical: float
     kind: str = ""
     is_known: bool = False
     counted: int = 0
@@ -117,7 +117,7 @@ class Effect(ValueEquality, ABC):
         return self.jacobian(at) @ theta
 
     def prior(self) -> QuadraticPrior | None:
-        """None for no prior."""
+        """What its shape is likely to be; the data weigh it. None for no prior."""
         return None
 
     def jacobian_in_time(
@@ -197,12 +197,12 @@ class SplineEffect(Effect):
         name, count = self.name, self.gauge.shape[1]
         return tuple(Parameter(f"{name}[{i}]", self.unit) for i in range(count))
 
-    def mean_square_prior(self, usual: float, kind: str = "") -> QuadraticPrior:
-        """Mean square over all knots as a prior. usual : typical size of the values"""
+    def mean_square_prior(self, typical: float, kind: str = "") -> QuadraticPrior:
+        """Mean square over all knots as a prior. typical : size of the values"""
         length = float(self.spline.knots[-1] - self.spline.knots[0])
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
-        return QuadraticPrior(form, rank, rank * usual**2, kind)
+        return QuadraticPrior(form, rank, rank * typical**2, kind)
 
 
 @dataclass(frozen=True)

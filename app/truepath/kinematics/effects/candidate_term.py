@@ -48,7 +48,7 @@ class CandidateTerm:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return len(self.candidate.usual)
+        return len(self.candidate.prior_sigma)
 
     @property
     def has_cause(self) -> bool:

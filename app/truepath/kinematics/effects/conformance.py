@@ -116,7 +116,7 @@ def parameters_have_names_and_units(family: Family, at: Conditions) -> None:
         names = [p.name for p in effect.parameters]
         columns = effect.jacobian(at).shape[2]
         require(len(names) == columns, f"{effect.name}: {len(names)} parameters")
-        require(len(candidate.usual) == columns, f"{effect.name}: usual sizes")
+        require(len(candidate.prior_sigma) == columns, f"{effect.name}: usual sizes")
         require(len(set(names)) == columns, f"{effect.name}: {names} repeat")
         for p in effect.parameters:
             require(p.unit in UNITS, f"{p.name} has the unit {p.unit}; known: {UNITS}")
@@ -151,7 +151,10 @@ def it_states_its_numbers(family: Family, at: Conditions) -> None:
     """Every number of `state` is finite and has an uncertainty."""
     for candidate in _propose(family, at):
         found = CandidateEstimate(
-            candidate, candidate.usual, np.diag((0.1 * candidate.usual) ** 2), 0.1
+            candidate,
+            candidate.prior_sigma,
+            np.diag((0.1 * candidate.prior_sigma) ** 2),
+            0.1,
         )
         stated = family.state(found)
         require(bool(stated), f"{candidate.label} states nothing")

@@ -106,7 +106,7 @@ class ElasticSagFamily(Family):
 
     name = "elastic-sag"
     varies_with = "place"
-    makes = ElasticSag
+    effect = ElasticSag
     keys = {"axis": AXIS, "by": _UNDER, "direction": DIRECTION}
     stated = {"amplitude_um": 1e3}
     words = read_words("""
@@ -142,7 +142,7 @@ class SwivelSagFamily(Family):
 
     name = "swivel-sag"
     varies_with = "place"
-    makes = SwivelSag
+    effect = SwivelSag
     keys = {
         "axis": AXIS,
         "by": replace(ROTARY_AXIS, phrase="under {}"),

@@ -93,14 +93,14 @@ class Candidate(ValueEquality):
     """One effect that may be missing from the model.
 
     keys : distinguish it within its family, named as in files: axis, motion, …
-    usual : (p,) prior standard deviation of the effect's parameters
+    prior_sigma : (p,) prior standard deviation of the effect's parameters
     value : the scanned value of the effect; None if nothing is scanned
     """
 
     family: str
     keys: dict[str, str]
     effect: Effect
-    usual: Float64[np.ndarray, " p"]
+    prior_sigma: Float64[np.ndarray, " p"]
     value: float | None = None
 
     @property
@@ -144,7 +144,9 @@ class Family(ABC):
     """One physical cause and its candidates, for discovery and for files.
 
     words : by language; keys : by the name that files give them, in their order
-    makes : an effect of keys and `numbers`, by name; None where it ends with its Run
+    effect : its class, which has the role, and which keys and `numbers` make again
+    ends_with_run : no model keeps it, as none keeps what belongs to a measurement
+    makes : an effect of keys and numbers, where that is not its class
     numbers : fields of the effect that restore it together with its keys
     is_rigid_body : part of every rigid-body model, so never missing there
     is_smooth : in the scanned value; else every value is tried, since there is no slope
@@ -162,7 +164,8 @@ class Family(ABC):
     interface_version: ClassVar[int] = 1
     name: ClassVar[str]
     words: ClassVar[Mapping[str, Words]]
-    role: ClassVar[Role] = Role.MACHINE
+    effect: ClassVar[type[Effect] | None] = None
+    ends_with_run: ClassVar[bool] = False
     keys: ClassVar[Mapping[str, Key]] = {}
     makes: ClassVar[Callable[..., Effect] | None] = None
     numbers: ClassVar[tuple[str, ...]] = ()
@@ -177,25 +180,36 @@ class Family(ABC):
     sentence: ClassVar[str] = ""
 
     @property
+    def role(self) -> Role:
+        """That of its effect; an error by direction of approach is the machine's."""
+        role = Role.MACHINE if self.effect is None else self.effect.role
+        return Role.MACHINE if role is Role.DIRECTION else role
+
+    @property
     def names_cause(self) -> bool:
         """False for a family that only describes structure."""
         return self.role is not Role.STRUCTURE
 
     @property
-    def in_machine(self) -> bool:
-        """Whether it contributes to the machine's volumetric error."""
-        return self.role is not Role.MEASUREMENT and self.makes is not None
+    def is_kept(self) -> bool:
+        """Whether a model keeps it, as part of the machine's volumetric error."""
+        lasts = self.role is not Role.MEASUREMENT and not self.ends_with_run
+        return lasts and self._maker is not None
+
+    @property
+    def _maker(self) -> Callable[..., Effect] | None:
+        return type(self).makes or self.effect
 
     @abstractmethod
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Candidates under these conditions, scans at their middle."""
 
-    def make_candidate(self, effect: Effect, usual: Iterable[float]) -> Candidate:
-        """Candidate whose keys and value are fields of the effect. usual : of θ"""
+    def make_candidate(self, effect: Effect, prior_sigma: Iterable[float]) -> Candidate:
+        """Candidate whose keys and value are fields of the effect."""
         keys = {key: getattr(effect, key) for key in self.keys}
         keys = {k: v.name if isinstance(v, Axis) else v for k, v in keys.items()}
         value = getattr(effect, self.value_name, None) if self.value_name else None
-        sigma = np.array([*usual], np.float64)
+        sigma = np.array([*prior_sigma], np.float64)
         return Candidate(self.name, keys, effect, sigma, value)
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
@@ -224,8 +238,8 @@ class Family(ABC):
 
         Raises KeyError naming a key, number or axis that is not there.
         """
-        make = type(self).makes
-        if make is None:
+        make = self._maker
+        if make is None or not self.is_kept:
             return None
         parts = {k: key.read(machine, keys[k]) for k, key in self.keys.items()}
         return make(**parts, **{name: numbers[name] for name in self.numbers})
@@ -271,7 +285,7 @@ def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
         for conditions in () if is_ours else at:
             for candidate in family.propose(conditions):
                 moved = candidate.effect.jacobian(conditions)
-                if moved.shape[1:] != (3, len(candidate.usual)):
+                if moved.shape[1:] != (3, len(candidate.prior_sigma)):
                     raise ValueError(f"its effect has the shape {moved.shape}")
                 if not np.isfinite(moved).all():
                     raise ValueError("its effect is not finite")
@@ -290,7 +304,7 @@ def describe_family(family: Family, language: str = "en") -> dict[str, Any]:
         "name": family.name,
         "of": family.role.value,
         **asdict(family.words[language]),
-        "enters_analyse": family.makes is not None,
+        "enters_analyse": family.is_kept,
     }
 
 

@@ -57,11 +57,9 @@ class FreeForm(Effect):
 class FreeFormFamily(Family):
     """Structure reported by its root mean square."""
 
-    role = Role.STRUCTURE
-
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Root mean square in µm over the variables it depends on."""
-        usual = found.candidate.usual
+        usual = found.candidate.prior_sigma
         even = np.full(len(usual), self.mean_square)
         return {"rms_um": found.root_mean_square(even).scale(1e3)}
 
@@ -98,6 +96,8 @@ class TiltWanderFamily(FreeFormFamily):
     """One candidate per direction to turn about."""
 
     name = "tilt-wander"
+    effect = TiltWander
+    ends_with_run = True
     varies_with = "time"
     keys = {"direction": replace(DIRECTION, phrase="about {}")}
     covariates = ("t",)
@@ -169,7 +169,7 @@ class PlaneTurnFamily(FreeFormFamily):
     """One candidate per turn of an axis and other axis."""
 
     name = "plane-turn"
-    makes = PlaneTurn
+    effect = PlaneTurn
     numbers = ("reach_mm",)
     varies_with = "place"
     keys = {"motion": MOTION, "by": replace(AXIS, phrase="with {}")}
@@ -247,7 +247,7 @@ class SideShapeFamily(FreeFormFamily):
     """One candidate per axis and direction."""
 
     name = "side-shape"
-    makes = SideShape
+    effect = SideShape
     varies_with = "way"
     keys = {"axis": AXIS, "direction": DIRECTION}
     covariates = ("direction({axis})", "{axis}")

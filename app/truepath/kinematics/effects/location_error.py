@@ -64,7 +64,7 @@ class SquarenessFamily(Family):
 
     name = "squareness"
     is_rigid_body = True
-    makes = Squareness
+    effect = Squareness
     keys = {"symbol": SYMBOL}
     stated = {"value_urad": 1e6}
     words = read_words("""

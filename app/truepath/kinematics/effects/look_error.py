@@ -81,7 +81,8 @@ class LookErrorFamily(BeamFamily):
     """One candidate each for range, azimuth and elevation."""
 
     name = "look-error"
-    role = Role.STRUCTURE
+    effect = DirectionalTrackerError
+    ends_with_run = True
     varies_with = "place"
     keys = {"quantity": choose_from("of {}", _LOOKS)}
     covariates = ("azimuth", "elevation")

@@ -69,8 +69,8 @@ class PlaneErrorFamily(Family):
     """One candidate per plane and direction."""
 
     name = "plane-error"
+    effect = PlaneError
     varies_with = "place"
-    role = Role.STRUCTURE
     makes = _in_plane
     keys = {"plane": PLANE, "direction": DIRECTION}
     covariates = ("{plane[0]}", "{plane[1]}")

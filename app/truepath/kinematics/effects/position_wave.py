@@ -112,7 +112,7 @@ class ScrewCyclicFamily(_FamilyOfAxes):
     value_name = "lead_mm"
     numbers = ("lead_mm",)
     shortest, longest = 2.5, 45.0
-    makes = ScrewCyclic
+    effect = ScrewCyclic
     keys = {"axis": AXIS}
     words = read_words("""
         [en]
@@ -151,7 +151,7 @@ class GearCyclicFamily(_FamilyOfAxes):
     numbers = ("period_deg",)
     shortest, longest = 3.0, 30.0
     amplitude = ("amplitude_urad", 1e6)
-    makes = GearCyclic
+    effect = GearCyclic
     keys = {"axis": ROTARY_AXIS}
     words = read_words("""
         [en]
@@ -185,11 +185,10 @@ class PositionWaveFamily(_FamilyOfAxes):
     """One candidate per axis and direction across it, the period scanned."""
 
     name = "position-wave"
-    role = Role.STRUCTURE
     value_name = "period_mm"
     numbers = ("period_mm",)
     shortest, longest = 4.0, 60.0
-    makes = PositionWave
+    effect = PositionWave
     keys = {"axis": replace(AXIS, phrase="({})"), "direction": DIRECTION}
     covariates = ("{axis}",)
     sentence = (

@@ -61,7 +61,7 @@ class RangeCycleFamily(SinusoidFamily):
     """A single candidate, for any machine, the period scanned."""
 
     name = "range-cycle"
-    role = Role.MEASUREMENT
+    effect = RangeCycle
     value_name = "period_mm"
     words = read_words("""
         [en]

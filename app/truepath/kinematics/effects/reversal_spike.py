@@ -55,7 +55,7 @@ class ReversalSpikeFamily(Family):
     varies_with = "way"
     value_name = "decay_mm"
     numbers = ("decay_mm",)
-    makes = ReversalSpike
+    effect = ReversalSpike
     keys = {"axis": AXIS, "direction": DIRECTION}
     stated = {"amplitude_um": 1e3}
     words = read_words("""

@@ -56,7 +56,7 @@ class RotaryEccentricityFamily(Family):
     name = "rotary-eccentricity"
     is_rigid_body = True
     varies_with = "place"
-    makes = RotaryEccentricity
+    effect = RotaryEccentricity
     keys = {"axis": ROTARY_AXIS}
     words = read_words("""
         [en]

@@ -42,7 +42,7 @@ class ServoMismatchFamily(Family):
 
     name = "servo-mismatch"
     varies_with = "way"
-    makes = ServoMismatch
+    effect = ServoMismatch
     keys = {"axis": AXIS}
     stated = {"lag_ms": 1e3}
     words = read_words("""

@@ -39,8 +39,8 @@ class TableDriftFamily(Family):
     """A single candidate, for any machine."""
 
     name = "table-drift"
+    effect = TableDrift
     varies_with = "time"
-    role = Role.MEASUREMENT
     stated = {f"rate_um_per_s[{axis}]": 1e3 for axis in "xyz"}
     words = read_words("""
         [en]
@@ -92,8 +92,8 @@ class SetupStepFamily(Family):
     """One candidate, its moment scanned."""
 
     name = "setup-step"
+    effect = SetupStep
     varies_with = "time"
-    role = Role.MEASUREMENT
     is_smooth = False
     happens_once = True
     value_name = "t_s"

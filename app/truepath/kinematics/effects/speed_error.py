@@ -52,8 +52,7 @@ class SpeedErrorFamily(Family):
 
     name = "speed-error"
     varies_with = "way"
-    role = Role.STRUCTURE
-    makes = SpeedError
+    effect = SpeedError
     keys = {"axis": AXIS, "direction": DIRECTION}
     numbers = ("fastest_mm_s",)
     covariates = ("v({axis})",)

@@ -91,7 +91,7 @@ class ThermalGrowthFamily(Family):
     name = "thermal-growth"
     varies_with = "time"
     value_name = "tau_s"
-    makes = ThermalGrowth
+    effect = ThermalGrowth
     keys = {"axis": AXIS}
     words = read_words("""
         [en]

@@ -91,7 +91,8 @@ class TimeWaveFamily(SinusoidFamily):
     """One candidate per direction, the period scanned down to a second."""
 
     name = "time-wave"
-    role = Role.STRUCTURE
+    effect = TimeWave
+    ends_with_run = True
     value_name = "period_s"
     keys = {"direction": DIRECTION}
     covariates = ("t",)
@@ -134,8 +135,8 @@ class VibrationFamily(SinusoidFamily):
     """One candidate per direction, the frequency scanned up to the samples' limit."""
 
     name = "vibration"
+    effect = Vibration
     tracker_may_imitate = True  # its head swings about the target
-    role = Role.MEASUREMENT
     value_name = "frequency_hz"
     scans_periods = False
     keys = {"direction": DIRECTION}
@@ -199,8 +200,9 @@ class TimeWanderFamily(Family):
     """One candidate per direction."""
 
     name = "time-wander"
+    effect = TimeWander
+    ends_with_run = True
     varies_with = "time"
-    role = Role.STRUCTURE
     keys = {"direction": DIRECTION}
     covariates = ("t",)
     sentence = "a slow wander along {direction} of {rms_um:.2g} µm (root mean square)"

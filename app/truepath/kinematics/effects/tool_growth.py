@@ -43,6 +43,8 @@ class ToolGrowthFamily(Family):
     """One candidate, its time constant scanned."""
 
     name = "spindle-growth"
+    effect = ToolGrowth
+    ends_with_run = True
     varies_with = "time"
     value_name = "tau_s"
     words = read_words("""

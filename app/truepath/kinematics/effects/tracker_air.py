@@ -88,6 +88,7 @@ class ScaleDriftFamily(BeamFamily):
     """One candidate: by the air's sensor if that has changed, else by time."""
 
     name = "tracker-scale-drift"
+    effect = ScaleDrift
     varies_with = "time"
     words = read_words("""
         [en]
@@ -147,6 +148,7 @@ class BeamBendingFamily(BeamFamily):
     """A single candidate, for any machine."""
 
     name = "beam-bending"
+    effect = BeamBending
     varies_with = "place"
     stated = {"curvature_urad_per_m": 1e9}
     words = read_words("""

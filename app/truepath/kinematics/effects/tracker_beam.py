@@ -44,8 +44,6 @@ class BeamEffect(Effect):
 class BeamFamily(Family):
     """Candidates that need the beam direction of a recording."""
 
-    role = Role.MEASUREMENT
-
     @abstractmethod
     def propose_for(
         self, at: Conditions, recorded: RecordedState

@@ -63,6 +63,7 @@ class TrackerEccentricityFamily(BeamFamily):
     """One candidate per circle."""
 
     name = "tracker-eccentricity"
+    effect = TrackerEccentricity
     varies_with = "place"
     keys = {"circle": choose_from("({})", CIRCLES)}
     words = read_words("""
@@ -115,6 +116,7 @@ class TrackerRangeOffsetFamily(BeamFamily):
     """A single candidate, for any machine."""
 
     name = "tracker-range-offset"
+    effect = TrackerRangeOffset
     varies_with = "place"
     stated = {"offset_um": 1e3}
     words = read_words("""
@@ -160,6 +162,7 @@ class ElevationIndexFamily(BeamFamily):
     """A single candidate, for any machine."""
 
     name = "tracker-index"
+    effect = ElevationIndex
     varies_with = "place"
     stated = {"index_urad": 1e6}
     words = read_words("""
