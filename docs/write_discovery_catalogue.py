@@ -19,7 +19,7 @@ _PLACE = re.compile(
 
 def _row(family: Family) -> str:
     words = family.words["en"]
-    home = "machine" if family.in_machine else "measurement"
+    home = "machine" if family.is_kept else "measurement"
     name = f"`{family.name}`" + (" *" if not family.names_cause else "")
     cells = (name, words.cause, words.looks_like, words.remedy, home)
     return f"| {' | '.join(cells)} |"

@@ -60,7 +60,6 @@ _KINDS: Mapping[str, Any] = {
     "connect": Identity,
     "status": MotionStatus,
     "wait": MotionStatus,
-    "axis_positions": tuple[float, ...],
     "axes": tuple[str, ...],
     "travel": tuple[tuple[float, float], ...],
     "health": LinkHealth,

@@ -42,7 +42,7 @@ def axes_and_travel_are_known(make: MakeController) -> None:
     """After `connect` each axis has a unique name and a travel with an extent."""
     with make() as controller:
         axes, travel = controller.axes, controller.travel
-        position = controller.axis_positions()
+        position = controller.status().position
     require(bool(axes), "the controller has no axes")
     require(len(set(axes)) == len(axes), f"names of axes are not unique: {axes}")
     require(len(travel) == len(axes), "travels and axes differ in number")
@@ -66,7 +66,7 @@ def out_of_travel_is_refused(make: MakeController) -> None:
 def a_path_of_other_axes_is_refused(make: MakeController) -> None:
     """`load` of a path whose axes are not the machine's is Refused."""
     with make() as controller:
-        here = list(controller.axis_positions())
+        here = list(controller.status().position)
         strange = tuple(f"{axis}9" for axis in controller.axes)
         path = Path(strange, np.array([here]), np.array([FEED_MM_MIN]), np.zeros(1))
         expect(Refused, lambda: controller.load(path))
@@ -97,7 +97,7 @@ def a_move_ends_where_it_was_sent(make: MakeController) -> None:
 def a_path_runs_to_its_last_row(make: MakeController) -> None:
     """`load`, `start`, `wait` end FINISHED in the last row."""
     with make() as controller:
-        here = list(controller.axis_positions())
+        here = list(controller.status().position)
         path = _path(controller, [here, _near(controller), here])
         controller.load(path)
         state = controller.status().state
@@ -140,7 +140,7 @@ def hold_means_standstill(make: MakeController) -> None:
 def the_line_is_the_row_moved_towards(make: MakeController) -> None:
     """`line` is the row that the axes move to; at the end it is the last."""
     with make() as controller:
-        here = np.array(controller.axis_positions())
+        here = np.array(controller.status().position)
         step = np.array(_near(controller)) - here
         rows = [list(here + share * step) for share in (0.0, 0.5, 1.0)]
         controller.load(_path(controller, rows, _slow()))
@@ -164,7 +164,7 @@ def resume_of_nothing_does_nothing(make: MakeController) -> None:
         before = controller.status()
         controller.resume()
         after = controller.status()
-        here = list(controller.axis_positions())
+        here = list(controller.status().position)
         controller.load(_path(controller, [here, _near(controller)], _slow()))
         controller.resume()
         loaded = controller.status()
@@ -177,7 +177,7 @@ def resume_of_nothing_does_nothing(make: MakeController) -> None:
 def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
     """`abort` during `wait` ends both; the path is discarded."""
     with make() as controller:
-        here = list(controller.axis_positions())
+        here = list(controller.status().position)
         path = _path(controller, [here, _near(controller)], _slow())
         controller.load(path)
         controller.start()
@@ -225,9 +225,9 @@ def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
             return
         feed, unasked_s = _slow(), TERMS.get().watchdog_s
         controller.move_to(_near(controller), feed)
-        before = controller.axis_positions()
+        before = controller.status().position
         host_clock.sleep_s(unasked_s)
-        after = controller.axis_positions()
+        after = controller.status().position
         controller.abort()
     gone = float(np.linalg.norm(np.subtract(after, before)))
     most = feed / 60.0 * _UNASKED_SHARE * unasked_s
@@ -254,7 +254,7 @@ def an_unhomed_machine_does_not_move(make: MakeController, provoke: Provoke) -> 
 def a_lost_reply_moves_nothing_twice(make: MakeController, provoke: Provoke) -> None:
     """A path whose reply is lost runs once, or not at all and with an error."""
     with make() as controller:
-        here = list(controller.axis_positions())
+        here = list(controller.status().position)
         controller.load(_path(controller, [here, _near(controller), here]))
         provoke()
         lines: list[int] = []
@@ -363,7 +363,7 @@ def _require_hindrance(
 def _near(controller: MotionController) -> list[float]:
     """`REACH` away, towards the middle of each travel."""
     near: list[float] = []
-    here = controller.axis_positions()
+    here = controller.status().position
     for at, (low, high) in zip(here, controller.travel, strict=True):
         step = min(REACH, (high - low) / 4)
         near.append(at + step if at < (low + high) / 2 else at - step)

@@ -28,11 +28,7 @@ class MotionController(Device):
 
     @abstractmethod
     def status(self) -> MotionStatus:
-        """Read state, position, line and alarm."""
-
-    def axis_positions(self) -> tuple[float, ...]:
-        """Position of each axis, mm or deg."""
-        return self.status().position
+        """Read state, positions of the axes, line and alarm."""
 
     @abstractmethod
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:

@@ -266,6 +266,7 @@ UNABLE: Mapping[MotionState, Hindrance] = MappingProxyType(
 class MotionStatus:
     """One reading of a controller.
 
+    position : of each axis, mm or deg
     line : row of the loaded path, from 0, that the machine moves towards or dwells at;
         0 before the path was started, its last value after the motion
     alarm : text of the controller where it cannot be moved

@@ -114,7 +114,7 @@ def test_masters_see_one_machine_and_drive_only_what_they_loaded_last(fast):
     with pytest.raises(errors.Refused, match="another"):
         rtu.start()  # it does not know the path
     assert drive(tcp).state is MotionState.FINISHED
-    assert rtu.axis_positions() == pytest.approx(tuple(LINE.position[-1]))
+    assert rtu.status().position == pytest.approx(tuple(LINE.position[-1]))
     here = tcp.status().position
     tcp.load(LINE)
     rtu.load(replace(LINE, feed_mm_min=0.5 * LINE.feed_mm_min))
