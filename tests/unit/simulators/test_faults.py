@@ -1,10 +1,8 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.faults import KINDS, Fault, Schedule, parse_fault
+from truepath_simulators.faults import Fault, Schedule, parse_fault
 
 
 @pytest.mark.parametrize(
@@ -80,10 +78,3 @@ def test_time_counts_anew_for_what_has_not_struck_yet():
     assert schedule.strikes("silence", 11.0)
     assert schedule.strikes("delay", 6.0)
     assert schedule.strikes("beam-break", 5.0)
-
-
-def test_every_kind_of_fault_is_documented():
-    page = (Path(__file__).parents[3] / "docs" / "simulators.md").read_text()
-    for kinds in KINDS.values():
-        for kind in kinds:
-            assert f"`{kind}`" in page
