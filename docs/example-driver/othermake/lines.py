@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from truepath_drivers.helpers.numbering import SampleNumbers
-from truepath_drivers.helpers.received_bytes import ReceivedBytes
+from truepath_drivers.streams.numbering import SampleNumbers
+from truepath_drivers.streams.received_bytes import ReceivedBytes
 
 MAX_LINE = 200
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from truepath_drivers import host_clock
-from truepath_drivers.helpers.received_bytes import ReceivedBytes
 from truepath_drivers.interfaces.errors import ConnectionLost
+from truepath_drivers.streams.received_bytes import ReceivedBytes
 from truepath_drivers.transport.byte_port import BytePort
 
 _END = b"\r\n"

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath_drivers.cnc.grbl.protocol import AXES, Settings
-from truepath_drivers.helpers.line_feeding import Line
 from truepath_drivers.interfaces.records import Path
+from truepath_drivers.streams.line_feeding import Line
 
 START = b"G21G90G94G17G40G49G80\n"
 _AHEAD_S = 0.9  # of motion in GRBL's queue, which is what it drives unasked

@@ -28,13 +28,13 @@ from truepath_drivers.cnc.grbl.protocol import (
     parse_report,
     parse_settings,
 )
-from truepath_drivers.helpers.line_feeding import LineFeed
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,
     Refused,
     WrongDevice,
 )
+from truepath_drivers.streams.line_feeding import LineFeed
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.line_link import LineLink
 

@@ -12,8 +12,8 @@ import threading
 from collections.abc import Callable
 
 from truepath_drivers import host_clock
-from truepath_drivers.helpers.received_bytes import ReceivedBytes
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.streams.received_bytes import ReceivedBytes
 from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_drivers.tracker.streaming.measurements import is_measurement
 from truepath_drivers.tracker.streaming.message_codec import parse_message

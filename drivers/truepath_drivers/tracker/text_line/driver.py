@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath_drivers import host_clock
-from truepath_drivers.helpers.numbering import SampleNumbers
-from truepath_drivers.helpers.received_bytes import ReceivedBytes
-from truepath_drivers.helpers.reordering import Reordering
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
 from truepath_drivers.interfaces.tracker import ByteLink, Tracker
 from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
+from truepath_drivers.streams.numbering import SampleNumbers
+from truepath_drivers.streams.received_bytes import ReceivedBytes
+from truepath_drivers.streams.reordering import Reordering
 from truepath_drivers.tracker.text_line.layout import LineBlock, LineLayout, choose
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.serial_port import SerialPort

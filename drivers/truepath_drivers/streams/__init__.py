@@ -1,4 +1,4 @@
-"""Small helpers for drivers, used by the shipped ones as well.
+"""Streams of samples and lines, for any driver; the shipped ones are made of it.
 
 numbering      numbers of samples from a counter, from times, or over several starts
 reordering     records of UDP in the order of their numbers

@@ -1,12 +1,12 @@
-"""Helpers for drivers: numbers, order, lines by characters, bytes for the Run."""
+"""Streams in drivers: numbers, order, lines by characters, bytes for the Run."""
 
 import numpy as np
 import pytest
 
-from truepath_drivers.helpers.line_feeding import Line, LineFeed
-from truepath_drivers.helpers.numbering import SampleNumbers
-from truepath_drivers.helpers.received_bytes import ReceivedBytes
-from truepath_drivers.helpers.reordering import Reordering
+from truepath_drivers.streams.line_feeding import Line, LineFeed
+from truepath_drivers.streams.numbering import SampleNumbers
+from truepath_drivers.streams.received_bytes import ReceivedBytes
+from truepath_drivers.streams.reordering import Reordering
 
 
 @pytest.mark.parametrize("deviation", [0.0, 1e-4, -1e-3, 1e-2])
