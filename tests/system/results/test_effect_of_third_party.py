@@ -74,9 +74,7 @@ def test_the_example_of_the_page_conforms(check, example):
     check(example.BendingBeamFamily(), example_conditions())
 
 
-def test_it_is_discovered_with_its_own_keys_and_words_and_the_page_has_these(
-    discovered, installed
-):
+def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):
     (effect,) = discovered.content["effects"]
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS

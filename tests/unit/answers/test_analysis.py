@@ -51,9 +51,7 @@ def folder(analysis, tmp_path):
     return tmp_path / "new" / "result"
 
 
-def test_progress_never_goes_back_and_three_files_are_written_and_replaced_by_the_next(
-    analysis, stages, folder
-):
+def test_progress_only_grows_and_three_files_are_replaced(analysis, stages, folder):
     shares = [share for share, _ in stages]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 0.9)  # the files are left to write
@@ -121,9 +119,7 @@ def of_both(runs):
     return render_analysis(analyse(*runs))
 
 
-def test_every_run_has_its_part_of_result_and_report_and_the_longest_gives_the_mode(
-    of_both, runs
-):
+def test_every_run_has_its_part_and_the_longest_gives_the_mode(of_both, runs):
     result = json.loads(json.dumps(of_both.result, allow_nan=False))
     used = {run["mode"]: run["used_samples"] for run in result["runs"]}
     assert set(used) == {"otf", "standstill"}
@@ -173,9 +169,7 @@ def test_runs_that_do_not_belong_together_are_refused_by_name(runs, record):
         analyse(moving, replace(standing, machine=machine))
 
 
-def test_targets_without_a_name_take_that_of_their_run_and_runs_of_one_name_a_number(
-    runs,
-):
+def test_targets_without_a_name_take_that_of_their_run(runs):
     moving, standing = runs
     # What is said of the offset is wrong here; only how it is named counts.
     target = Target("", "tool", (20.0, 30.0, -250.0))

@@ -67,9 +67,7 @@ def outline(page):
     return Outline(page)
 
 
-def test_the_page_needs_nothing_but_itself_and_its_figures_take_its_colours(
-    found, page, outline
-):
+def test_the_page_needs_only_itself_and_figures_take_its_colours(found, page, outline):
     assert {"script", "link", "img", "iframe"}.isdisjoint(outline.tags)
     assert outline.addresses == []
     assert "url(http" not in page
@@ -98,9 +96,7 @@ def test_errors_figures_and_provenance_stand_in_it(found, outline):
             assert stated in outline.text
 
 
-def test_what_cannot_be_told_is_said_in_words_and_where_all_is_told_that_is_said(
-    estimate, outline, construct, provenance
-):
+def test_what_cannot_be_told_is_said_in_words(estimate, outline, construct, provenance):
     assert estimate.observability.unobservable
     for statement in estimate.observability.unobservable:
         assert statement in outline.text
@@ -139,9 +135,7 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
     assert "timing" not in render_section("documentation", at_rest)
 
 
-def test_one_feed_is_one_number_and_what_lies_across_the_travel_alone_is_named(
-    estimate, provenance, across_only
-):
+def test_one_feed_is_one_number_and_across_is_named(estimate, provenance, across_only):
     run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
     found = state_findings(estimate, replace(provenance, runs=(run,)))
     assert "on the fly at 2,500 mm/min" in render_section("machine", found)
@@ -202,9 +196,7 @@ def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
         (3.0, 0.0, "3.0 ± 0.0"),
     ],
 )
-def test_an_uncertainty_has_two_digits_and_the_value_as_many_places(
-    value, standard, text
-):
+def test_an_uncertainty_has_two_digits_and_the_value_its_places(value, standard, text):
     assert format_expanded(value, standard) == text
     assert format_number(-0.0004, 2) == "0.00"
 
@@ -276,9 +268,7 @@ def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(gr
     assert not build_error_tables(loaded, {}).table("EYX").extrapolated.any()
 
 
-def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
-    graded, found
-):
+def test_the_report_states_grade_remedy_weak_shapes_and_extrapolation(graded, found):
     assert result_json(graded)["observability"]["weak"] == [WEAK]
     page = render_calibration_report(graded)
     assert f"Grade of the set-up: <strong>{graded.grade.number:.2f}" in page

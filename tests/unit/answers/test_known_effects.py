@@ -105,9 +105,7 @@ def judged(volume, rigid_free):
         pytest.param(LAG, MACHINES, id="servo-mismatch", marks=pytest.mark.long),
     ],
 )
-def test_the_map_is_truer_with_what_another_run_has_told(
-    told, judged, hidden, machines
-):
+def test_the_map_is_truer_by_what_another_run_has_told(told, judged, hidden, machines):
     def over_machines(which):
         ones = [told(hidden, machine) for machine in machines]
         pairs = [judged(one, getattr(one, which), hidden) for one in ones]

@@ -114,9 +114,7 @@ def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
     assert np.mean(held) >= 0.9
 
 
-def test_circles_of_an_exact_machine_are_exact_within_what_is_stated_for_the_tracker(
-    worlds,
-):
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
     held: list[bool] = []
     for world in worlds:
         run = world.drive_circles(world.compensated)

@@ -126,9 +126,7 @@ def test_what_is_left_comes_by_its_reasons(source):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_beyond_the_measured_range_the_last_value_holds_or_fades_to_nothing(
-    half_measured, source, name
-):
+def test_beyond_the_measured_range_values_hold_or_fade(half_measured, source, name):
     faded = read_back(half_measured, name, unmeasured=Unmeasured.FADE)
     held, free = read_back(half_measured, name), read_back(source, name)
     at = along(half_measured, "X", np.array([50.0, 175.0, 300.0]))
@@ -141,9 +139,7 @@ def test_beyond_the_measured_range_the_last_value_holds_or_fades_to_nothing(
     assert abs(part[2] - whole[2]) > 1e-3
 
 
-def test_a_result_without_measured_range_or_direction_says_so_in_account_and_file(
-    source,
-):
+def test_a_result_without_range_or_direction_says_so_in_account_and_file(source):
     result = replace(source.result, measured={}, states_direction=False)
     silent = replace(source, result=result)
     export = export_result(silent, "siemens-lec", "c")
@@ -158,9 +154,7 @@ def test_a_result_without_measured_range_or_direction_says_so_in_account_and_fil
 
 
 @pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
-def test_unmeasured_ranges_are_said_in_account_and_file_or_the_file_is_refused(
-    half_measured, choice
-):
+def test_unmeasured_ranges_are_said_or_the_file_is_refused(half_measured, choice):
     export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
     (said,) = export.account["unmeasured"]
     assert said.startswith("X not measured from 50 to 300 mm")
@@ -266,9 +260,7 @@ def test_no_table_has_a_straightness_that_depends_on_direction(loaded, source, n
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "csv"])
-def test_a_straightness_that_depends_on_direction_is_stated_to_stay(
-    loaded, source, name
-):
+def test_straightness_that_depends_on_direction_is_stated_to_stay(loaded, source, name):
     without = export_result(source, name, "comp", spacing_mm=60.0).account
     lost = export(lose_across(loaded, "EYX", HALF_UM), name).account
     assert lost["volumetric_error_um"]["after"]["mean"] >= 5.9
@@ -276,9 +268,7 @@ def test_a_straightness_that_depends_on_direction_is_stated_to_stay(
     assert squares[0] - squares[1] == pytest.approx(HALF_UM**2, rel=1e-6)
 
 
-def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_its_uncertainty(
-    loaded,
-):
+def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_u(loaded):
     """EAX turns about X what is beyond the axis: Y and Z, with the tool's offset."""
     errors = map_errors(lose_across(loaded, "EAX", 20.0))
     at = np.array([[0.0, 100.0, 200.0]])
@@ -366,9 +356,7 @@ def find_left(account):
     return {e["name"]: (e["rms_um"]["before"], e["rms_um"]["after"]) for e in effects}
 
 
-def test_a_table_of_the_mean_leaves_lost_motion_and_those_of_both_directions_sag(
-    catalogued,
-):
+def test_what_tables_of_one_or_both_directions_leave_is_stated(catalogued):
     account = catalogued("linuxcnc").account
     found = find_left(account)
     lost, wave, sag = (found[n] for n in ("backlash", "screw-cyclic", "elastic-sag"))

@@ -37,9 +37,7 @@ def moments(position_mm, direction):
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_the_choices_of_the_account_beside_the_files_are_those_they_are_read_by(
-    tmp_path, direction
-):
+def test_files_are_read_by_the_choices_of_the_account_beside_them(tmp_path, direction):
     texts = write_files("heidenhain-difference")
     digests = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in texts.items()}
     account = {"format": "heidenhain", "files_sha256": digests, "choices": DIFFERENCE}
@@ -80,9 +78,7 @@ def test_siemens_files_under_the_names_of_the_control_are_the_same(tmp_path, dir
         ("csv", lambda f: f.update({"b.csv": ""}), "cannot be read as files of csv"),
     ],
 )
-def test_files_that_are_missing_or_of_no_use_are_never_a_compensation_of_nothing(
-    tmp_path, order, change, words
-):
+def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
     files = write_files(order)
     change(files)
     with pytest.raises(BadInput, match=words):

@@ -94,9 +94,7 @@ def test_what_is_left_is_stated_and_less_than_before(export, source, name):
 
 
 @every_format
-def test_files_are_ascii_and_they_or_the_account_say_where_they_come_from(
-    export, source, name
-):
+def test_files_are_ascii_and_say_where_they_come_from(export, source, name):
     files, account = export(name).files, export(name).account
     machine, lengths = source.machine, account["lengths"]["text"]
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
@@ -123,9 +121,7 @@ def test_files_are_ascii_and_they_or_the_account_say_where_they_come_from(
         assert said in stamp
 
 
-def test_products_of_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(
-    export, source
-):
+def test_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(export, source):
     left = {}
     for control in ("840d-sl", "828d"):
         choices = {"control": control, "measuring_system": "2"}
@@ -185,9 +181,7 @@ def test_only_formats_with_all_motions_correct_the_whole_volume(export):
 
 
 @pytest.mark.parametrize("name", ["fanuc", "heidenhain", "linuxcnc", "siemens-lec"])
-def test_positioning_along_the_middle_is_gone_between_the_rows_too(
-    export, source, name
-):
+def test_positioning_along_the_middle_is_gone_between_rows_too(export, source, name):
     correction = load_format(name).read(export(name).files, source.machine)
     for own, travel in enumerate(source.axes):
         place = along(source, travel.name, np.linspace(travel.low, travel.high, 333))
@@ -265,9 +259,7 @@ GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
         ("csv", CSV, "the columns are to be axis, direction"),
     ],
 )
-def test_a_file_that_the_control_cannot_read_or_ignores_is_refused(
-    source, name, text, said
-):
+def test_a_file_that_the_control_cannot_read_is_refused(source, name, text, said):
     with pytest.raises(BadInput, match=said):
         load_format(name).read({FILE.get(name, "c.csv"): text}, source.machine)
 
@@ -308,9 +300,7 @@ def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
     assert after["after"]["mean"] < after["before"]["mean"]
 
 
-def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
-    with_backlash,
-):
+def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_travel(with_backlash):
     files = tabulate(with_backlash, "fanuc", 10.0).write(with_backlash)
     correction = Fanuc().read(files, with_backlash.machine)
     place = along(with_backlash, "X", np.linspace(-200.0, 300.0, 51))
@@ -336,9 +326,7 @@ def read_fanuc(files):
     ("directions", "length_mm", "spacing_mm"),
     [("both", 4000.0, 10.0), ("mean", 500.0, 0.1)],
 )
-def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
-    losing, directions, length_mm, spacing_mm
-):
+def test_fanuc_axes_share_points_0_to_1023(losing, directions, length_mm, spacing_mm):
     errors = losing(length_mm)
     made = tabulate(errors, "fanuc", spacing_mm, directions=directions)
     files = made.write(errors)
@@ -355,9 +343,7 @@ def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
 
 
 @pytest.mark.parametrize("middle_mm", [430.0, -430.0])
-def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
-    losing, middle_mm
-):
+def test_fanuc_points_count_from_machine_position_0_out_of_travel(losing, middle_mm):
     errors = losing(400.0, middle_mm)
     files = tabulate(errors, "fanuc", 10.0).write(errors)
     data, words = read_fanuc(files)
@@ -383,9 +369,7 @@ def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
     Fanuc("mean").write(content)
 
 
-def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(
-    with_backlash, tmp_path
-):
+def test_heidenhain_tables_are_read_by_a_parser_of_others(with_backlash, tmp_path):
     source = with_backlash
     files = tabulate(source, "heidenhain", 10.0).write(source)
     for name, text in files.items():

@@ -193,9 +193,7 @@ def test_pins_of_the_kinematics_bring_the_tool_where_it_should_be(shifted):
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "json"])
-def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
-    shifted, name
-):
+def test_locations_are_read_back_and_the_account_says_what_they_leave(shifted, name):
     _, errors = shifted
     files, kind = tabulate(errors, name).write(errors), load_format(name)
     located = kind.read_locations(files, errors.machine)
@@ -214,9 +212,7 @@ def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
     assert kept["after"] == kept["before"]
 
 
-def test_pins_that_are_not_of_the_machine_are_refused_and_no_trunnion_gets_none(
-    shifted,
-):
+def test_pins_not_of_the_machine_are_refused_and_no_trunnion_gets_none(shifted):
     content, errors = shifted
     machine = errors.machine
     text = "setp maxkins.pivot-length 100\n"

@@ -45,9 +45,7 @@ def read_gradient(text, celsius):
     return float(np.interp(celsius, at, gradient))
 
 
-def test_siemens_gets_the_growth_of_an_axis_as_its_own_compensation(
-    study, model_file, tmp_path
-):
+def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp_path):
     out = tmp_path / "out.ini"
     export_files(model_file, "siemens", out, at_temperature_degc=20.0)
     text = (tmp_path / "out-temperature.ini").read_text(encoding="ascii")

@@ -66,9 +66,7 @@ _values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
     own=_values, across=_values, lost=st.floats(0.0, 0.01), turn=st.floats(-1e-4, 1e-4)
 )
 @settings(max_examples=25, deadline=None)
-def test_our_reader_and_the_simulated_controller_read_the_same(
-    order, own, across, lost, turn
-):
+def test_our_reader_and_the_simulated_control_agree(order, own, across, lost, turn):
     if order == "fanuc":  # steps that every control takes
         own = (np.array(own) * 0.1).tolist()
     n = min(len(own), len(across))

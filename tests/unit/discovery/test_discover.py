@@ -93,9 +93,7 @@ def test_a_spike_is_as_large_as_at_the_reversal_before_the_first_cell(crossing):
     assert found.largest_mm == pytest.approx(abs(found.theta[0]))
 
 
-def test_a_vibration_is_asked_against_a_free_form_unless_the_tracker_imitates_it(
-    knocked,
-):
+def test_a_vibration_is_asked_against_a_free_form_or_the_tracker(knocked):
     """Its head may swing alike in any case; that is no error beyond what is stated."""
     (found,) = knocked.findings
     swing = replace(found, grade=POSSIBLE, is_imitated=True)

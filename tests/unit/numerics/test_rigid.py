@@ -18,9 +18,7 @@ def points(rng):
     return rng.uniform(0, 500, (10, 3))
 
 
-def test_motions_are_undone_and_small_ones_move_points_before_the_pose(
-    points, motion, rng
-):
+def test_motions_are_undone_and_small_ones_precede_the_pose(points, motion, rng):
     assert np.allclose(motion.invert().apply(motion.apply(points)), points)
     rotation, translation = np.array([1e-5, -2e-5, 3e-5]), np.array([0.01, -0.02, 0.03])
     moved = points + np.cross(rotation, points) + translation
@@ -33,9 +31,7 @@ def test_motions_are_undone_and_small_ones_move_points_before_the_pose(
     assert np.allclose(cross_matrix(points) @ turn, np.cross(turn, points))
 
 
-def test_a_rigid_motion_is_found_from_its_points_and_a_mirror_image_when_asked(
-    points, motion
-):
+def test_a_rigid_motion_is_found_and_a_mirror_image_when_asked(points, motion):
     found = fit_rigid(points, motion.apply(points))
     assert np.allclose(found.rotation, motion.rotation, atol=1e-12)
     assert np.allclose(found.translation_mm, motion.translation_mm, atol=1e-9)

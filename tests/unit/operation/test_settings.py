@@ -140,9 +140,7 @@ def test_the_defaults_listen_at_home_and_beyond_has_to_be_said(tmp_path):
     assert not load_settings(host="0.0.0.0", allow_plain_http=True).is_loopback
 
 
-def test_the_command_line_beats_the_environment_beats_the_file_and_both_have_options(
-    toml, monkeypatch, tmp_path
-):
+def test_the_command_line_beats_environment_and_file(toml, monkeypatch, tmp_path):
     toml("port = 1001\n", tmp_path / "config" / "truepath" / "truepath.toml")
     assert load_settings().port == 1001  # at its usual place
     monkeypatch.setenv("TRUEPATH_CONFIG", str(toml("port = 1002\n")))

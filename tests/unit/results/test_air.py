@@ -136,18 +136,14 @@ def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtf
         (("air_degC", "pressure_hPa", "humidity_percent", "altitude_m"), 10.3),
     ],
 )
-def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(
-    assumed, ppm
-):
+def test_air_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(assumed, ppm):
     air = (20.0, 954.6, 50.0)
     usual = Refraction("truepath", LIGHT, 1.00027, air, "no sensor", assumed)
     assert range_scale_uncertainty_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
     assert refraction_from_json(refraction_to_json(usual)) == usual
 
 
-def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_measured(
-    run,
-):
+def test_recordings_in_any_hall_are_right_within_what_is_said_of_their_air(run):
     rng, off_ppm = np.random.default_rng(5), []
     for _ in range(200):
         altitude_m = rng.uniform(0.0, 1000.0)
@@ -167,9 +163,7 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_meas
     assert reason.values["within_um"] == pytest.approx(2.0 * stated_ppm)
 
 
-def test_ranges_that_nobody_corrects_decide_no_tolerance_and_leave_the_scale_open(
-    estimate, provenance
-):
+def test_uncorrected_ranges_decide_no_tolerance_nor_the_scale(estimate, provenance):
     (run,) = provenance.runs
     runs = (replace(run, refraction=by) for by in (Refraction("instrument"), BY_NOBODY))
     told = [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
@@ -224,9 +218,7 @@ def as_it_is(recorded):
     return analyse(recorded)
 
 
-def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
-    recorded, as_it_is
-):
+def test_a_known_length_takes_the_scale_of_air_out_of_all_lengths(recorded, as_it_is):
     longer_mm = (1.0 + WRONG) * recorded.tracker.position_mm
     wrong = with_samples(recorded, position_mm=longer_mm)
     told = analyse(replace(wrong, known_lengths=(bar(WRONG),)))
@@ -242,9 +234,7 @@ def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
     assert stated["off_ppm"] == pytest.approx(60.0, abs=3.0)
 
 
-def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_to(
-    recorded, as_it_is
-):
+def test_uncorrected_ranges_are_known_as_well_as_a_known_length(recorded, as_it_is):
     open_air = replace(recorded, refraction=BY_NOBODY)
     told = analyse(replace(open_air, known_lengths=(bar(0.0),)))
     assert analyse(open_air).length_scale_ppm > 250.0
@@ -266,9 +256,7 @@ def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_t
         (-68e-6, {"scale-known": "usable", "machine-scaled": "doubtful"}),
     ],
 )
-def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
-    estimate, provenance, off, kinds
-):
+def test_all_axes_are_long_by_the_air_or_the_machine(estimate, provenance, off, kinds):
     long = replace(estimate, theta=68e-6 * compute_scale_parameters(estimate.model))
     lengths = () if off is None else (bar(off),)
     runs = tuple(replace(one, known_lengths=lengths) for one in provenance.runs)
@@ -280,9 +268,7 @@ def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
 @pytest.mark.parametrize(
     ("off", "state"), [(2e-6, "usable"), (68e-6, "doubtful"), (-68e-6, "doubtful")]
 )
-def test_a_known_length_that_air_and_tracker_deny_is_doubted_on_two_axes(
-    mill, provenance, off, state
-):
+def test_a_length_that_air_and_tracker_deny_is_doubted(mill, provenance, off, state):
     """On three it is believed where it leaves them a machine's usual size."""
     flat = replace(mill, tool_side=("Y",), axes=mill.axes[:2])
     model, _ = build_identifiable_model(flat, np.array([[0.0, 0.0, -150.0]]))
@@ -293,9 +279,7 @@ def test_a_known_length_that_air_and_tracker_deny_is_doubted_on_two_axes(
 
 
 @pytest.mark.parametrize("sigma_mm", [0.001, 0.01])
-def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
-    construct, sigma_mm
-):
+def test_what_is_left_of_scale_is_as_uncertain_as_stated(construct, sigma_mm):
     estimate = construct()
     stretch, scale = compute_scale_parameters(estimate.model), 10e-6
     rng = np.random.default_rng(3)
@@ -315,9 +299,7 @@ def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
     assert np.mean(off) < 0.01
 
 
-def test_a_known_length_says_nothing_of_another_run_and_may_lack_in_a_joint_result(
-    estimate, provenance
-):
+def test_a_known_length_says_nothing_of_another_run(estimate, provenance):
     (run,) = (replace(one, refraction=BY_NOBODY) for one in provenance.runs)
     told = replace(run, known_lengths=(bar(0.0),))
     both, one, none = (

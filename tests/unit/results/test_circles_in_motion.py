@@ -107,9 +107,7 @@ def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo)
     assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
 
 
-def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
-    calibrated, measured_again, tmp_path
-):
+def test_a_result_predicts_circles_in_motion(calibrated, measured_again, tmp_path):
     found = verify(calibrated, measured_again())
     assert found.consistency.is_consistent
     document = VerificationOut.model_validate(write_verification(found, tmp_path))
@@ -140,9 +138,7 @@ def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
         assert one.value_um["G"] <= 2.0 * one.uncertainty_um["G"]
 
 
-def test_a_circle_that_was_driven_again_whole_is_not_missing(
-    calibrated, measured_again
-):
+def test_a_circle_that_was_driven_again_is_not_missing(calibrated, measured_again):
     holds = ((30.0, 2.0),)
     run = measured_again(holds)
     lost = verify(calibrated, run).circles
@@ -224,9 +220,7 @@ def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
 
 
 @pytest.mark.parametrize("turn_deg", [732.0, -732.0])
-def test_an_ellipse_is_in_the_sectors_it_belongs_to_and_run_in_is_in_none(
-    demo, turn_deg
-):
+def test_an_ellipse_is_in_its_sectors_and_run_in_is_in_none(demo, turn_deg):
     radial = turn(demo, lambda t: 0.005 * np.cos(2 * t), turn_deg=turn_deg)
     # The first sector and the last one meet: a little of what is driven past is there.
     assert np.allclose(radial, 0.005 * np.cos(2 * ANGLE), atol=1e-4)

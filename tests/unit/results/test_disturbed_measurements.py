@@ -134,9 +134,7 @@ def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
         pytest.param(250.0, "not-usable", {"rows": 60}, 10.0, marks=pytest.mark.long),
     ],
 )
-def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
-    record, offset_um, state, how, most_um
-):
+def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, most_um):
     setting = Setting(hidden=(TrackerRangeOffset(offset_um),))
     findings = analyse(record(31, **how, setting=setting)[0])
     assert findings.knocks == ()
@@ -168,9 +166,7 @@ def change(made):
     return made.program.target.index("W1")
 
 
-def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is_none(
-    made, run_of, change
-):
+def test_a_point_lost_where_the_target_changes_may_be_a_knock(made, run_of, change):
     run, amid = run_of(made), change + 8
     status = np.where(np.isin(made.row, (change, amid)), 1, run.tracker.status)
     verdict = analyse(with_samples(run, status=status)).verdict
@@ -182,9 +178,7 @@ def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is
 
 
 @pytest.mark.long
-def test_a_run_that_ends_without_its_first_target_says_that_a_knock_would_not_show(
-    made, run_of, change
-):
+def test_a_run_without_its_first_target_at_the_end_says_so(made, run_of, change):
     kinds = {r.kind: r.values for r in analyse(run_of(made)).verdict.reasons}
     assert str(change) in kinds["not-measured-again"]["rows"].split(", ")
 

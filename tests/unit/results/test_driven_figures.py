@@ -121,9 +121,7 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
 
 
 @pytest.mark.parametrize("scatter_um", [0.0, 2.0])
-def test_accuracy_and_repeatability_hold_those_of_the_machine_in_95_of_100_cases(
-    mill, rng, scatter_um
-):
+def test_accuracy_and_repeatability_hold_in_95_of_100_cases(mill, rng, scatter_um):
     position, distance = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
     exact_mm = np.zeros((len(position), 3))
     scatter = scatter_um * rng.standard_normal(len(position))
@@ -140,9 +138,7 @@ def circle_in_both_senses():
     return out, np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
 
 
-def test_circles_of_one_size_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(
-    mill, rng
-):
+def test_circles_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(mill, rng):
     out, _ = circle_in_both_senses()
     in_xz, in_yz = out[:, [0, 2, 1]], out[:, [2, 0, 1]]
     position = np.array([200.0, 200.0, -150.0]) + 100.0 * np.vstack([in_xz, in_yz])
@@ -169,9 +165,7 @@ SHAPES_UM = {  # radial, by the outward direction of a place and its sense
 
 @pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("shape", SHAPES_UM)
-def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
-    mill, rng, shape, noise_um
-):
+def test_circle_figures_hold_true_ones_in_95_of_100_cases(mill, rng, shape, noise_um):
     out, position = circle_in_both_senses()
     sense = np.repeat([1.0, -1.0], len(out) // 2)
     radial_um = SHAPES_UM[shape](out, sense)
@@ -180,9 +174,7 @@ def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
     assert min(held.values()) >= 0.95 * 80
 
 
-def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertainty(
-    mill, rng
-):
+def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_u(mill, rng):
     out, position = circle_in_both_senses()
     still = 1e-3 * rng.standard_normal(out.shape)
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).circles
@@ -191,9 +183,7 @@ def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertain
     assert found.figures_um["G"] < found.own_um["G"]
 
 
-def test_the_scale_of_all_lengths_is_in_figures_of_length_and_not_in_the_noise(
-    mill, rng
-):
+def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng):
     position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
     still, ppm = np.zeros((len(position), 3)), 10.0
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
@@ -223,9 +213,7 @@ MANY = 1e6  # degrees of freedom: as good as known
         ([3.0, 12.5], "outside"),
     ],
 )
-def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
-    length_um, decision
-):
+def test_only_what_is_clear_of_the_limit_by_u_is_decided(length_um, decision):
     sigma_um = np.full(2, 0.9)  # expanded for two places: 2.0 µm
     found = decide_points(np.array(length_um), sigma_um, MANY, 10.0)
     assert found.conformity == decision
@@ -243,9 +231,7 @@ def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
         assert found.conformity == decision
 
 
-def test_so_many_places_lie_within_together_in_95_of_100_cases_by_known_noise_or_not(
-    rng,
-):
+def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
     k = compute_joint_factor(30, MANY)
     within = np.abs(rng.standard_normal((20_000, 30))).max(axis=1) <= k
     assert within.mean() == pytest.approx(0.95, abs=0.005)

@@ -73,9 +73,7 @@ def test_of_a_path_that_was_driven_as_commanded_nothing_is_said(record, seed):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.2])
-def test_an_override_is_told_in_percent_and_one_of_some_lines_names_these(
-    record, share
-):
+def test_an_override_is_told_in_percent_and_names_its_lines(record, share):
     run, _ = record(6)
     values = values_of(said_of(at_feed(run, share)))["other-feed"]
     percents = [values["lowest_percent"], values["highest_percent"]]
@@ -98,9 +96,7 @@ def test_an_early_stop_and_a_late_begin_say_how_much_is_missing(record, rng):
 
 
 @pytest.mark.parametrize(("driven", "missing"), [(6, False), (4, True)])
-def test_lines_that_a_further_run_of_the_path_has_are_not_missing(
-    record, rng, driven, missing
-):
+def test_lines_that_a_further_run_has_are_not_missing(record, rng, driven, missing):
     run, _ = record(6)
     planned = lengthened(run.commanded, rng)
     first, rest = (

@@ -203,9 +203,7 @@ def found(differing):
     return analyse(differing[0])
 
 
-def test_places_that_differ_are_told_with_numbers_and_none_is_left_out(
-    differing, found
-):
+def test_places_that_differ_are_told_in_numbers_and_none_is_left_out(differing, found):
     _, made, sizes_um = differing
     content = result_json(found)
     assert found.verdict.state in ("usable", "doubtful")

@@ -122,9 +122,7 @@ def calibrate(content, tmp_path):
     return keep
 
 
-def test_history_states_entries_and_figures_as_the_results_do_and_refuses_others(
-    calibrate, content
-):
+def test_history_states_what_results_state_and_refuses_others(calibrate, content):
     made = [calibrate("mill", 1), calibrate("mill", 2)]
     history = documents.history_json("mill", made, "EXX", None)
     table = content["error_tables"]["EXX"]
@@ -200,9 +198,7 @@ def look(beyond, begin_um=0.5, runs=4, limit=2.0):
         (1.0, "due", "certain", "(certain)"),
     ],
 )
-def test_each_share_of_courses_beyond_the_limit_has_its_answer(
-    beyond, state, grade, said
-):
+def test_each_share_of_courses_beyond_has_its_answer(beyond, state, grade, said):
     found = look(beyond)
     assert (found.state, found.grade) == (state, grade)
     assert found.exceeded == pytest.approx(beyond)

@@ -73,9 +73,7 @@ def test_the_file_comes_back_as_the_model_that_was_written(grown, loaded):
     assert loaded.version == 2
 
 
-def test_prediction_from_the_model_has_the_sag_in_it(
-    sagging, loaded, volume, rigid_free
-):
+def test_prediction_from_the_model_has_the_sag(sagging, loaded, volume, rigid_free):
     run, truth = sagging
     at = volume(run.machine)
     u, v = (
@@ -94,9 +92,7 @@ def test_prediction_from_the_model_has_the_sag_in_it(
     assert np.std(true_um - rigid_free(at, without.error_um)) > 2.0 * np.std(left)
 
 
-def test_nothing_is_missing_from_the_model_that_has_it_and_the_next_knows_its_parent(
-    sagging, loaded
-):
+def test_nothing_is_missing_then_and_the_next_knows_its_parent(sagging, loaded):
     given = build_reference(PriorModel(loaded, "model.json", "0"), sagging[0])
     again = discover([sagging[0]], given)
     assert again.findings == ()

@@ -61,9 +61,7 @@ def rigid_motion(model, shift_mm, turn_rad):
     return theta
 
 
-def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
-    loaded, travel_points, rng
-):
+def test_a_rigid_motion_of_the_volume_changes_no_prediction(loaded, travel_points, rng):
     # So small that motions add up.
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
     free = free_gauge(loaded)
@@ -214,9 +212,7 @@ def seen(estimate):
     return compute_volumetric_error(estimate)
 
 
-def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave_open(
-    estimate, seen, loaded
-):
+def test_the_map_is_that_of_predictions_and_what_they_leave(estimate, seen, loaded):
     axes = estimate.model.machine.linear_axes
     assert len(seen.position_mm) == 729
     assert seen.position_mm.min(axis=0).tolist() == [a.low for a in axes]
@@ -246,9 +242,7 @@ def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave
     assert certain.before.mean.uncertainty_um == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
-    estimate,
-):
+def test_the_scale_of_lengths_is_in_the_uncertainty_of_the_volumetric_error(estimate):
     ppm, certain = 40.0, replace(estimate, covariance=1e-6 * estimate.covariance)
     scaled = certain.widen_by_scale(1e-6 * ppm)
     stated = compute_volumetric_error(scaled, ppm).before.mean
@@ -272,9 +266,7 @@ def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
     assert left.scale_uncertainty_um == pytest.approx(left.uncertainty_um, rel=0.1)
 
 
-def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
-    estimate, seen, loaded
-):
+def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, loaded):
     """The mean of both directions does not see it: squares of both add up."""
     assert compute_both_directions(estimate) is None
     effect = make_half_width("EXX", estimate.model.machine.linear("X"))

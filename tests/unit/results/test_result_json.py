@@ -92,9 +92,7 @@ def test_a_file_of_old_or_of_another_hand_is_read_as_it_was_stated(found, conten
     assert np.isfinite(predict(loaded, middle).uncertainty_um).all()
 
 
-def test_rows_that_left_no_data_are_named_points_count_from_the_first_no_noise_is_null(
-    estimate, provenance, across_only
-):
+def test_rows_without_data_and_unknown_noise_say_so(estimate, provenance, across_only):
     left = estimate.runs[0].measured_rows - {4}
     thinned = change_run(estimate, measured_rows=left)
     alignment = result_json(state_findings(thinned, provenance))["alignment"]
@@ -131,9 +129,7 @@ def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, est
     assert whole == pytest.approx(content["residuals"]["rms_um"])
 
 
-def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
-    construct, provenance, travel_points
-):
+def test_the_file_predicts_what_the_estimate_does(construct, provenance, travel_points):
     found = state_findings(construct(THREE_TARGETS), provenance)
     read = result_from_json(json.loads(json.dumps(result_json(found))))
     expected = predict(as_loaded(found.estimate), travel_points)
@@ -142,9 +138,7 @@ def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
     assert got.uncertainty_um == pytest.approx(expected.uncertainty_um, rel=1e-9)
 
 
-def test_parameters_and_tables_come_back_whatever_basis_the_gauge_had(
-    found, estimate, content
-):
+def test_parameters_and_tables_come_back_whatever_the_gauge(found, estimate, content):
     """The file holds values at knots; a gauge brings its own basis when it is read."""
     read = result_from_json(content)
     assert read.mode == "otf"
@@ -242,9 +236,7 @@ def test_what_is_no_object_is_no_result():
         result_from_json([1, 2])
 
 
-def test_what_belongs_to_the_measurement_is_integrated_out_and_nothing_else_dropped(
-    estimate,
-):
+def test_what_belongs_to_the_measurement_is_integrated_out_and_no_more(estimate):
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
     covariance = np.pad(estimate.covariance, (0, 6))
     covariance[:, -6:] = covariance[-6:, :] = 0.5
@@ -267,9 +259,7 @@ def tables(estimate):
     return build_error_tables(estimate)
 
 
-def test_straightness_is_zero_at_both_ends_all_else_at_the_axis_zero_or_the_lowest(
-    tables,
-):
+def test_straightness_is_zero_at_both_ends_all_else_at_zero_or_the_lowest(tables):
     straight = [t for t in tables.tables if is_straightness(t.symbol)]
     assert len(straight) == 6
     for table in straight:
@@ -298,9 +288,7 @@ def test_positions_are_equidistant_and_hold_both_ends_five_at_least(tables, esti
     assert choose_table_positions(short).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
-def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
-    estimate, tables
-):
+def test_values_are_those_of_the_parameters_in_um_and_urad(estimate, tables):
     for motion in estimate.model.effects[:-3]:
         table = tables.table(motion.name)
         theta = estimate.theta[estimate.model.slices[motion.name]]
@@ -321,9 +309,7 @@ def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
     assert len(more.squareness) == 3
 
 
-def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
-    estimate, tables
-):
+def test_uncertainty_is_the_spread_of_tables_the_covariance_allows(estimate, tables):
     """A way to the numbers that shares nothing with the propagation."""
 
     def values(theta):
@@ -341,9 +327,7 @@ def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
     assert np.concatenate(stated) == pytest.approx(spread, rel=1e-6, abs=1e-9)
 
 
-def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
-    estimate, tables, construct
-):
+def test_what_merges_has_no_table_until_three_targets_tell(estimate, tables, construct):
     known = {t.symbol for t in tables.tables}
     assert len(known) == 14
     assert tables.table("ECZ") is None

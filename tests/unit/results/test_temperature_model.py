@@ -36,9 +36,7 @@ def find_expansion(study):
     ("rounds", "most"),
     [(8, 2), pytest.param(150, 12, marks=pytest.mark.long)],
 )
-def test_a_machine_is_said_to_depend_and_to_grow_as_it_does(
-    world, rounds, most, scatter
-):
+def test_a_machine_is_said_to_depend_and_grow_as_it_does(world, rounds, most, scatter):
     steady = (study_temperature(world.draw(k, scatter=scatter)) for k in range(rounds))
     assert sum(bool(name_dependent(study)) for study in steady) <= most
     world.grow(11.0)
@@ -142,9 +140,7 @@ def state(result, half):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter_or_left_out(
-    results, kind
-):
+def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(results, kind):
     joined = combine_results(results).result
     of_sigma, name = KINDS[kind]
     at, value = getattr(joined, kind)[name]

@@ -68,9 +68,7 @@ def test_an_answer_is_right_when_it_says_the_truth_or_that_there_is_nothing(vali
     assert not judge(strange, said(effect("backlash", axis="X")), 0.0).right
 
 
-def test_a_refused_world_is_a_wrong_answer_and_outcomes_are_kept_whole(
-    validation, monkeypatch
-):
+def test_a_refused_world_is_wrong_and_outcomes_are_kept_whole(validation, monkeypatch):
     score = validation("discovery_score")
 
     def refuse(*_):

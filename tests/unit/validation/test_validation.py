@@ -21,9 +21,7 @@ def test_every_section_of_the_document_holds_a_table_and_every_figure_is_there()
     assert all((ROOT / "docs" / n).stat().st_size < 200_000 for n in names)
 
 
-def test_a_section_is_replaced_and_an_unknown_one_refused(
-    validation, tmp_path, monkeypatch
-):
+def test_sections_are_replaced_unknown_ones_refused(validation, tmp_path, monkeypatch):
     document = validation("document")
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- x -->\nold\n<!-- /x -->\nb\n", encoding="utf-8")
@@ -71,9 +69,7 @@ def test_the_error_left_is_near_the_information_bound(validation):
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
-def test_an_order_of_axes_that_the_data_do_not_tell_is_no_end_of_an_analysis(
-    validation,
-):
+def test_an_order_of_axes_that_data_do_not_tell_ends_no_analysis(validation):
     """Two axes turn in its table, and its targets leave much open."""
     assert validation("instrument_errors").judge_turning(5).inside > 0.8
 
@@ -94,9 +90,7 @@ def test_gantries_reach_the_information_bound(validation, perfect_trackers):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_the_direction_of_travel_halves_what_corner_paths_leave(
-    validation, perfect_trackers
-):
+def test_the_direction_halves_what_corner_paths_leave(validation, perfect_trackers):
     script = validation("along_the_path")
     ratios = [o.ratio for o in script.outcomes(5)]
     assert np.median(ratios) < 0.5
