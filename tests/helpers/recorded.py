@@ -17,6 +17,8 @@ from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
+_made = {}
+
 
 def record_run(content, program, seed=3, mode="otf", setting=None):
     """Return the Run of a recording, and the recording, which knows the truth."""
@@ -48,9 +50,6 @@ def load_small(name, share=0.4):
             axis[end] *= share
     content["tracker"]["rate_hz"] = 100.0
     return content
-
-
-_made = {}
 
 
 def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):

@@ -35,6 +35,7 @@ THREE_TARGETS = (
     Target("aside", "tool", (120.0, -40.0, -150.0)),
 )
 LINES, CELLS = 12, 240
+TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
 
 
 def of_a_run(residuals):
@@ -133,9 +134,6 @@ def across_only(construct):
     plain = replace(construct(), perpendicular_only=True)
     noise = replace(plain.runs[0].noise, along_sigma_mm=np.inf)
     return change_run(plain, noise=noise)
-
-
-TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
 
 
 def load_small():

@@ -27,6 +27,7 @@ from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 TRAVEL_MM = 150.0
+pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")
@@ -178,9 +179,6 @@ def test_targets_without_a_name_take_that_of_their_run(runs):
     assert set(result["machine"]["targets"]) == {"on <the> fly", "points"}
     assert number_names(["a", "b"]) == ["a", "b"]
     assert number_names(["run", "run"]) == ["run (1)", "run (2)"]
-
-
-pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(

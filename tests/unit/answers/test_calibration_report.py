@@ -28,6 +28,11 @@ from truepath.results.result_json import result_json
 from truepath.results.result_summary import group_residuals, state_findings, state_noise
 
 VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
+LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
+BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
+STATION_MM = np.array([900.0, 100.0, -200.0])
+MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
+WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
 
 
 class Outline(HTMLParser):
@@ -201,10 +206,6 @@ def test_an_uncertainty_has_two_digits_and_the_value_its_places(value, standard,
     assert format_number(-0.0004, 2) == "0.00"
 
 
-LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
-BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
-
-
 def judged(found, *reasons):
     return render_calibration_report(replace(found, verdict=Verdict(reasons)))
 
@@ -223,11 +224,6 @@ def test_a_result_that_is_not_to_be_used_begins_with_that(found, page):
     assert 'class="verdict' not in page  # which has nothing to say
     evil = "<script>alert(1)</script>"
     assert evil not in judged(found, Reason("stated", "doubtful", {"text": evil}))
-
-
-STATION_MM = np.array([900.0, 100.0, -200.0])
-MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
-WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,15 @@ from truepath.results.error_tables import compute_half_differences
 from truepath_simulators.scenario import load_machine
 
 FORMATS = ("isg-csv", "linuxcnc")
+HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])
+DEMO = machine_from_json(load_machine("demo"), file="machine.json")
+SAG = {"axis": "X", "by": "Y", "direction": "Z"}
+EFFECTS = (
+    (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
+    (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
+    (ElasticSagFamily(), SAG, {}, [0.02]),
+    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+)
 
 
 @pytest.fixture(scope="module")
@@ -237,9 +246,6 @@ def test_account_and_comments_say_it_and_no_number_changes(loaded):
     assert warm["volumetric_error_um"] == unknown["volumetric_error_um"]
 
 
-HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])
-
-
 def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
     half_across = {symbol: (AT_MM, np.full(2, half))}
     sigmas = {symbol: np.full(2, sigma)}
@@ -320,16 +326,6 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
     at_deg, half_urad = result.half_turn_urad["C"]
     assert (at_deg.tolist(), half_urad.tolist()) == ([0.0, 90.0], [12.0, 13.0])
     assert result.half_turn_u_urad == {}
-
-
-DEMO = machine_from_json(load_machine("demo"), file="machine.json")
-SAG = {"axis": "X", "by": "Y", "direction": "Z"}
-EFFECTS = (
-    (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
-    (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
-    (ElasticSagFamily(), SAG, {}, [0.02]),
-    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
-)
 
 
 def have_effects(*described):

@@ -17,6 +17,7 @@ from truepath.kinematics.conditions import Conditions
 from written_tables import MACHINE, write_files
 
 DIFFERENCE = {"backlash_reading": "difference"}
+ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
 
 
 def store(folder, files, names=None):
@@ -83,9 +84,6 @@ def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
     change(files)
     with pytest.raises(BadInput, match=words):
         read_active_files(store(tmp_path, files), order, MACHINE)
-
-
-ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
 
 
 def make_errors(loaded, size, lost_um):

@@ -29,6 +29,33 @@ every_format = pytest.mark.parametrize("name", OURS)
 
 
 PROVENANCE = {"run": "morning", "created": "2026-11-26", "input_sha256": "f00d" * 16}
+LEADSCREW = """%_N_AX_EEC_INI
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+"""
+ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
+CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
+X,+,0,0,0,0,0,0,0
+X,+,100,10,20,0,0,0,100
+"""
+LEC, ETALON = "siemens-lec", "etalon-exchange"
+FILE = {"linuxcnc": "c-X.tbl", LEC: "x.ini", ETALON: "c.txt"}
+TWO_SYSTEMS = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
+GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
+BROKEN = """
+    import math
+    from truepath.compensation.formats.generic import GenericCsv
+
+    class Broken(GenericCsv):
+        def {verb}(self, *given):
+            return {answer}
+"""
+TEXTS = "for name, text in super().write(*given).items()"
 
 
 @pytest.fixture(scope="module")
@@ -219,28 +246,6 @@ def test_rows_fit_into_the_controller(source, name):
         assert len(table.position_mm) <= most.get(name, 1000)
 
 
-LEADSCREW = """%_N_AX_EEC_INI
-$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
-$AA_ENC_COMP[0,1,X1]=0.01
-$AA_ENC_COMP[0,2,X1]=0.02
-$AA_ENC_COMP_STEP[0,X1]=100.0
-$AA_ENC_COMP_MIN[0,X1]=-100.0
-$AA_ENC_COMP_MAX[0,X1]=100.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-"""
-ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
-CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
-X,+,0,0,0,0,0,0,0
-X,+,100,10,20,0,0,0,100
-"""
-
-
-LEC, ETALON = "siemens-lec", "etalon-exchange"
-FILE = {"linuxcnc": "c-X.tbl", LEC: "x.ini", ETALON: "c.txt"}
-TWO_SYSTEMS = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
-GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
-
-
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
@@ -395,17 +400,6 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
     cut = {**files, "config.cma": "NR ACTIVE\n"}
     with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
         Heidenhain().read(cut, source.machine)
-
-
-BROKEN = """
-    import math
-    from truepath.compensation.formats.generic import GenericCsv
-
-    class Broken(GenericCsv):
-        def {verb}(self, *given):
-            return {answer}
-"""
-TEXTS = "for name, text in super().write(*given).items()"
 
 
 def export_broken(folder, loaded):

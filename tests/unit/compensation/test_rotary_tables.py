@@ -39,6 +39,10 @@ from truepath_simulators.scenario import load_machine
 
 # A trunnion carries the workpiece; a head turns the tool.
 MACHINES = ("trunnion", "head-table")
+SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
+FREEDOM = 50.0  # values by which the size of what is not known is known
+HALF_URAD, HALF_U_URAD = 12.0, 1.0
+FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 
 @pytest.fixture(scope="module", params=MACHINES)
@@ -166,9 +170,6 @@ def test_the_account_states_the_error_over_all_axes(erring):
             assert bool(one["not_in_files"]) == is_turned
 
 
-SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
-
-
 @pytest.fixture(scope="module", params=["A", "B"])
 def shifted(request):
     """A trunnion, its tilting axis A or B, whose axes are off their place alone."""
@@ -252,11 +253,6 @@ def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(machine
     before, after = measure_left(truth, written.files, position)
     assert before.max() > 0.04
     assert after.max() < 0.02 * before.max()
-
-
-FREEDOM = 50.0  # values by which the size of what is not known is known
-HALF_URAD, HALF_U_URAD = 12.0, 1.0
-FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 
 class KnownMachine(NamedTuple):

@@ -33,6 +33,12 @@ TURNING = ("linuxcnc", "siemens", "siemens-lec")
 COMPOSING = ("isg-csv", "isg-csv-followed")
 RESOLUTION_MM = {"fanuc": 1.1e-3}
 RESOLUTION_DEG = 1.01e-6
+GOLDEN_FOLDERS = {order: (tables.write_files, order) for order in tables.ORDERS} | {
+    f"{order}-rotary": (tables.write_rotary_files, order)
+    for order in tables.ROTARY_ORDERS
+}
+_values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
+_turns = st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=9)
 
 
 def simulate(order, files, position, direction, machine=SIMULATED):
@@ -45,10 +51,6 @@ def simulate(order, files, position, direction, machine=SIMULATED):
 
 
 simulate_trunnion = partial(simulate, "usual", machine=SIMULATED_TRUNNION)
-GOLDEN_FOLDERS = {order: (tables.write_files, order) for order in tables.ORDERS} | {
-    f"{order}-rotary": (tables.write_rotary_files, order)
-    for order in tables.ROTARY_ORDERS
-}
 
 
 @pytest.mark.parametrize("folder", GOLDEN_FOLDERS)
@@ -56,9 +58,6 @@ def test_files_are_the_golden_ones(folder):
     write, order = GOLDEN_FOLDERS[folder]
     files = (tables.GOLDEN / folder).iterdir()
     assert write(order) == {p.name: p.read_text(encoding="ascii") for p in files}
-
-
-_values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
 
 
 @pytest.mark.parametrize("order", tables.ORDERS)
@@ -100,9 +99,6 @@ def test_rows_take_the_error_of_the_axis_away_to_the_resolution(order):
         wanted = error if has_sides else table.forward_mm
         bound = RESOLUTION_MM.get(order, 1.1e-5)
         np.testing.assert_allclose(added[:, 0], -wanted[:, 0], atol=bound)
-
-
-_turns = st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=9)
 
 
 def vary(own, half, across):

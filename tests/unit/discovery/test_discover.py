@@ -27,6 +27,8 @@ from truepath_simulators.worlds.synthetic import Setting
 KNOCK_S, STEP_UM = 20.0, (4.0, -3.0, 0.0)
 KNOCK = SetupStep(KNOCK_S, STEP_UM)
 LEAD_MM, WAVE_UM = 5.0, 4.0
+TAU_S, RISE_K, PER_K = 70.0, 2.5, 10.0
+SMALL = {"rows": 30, "travel_mm": 150.0}
 
 
 @pytest.fixture(scope="module")
@@ -177,9 +179,6 @@ def test_a_cause_that_nobody_listed_gets_no_name(settling):
     assert all(one["grade"] == "possible" for one in settling["possible"])
 
 
-TAU_S, RISE_K, PER_K = 70.0, 2.5, 10.0
-
-
 @pytest.mark.long
 def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(record):
     """A Run as short as the time constant that its Z axis warms with, unseen."""
@@ -195,9 +194,6 @@ def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(re
     # What the value leaves open is in the uncertainty of the growth.
     _, alone = warming.fit.parameters_of(0)
     assert float(found.term.covariance[0, 0]) > 2.0 * float(alone[0, 0])
-
-
-SMALL = {"rows": 30, "travel_mm": 150.0}
 
 
 def moment_within(seen, line, share):

@@ -35,6 +35,7 @@ HEAD = {
     },
     "tracker": {"stands_on": "workpiece", "rate_hz": 100},
 }
+GEAR, SAG = GearCyclic("C", 6.0, 40.0, 1.0), SwivelSag("Y", "C", "Z", 8.0, 0.5)
 
 
 def drive(content, hidden, lines=None, reference=None):
@@ -63,9 +64,6 @@ def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(plain
     found = drive(HEAD, (hidden,), 28, model)
     require_named(found, hidden, "rotary-eccentricity C")
     assert not drive(HEAD, (), 28, model).findings
-
-
-GEAR, SAG = GearCyclic("C", 6.0, 40.0, 1.0), SwivelSag("Y", "C", "Z", 8.0, 0.5)
 
 
 @pytest.mark.parametrize(

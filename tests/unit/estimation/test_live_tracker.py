@@ -16,6 +16,10 @@ from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
 LOST_S = 0.4
+PLACE_MM = np.array([0.03, -0.02, 0.025])
+TILT_RAD = np.array([3e-5, -4e-5, 1e-5])
+RANGE_MM = -0.06
+LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
 def measure(seed, mode="otf", specification=None, rows=24, **setting):
@@ -107,12 +111,6 @@ def test_more_new_locks_than_were_foreseen_leave_the_estimate_as_it_is():
     last = follow_lines(run).last
     assert not last.check.held
     assert judge_map(last, truth.deviation_mm).inside > 0.8
-
-
-PLACE_MM = np.array([0.03, -0.02, 0.025])
-TILT_RAD = np.array([3e-5, -4e-5, 1e-5])
-RANGE_MM = -0.06
-LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
 # What is done, how large it is, and which reason of the verdict says it.

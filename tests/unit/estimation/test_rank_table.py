@@ -29,6 +29,7 @@ CORNERS = [np.array(c, float) for c in itertools.product([0, 1], repeat=3)]
 CORNER_LINES = list(itertools.combinations(CORNERS, 2))
 MID_LINES = [(0.5 - 0.5 * along, 0.5 + 0.5 * along) for along in np.eye(3)]
 OBLIQUE = [(np.zeros(3), np.array([0.6, 1.0, 0.0]))]
+CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
 
 
 def machine(travel):
@@ -111,9 +112,6 @@ def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(tra
     free = np.eye(60) - law @ np.linalg.pinv(law)
     curved = np.einsum("ab,lbdp->ladp", free, along).reshape(full.shape)
     assert rank(np.concatenate([across, curved])) == 73
-
-
-CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
 
 
 @pytest.mark.parametrize("sides", CHAINS)

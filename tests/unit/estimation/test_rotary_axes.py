@@ -23,6 +23,10 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import turning_paths
 from truepath_simulators.scenario import load_machine
 
+OFF_UM = {"T2": (15.0, -20.0, 8.0), "T3": (-9.0, 4.0, 20.0), "W1": (20.0, 20.0, -20.0)}
+FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}
+MEASURED = ("T1", "T2", "W1", "W2", "W3")
+
 
 @cache
 def measured(name, seed, points=200, targets=()):
@@ -85,10 +89,6 @@ def test_what_targets_on_one_side_do_not_tell_of_the_other_is_named():
     assert {"XOC", "YOC", "AOC", "BOC"} <= set(said)
 
 
-OFF_UM = {"T2": (15.0, -20.0, 8.0), "T3": (-9.0, 4.0, 20.0), "W1": (20.0, 20.0, -20.0)}
-FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}
-
-
 def seat(machine, off_um):
     """Return the machine whose file states targets where they are not."""
     targets = []
@@ -121,9 +121,6 @@ def test_a_place_that_is_known_better_is_part_of_the_machine_file():
     again = machine_from_json(content)
     assert again.target("W1").seat_sigma_mm == 0.002
     assert machine_to_json(again) == content
-
-
-MEASURED = ("T1", "T2", "W1", "W2", "W3")
 
 
 def content_of(targets):

@@ -31,6 +31,9 @@ SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k =
 
 
 FIRST = (30.0, 20.0, -100.0)
+OFFSET = (20.0, 30.0, -100.0)
+MILL = build_mill(OFFSET, travel_mm=(600.0, 500.0, 400.0))
+X = MILL.linear_axes[0]
 
 
 def mill(*offsets):
@@ -132,11 +135,6 @@ def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
     aside = mill((0.0, 0.0, -400.0), FIRST)
     other = replace(path, target=("T2",) * len(path))
     assert graded(aside, other).number > 3.0 * graded(own, path).number
-
-
-OFFSET = (20.0, 30.0, -100.0)
-MILL = build_mill(OFFSET, travel_mm=(600.0, 500.0, 400.0))
-X = MILL.linear_axes[0]
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,8 @@ from truepath.alignment.align import align, align_all
 from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
 from truepath.estimation.checks.setup_shifts import Step
 
+POINT = 30
+
 
 @pytest.fixture(scope="module")
 def standing(record_small):
@@ -71,9 +73,6 @@ def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
     assert said.begin_s == pytest.approx(time_s[first + 6], abs=0.2)
     assert said.off_mm == pytest.approx(0.1)
     assert before.seen.offered + after.seen.offered == seen.offered  # none is lost
-
-
-POINT = 30
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,8 @@ from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 
+ROWS = 40
+
 
 @cache
 def slowly(seed):
@@ -91,9 +93,6 @@ def test_metres_are_refused_by_name(polled):
     metres = replace(polled.tracker, position_mm=1e-3 * polled.tracker.position_mm)
     with pytest.raises(AlignmentError, match="look like m; convert them to mm"):
         align(replace(polled, tracker=metres))
-
-
-ROWS = 40
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,13 @@ from truepath.files.bundle import machine_file
 from truepath.files.bundle.bundle import read_bundle
 from truepath.files.bundle.machine_file import decode_machine, encode_machine
 
+HEADER = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
+TARGETED = "target," + HEADER
+POINTS = "x_mm,y_mm,z_mm,dwell_s\n0,0,0,2\n0,0,1,2\n"
+ROTARY = {"type": "rotary", "min_deg": 0, "max_deg": 360}
+APPROACHES = [{"order": ["Z", "Y", "X"]}, {"clearance_mm": {}, "feed_mm_min": 300.0}]
+APPROACHES += [{"clearance_mm": {"Y": 0.0, "Z": 0.0}}]
+
 
 def without(name):
     return lambda folder: (folder / name).unlink()
@@ -106,11 +113,6 @@ def turning(stated):
     chain = key("kinematic_chain", "w-C-X-b-Y-Z-t")
     return both(key("axes.C", {**ROTARY, **stated}), chain)
 
-
-HEADER = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
-TARGETED = "target," + HEADER
-POINTS = "x_mm,y_mm,z_mm,dwell_s\n0,0,0,2\n0,0,1,2\n"
-ROTARY = {"type": "rotary", "min_deg": 0, "max_deg": 360}
 
 # Keys of machine.json, what they are set to, and what is said of it.
 KEYS = [
@@ -300,10 +302,6 @@ def test_a_machine_file_is_read_from_disk(bundle):
     assert machine == read_bundle(bundle).machine
     with pytest.raises(BundleError, match=r"none\.json: cannot be read"):
         machine_file.read_machine(bundle / "none.json")
-
-
-APPROACHES = [{"order": ["Z", "Y", "X"]}, {"clearance_mm": {}, "feed_mm_min": 300.0}]
-APPROACHES += [{"clearance_mm": {"Y": 0.0, "Z": 0.0}}]
 
 
 @pytest.mark.parametrize("stated", APPROACHES)

@@ -17,6 +17,8 @@ from truepath.kinematics.machine.machine import RotaryAxis, Target
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path
 
+OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b")
+
 
 def assert_same(first, second):
     """Everything that a bundle carries is equal to the last bit."""
@@ -160,9 +162,6 @@ def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatc
     with pytest.raises(OSError, match="No space"):
         write_bundle(run, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
-
-
-OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b")
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,15 @@ from truepath.errors import BundleError
 from truepath.files.imports.options import TextOptions
 from truepath.files.imports.recording import read_recording
 
+MM_HEAD = "t_s,x_mm,y_mm,z_mm"
+SA_HEAD = (
+    "// Points Relative to Coordinate Frame 'A::WORLD'\n"
+    "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
+)
+APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
+TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
+TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
+
 
 @pytest.fixture(scope="module")
 def drive(record):
@@ -39,9 +48,6 @@ def lines_of(run, form, first=None):
     return "\n".join([first, *rows] if first else rows)
 
 
-MM_HEAD = "t_s,x_mm,y_mm,z_mm"
-
-
 def stamped(run, stamp):
     """Return lines of millimetres; stamp(number, seconds) writes the time."""
     return lines_of(
@@ -58,20 +64,11 @@ def assert_stream(read, run, mm=6e-4, second=2e-6):
     assert np.abs(read.samples.device_time_s - time_s).max() < second
 
 
-SA_HEAD = (
-    "// Points Relative to Coordinate Frame 'A::WORLD'\n"
-    "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
-)
-
-
 def spatial(k, t, x, y, z):
     """Collection, group, number, place, and a date of whole seconds."""
     second = int(t + 0.3)
     clock = f"11/28/2026 02:{second // 60:02d}:{second % 60:02d} AM"
     return f"A, run, {k + 1}, {x:.4f}, {y:.4f}, {z:.4f}, {clock}"
-
-
-APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
 
 
 def join(form, between, *values):
@@ -124,8 +121,6 @@ STREAMS = {
     ),
     "no units": ("t,x,y,z", trailing),
 }
-TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
-TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
 
 
 @pytest.mark.parametrize("style", STREAMS)

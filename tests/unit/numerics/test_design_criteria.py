@@ -10,6 +10,13 @@ from truepath.numerics.design_criteria import IntegratedVariance, find_best_posi
 
 KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
 SPLINE = natural_spline(KNOTS)
+CASES = {
+    "knots": st.lists(st.floats(0.1, 3.0), min_size=2, max_size=12),
+    "seed": st.integers(0, 2**32 - 1),
+    "seen": st.integers(0, 14),
+    "log_variance": st.floats(-6.0, 0.5),
+    "values": st.integers(1, 3),
+}
 
 
 def belief(rng, seen, variance=0.01, spline=SPLINE):
@@ -42,15 +49,6 @@ def a_case(knots, seed, seen, log_variance, values):
         return found[:, 0] if values == 1 else found
 
     return known, rows, spline.knots, 10.0**log_variance
-
-
-CASES = {
-    "knots": st.lists(st.floats(0.1, 3.0), min_size=2, max_size=12),
-    "seed": st.integers(0, 2**32 - 1),
-    "seen": st.integers(0, 14),
-    "log_variance": st.floats(-6.0, 0.5),
-    "values": st.integers(1, 3),
-}
 
 
 def search_densely(known, rows, borders, variance, points=10_000):

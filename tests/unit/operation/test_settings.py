@@ -23,6 +23,7 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 ROOT = Path(__file__).parents[3]
 TOGETHER = {"tls_cert": {"tls_key": "/k.pem"}, "tls_key": {"tls_cert": "/c.pem"}}
+PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
 
 
 def test_the_page_is_that_of_the_settings(monkeypatch):
@@ -71,9 +72,6 @@ def test_the_settings_in_effect_are_toml_that_loads_and_hides_secrets(tmp_path, 
     assert in_effect["tracker_options"] == {"host": "h", "password": HIDDEN}
     assert in_effect["database_password_file"] == str(password)
     assert in_effect["port"] == 8411
-
-
-PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ SIX_TARGETS = (
     Target("W2", "workpiece", (180.0, 345.0, -90.0)),
     Target("W3", "workpiece", (190.0, 110.0, -30.0)),
 )
+CHANGE_S = 5.0
 
 
 def mill_of(*travel_mm):
@@ -217,9 +218,6 @@ def test_a_target_on_the_axis_that_turns_it_is_refused_with_the_remedy():
     centre = Target("W1", "workpiece", (250.0, 225.0, -120.0))
     with pytest.raises(PlanningError, match=r"W1 hardly moves.*farther from the axes"):
         default_path(replace(trunnion((centre,)), workpiece_side=("C", "A")), lines=3)
-
-
-CHANGE_S = 5.0
 
 
 @pytest.fixture(scope="module")

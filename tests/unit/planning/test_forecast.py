@@ -19,6 +19,9 @@ from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
+IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
+IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
+
 
 def state_variance(made):
     ppm = state_length_ppm(Refraction(), made.model.machine.tracker.range_ppm)
@@ -116,10 +119,6 @@ def merge_points(*places):
     n = len(places)
     position_mm = np.array([500.0, 400.0, 300.0]) * places
     return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
-
-
-IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
-IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
 
 
 @pytest.mark.parametrize(

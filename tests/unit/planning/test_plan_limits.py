@@ -12,6 +12,10 @@ from truepath.motion.workspace.workspace import Workspace
 
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])
 OFFSET = np.array([20.0, 30.0, -150.0])
+SMALL = Box((200.0, 150.0, -200.0), (300.0, 250.0, -100.0), "probe")
+DOOR = Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door")
+HERE = (250.0, -900.0, 0.0)
+DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
 
 
 @st.composite
@@ -97,12 +101,6 @@ def test_the_checker_finds_a_line_through_a_box():
     through = np.array([[0.0, 0.0, -300.0], [500.0, 400.0, 0.0]])
     assert violations(limits, through) == {"keep-out"}
     assert violations(limits, through[[0, 0]]) == set()
-
-
-SMALL = Box((200.0, 150.0, -200.0), (300.0, 250.0, -100.0), "probe")
-DOOR = Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door")
-HERE = (250.0, -900.0, 0.0)
-DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,12 @@ PERFECT = TrackerSpecification(*[0.0] * 13)
 LARGE = ("index_urad", "eccentricity_urad", "encoder_urad", "beam_offset_um")
 LARGE += ("transit_offset_um", "range_offset_um")
 FAULTY = replace(PERFECT, **dict.fromkeys(LARGE, 40.0), fine_urad=20.0)
+HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
+PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
+THREE_NESTS = tuple(Box(place, place) for place in PLACES)
+WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
+FEEDS = (6000.0,)
+SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 
 
 def nests(*places):
@@ -115,9 +121,6 @@ def test_nests_are_places_to_choose_from_for_lines_and_points(plan_of, mode):
 def test_areas_out_of_range_are_refused(plan_of):
     with pytest.raises(PlanningError, match="in range and in sight; correct"):
         plan_of(areas=(FLOOR,), farthest_mm=300.0)
-
-
-HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
 
 
 def specify(machine, specification, face=1):
@@ -215,12 +218,6 @@ def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
     assert plan.duration_s < 1000.0
 
 
-PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
-THREE_NESTS = tuple(Box(place, place) for place in PLACES)
-WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
-FEEDS = (6000.0,)
-
-
 @pytest.fixture(scope="module")
 def planned(small_mill):
     order = PlanRequirements(
@@ -283,9 +280,6 @@ def test_no_move_between_known_points_and_lines_enters_a_keep_out_box(mill, squa
     assert workspace.allows(mill, way[:-1], way[1:]).all()
     back = np.vstack([square.position[-1], points.position[0]])
     assert workspace.allows(mill, back[:-1], back[1:]).all()
-
-
-SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 
 
 @pytest.mark.parametrize(

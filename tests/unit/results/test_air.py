@@ -46,6 +46,8 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 LIGHT = Light(633.0, is_group=False)
 BY_NOBODY = Refraction("nobody", why="no pressure")
+LONG_MM = 2300.0
+WRONG = 60e-6  # as by a pressure in another unit
 
 
 @pytest.fixture
@@ -194,10 +196,6 @@ def test_axes_that_are_all_long_by_the_same_ask_for_air_and_temperature(estimate
     assert not assess_scale(replace(estimate, theta=40e-6 * stretch)).reasons
     stretch[estimate.model.slices["EXX"]] *= 0.5
     assert not assess_scale(replace(estimate, theta=68e-6 * stretch)).reasons
-
-
-LONG_MM = 2300.0
-WRONG = 60e-6  # as by a pressure in another unit
 
 
 def bar(off, sigma_mm=0.0005, direction=(0.0, 1.0, 0.0)):

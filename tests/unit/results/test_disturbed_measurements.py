@@ -20,6 +20,9 @@ from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
 TRAVEL_MM = 150.0
+SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
+CONTENT = shorten(load_machine("trunnion"))
+CONTENT["tracker"]["stands_on"] = "base"
 
 
 def shifted(run, first, last, shift_mm):
@@ -144,13 +147,6 @@ def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, mos
     found, within = reason.values["distance_um"], reason.values["within_um"]
     assert abs(found - offset_um) < 1.5 * within
     assert within < most_um
-
-
-SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
-
-
-CONTENT = shorten(load_machine("trunnion"))
-CONTENT["tracker"]["stands_on"] = "base"
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,16 @@ from truepath.kinematics.conditions import make_standstill
 TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
 BEYOND = 10.0, 400.0
 RUNS = 5
+SHAPES_UM = {  # radial, by the outward direction of a place and its sense
+    "an exact circle": lambda out, sense: 0.0 * sense,
+    "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
+    "a small ellipse": lambda out, sense: 0.5 * out[:, 0] ** 2,
+    "lost motion": lambda out, sense: 1.5 * sense * np.sign(out[:, 1]),
+    "a place that is off": lambda out, sense: np.where(out[:, 1] > 0.999, 8.0, 0.0),
+}
+MANY = 1e6  # degrees of freedom: as good as known
+PLACES, TRIALS, DRAWS = 120, 60, 300
+SIGMA_MM = 1e-3
 
 
 def places_at(machine, position):
@@ -154,15 +164,6 @@ def test_circles_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(mill, rng
         assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
-SHAPES_UM = {  # radial, by the outward direction of a place and its sense
-    "an exact circle": lambda out, sense: 0.0 * sense,
-    "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
-    "a small ellipse": lambda out, sense: 0.5 * out[:, 0] ** 2,
-    "lost motion": lambda out, sense: 1.5 * sense * np.sign(out[:, 1]),
-    "a place that is off": lambda out, sense: np.where(out[:, 1] > 0.999, 8.0, 0.0),
-}
-
-
 @pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("shape", SHAPES_UM)
 def test_circle_figures_hold_true_ones_in_95_of_100_cases(mill, rng, shape, noise_um):
@@ -201,9 +202,6 @@ def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng
     assert circle.uncertainty_um["G"] < 1e-2
 
 
-MANY = 1e6  # degrees of freedom: as good as known
-
-
 @pytest.mark.parametrize(
     ("length_um", "decision"),
     [
@@ -237,10 +235,6 @@ def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
     assert within.mean() == pytest.approx(0.95, abs=0.005)
     assert compute_joint_factor(1, MANY) == pytest.approx(1.96, abs=0.01)
     assert compute_joint_factor(1, 8.0) == pytest.approx(2.306, abs=0.001)  # Student
-
-
-PLACES, TRIALS, DRAWS = 120, 60, 300
-SIGMA_MM = 1e-3
 
 
 def draw_noise(rng, count):

@@ -20,6 +20,9 @@ from truepath.results.volumetric_error import VolumetricError, make_grid
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
+VALIDATION = pathlib.Path(__file__).parents[3] / "validation"
+LEAN = np.array([[1.0, 0.002, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
 
 def said_of(run) -> Verdict:
     return assess_driving([align(run).driving], ["run"])
@@ -151,9 +154,6 @@ def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
     assert "80.0 % of the feed of the path" in text
 
 
-VALIDATION = pathlib.Path(__file__).parents[3] / "validation"
-
-
 def judge(machine, change):
     q = make_grid(machine.axes, 5, 3)
     place = make_standstill(machine, q).point_mm
@@ -170,9 +170,6 @@ def add(axis, by):
 
 def lengthen(axis, factor):
     return lambda q: q + (factor - 1.0) * q * np.eye(q.shape[1])[axis]
-
-
-LEAN = np.array([[1.0, 0.002, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @pytest.mark.parametrize(

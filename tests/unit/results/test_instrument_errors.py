@@ -27,6 +27,9 @@ from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
+SIGNED = {"index_urad": 60.0, "tilt_urad": 30.0, "transit_offset_um": 40.0}
+POINTS, WRONG = 52, 20  # points beside the corners; the one that is wrong
+
 
 def measure(seed, places=1):
     content, order = load_erring(), ("otf", Setting(machine_seed=seed))
@@ -53,9 +56,6 @@ def test_the_budget_tells_what_is_the_trackers_and_a_second_place_takes_it_away(
     whole_um = one["total_um"]["volume"]
     assert one["sources_um"]["instrument"]["volume"] > 0.5 * whole_um
     assert two["total_um"]["volume"] < 0.8 * whole_um
-
-
-SIGNED = {"index_urad": 60.0, "tilt_urad": 30.0, "transit_offset_um": 40.0}
 
 
 def test_a_run_in_the_other_face_takes_away_what_changes_its_sign_in_it():
@@ -135,9 +135,6 @@ def test_jitter_of_the_feed_is_no_noise_across_it(still, rng):
     assert noise.fast == (1.0, 1.0)
     assert max(noise.shown) < 0.4
     assert inside > 0.85
-
-
-POINTS, WRONG = 52, 20  # points beside the corners; the one that is wrong
 
 
 def stand(seed, **how):

@@ -24,6 +24,7 @@ from truepath.kinematics.machine.machine import Target
 from truepath.results.result_json import result_json
 
 SYMBOL = "EYX"
+HOUR_S = 3600.0
 
 
 def draw_result(estimate, seed, shift=0.0):
@@ -165,9 +166,6 @@ def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibr
     eight, _ = list_differing(entries * 4)
     assert 1.9 < two < 2.0
     assert eight > 3.0
-
-
-HOUR_S = 3600.0
 
 
 def look(beyond, begin_um=0.5, runs=4, limit=2.0):

@@ -27,6 +27,9 @@ from truepath.results.volumetric_error import (
     compute_volumetric_error,
 )
 
+HEADER = "x_mm,y_mm,z_mm"
+HALF_MM, SIGMA_MM = 0.015, 2e-4
+
 
 def free_gauge(loaded):
     """Return a machine with splines that no gauge holds, and θ to match."""
@@ -141,9 +144,6 @@ def test_each_point_is_predicted_for_its_target(construct, rng):
     assert named.warnings == ()
 
 
-HEADER = "x_mm,y_mm,z_mm"
-
-
 def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
     asked = f'{HEADER},label\n10.50,20,30,first\n-1e2,4e+01,0.5,"a, b"\n'
     points = read_points(asked.encode(), loaded.machine)
@@ -202,9 +202,6 @@ def test_a_point_may_name_its_target(loaded, construct):
     points = read_points(f"{asked}T9\n".encode(), loaded.machine)
     assert points.target == ()
     assert "target" in points.table.names
-
-
-HALF_MM, SIGMA_MM = 0.015, 2e-4
 
 
 @pytest.fixture(scope="module")

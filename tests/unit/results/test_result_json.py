@@ -36,6 +36,8 @@ KEYS = (
     *("machine", "mode", "error_tables", "squareness_urad"),
     *("alignment", "residuals", "observability", "provenance"),
 )
+NOTHING = object()
+FIRST = ("model", "effects", 0)
 
 
 @pytest.fixture
@@ -166,7 +168,6 @@ def with_value(value, *path):
     return spoil
 
 
-NOTHING = object()
 without = partial(with_value, NOTHING)
 
 
@@ -190,7 +191,6 @@ def lost(position_mm, uncertainty_um):
     return with_value(half, "direction", "half_difference", "EXX")
 
 
-FIRST = ("model", "effects", 0)
 BAD = [
     (with_value("result/9", "schema"), "schema is not that of a result"),
     (without("schema"), "schema is missing"),

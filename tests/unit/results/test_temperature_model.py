@@ -16,6 +16,13 @@ from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 
+KINDS = {  # tables, their uncertainties, and the name of one of them
+    "half_difference_um": ("half_difference_u_um", "X"),
+    "half_turn_urad": ("half_turn_u_urad", "C"),
+    "half_across": ("half_across_u", "EYX"),
+}
+AT, OWN = np.array([0.0, 100.0]), 0.5
+
 
 @pytest.fixture
 def world(estimate):
@@ -116,14 +123,6 @@ def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
     wide = study_temperature(results, range_degc=(15.0, 30.0)).model
     at = {celsius: wide.at(celsius).covariance.trace() for celsius in (21.0, 27.0)}
     assert at[27.0] > 2.0 * at[21.0]
-
-
-KINDS = {  # tables, their uncertainties, and the name of one of them
-    "half_difference_um": ("half_difference_u_um", "X"),
-    "half_turn_urad": ("half_turn_u_urad", "C"),
-    "half_across": ("half_across_u", "EYX"),
-}
-AT, OWN = np.array([0.0, 100.0]), 0.5
 
 
 @pytest.fixture
