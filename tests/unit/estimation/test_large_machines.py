@@ -2,7 +2,6 @@
 
 import tracemalloc
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -34,10 +33,8 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
     content = load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
-    content["axes"] = {
-        name: {"type": "linear", "min_mm": 0.0, "max_mm": length}
-        for name, length in zip("XYZ", travel_mm, strict=True)
-    }
+    for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
+        axis["min_mm"], axis["max_mm"] = 0.0, length
     machine = parse_machine(content)
     truth = random_machine(machine, 3)
     if step_mm:
@@ -49,11 +46,6 @@ def _record(travel_mm, rows, *, step_mm=0.0, level=None):
         program = replace(program, position=position)
     setting = Setting(truth=truth, sensors=False)
     return record_run(content, program, 3, setting=setting)[0], truth
-
-
-@cache
-def _record_pieces():
-    return _record(LONG, 40, step_mm=0.008)
 
 
 def _curves(found, truth, symbol, at):
@@ -86,7 +78,7 @@ def test_a_gantry_of_six_metres_is_determined():
 def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
     at = np.linspace(0.0, LONG[0], 601)
     smooth, _ = _record(LONG, 40)
-    pieces, truth = _record_pieces()
+    pieces, truth = _record(LONG, 40, step_mm=0.008)
     few = estimate(align(smooth)).model
     found = estimate(align(pieces))
     assert {m.spline.size for m in few.error_motions if m.axis.name == "X"} == {33}
@@ -134,8 +126,7 @@ def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     assert samples < 2 * seen.count[burst].sum()
 
 
-@pytest.fixture(scope="module")
-def knocked():
+def _knock():
     run, _ = _record(LONG, 24)
     fit = estimate(align(run), keep_fit=True).fit
     seen = fit.runs[0].observations
@@ -157,7 +148,8 @@ def _examine(fit, cells):
         tracemalloc.stop()
 
 
-def test_steps_that_are_tried_are_held_few_times(knocked):
+def test_steps_that_are_tried_are_held_few_times():
+    knocked = _knock()
     ends = [last for _, last in knocked.runs[0].observations.lines]
     half, whole = ends[len(ends) // 2], ends[-1]
     (_, less), (found, more) = (_examine(knocked, cells) for cells in (half, whole))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimating import estimate_one, judge_map
-from following import follow, list_blocks
+from following import follow, follow_lines
 from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.alignment.align import align_all
 from truepath.estimation.checks.change_detection import KNOCK, RANGE
@@ -46,10 +46,6 @@ def lengthen(by_mm):
     return lambda place: by_mm * place / np.linalg.norm(place, axis=1)[:, None]
 
 
-def follow_lines(run):
-    return follow(run, blocks=list_blocks(run, 100), with_notices=True)
-
-
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
 def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(mode):
     inside = []  # of the live estimate and of the analysis
@@ -60,8 +56,7 @@ def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(m
         stated_mm = float(np.sqrt(np.sum(gram * batch.covariance)))
         last = followed.last
         assert last.volumetric_sigma_mm == pytest.approx(stated_mm, rel=0.1)
-        both = (judge_map(each, truth.deviation_mm).inside for each in (last, batch))
-        inside.append(tuple(both))
+        inside.append([judge_map(x, truth.deviation_mm).inside for x in (last, batch)])
         assert not any(notices for _, notices in followed.noticed)
         assert not last.check.knocks
     assert (np.mean(inside, axis=0) > 0.86).all()

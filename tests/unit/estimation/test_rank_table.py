@@ -32,18 +32,13 @@ OBLIQUE = [(np.zeros(3), np.array([0.6, 1.0, 0.0]))]
 CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
 
 
-def machine(travel):
-    return build_mill(ONE[0], travel_mm=travel)
-
-
-def every_motion(of):
+def every_motion(travel):
+    of = build_mill(ONE[0], travel_mm=travel)
     motions = []
     for axis in of.linear_axes:
         spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))
-        motions += [
-            ErrorMotion(symbol, axis, spline, np.eye(KNOTS))
-            for symbol in list_error_motions(axis.name)
-        ]
+        for symbol in list_error_motions(axis.name):
+            motions.append(ErrorMotion(symbol, axis, spline, np.eye(KNOTS)))
     return MachineModel(of, tuple(motions))
 
 
@@ -73,12 +68,10 @@ def on_lines(model, lines, travel, points=60):
 @pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
 @pytest.mark.fault_row(39)
 def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measured):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
-    rows = [
-        model.jacobian(make_standstill(model.machine, position, np.tile(o, (400, 1))))
-        for o in offsets
-    ]
+    told = ((model.machine, position, np.tile(o, (400, 1))) for o in offsets)
+    rows = [model.jacobian(make_standstill(*one)) for one in told]
     found = rank(np.concatenate(rows))
     assert found == expected
     measured(f"target offsets: {len(offsets)}, rank {found} of 108")
@@ -90,7 +83,7 @@ def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measur
     [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
 def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expected):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     full, across = on_lines(model, lines, travel)
     assert rank(full) == 73
     assert rank(across) == expected
@@ -98,7 +91,7 @@ def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expect
 
 @pytest.mark.parametrize("travel", TRAVELS)
 def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(travel):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     full, across = on_lines(model, CORNER_LINES, travel)
     share = np.arange(KNOTS) / (KNOTS - 1)
     shape = np.zeros(model.size)

@@ -124,9 +124,8 @@ def test_white_noise_needs_no_tail_and_across_the_travel_timing_is_no_unknown(mo
     assert sums.sums.state is None
     assert_same(sums.information(), all_at_once(about, moving))
     about = about_of(moving, replace(NOISE, along_sigma_mm=np.inf))
-    a, b = (
-        OwnParameters.of(sums.information(), about.machine_model.size).eliminate()
-        for sums in (added_in_parts(about, moving, cuts) for cuts in ([40], []))
-    )
+    parts = (added_in_parts(about, moving, cuts).information() for cuts in ([40], []))
+    size = about.machine_model.size
+    a, b = (OwnParameters.of(told, size).eliminate() for told in parts)
     assert np.allclose(a.matrix, b.matrix, rtol=1e-7)
     assert np.linalg.eigvalsh(a.matrix).min() > -1e-6 * np.linalg.norm(a.matrix)

@@ -165,10 +165,8 @@ def test_u_covers_a_tool_that_nobody_measured(two_lengths):
         return truth.point_mm(q, whole.reflector("T3")) - nominal_mm
 
     assert judge_map(result, deviation_mm, "T3").inside > 0.85
-    own, other = (
-        np.sum(compute_volumetric_gram(result.model, name) * result.covariance)
-        for name in ("T1", "T3")
-    )
+    gram = {name: compute_volumetric_gram(result.model, name) for name in ("T1", "T3")}
+    own, other = (np.sum(one * result.covariance) for one in gram.values())
     assert other > 1.2**2 * own
 
 

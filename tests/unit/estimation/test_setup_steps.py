@@ -15,11 +15,6 @@ POINT = 30
 
 
 @pytest.fixture(scope="module")
-def standing(record_small):
-    return record_small(31, "standstill", rows=60)[0]
-
-
-@pytest.fixture(scope="module")
 def moving(record):
     return record(32, "otf", rows=24)[0]
 
@@ -32,7 +27,8 @@ def check(run, shift_mm):
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
-def test_knocks_are_found_where_they_are_and_told_from_drift(standing):
+def test_knocks_are_found_where_they_are_and_told_from_drift(record_small):
+    standing, _ = record_small(31, "standstill", rows=60)
     moved_mm = np.array([[0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]])
     late = np.array([0.3, 0.65])
     found, time_s = check(standing, lambda share: (share[:, None] > late) @ moved_mm)

@@ -171,12 +171,10 @@ def test_uncorrected_ranges_decide_no_tolerance_nor_the_scale(estimate, provenan
     told = [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
     corrected, open_air = (one.volumetric.before.mean for one in told)
     for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
-        decided = [
-            decide_conformity(one.value_um, 2.0 * one.uncertainty_um, tolerance_um)
-            for one in (corrected, open_air)
-        ]
-        assert decided[0] is not Conformity.UNDECIDED
-        assert decided[1] is Conformity.UNDECIDED
+        for one in (corrected, open_air):
+            u_um = 2.0 * one.uncertainty_um
+            decided = decide_conformity(one.value_um, u_um, tolerance_um)
+            assert (decided is Conformity.UNDECIDED) == (one is open_air)
     # The far end of a positioning table knows the scale of the air.
     known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
@@ -220,9 +218,8 @@ def test_a_known_length_takes_the_scale_of_air_out_of_all_lengths(recorded, as_i
     longer_mm = (1.0 + WRONG) * recorded.tracker.position_mm
     wrong = with_samples(recorded, position_mm=longer_mm)
     told = analyse(replace(wrong, known_lengths=(bar(WRONG),)))
-    assert ("scale-known", "usable") in {
-        (reason.kind, reason.state) for reason in told.verdict.reasons
-    }
+    states = {reason.kind: reason.state for reason in told.verdict.reasons}
+    assert states["scale-known"] == "usable"
     for symbol in ("EXX", "EYY", "EZZ"):
         settled, true = told.tables.table(symbol), as_it_is.tables.table(symbol)
         off_um = np.abs(settled.value - true.value)
@@ -257,8 +254,8 @@ def test_uncorrected_ranges_are_known_as_well_as_a_known_length(recorded, as_it_
 def test_all_axes_are_long_by_the_air_or_the_machine(estimate, provenance, off, kinds):
     long = replace(estimate, theta=68e-6 * compute_scale_parameters(estimate.model))
     lengths = () if off is None else (bar(off),)
-    runs = tuple(replace(one, known_lengths=lengths) for one in provenance.runs)
-    found = state_findings(long, replace(provenance, runs=runs))
+    run = replace(provenance.runs[0], known_lengths=lengths)
+    found = state_findings(long, replace(provenance, runs=(run,)))
     said = assess_scale(found.estimate, found.known_scale).reasons
     assert {one.kind: one.state for one in said} == kinds
 
@@ -300,16 +297,15 @@ def test_what_is_left_of_scale_is_as_uncertain_as_stated(construct, sigma_mm):
 def test_a_known_length_says_nothing_of_another_run(estimate, provenance):
     (run,) = (replace(one, refraction=BY_NOBODY) for one in provenance.runs)
     told = replace(run, known_lengths=(bar(0.0),))
-    both, one, none = (
-        state_findings(estimate, replace(provenance, runs=runs)).length_scale_ppm
-        for runs in ((told, told), (told, run), (run, run))
-    )
-    assert both < 10.0
-    assert one == pytest.approx(none, rel=1e-3)
-    (run,) = provenance.runs
-    told = replace(run, refraction=BY_NOBODY, known_lengths=(bar(200e-6),))
-    both = replace(provenance, runs=(told, run))
-    assert state_findings(estimate, both).length_scale_ppm > 200.0
+
+    def find_ppm(*runs):
+        found = state_findings(estimate, replace(provenance, runs=runs))
+        return found.length_scale_ppm
+
+    assert find_ppm(told, told) < 10.0
+    assert find_ppm(told, run) == pytest.approx(find_ppm(run, run), rel=1e-3)
+    far_off = replace(told, known_lengths=(bar(200e-6),))
+    assert find_ppm(far_off, *provenance.runs) > 200.0
 
 
 def test_many_bars_of_which_some_are_short_are_no_better_than_the_best(construct):

@@ -59,13 +59,11 @@ def evaluate(run):
         if driven is not None:
             whole.add(arc.row)
             planes.setdefault(commanded.plane, {})[commanded.sense] = driven
-    stated = {
-        plane: figures.state_figures(
-            {sense: one.radial_mm for sense, one in senses.items()},
-            {sense: one.covariance_mm2 for sense, one in senses.items()},
-        )
-        for plane, senses in planes.items()
-    }
+    stated = {}
+    for plane, senses in planes.items():
+        radial = {sense: one.radial_mm for sense, one in senses.items()}
+        covariance = {sense: one.covariance_mm2 for sense, one in senses.items()}
+        stated[plane] = figures.state_figures(radial, covariance)
     arcs = {row for row, arc in enumerate(run.commanded.arc) if arc}
     return planes, stated, arcs - whole
 
@@ -115,10 +113,8 @@ def test_a_result_predicts_circles_in_motion(calibrated, measured_again, tmp_pat
     assert document.circles_missing == []
     for one in document.circles_in_motion:
         mean = np.mean(list(one.radial_um.values()), axis=0)
-        columns = np.column_stack(
-            [np.cos(ANGLE), np.sin(ANGLE), np.ones(figures.SECTORS)]
-        )
-        fitted = np.linalg.lstsq(columns, mean)[0]
+        columns = [np.cos(ANGLE), np.sin(ANGLE), np.ones(figures.SECTORS)]
+        fitted = np.linalg.lstsq(np.column_stack(columns), mean)[0]
         assert one.centre_um is not None
         assert one.centre_um["measured"] == pytest.approx(fitted[:2])
     within = []
@@ -155,23 +151,20 @@ def test_a_circle_that_was_driven_again_is_not_missing(calibrated, measured_agai
     assert "H" in first.measured.value_um
 
 
-@pytest.mark.parametrize(
-    ("there_um", "back_um"),
-    [
-        (0.0 * ANGLE, 0.0 * ANGLE),
-        (2.0 * np.cos(2 * ANGLE), 2.0 * np.cos(2 * ANGLE)),
-        (
-            5.0 * np.cos(2 * ANGLE) + np.sign(np.sin(ANGLE)),
-            5.0 * np.cos(2 * ANGLE) - np.sign(np.sin(ANGLE)),
-        ),
-        (
-            6.0 * np.exp(-(ANGLE % np.pi) / 0.2),
-            -6.0 * np.exp(-((np.pi - ANGLE) % np.pi) / 0.2),
-        ),
+ELLIPSE, SENSE = np.cos(2 * ANGLE), np.sign(np.sin(ANGLE))
+SHAPES_UM = {  # there and back
+    "exact": (0.0 * ANGLE, 0.0 * ANGLE),
+    "ellipse": (2.0 * ELLIPSE, 2.0 * ELLIPSE),
+    "lost-motion": (5.0 * ELLIPSE + SENSE, 5.0 * ELLIPSE - SENSE),
+    "spikes-at-reversals": [
+        sign * 6.0 * np.exp(-(sign * ANGLE % np.pi) / 0.2) for sign in (1, -1)
     ],
-    ids=["exact", "ellipse", "lost-motion", "spikes-at-reversals"],
-)
-def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES_UM)
+def test_the_stated_uncertainty_covers_the_true_figures(shape, rng):
+    there_um, back_um = SHAPES_UM[shape]
     true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
     exact = figures.compute_figures({name: one[:, None] for name, one in true.items()})
     time_s = 0.16 * np.arange(figures.SECTORS)
@@ -183,11 +176,9 @@ def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
         noise = (factor @ rng.standard_normal(figures.SECTORS) for _ in true)
         seen = {name: true[name] + one for name, one in zip(true, noise, strict=True)}
         found = figures.state_figures(seen, dict.fromkeys(true, covariance))
-        inside += sum(
-            abs(found.value_um[name] - 1e3 * exact[name][0])
-            <= 2.0 * found.uncertainty_um[name]
-            for name in figures.FIGURES
-        )
+        for name in figures.FIGURES:
+            off_um = abs(found.value_um[name] - 1e3 * exact[name][0])
+            inside += off_um <= 2.0 * found.uncertainty_um[name]
     assert inside >= 0.92 * trials * len(figures.FIGURES)
 
 
@@ -241,10 +232,8 @@ def test_a_spike_at_a_reversal_is_in_the_sectors_after_the_quadrant(demo):
 
 def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
     at = (0.012, -0.02)
-    both = [
-        turn(demo, lambda t: 0.0 * t, centre_mm=at, turn_deg=turn_deg)
-        for turn_deg in (732.0, -732.0)
-    ]
+    off = {"radial_mm": lambda t: 0.0 * t, "centre_mm": at}
+    both = [turn(demo, **off, turn_deg=turn_deg) for turn_deg in (732.0, -732.0)]
     centre = figures.fit_centre(np.mean(both, axis=0)[:, None])
     assert centre[:, 0] == pytest.approx(at, abs=1e-4)
     for one in both:

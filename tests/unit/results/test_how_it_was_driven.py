@@ -54,11 +54,9 @@ def lengthened(path, rng, rows=6):
     """A path that goes on where the machine was stopped."""
     low, high = path.position.min(axis=0), path.position.max(axis=0)
     more = rng.uniform(low, high, (rows, len(low)))
-    feed, dwell_s = (
-        np.append(column, np.full(rows, column[-1]))
-        for column in (path.feed_mm_min, path.dwell_s)
-    )
-    return Path(path.axes, np.vstack([path.position, more]), feed, dwell_s)
+    columns = path.feed_mm_min, path.dwell_s
+    longer = (np.append(column, np.full(rows, column[-1])) for column in columns)
+    return Path(path.axes, np.vstack([path.position, more]), *longer)
 
 
 def ended_at(run, rows, share):
@@ -102,10 +100,8 @@ def test_an_early_stop_and_a_late_begin_say_how_much_is_missing(record, rng):
 def test_lines_that_a_further_run_has_are_not_missing(record, rng, driven, missing):
     run, _ = record(6)
     planned = lengthened(run.commanded, rng)
-    first, rest = (
-        replace(run, commanded=select_rows(planned, rows))
-        for rows in (slice(None), slice(23, None))
-    )
+    first = replace(run, commanded=planned)
+    rest = replace(run, commanded=select_rows(planned, slice(23, None)))
     seen = align(first)
     driving = Driving(0, driven, 7, {}, ())
     further = replace(seen, row=seen.row.clip(max=driven), driving=driving)

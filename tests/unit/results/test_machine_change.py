@@ -116,9 +116,8 @@ def calibrate(content, tmp_path):
         file = tmp_path / f"{machine}-{number}.json"
         file.write_text(json.dumps(stated), encoding="utf-8")
         job_id, when = f"job-{number}", f"2026-01-0{number}T08:00:00.000Z"
-        return documents.Calibration(
-            machine, job_id, (job_id,), when, 1, "usable", file
-        )
+        known = machine, job_id, (job_id,), when, 1, "usable", file
+        return documents.Calibration(*known)
 
     return keep
 
@@ -170,18 +169,18 @@ def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibr
 
 def look(beyond, begin_um=0.5, runs=4, limit=2.0):
     """Look 10 h ahead where a share of 100 courses grows by 1 µm an hour."""
-    at_runs = Course(HOUR_S * np.arange(runs), np.zeros((runs, 0)))
     grows = np.arange(100) < 100 * beyond
 
     def measure(at):
         hours = (at.time_s - at_runs.time_s[-1]) / HOUR_S
         return begin_um + grows[:, None] * hours
 
-    stub = SimpleNamespace(
-        runs=at_runs,
-        course_at=lambda *time_s: Course(np.array(time_s), np.zeros((len(time_s), 0))),
-        _measure_change_um=measure,
-    )
+    def course_at(*time_s):
+        return Course(np.array(time_s), np.zeros((len(time_s), 0)))
+
+    at_runs = course_at(*HOUR_S * np.arange(runs))
+    told = {"course_at": course_at, "_measure_change_um": measure}
+    stub = SimpleNamespace(runs=at_runs, **told)
     return ForecastModel.predict_exceedance(stub, limit, 10.0 * HOUR_S)
 
 

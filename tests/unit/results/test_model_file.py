@@ -76,10 +76,8 @@ def test_the_file_comes_back_as_the_model_that_was_written(grown, loaded):
 def test_prediction_from_the_model_has_the_sag(sagging, loaded, volume, rigid_free):
     run, truth = sagging
     at = volume(run.machine)
-    u, v = (
-        (at[:, k] - axis.low) / (axis.high - axis.low)
-        for k, axis in enumerate(run.machine.linear_axes[:2])
-    )
+    low, high = np.array([(a.low, a.high) for a in run.machine.linear_axes[:2]]).T
+    u, v = ((at[:, :2] - low) / (high - low)).T
     sag_mm = np.outer(-4.0 * u * (1.0 - u) * v, [0.0, 0.0, 1e-3 * SAG.amplitude_um])
     true_um = 1e3 * rigid_free(at, truth.deviation_mm(at) + sag_mm)
     told = predict(loaded, at)

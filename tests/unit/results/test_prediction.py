@@ -34,15 +34,12 @@ HALF_MM, SIGMA_MM = 0.015, 2e-4
 def free_gauge(loaded):
     """Return a machine with splines that no gauge holds, and θ to match."""
     model = loaded.model
-    effects, theta = [], []
-    for effect in model.effects:
-        part = loaded.theta[model.slices[effect.name]]
+    effects, theta = list(model.effects), []
+    for k, effect in enumerate(model.effects):
+        theta.append(loaded.theta[model.slices[effect.name]])
         if isinstance(effect, ErrorMotion):
-            effects.append(replace(effect, gauge=np.eye(effect.spline.size)))
-            theta.append(effect.gauge @ part)
-        else:
-            effects.append(effect)
-            theta.append(part)
+            effects[k] = replace(effect, gauge=np.eye(effect.spline.size))
+            theta[k] = effect.gauge @ theta[k]
     free = MachineModel(model.machine, tuple(effects))
     theta = np.concatenate(theta)
     none = np.zeros((free.size, free.size))
@@ -149,10 +146,8 @@ def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
     points = read_points(asked.encode(), loaded.machine)
     predicted = predict(loaded, points.position)
     rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
-    assert rows[0] == [
-        *("x_mm", "y_mm", "z_mm", "label"),
-        *("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um"),
-    ]
+    assert rows[0][:4] == ["x_mm", "y_mm", "z_mm", "label"]
+    assert rows[0][4:] == [f"{what}{axis}_um" for what in "du" for axis in "xyz"]
     assert rows[1][:4] == ["10.50", "20", "30", "first"]
     assert rows[2][:4] == ["-1e2", "4e+01", "0.5", "a, b"]
     numbers = np.array([row[4:] for row in rows[1:]], float)
@@ -229,10 +224,8 @@ def test_the_map_is_that_of_predictions_and_what_they_leave(estimate, seen, load
     assert (np.diff(quantiles) >= 0).all()
     after = seen.after
     assert after.mean.value_um < after.p95.value_um < after.largest.value_um
-    halved, certain = (
-        compute_volumetric_error(replace(estimate, covariance=k * estimate.covariance))
-        for k in (0.25, 0.0)
-    )
+    surer = (replace(estimate, covariance=k * estimate.covariance) for k in (0.25, 0.0))
+    halved, certain = map(compute_volumetric_error, surer)
     assert halved.after.mean.value_um == pytest.approx(after.mean.value_um / 2)
     assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)
     assert certain.after.largest.value_um == 0.0
@@ -270,9 +263,8 @@ def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, lo
     covariance = np.pad(estimate.covariance, (0, 1))
     covariance[-1, -1] = SIGMA_MM**2
     model, theta = estimate.model.with_effects(effect), [*estimate.theta, HALF_MM]
-    losing = replace(
-        estimate, model=model, theta=np.array(theta), covariance=covariance
-    )
+    told = {"theta": np.array(theta), "covariance": covariance}
+    losing = replace(estimate, model=model, **told)
     mean = compute_volumetric_error(losing).before.mean.value_um
     assert mean == pytest.approx(seen.before.mean.value_um)
     both = compute_both_directions(losing)

@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from results_fixtures import as_loaded
 from temperature_world import SHIFTED, World
 from truepath.answers.temperature.combined_results import combine_results
 from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import (
-    study_temperature,
-)
+from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.errors import BadInput
-from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 
 KINDS = {  # tables, their uncertainties, and the name of one of them
@@ -125,13 +123,6 @@ def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
     assert at[27.0] > 2.0 * at[21.0]
 
 
-@pytest.fixture
-def results(estimate):
-    """Three results whose lost motion of every kind is 1, 2 and 3."""
-    first = CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
-    return [state(first, half) for half in (1.0, 2.0, 3.0)]
-
-
 def state(result, half):
     tables = {key: {name: (AT, np.full(2, half))} for key, (_, name) in KINDS.items()}
     sigmas = {sigma: {name: np.full(2, OWN)} for sigma, name in KINDS.values()}
@@ -139,7 +130,8 @@ def state(result, half):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(results, kind):
+def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(estimate, kind):
+    results = [state(as_loaded(estimate), half) for half in (1.0, 2.0, 3.0)]
     joined = combine_results(results).result
     of_sigma, name = KINDS[kind]
     at, value = getattr(joined, kind)[name]
