@@ -22,7 +22,6 @@ from truepath.catalogue.store.database import Database
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
@@ -41,17 +40,10 @@ from postgres_server import PostgresServer
 
 def pytest_addoption(parser):
     """Let the rooms of jobs and API be tested on either database."""
-    parser.addoption(
-        "--database",
-        choices=("sqlite", "postgresql"),
-        default="sqlite",
-        help="what the catalogues of tests/jobs and tests/api stand on",
-    )
-    parser.addoption(
-        "--measured",
-        type=FilePath,
-        help="JSON file that takes what tests of faults have measured",
-    )
+    kinds, stood_on = ("sqlite", "postgresql"), "what the catalogues of tests stand on"
+    parser.addoption("--database", choices=kinds, default="sqlite", help=stood_on)
+    taken = "JSON file that takes what tests of faults have measured"
+    parser.addoption("--measured", type=FilePath, help=taken)
 
 
 _PERFECT = tempfile.TemporaryDirectory()
@@ -357,11 +349,6 @@ def volume():
         return np.random.default_rng(7).uniform(low, high, (n, len(axes)))
 
     return points
-
-
-@pytest.fixture(scope="session")
-def at_rest():
-    return make_standstill
 
 
 @pytest.fixture

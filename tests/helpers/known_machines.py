@@ -88,24 +88,25 @@ def displace(content, places):
     joints = dict(truth.joints)
     for place in places:
         own, at = place.axis.name, place.location
-        shift, tilt = (
-            tuple(at.get(f"{one}O{own}", 0.0) for one in letters)
-            for letters in ("XYZ", "ABC")
-        )
-        joints[own] = replace(joints[own], shift_mm=shift, tilt_rad=tilt)
+        off = [at.get(f"{letter}O{own}", 0.0) for letter in "XYZABC"]
+        moved = {"shift_mm": tuple(off[:3]), "tilt_rad": tuple(off[3:])}
+        joints[own] = replace(joints[own], **moved)
     return replace(truth, joints=joints)
 
 
-def spread(axes, count):
-    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = np.random.default_rng(2).uniform(size=(count, len(axes)))
+def find_ends(errors):
+    """Return the lower and the upper ends of the travel of all axes."""
+    return np.array([(axis.low, axis.high) for axis in errors.axes]).T
+
+
+def spread(machine, count):
+    low, high = find_ends(machine)
+    unit = np.random.default_rng(2).uniform(size=(count, len(low)))
     return low + unit * (high - low)
 
 
 def measure_left(truth, files, position):
     """Return lengths of errors, mm, without files and once a control has them."""
-    before, after = (
-        np.linalg.norm(measure_deviation_mm(truth, one, position), axis=1)
-        for one in (None, LoadedTables(files).correct(truth.machine))
-    )
-    return before, after
+    corrections = None, LoadedTables(files).correct(truth.machine)
+    left = (measure_deviation_mm(truth, one, position) for one in corrections)
+    return [np.linalg.norm(one, axis=1) for one in left]

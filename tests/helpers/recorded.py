@@ -68,17 +68,13 @@ def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
 
 def record_path(content, path, seed=3, mode="otf", setting=None):
     """Return the Run of a planned path, arcs included, and its recording."""
-    arcs = tuple(
-        arc
-        and Arc(
-            tuple(map("XYZ".index, arc.axes)),
-            arc.centre_mm,
-            float(np.radians(arc.turn_deg)),
-        )
-        for arc in path.arc
-    )
+    arcs = list(path.arc)
+    for k, arc in enumerate(arcs):
+        if arc:
+            about = tuple(map("XYZ".index, arc.axes)), arc.centre_mm
+            arcs[k] = Arc(*about, float(np.radians(arc.turn_deg)))
     feed_mm_s = path.feed_mm_min / 60.0
-    program = Program(path.position, feed_mm_s, path.dwell_s, path.target, arcs)
+    program = Program(path.position, feed_mm_s, path.dwell_s, path.target, tuple(arcs))
     run, made = record_run(content, program, seed, mode, setting)
     return replace(run, commanded=path), made
 

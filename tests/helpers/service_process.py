@@ -133,10 +133,8 @@ def acknowledge(client, job_id):
 
 
 def moving(client, job_id):
-    wait_for(
-        lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
-        "samples",
-    )
+    address = f"/api/v1/jobs/{job_id}"
+    wait_for(lambda: client.get(address).json()["health"]["samples"] > 500, "samples")
 
 
 def begin_moving(client, rows=ROWS):

@@ -71,9 +71,8 @@ LINE |= {
     "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
     "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
 }
-STANDING = {
-    "plane": "YZ",
-    "radius_mm": 153.6,
+STANDING = {"plane": "YZ", "radius_mm": 153.6}
+STANDING |= {
     "figures_um": {"G": 12.5, "F_max": 13.2, "F_min": -0.5},
     "uncertainty_um": {"G": 4.0, "F_max": 2.5, "F_min": 2.5},
     "predicted_um": {"G": 11.5, "F_max": 10.2, "F_min": -1.3},
@@ -156,10 +155,8 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
     assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
     texts = {**GERMAN.own, **GERMAN.shared}
     assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
-    assert (
-        GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
-        == "um −493,4 µm, am 2026-11-25"
-    )
+    said = GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
+    assert said == "um −493,4 µm, am 2026-11-25"
     quoted = ["The machine fails."]
     assert word_findings(VERIFICATION, BRITISH) == quoted
     assert german(conformity={"measured": {"k": 2}}) == quoted
@@ -167,11 +164,11 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
 
 @pytest.mark.parametrize("decision", ["within", "outside", "undecided"])
 def test_a_decision_says_whether_the_compensation_was_active(decision):
-    measured = {"measured": MEASURED | {"conformity": decision}}
+    more = {"conformity": {"measured": MEASURED | {"conformity": decision}}}
     for language, words in ((BRITISH, "compensation active"), (GERMAN, "aktiver Komp")):
         for active in (True, False):
-            more = {"conformity": measured, "compensated": active}
-            assert (words in describe_decision(VERIFICATION | more, language)) == active
+            content = VERIFICATION | more | {"compensated": active}
+            assert (words in describe_decision(content, language)) == active
 
 
 def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():

@@ -85,10 +85,9 @@ def judged(volume, rigid_free):
         at = volume(one.run.machine)
         true = one.truth.deviation_mm(at)
         if hidden is SAG:
-            u, v = (
-                (at[:, k] - axis.low) / (axis.high - axis.low)
-                for k, axis in enumerate(one.run.machine.linear_axes[:2])
-            )
+            ends = [(a.low, a.high) for a in one.run.machine.linear_axes[:2]]
+            low, high = np.transpose(ends)
+            u, v = ((at[:, :2] - low) / (high - low)).T
             true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v
         said = predict(result_from_json(result), at)
         off = rigid_free(at, said.error_um) - 1e3 * rigid_free(at, true)
@@ -142,10 +141,8 @@ def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
     known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
     vague = stated(one.run, model=replace(one.earlier, result=loose))
-    sure, open_ = (
-        np.array(r["error_tables"]["EZX"]["uncertainty_um"]).max()
-        for r in (one.beside, vague)
-    )
+    tables = (result["error_tables"]["EZX"] for result in (one.beside, vague))
+    sure, open_ = (max(table["uncertainty_um"]) for table in tables)
     assert sure < open_
 
 
@@ -183,9 +180,8 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     found = estimate(seen, known=known, keep_fit=True)
     last = found.model.slices[found.model.catalogue_effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
-    drawn = sample_outputs(
-        prepare_trials(found.fit, outputs, TrialPlan(seed=1)), 0, 1500
-    )
+    trials = prepare_trials(found.fit, outputs, TrialPlan(seed=1))
+    drawn = sample_outputs(trials, 0, 1500)
     linear = np.sqrt(np.diag(outputs @ found.covariance @ outputs.T))
     assert drawn.std(axis=1) == pytest.approx(linear, rel=0.1)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from known_machines import along, tabulate
+from known_machines import along, find_ends, tabulate
 from truepath.compensation.account.residual_error import (
     compute_residual_error,
     remove_rigid_motion,
@@ -81,7 +81,7 @@ def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
     stated = export.account["volumetric_error_um"]["after"]
     correction = load_format(name).read(export.files, source.machine)
     rng = np.random.default_rng(77)
-    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    low, high = find_ends(source)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
     place = np.vstack([rng.uniform(low, high, (900, 3)), corners])
     jacobian = source.volumetric_map.jacobian(make_standstill(source.machine, place))
@@ -100,18 +100,17 @@ def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
 def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(source):
     """By positions of the test's own, to a small part of what U states."""
     correction = read_back(source, "linuxcnc")
-    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    low, high = find_ends(source)
     unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
-    place = np.array(low) + unit * (np.array(high) - np.array(low))
+    place = low + unit * (high - low)
     error = source.error_mm(place, 1.0)
     measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
         stated = compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
         of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
-        after = stated.summarise()
         off_um = stated.summarise_map()["mean"] - 1e3 * of_travel
-        assert abs(off_um) < 0.2 * after["mean_uncertainty"]
+        assert abs(off_um) < 0.2 * stated.summarise()["mean_uncertainty"]
 
 
 def test_what_is_left_comes_by_its_reasons(source):
@@ -182,10 +181,8 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
     middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
     whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
     results = (replace(source.result, measured=one) for one in (middle, whole))
-    part, every = (
-        export_result(replace(source, result=result), "siemens", "c").account
-        for result in results
-    )
+    sources = (replace(source, result=result) for result in results)
+    part, every = (export_result(x, "siemens", "c").account for x in sources)
     left = part["volumetric_error_um"]
     after = every["volumetric_error_um"]["after"]
     assert left["after"]["mean"] > 4.0 * left["after_where_measured"]["mean"]
@@ -222,18 +219,16 @@ def test_lengths_are_of_the_scales_if_sensed_and_steel_is_off_by_kelvins():
     assert find_measured_degc({}) is None
     for ends in ((20.0, 20.0), (19.0, 21.0), (20.4, 20.9)):
         assert warn_of_lengths(ends) is None
-    assert "+4.0 K off 20 °C" in (warn_of_lengths((21.0, 24.0)) or "")
-    assert "46 µm/m" in (warn_of_lengths((21.0, 24.0)) or "")
-    assert "-2.0 K off" in (warn_of_lengths((18.0, 20.0)) or "")
-    assert "not known" in (warn_of_lengths(None) or "")
+    assert "+4.0 K off 20 °C" in warn_of_lengths((21.0, 24.0))
+    assert "46 µm/m" in warn_of_lengths((21.0, 24.0))
+    assert "-2.0 K off" in warn_of_lengths((18.0, 20.0))
+    assert "not known" in warn_of_lengths(None)
 
 
 def test_account_and_comments_say_it_and_no_number_changes(loaded):
     provenance = {"temperature_degC": {"X": [23.0, 23.4]}}
-    exports = [
-        export_result(map_errors(replace(loaded, provenance=one)), "csv", "c")
-        for one in (provenance, {})
-    ]
+    results = (replace(loaded, provenance=one) for one in (provenance, {}))
+    exports = [export_result(map_errors(result), "csv", "c") for result in results]
     for export in exports:
         said = f"# {export.account['lengths']['text']}"
         assert said in export.files["c.csv"].splitlines()
@@ -282,11 +277,9 @@ def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_u(loaded):
     arm_mm = np.array([0.0, 100.0 + 30.0, 200.0 - 150.0])
     expected_mm = np.cross([20e-6, 0.0, 0.0], arm_mm)
     assert half_mm[0] == pytest.approx(expected_mm, abs=1e-12)
-    sure, doubtful = (
-        export(lose_across(loaded, "EYX", HALF_UM, sigma), "csv").account
-        for sigma in (0.0, 0.5)
-    )
-    before, after = (one["volumetric_error_um"]["after"] for one in (sure, doubtful))
+    lost = (lose_across(loaded, "EYX", HALF_UM, sigma) for sigma in (0.0, 0.5))
+    accounts = (export(one, "csv").account for one in lost)
+    before, after = (one["volumetric_error_um"]["after"] for one in accounts)
     added = after["mean_uncertainty"] ** 2 - before["mean_uncertainty"] ** 2
     assert np.sqrt(added) == pytest.approx(0.5, rel=0.2)
 
@@ -334,10 +327,8 @@ def have_effects(*described):
     model = MachineModel(DEMO, tuple(effects))
     theta = np.concatenate([values for *_, values in described])
     covariance = 1e-12 * np.eye(len(theta))
-    half = {
-        one.symbol[2]: (one.position_mm, one.value)
-        for one in compute_half_differences(EstimatedModel(model, theta, covariance))
-    }
+    lost = compute_half_differences(EstimatedModel(model, theta, covariance))
+    half = {one.symbol[2]: (one.position_mm, one.value) for one in lost}
     result = CalibrationResult(model, theta, covariance, half_difference_um=half)
     return partial(export_result, map_errors(result), stem="comp")
 

@@ -33,7 +33,7 @@ def store(folder, files, names=None):
 def moments(position_mm, direction):
     """Standstills that every axis comes to in one direction."""
     n, none = len(position_mm), np.zeros_like(position_mm)
-    at = (np.zeros(n), np.full(n, -1), np.zeros(n))
+    at = np.zeros(n), np.full(n, -1), np.zeros(n)
     return Conditions(MACHINE, position_mm, none, *at, none, none + direction)
 
 

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from known_machines import (
     build_model,
     displace,
+    find_ends,
     map_known,
     measure_left,
     spread,
@@ -38,7 +39,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
 # A trunnion carries the workpiece; a head turns the tool.
-MACHINES = ("trunnion", "head-table")
+MACHINES, TURNS = ("trunnion", "head-table"), ("EAA", "EBB", "ECC")
 SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
 FREEDOM = 50.0  # values by which the size of what is not known is known
 HALF_URAD, HALF_U_URAD = 12.0, 1.0
@@ -49,11 +50,8 @@ FORMATS = ("isg-csv", "linuxcnc", "siemens")
 def turning(request):
     """A machine that does nothing but turn too far or too little."""
     model, rng = build_model(load_machine(request.param)), np.random.default_rng(3)
-    turns = {
-        motion.name: 5e-5 * rng.standard_normal(len(motion.parameters))
-        for motion in model.identifiable_motions
-        if motion.symbol[1:] in ("AA", "BB", "CC")
-    }
+    motions = (m for m in model.identifiable_motions if m.symbol in TURNS)
+    turns = {m.name: 5e-5 * rng.standard_normal(len(m.parameters)) for m in motions}
     return request.param, map_known(model, turns)
 
 
@@ -73,7 +71,7 @@ def make_truth(machine, errors):
 def test_the_tool_stands_where_it_should_once_a_control_has_the_tables(turning, name):
     machine, errors = turning
     truth = make_truth(machine, errors)
-    position = spread(errors.machine.axes, 200)
+    position = spread(errors.machine, 200)
     before, after = measure_left(truth, tabulate(errors, name).write(errors), position)
     assert before.mean() > 0.003
     assert after.mean() < 0.03 * before.mean()
@@ -84,7 +82,7 @@ def test_a_wrapped_axis_that_counts_on_is_corrected_in_its_next_turn(turning, tu
     machine, errors = turning
     files = tabulate(errors, "linuxcnc").write(errors)
     control = LoadedTables(files).correct(parse_machine(load_machine(machine)))
-    low, high = np.array([(a.low, a.high) for a in errors.machine.axes]).T
+    low, high = find_ends(errors.machine)
     position = np.linspace(low, high, 90)[5:-5]
     here = control.added(position, np.ones_like(position))
     turns_fully = [getattr(one, "turns_fully", False) for one in errors.machine.axes]
@@ -140,11 +138,10 @@ def test_an_isg_volume_brings_the_tool_where_it_should_be_at_any_angle(erring, c
     name, errors = erring
     made = tabulate(errors, "isg-csv", 5.0, tool_length=choice)
     files = made.write(errors)
-    position = spread(errors.machine.axes, 250)
+    position = spread(errors.machine, 250)
     tool = abs(errors.machine.target().offset_mm[2])
-    control = LoadedTables(files, Rules(tool_length_mm=tool)).correct(
-        parse_machine(load_machine(name))
-    )
+    simulated, rules = parse_machine(load_machine(name)), Rules(tool_length_mm=tool)
+    control = LoadedTables(files, rules).correct(simulated)
     added = control.added(position, np.ones_like(position))
     ours = made.kind.read(files, errors.machine)(position, 1.0)
     before = np.linalg.norm(errors.error_mm(position), axis=1)
@@ -186,7 +183,7 @@ def test_pins_of_the_kinematics_bring_the_tool_where_it_should_be(shifted):
     files = tabulate(errors, "linuxcnc").write(errors)
     pins = {name: text for name, text in files.items() if name.endswith(".hal")}
     truth = displace(content, find_locations(errors))
-    before, after = measure_left(truth, pins, spread(errors.machine.axes, 300))
+    before, after = measure_left(truth, pins, spread(errors.machine, 300))
     assert before.max() > 0.02
     assert after.max() < 2e-5
     # With the tables of the joints in one order as well.
@@ -249,7 +246,7 @@ def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(machine
     if name == "json":  # which no control reads: software places the axes by it
         return
     truth = displace(content, find_locations(errors))
-    position = spread(errors.machine.axes, 200)
+    position = spread(errors.machine, 200)
     before, after = measure_left(truth, written.files, position)
     assert before.max() > 0.04
     assert after.max() < 0.02 * before.max()
@@ -286,7 +283,7 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
 def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> float:
     """Mean length of the true error by a simulated control, elsewhere than stated."""
     machine = known.truth.machine
-    low, high = np.array([(a.low, a.high) for a in machine.axes]).T
+    low, high = find_ends(machine)
     unit = qmc.Sobol(len(low), rng=np.random.default_rng(77)).random(2048)
     position = low + unit * (high - low)
     point = make_standstill(machine, position).chain.point_mm
@@ -324,9 +321,8 @@ def find_offs(known: KnownMachine) -> np.ndarray:
         over = written.over
         before = over["before"] - true_before
         after = over["after_expected"] - measure_true_um(known, written.files)
-        one = before / over["before_expanded_uncertainty"]
-        other = after / over["after_expanded_uncertainty"]
-        offs.append([over["coverage_factor"] * each for each in (one, other)])
+        u = [over[f"{one}_expanded_uncertainty"] for one in ("before", "after")]
+        offs.append(over["coverage_factor"] * np.divide([before, after], u))
     return np.array(offs)
 
 

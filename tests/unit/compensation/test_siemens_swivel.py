@@ -43,11 +43,10 @@ def describe(chain):
 
 def draw_place(axis, rng):
     """Return a place of an axis that is off in each way it can be."""
-    off = {
-        one: (0.02 if one[0] in "XYZ" else 6e-5) * rng.choice([-1.0, 0.7, 1.2])
-        for one in list_locations(axis.name)
-    }
-    return RotaryAxisLocation(axis, off)
+    names = list_locations(axis.name)
+    sizes = (0.02 if one[0] in "XYZ" else 6e-5 for one in names)
+    off = [size * rng.choice([-1.0, 0.7, 1.2]) for size in sizes]
+    return RotaryAxisLocation(axis, dict(zip(names, off, strict=True)))
 
 
 def draw_machine(chain):
@@ -76,7 +75,7 @@ def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
 def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displaced):
     chain, content, tables = displaced
     truth = displace(content, tables.places)
-    position = spread(tables.machine.axes, 300)
+    position = spread(tables.machine, 300)
     before, after = measure_left(truth, FORMAT.write(tables), position)
     assert before.max() > 0.02
     assert after.max() < 2e-4  # products of two small turns and shifts
@@ -174,10 +173,8 @@ def test_a_format_states_the_places_that_its_files_have(displaced, name):
     """What the files lack is in the tables: else it is corrected twice or never."""
     _, _, tables = displaced
     kind = load_format(name)
-    stated, files = (
-        kind.list_written_locations(tables.machine, tables.places),
-        kind.write(tables),
-    )
+    stated = kind.list_written_locations(tables.machine, tables.places)
+    files = kind.write(tables)
     read = kind.read_locations(files, tables.machine)
     assert {symbol for symbol, value in read.items() if value} == set(stated)
     if name == "siemens":  # beside both files of tables

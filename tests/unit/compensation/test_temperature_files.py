@@ -9,9 +9,7 @@ import pytest
 
 from temperature_world import DEGC, World
 from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import (
-    study_temperature,
-)
+from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
 from truepath.compensation.tables.error_map import map_errors
@@ -65,12 +63,8 @@ def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     def correct(errors):
         return lambda at, side: -errors.error_mm(at, side)
 
-    usual, own = (
-        compute_residual_error(
-            truth, ranges, correct(map_errors(study.model.at(celsius)))
-        )
-        for celsius in (20.0, 23.5)
-    )
+    files = (map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
+    usual, own = (compute_residual_error(truth, ranges, correct(x)) for x in files)
     assert own.rms_um < 0.1 * usual.rms_um
 
 

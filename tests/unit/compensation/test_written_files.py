@@ -116,7 +116,7 @@ def vary(own, half, across):
 def test_a_control_adds_to_rotary_axes_what_our_reader_says(order, own, half):
     name, choices = tables.ROTARY_ORDERS[order]
     kind, content = load_format(name, choices), vary(own, half, 0.0)
-    files, position = kind.write(content), spread(tables.TRUNNION.axes, 40)
+    files, position = kind.write(content), spread(tables.TRUNNION, 40)
     added = kind.read_rotary(files, tables.TRUNNION)
     for direction in (1.0, -1.0):
         other = simulate_trunnion(files, position, direction)
@@ -146,7 +146,7 @@ def test_rows_take_the_turn_away_to_the_resolution(order):
 def test_a_control_composes_rotary_axes_as_our_reader_does(order, own, across):
     name, choices = tables.ROTARY_ORDERS[order]
     kind, content = load_format(name, choices), vary(own, 0.0, across)
-    files, position = kind.write(content), spread(tables.TRUNNION.axes, 40)
+    files, position = kind.write(content), spread(tables.TRUNNION, 40)
     ours = kind.read(files, tables.TRUNNION)(position, 1.0)
     other = simulate_trunnion(files, position, 1.0)
     # Our reader leaves out half the square of a turn, 0.011° at half a metre.

@@ -10,11 +10,7 @@ from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import find_share, state_findings
 from truepath.discovery.name_trial import CERTAIN, POSSIBLE, Support, TriedNames
-from truepath.discovery.open_questions import (
-    FREE_FORM,
-    TRACKER,
-    design_discrimination,
-)
+from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrimination
 from truepath.discovery.scan import scan_term
 from truepath.discovery.terms.cross_validation import build_lines
 from truepath.discovery.terms.term_equations import TermEquations
@@ -165,15 +161,11 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
     assert discovery_json(clean)["effects"] == []
 
 
-@pytest.fixture(scope="module")
-def settling(record):
-    """A Run during which the tracker's stand leans, in no shape of the catalogue."""
+def test_a_cause_that_nobody_listed_gets_no_name(record):
+    """The tracker's stand leans, in no shape of the catalogue."""
     setting = Setting(hidden=(SettlingStand((20.0, -14.0), 15.0),))
     run, _ = record(11, rows=20, travel_mm=150.0, setting=setting)
-    return discovery_json(discover([run]))
-
-
-def test_a_cause_that_nobody_listed_gets_no_name(settling):
+    settling = discovery_json(discover([run]))
     assert settling["effects"] == []
     assert any("t" in one["depends_on"] for one in settling["unnamed"])
     assert all(one["grade"] == "possible" for one in settling["possible"])
@@ -196,19 +188,15 @@ def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(re
     assert float(found.term.covariance[0, 0]) > 2.0 * float(alone[0, 0])
 
 
-def moment_within(seen, line, share):
-    time_s = seen.at.time_s[seen.at.line == line]
-    return float(time_s.min() + share * np.ptp(time_s))
-
-
 @pytest.mark.parametrize(
     ("line", "share"), [(12, 0.37), pytest.param(17, 0.8, marks=pytest.mark.long)]
 )
 def test_a_knock_on_a_line_is_not_taken_for_one_in_a_pause(record, line, share):
     quiet, truth = record(11, **SMALL)
-    clock = truth.recording.clock
-    moment_s = moment_within(align_runs([quiet])[0].observations, line, share)
-    machine_s = float(clock.true_s(np.array(moment_s)))
+    at = align_runs([quiet])[0].observations.at
+    time_s = at.time_s[at.line == line]
+    moment_s = time_s.min() + share * np.ptp(time_s)
+    machine_s = float(truth.recording.clock.true_s(np.array(moment_s)))
     setting = Setting(hidden=(SetupStep(machine_s, (3.0, -2.0, 1.0)),))
     (found,) = discover([record(11, **SMALL, setting=setting)[0]]).findings
     said = found.parameters["t_s"]

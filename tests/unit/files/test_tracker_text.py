@@ -10,6 +10,7 @@ from truepath.files.imports.options import TextOptions
 from truepath.files.imports.recording import read_recording
 
 MM_HEAD = "t_s,x_mm,y_mm,z_mm"
+UDP = "X,{:.4f},Y,{:.4f},Z,{:.4f},Rx,0.0012,Ry,-0.0301,Rz,1.2"
 SA_HEAD = (
     "// Points Relative to Coordinate Frame 'A::WORLD'\n"
     "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
@@ -50,9 +51,8 @@ def lines_of(run, form, first=None):
 
 def stamped(run, stamp):
     """Return lines of millimetres; stamp(number, seconds) writes the time."""
-    return lines_of(
-        run, lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}", MM_HEAD
-    )
+    form = "{:.6f},{:.4f},{:.4f},{:.4f}".format
+    return lines_of(run, lambda k, t, *place: form(stamp(k, t), *place), MM_HEAD)
 
 
 def assert_stream(read, run, mm=6e-4, second=2e-6):
@@ -87,13 +87,7 @@ def trailing(k, t, x, y, z):
 STREAMS = {
     "SpatialAnalyzer": (SA_HEAD, spatial),
     "SpatialAnalyzer, blanks": (SA_HEAD, lambda *p: spatial(*p).replace(", ", "  ")),
-    "UDP": (
-        None,
-        lambda k, t, x, y, z: (
-            f"X,{x:.4f},Y,{y:.4f},Z,{z:.4f},Rx,0.0012,Ry,-0.0301,Rz,1.2,"
-            f"Time(sec),{t:.6f}"
-        ),
-    ),
+    "UDP": (None, lambda k, t, *p: f"{UDP.format(*p)},Time(sec),{t:.6f}"),
     "exponents": (None, lambda k, *p: join("{:.9e}", "  ", *p)),
     "Fortran": (None, lambda k, *p: join("{:.9E}", "  ", *p).replace("E", "D")),
     "trailing commas": (MM_HEAD, trailing),
@@ -131,9 +125,8 @@ def test_a_stream_is_read_as_its_software_writes_it(style, drive):
 
 
 def test_a_log_without_times_is_read_at_a_rate_or_refused_naming_it(drive):
-    text = lines_of(
-        drive, lambda k, t, x, y, z: f"Cnt={k + 1} X={x:.4f} Y={y:.4f} Z={z:.4f}"
-    )
+    form = "Cnt={} X={:.4f} Y={:.4f} Z={:.4f}".format
+    text = lines_of(drive, lambda k, t, *place: form(k + 1, *place))
     with pytest.raises(BundleError, match=r"time.*--rate"):
         read(text, drive.commanded)
     assert_stream(read(text, drive.commanded, rate_hz=500.0), drive)
@@ -209,10 +202,9 @@ def gsi(seen, digits, unit, factor):
     blocks = ["410001+" + "0" * (digits - 2) + "17"]
     for k, place in enumerate(seen):
         words = [f"11{k + 1:04d}+" + f"P{k + 1}".rjust(digits, "0")]
-        words += [
-            f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{abs(round(v * factor)):0{digits}d}"
-            for axis, v in enumerate(place)
-        ]
+        for axis, v in enumerate(place):
+            number = f"{abs(round(v * factor)):0{digits}d}"
+            words.append(f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{number}")
         words.append("87..10+" + "0" * digits)
         blocks.append(" ".join(words) + " ")
     star = "*" if digits == 16 else ""

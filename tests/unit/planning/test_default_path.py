@@ -22,18 +22,11 @@ from truepath.planning.lines.planner import Planner
 from truepath.planning.lines.target_time_split import share_among_targets
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
-TARGETS = (
-    Target("T1", "tool", (0.0, 0.0, -150.0)),
-    Target("T2", "tool", (60.0, 0.0, -80.0)),
-    Target("W1", "workpiece", (390.0, 225.0, -150.0)),
-)
-SIX_TARGETS = (
-    *TARGETS[:2],
-    Target("T3", "tool", (0.0, 70.0, -110.0)),
-    TARGETS[2],
-    Target("W2", "workpiece", (180.0, 345.0, -90.0)),
-    Target("W3", "workpiece", (190.0, 110.0, -30.0)),
-)
+ON_TOOL = ((0.0, 0.0, -150.0), (60.0, 0.0, -80.0), (0.0, 70.0, -110.0))
+ON_TABLE = ((390.0, 225.0, -150.0), (180.0, 345.0, -90.0), (190.0, 110.0, -30.0))
+SIX_TARGETS = [Target(f"T{k}", "tool", at) for k, at in enumerate(ON_TOOL, 1)]
+SIX_TARGETS += [Target(f"W{k}", "workpiece", at) for k, at in enumerate(ON_TABLE, 1)]
+TARGETS = (*SIX_TARGETS[:2], SIX_TARGETS[3])
 CHANGE_S = 5.0
 
 
@@ -195,7 +188,7 @@ def test_the_target_moves_on_every_line(path):
 
 
 def test_planned_lines_tell_more_than_random_ones_in_the_same_time(rng):
-    mill = trunnion(SIX_TARGETS)
+    mill = trunnion(tuple(SIX_TARGETS))
     path = default_path(mill, lines=36)
     low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
     position = rng.uniform(low, high, path.position.shape)
@@ -220,20 +213,18 @@ def test_a_target_on_the_axis_that_turns_it_is_refused_with_the_remedy():
         default_path(replace(trunnion((centre,)), workpiece_side=("C", "A")), lines=3)
 
 
-@pytest.fixture(scope="module")
-def planners():
+def make_planners():
     machine, workspace = trunnion(), Workspace()
     station_mm = choose_station(machine, workspace)
     drive = Drive.of_lines(machine, 0.4)
     design = start_design(LineDesignState, machine, station_mm, drive, target="T1")
     first = Planner(machine, design, workspace, (6000.0,))
-    return [
-        replace(first, design=replace(design, target=target))
-        for target in moving_targets(machine)
-    ]
+    designs = (replace(design, target=target) for target in moving_targets(machine))
+    return [replace(first, design=one) for one in designs]
 
 
-def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one(planners):
+def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one():
+    planners = make_planners()
     shares = share_among_targets(planners, 240.0, CHANGE_S, 0)
     total = sum(share.budget_s for share in shares)
     assert total == pytest.approx(240.0 - CHANGE_S * len(shares))

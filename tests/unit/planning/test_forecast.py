@@ -63,10 +63,8 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
     content = load_small("demo", 1.0)
     content["tracker"]["specification"] = asdict(TrackerSpecification())
     program = paths.chord_path(parse_machine(content), 1, 16, 10_000.0)
-    made = [
-        record_run(content, program, seed, setting=Setting(machine_seed=1))
-        for seed in range(1, 1 + places)
-    ]
+    order = {"setting": Setting(machine_seed=1)}
+    made = [record_run(content, program, 1 + k, **order) for k in range(places)]
     result = estimate(*align_all([run for run, _ in made], ["one", "two"][:places]))
     stated = state_variance(result) ** 0.5
     found = None

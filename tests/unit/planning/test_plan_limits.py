@@ -1,21 +1,81 @@
 """Every plan keeps to its limits, or is refused with the reason."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limit_checker import Limits, violations
 from truepath.errors import PlanningError
 from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.workspace import Workspace
 
+STEP_MM, BEAM_PLACES, SLACK_MM = 1.0, 200, 1e-2
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])
 OFFSET = np.array([20.0, 30.0, -150.0])
 SMALL = Box((200.0, 150.0, -200.0), (300.0, 250.0, -100.0), "probe")
 DOOR = Box((0.0, -200.0, -800.0), (500.0, -100.0, 800.0), "door")
 HERE = (250.0, -900.0, 0.0)
 DIAGONAL = np.array([[10.0, 10.0, -290.0], [490.0, 390.0, -10.0]])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Travel, boxes as (low, high), and the tracker, in plain numbers.
+
+    offset_mm : of the target
+
+    Its checker shares nothing with the planner. It walks every line in steps of at most
+    a millimetre, and the beam to each place; up to `SLACK_MM` is no violation.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    offset_mm: np.ndarray
+    keep_out: list = field(default_factory=list)
+    tracker_mm: np.ndarray | None = None
+    range_mm: tuple = (0.0, np.inf)
+    blocks: list = field(default_factory=list)
+
+
+def violations(limits, position):
+    """Return what a path through the positions breaks, in words."""
+    found = set()
+    places = np.vstack([position[:1], *map(_walked, position[:-1], position[1:])])
+    low, high = limits.low - SLACK_MM, limits.high + SLACK_MM
+    if ((places < low) | (places > high)).any():
+        found.add("travel")
+    if any(_inside(places, box).any() for box in limits.keep_out):
+        found.add("keep-out")
+    if limits.tracker_mm is not None:
+        found |= _of_tracker(limits, places + limits.offset_mm)
+    return found
+
+
+def _walked(begin, end):
+    steps = int(np.ceil(np.linalg.norm(end - begin) / STEP_MM))
+    share = np.arange(1, steps + 1)[:, None] / max(steps, 1)
+    return begin + share * (end - begin)
+
+
+def _inside(places, box):
+    low, high = box
+    return ((places > low + SLACK_MM) & (places < high - SLACK_MM)).all(axis=-1)
+
+
+def _of_tracker(limits, target):
+    found = set()
+    beam = target - limits.tracker_mm
+    distance = np.linalg.norm(beam, axis=1)
+    near, far = limits.range_mm
+    if distance.min() < near - SLACK_MM or distance.max() > far + SLACK_MM:
+        found.add("range")
+    share = np.linspace(0.0, 1.0, BEAM_PLACES)[None, :, None]
+    along = limits.tracker_mm + share * beam[::10, None]
+    if any(_inside(along, box).any() for box in limits.blocks):
+        found.add("sight")
+    return found
 
 
 @st.composite

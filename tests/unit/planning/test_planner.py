@@ -25,19 +25,15 @@ def left_mm(planner, plan):
 
 
 @pytest.fixture(scope="module")
-def lines(planner, mill):
-    return planner(mill).plan(90.0)
-
-
-@pytest.fixture(scope="module")
 def points(planner, mill):
     return planner(mill, "points").plan(60.0)
 
 
-def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(lines, planner, mill):
+def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(planner, mill):
+    made = planner(mill)
+    lines = made.plan(90.0)
     assert 75.0 < row_times_s(lines).sum() <= 90.0
     away = np.linalg.norm(lines.position[-1] - lines.position[0])
-    made = planner(mill)
     assert away >= made.design.drive.shortest_mm(6000.0)
     legs = Stops(lines.position, lines.feed_mm_min).legs
     lost, seconds = made.design.drive.steady(legs)

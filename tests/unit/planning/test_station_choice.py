@@ -28,7 +28,7 @@ HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
 PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
 THREE_NESTS = tuple(Box(place, place) for place in PLACES)
 WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
-FEEDS = (6000.0,)
+FEEDS, NOT_SQUARE = (6000.0,), {"index_urad": 1000.0, "tilt_urad": 400.0}
 SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 
 
@@ -51,12 +51,8 @@ def plan_of(small_mill):
     return make
 
 
-@pytest.fixture(scope="module")
-def perfect(plan_of):
-    return plan_of(areas=(FLOOR,))
-
-
-def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(perfect):
+def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(plan_of):
+    perfect = plan_of(areas=(FLOOR,))
     advice = perfect.stations
     assert advice.chosen
     assert perfect.order.workspace.stations.allow(perfect.station_mm[None])[0]
@@ -166,10 +162,8 @@ def test_a_second_place_leaves_what_a_forecast_of_both_does(small_mill, lines, j
     first, remedies = judge(TrackerSpecification())
     one = remedies["second-place"]
     machine = specify(small_mill, TrackerSpecification())
-    both, again = (
-        forecast(machine, lines, place, before=first).volumetric_sigma_mm
-        for place in (ELSEWHERE_MM, HERE_MM)
-    )
+    both = forecast(machine, lines, ELSEWHERE_MM, before=first).volumetric_sigma_mm
+    again = forecast(machine, lines, HERE_MM, before=first).volumetric_sigma_mm
     assert one.sigma_mm == pytest.approx(both, rel=0.01)
     assert one.sigma_mm < 0.95 * again
     assert one.added_s == 660.0
@@ -178,18 +172,15 @@ def test_a_second_place_leaves_what_a_forecast_of_both_does(small_mill, lines, j
 def test_each_remedy_takes_away_what_it_changes(judge):
     """A turned base uses other parts of the azimuth circle; the zero of elevation,
     and axes that are not square, change their sign in the other face alone."""
-    left = {}
-    for name, fault in (
-        ("circle", {"eccentricity_urad": 40.0}),
-        ("axes", {"index_urad": 1000.0, "tilt_urad": 400.0}),
-    ):
+
+    def find_left(**fault):
         found, remedies = judge(replace(PERFECT, **fault))
-        left[name] = {
-            change: one.sigma_mm / found.volumetric_sigma_mm
-            for change, one in remedies.items()
-        }
-    assert left["circle"]["turned-base"] < 0.8 * left["axes"]["turned-base"]
-    assert left["axes"]["other-face"] < 0.8 * left["axes"]["turned-base"]
+        whole_mm = found.volumetric_sigma_mm
+        return {change: one.sigma_mm / whole_mm for change, one in remedies.items()}
+
+    circle, axes = find_left(eccentricity_urad=40.0), find_left(**NOT_SQUARE)
+    assert circle["turned-base"] < 0.8 * axes["turned-base"]
+    assert axes["other-face"] < 0.8 * axes["turned-base"]
 
 
 def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_mill):
@@ -220,10 +211,8 @@ def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
 
 @pytest.fixture(scope="module")
 def planned(small_mill):
-    order = PlanRequirements(
-        minutes=0.6, feeds_mm_min=FEEDS, workspace=WORKSPACE, stations=2
-    )
-    return make_plan(small_mill, order)
+    order = {"minutes": 0.6, "workspace": WORKSPACE, "stations": 2}
+    return make_plan(small_mill, PlanRequirements(feeds_mm_min=FEEDS, **order))
 
 
 def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill):

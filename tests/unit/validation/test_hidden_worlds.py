@@ -27,12 +27,9 @@ def effect(name, value=1.0, sigma=0.1, others=(), **keys):
 
 
 def said(*effects, unnamed=()):
-    return {
-        "effects": list(effects),
-        "unnamed": [{"description": text} for text in unnamed],
-        "possible": [],
-        "gap": {"before": 3.0, "after": 1.0, "noise_floor": 1.0},
-    }
+    gap = {"before": 3.0, "after": 1.0, "noise_floor": 1.0}
+    strange = [{"description": text} for text in unnamed]
+    return {"effects": list(effects), "unnamed": strange, "possible": [], "gap": gap}
 
 
 class World:
@@ -88,9 +85,8 @@ def test_phases_are_compared_on_their_circle(validation):
     measure_deviations = validation("discovery_score").measure_deviations
     truth = {"name": "vibration", "parameters": {"phase_rad": {"value": 0.1}}}
     late = {"phase_rad": {"value": 2.0 * np.pi, "uncertainty": 0.05}}
-    assert measure_deviations(truth, {"parameters": late}) == pytest.approx(
-        {"vibration phase_rad": -2.0}
-    )
+    found = measure_deviations(truth, {"parameters": late})
+    assert found == pytest.approx({"vibration phase_rad": -2.0})
 
 
 def test_the_summary_counts_what_was_asked_and_says_which_mark_is_missed(validation):
