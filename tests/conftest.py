@@ -39,7 +39,6 @@ from postgres_server import PostgresServer
 
 
 def pytest_addoption(parser):
-    """Let the rooms of jobs and API be tested on either database."""
     kinds, stood_on = ("sqlite", "postgresql"), "what the catalogues of tests stand on"
     parser.addoption("--database", choices=kinds, default="sqlite", help=stood_on)
     taken = "JSON file that takes what tests of faults have measured"
@@ -63,7 +62,6 @@ def use_perfect_trackers(folder):
 
 
 def pytest_configure(config):
-    """Collect what tests measure where a file for it is named."""
     use_perfect_trackers(FilePath(_PERFECT.name))
     file = config.getoption("--measured")
     if file is not None and not hasattr(config, "workerinput"):
@@ -90,7 +88,6 @@ class Measured:
         self._texts = {}
 
     def pytest_runtest_logreport(self, report):
-        """Take what a test that has passed noted."""
         if report.when != "call" or not report.passed:
             return
         for name, value in report.user_properties:
@@ -100,7 +97,6 @@ class Measured:
                 tests.setdefault(report.nodeid, []).append(text)
 
     def pytest_sessionfinish(self):
-        """Write it beside what the file has of other tests."""
         content = {}
         if self._file.is_file():
             content = json.loads(self._file.read_text(encoding="utf-8"))
@@ -242,7 +238,6 @@ def mill():
 
 @pytest.fixture
 def square():
-    """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
     return path_of(*rows, dwell_s=(0.1, 0.2, 0.1, 0.3))
 
@@ -336,7 +331,6 @@ def without_rigid_motion(position_mm, error_mm):
 
 @pytest.fixture(scope="session")
 def rigid_free():
-    """Give tests the map without its gauge."""
     return without_rigid_motion
 
 
@@ -367,7 +361,6 @@ def no_log_of_another_test():
 
 @pytest.fixture(scope="module")
 def plain_log():
-    """Log with short traces."""
     before = structlog.get_config()
     plain = structlog.dev.ConsoleRenderer(
         colors=False, exception_formatter=structlog.dev.plain_traceback

@@ -32,7 +32,6 @@ class Image:
     name: str = "localhost/truepath:test"
 
     def buildah(self, *words):
-        """Run buildah on this store; return what it prints."""
         done = subprocess.run(
             [*self._buildah, *words], capture_output=True, text=True, timeout=BUILD_S
         )
@@ -45,13 +44,11 @@ class Image:
         return ("buildah", "--storage-driver", "vfs", *store)
 
     def run_line(self, container, options, command):
-        """Return the words that run a command in a container as its user."""
         isolation = ["--isolation", "chroot", "--user", f"{USER}:{USER}"]
         return [*self._buildah, "run", *isolation, *options, container, "--", *command]
 
     @contextmanager
     def container(self):
-        """A container of the image, removed at the end."""
         name = self.buildah("from", "--pull-never", self.name)
         try:
             yield name

@@ -47,7 +47,6 @@ def list_blocks(run, size=20):
 
 
 def list_point_blocks(run):
-    """Return one block for each point that was measured."""
     points = run.points
     columns = points.row, points.count, points.covariance_mm2
     ones = (slice(k, k + 1) for k in range(len(run.tracker)))

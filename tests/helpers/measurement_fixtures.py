@@ -467,12 +467,10 @@ class Running(Told):
             host_clock.sleep_s(0.1)
 
     def look(self, times=3, kind=messages.MeasurementProgress):
-        """Let it look at its devices some more times."""
         told = len(self.told(kind))
         self.until(lambda: len(self.told(kind)) > told + times)
 
     def see(self, times=3):
-        """Let it see where the target is some more times."""
         self.look(times, messages.LivePoints)
 
     def pause(self):
@@ -516,7 +514,6 @@ class Running(Told):
 
 @pytest.fixture
 def begin(tracker, motion, journal, calm):
-    """Begin measurements in threads; those under way at the end are aborted."""
     begun = []
 
     def start(order, *, settings=calm, tracker=tracker, sensors=None):
@@ -533,7 +530,6 @@ def begin(tracker, motion, journal, calm):
 
 @pytest.fixture
 def order(mill, square, tmp_path):
-    """Three lines in the travel of the mill."""
     file = str(tmp_path / "monday.sqlite")
     return messages.MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
 
@@ -545,7 +541,6 @@ def along(order, rows, feed_mm_min=6000.0, **given):
 
 
 def there_and_back(order, times):
-    """Return the order with long lines, a quarter of a second each."""
     return along(order, [[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]] * times)
 
 
@@ -556,7 +551,6 @@ def standing_at(order, rows, dwell_s, target=()):
 
 
 def draw_rows(n):
-    """Return rows anywhere in the travel of the mill."""
     return np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (n, 3))
 
 

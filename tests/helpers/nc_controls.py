@@ -73,19 +73,16 @@ class Control:
         self.moves.append(Move(dict(self.place), self.feed, 0.0, turned, "", stops))
 
     def wait(self, seconds):
-        """Dwell where the axes stand."""
         if self.moves:
             self.moves[-1].dwell_s += seconds
 
     def halt(self):
-        """Wait for the operator, under the last message."""
         if self.moves:
             self.moves[-1].halted = self.said
         else:
             self.first_words = self.said
 
     def approach(self):
-        """Motions before the operator starts the recording."""
         return self.moves[: self._recorded()]
 
     def recorded(self, axes="XYZ"):

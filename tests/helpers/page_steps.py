@@ -41,17 +41,14 @@ def prepare(page: Page) -> str:
 
 
 def job_of(page: Page) -> str:
-    """The job that the address names."""
     return page.url.rsplit("/", 1)[1]
 
 
 def go(page: Page, where: str) -> None:
-    """Turn to another view without loading the page anew."""
     page.goto(page.url.split("#")[0] + where)
 
 
 def choose(page: Page, *names: str) -> None:
-    """Choose units, appearance or language in the settings."""
     page.locator("#open-settings").click()
     for name in names:
         page.locator("#settings").get_by_role("button", name=name).click()
@@ -62,7 +59,6 @@ def choose(page: Page, *names: str) -> None:
 
 
 def expect_texts(place: Locator, *texts: str) -> None:
-    """Wait until all of these are in the text of an element."""
     for text in texts:
         expect(place).to_contain_text(text)
 

@@ -80,7 +80,6 @@ def record_path(content, path, seed=3, mode="otf", setting=None):
 
 
 def with_samples(run, **columns):
-    """Return a Run whose tracker has sent other positions, status or times."""
     return replace(run, tracker=replace(run.tracker, **columns))
 
 

@@ -78,7 +78,6 @@ def construct():
 
 
 def change_run(estimate, **changed):
-    """Return an estimate of one Run of which something is otherwise."""
     return replace(estimate, runs=(replace(estimate.runs[0], **changed),))
 
 
@@ -123,7 +122,6 @@ def across_only(construct):
 
 
 def load_small():
-    """The content of the machine that they are of."""
     content = load_machine("demo")
     for axis in content["axes"].values():
         axis["max_mm"] = TRAVEL_MM

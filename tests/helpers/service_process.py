@@ -138,7 +138,6 @@ def moving(client, job_id):
 
 
 def begin_moving(client, rows=ROWS):
-    """Measure a path; return the job once samples have come."""
     job = create(client, path=rows)
     arm(client, job)
     moving(client, job["id"])

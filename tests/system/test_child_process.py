@@ -52,7 +52,6 @@ def bodies(import_code):
 
 @pytest.fixture
 def root_log():
-    """Put the log back afterwards, its files closed."""
     root = logging.getLogger()
     handlers, level = root.handlers, root.level
     yield
@@ -65,7 +64,6 @@ def root_log():
 
 @pytest.fixture
 def service_log(monkeypatch, root_log):
-    """The service's log at level info, as JSON lines."""
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     configure_log("info", "json")

@@ -100,7 +100,6 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def driven(source):
-    """Commanded and motor positions of one program with tables."""
     axes = tuple(LinearAxis(name, *travel) for name, travel in TRAVEL.items())
     machine = replace(build_mill((0.0, 0.0, -100.0)), axes=axes)
     columns = (np.array(one, float) for one in (ROWS, FEED, DWELL_S))

@@ -32,7 +32,6 @@ NAME, TITLE = "bending-beam", "Bending beam of X under Y toward Z"
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    """The module that the page shows."""
     (source, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
     file = tmp_path_factory.mktemp("third-party") / "bending_beam.py"
     file.write_text(source, encoding="utf-8")

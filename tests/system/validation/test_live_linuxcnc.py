@@ -31,7 +31,6 @@ def test_linuxcnc_drives_and_the_error_is_found(live, tmp_path, case, lines):
 
 
 def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
-    """Calibrate, export, load, measure points that the calibration has not seen."""
     case, seed = replace(live.THREE_AXES, lines=24), 11
     content = live.load_machine(case.name)
     with live.live_rig(content, seed, case) as rig:

@@ -228,7 +228,6 @@ def test_a_result_that_is_not_to_be_used_begins_with_that(found, page):
 
 @pytest.fixture(scope="module")
 def partly(estimate):
-    """The estimate, had only a part of the travel been measured."""
     seen = replace(estimate.observability, poorly_observable=(WEAK,))
     return replace(estimate, measured=MEASURED, observability=seen)
 

@@ -85,7 +85,6 @@ MERGED = (
 
 
 def describe(*more):
-    """What a certificate has of a verification, of which nothing else is asked."""
     content = functools.reduce(operator.or_, more, VERIFICATION)
     source = Source("v.json", content, "0" * 64)
     found = SimpleNamespace(input_sha256="")
@@ -94,7 +93,6 @@ def describe(*more):
 
 
 def german(**more):
-    """The findings of the verification, with other content, in German."""
     return word_findings(VERIFICATION | more, GERMAN)
 
 
@@ -215,7 +213,6 @@ def test_a_certificate_states_the_figures_that_a_verification_ran_for():
 
 
 def list_poor():
-    """Yield statements of every form of a shape, as the code that names it has them."""
     source = inspect.getsource(observability.describe_form)
     shapes = set(re.findall(r"\ban? (?:slope|bow|wave)\b|\ban S\b", source))
     assert len(shapes) == 4

@@ -63,8 +63,6 @@ def only_named(run, hidden):
 
 @pytest.fixture(scope="module")
 def told(record):
-    """Measure a machine twice: analysed without and with what another Run has told."""
-
     @cache
     def make(hidden, machine):
         how = DRIVEN | {"setting": Setting(machine_seed=machine, hidden=(hidden,))}
@@ -79,8 +77,6 @@ def told(record):
 
 @pytest.fixture(scope="module")
 def judged(volume, rigid_free):
-    """Tell a map's errors in µm, and its standard uncertainties."""
-
     def judge(one, result, hidden):
         at = volume(one.run.machine)
         true = one.truth.deviation_mm(at)
@@ -136,7 +132,6 @@ def test_the_result_states_the_effect_before_and_with_the_run(told):
 
 @pytest.mark.long
 def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
-    """A guide whose sag is hardly known leaves Z along X less certain."""
     one = told(SAG)
     known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
@@ -161,7 +156,6 @@ def test_a_machine_that_has_changed_since_is_told(told):
 
 
 def test_no_run_counts_twice(told):
-    """A model is made from a Run; on that Run it only names its effects."""
     one = told(LAG)
     again = stated(one.run, model=taken(one.beside))
     alone = stated(one.run, model=only_named(one.run, LAG))
@@ -200,8 +194,6 @@ def test_lost_motion_of_a_model_stands_among_both_directions(record):
 @pytest.mark.long
 @pytest.mark.parametrize("hidden", [LAG, SAG], ids=lambda effect: effect.name)
 def test_what_discovery_finds_in_one_run_serves_the_next(hidden, record, told, judged):
-    """As much as a model that names the right effect from the start."""
-
     found, without, beside = [], [], []
     for machine in MACHINES:
         drift = TableDrift((0.02, 0.0, 0.01))

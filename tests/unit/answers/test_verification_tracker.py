@@ -26,15 +26,12 @@ PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0
 
 
 def draw_specification(seed):
-    """Return a specification of half to twice what is typical."""
     rng = np.random.default_rng([seed, 3])
     usual = asdict(TrackerSpecification())
     return {key: size * 2.0 ** rng.uniform(-1.0, 1.0) for key, size in usual.items()}
 
 
 class World:
-    """A machine, its result by a tracker, and verifying measurements from elsewhere."""
-
     def __init__(self, seed, specification=None):
         stated = draw_specification(seed) if specification is None else specification
         self.seed, self.content = seed, load_erring(stated)
@@ -67,7 +64,6 @@ class World:
 
 
 def count_held(found, truth):
-    """Return the share of components whose true value is within U as stated."""
     places, N = found.places, found.places.nuisance
     true = places.project(truth.deviation_mm(places.cells.position_mm))
     true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))

@@ -62,7 +62,6 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def half_measured(source):
-    """The same result, X measured up to 50 of its 300 mm."""
     measured = {"X": (-200.0, 50.0), "Y": (10.0, 400.0), "Z": (0.0, 310.0)}
     return replace(source, result=replace(source.result, measured=measured))
 
@@ -76,7 +75,6 @@ def read_back(errors, name, unmeasured=Unmeasured.HOLD):
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
-    """Machines drawn from the covariance of the result, at places of the test's own."""
     export = export_result(source, name, "comp")
     stated = export.account["volumetric_error_um"]["after"]
     correction = load_format(name).read(export.files, source.machine)
@@ -98,7 +96,6 @@ def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
 
 
 def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(source):
-    """By positions of the test's own, to a small part of what U states."""
     correction = read_back(source, "linuxcnc")
     low, high = find_ends(source)
     unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
@@ -177,7 +174,6 @@ def test_unmeasured_ranges_are_said_or_the_file_is_refused(half_measured, choice
 
 
 def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(source):
-    """Siemens tables hold their last value: only beyond the measured part they err."""
     middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
     whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
     results = (replace(source.result, measured=one) for one in (middle, whole))
@@ -192,7 +188,6 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
 
 
 def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    """Lost motion of 8 µm: an axis that is referenced upwards stands right there."""
     half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
     result = replace(source.result, half_difference_um={"X": half_um})
     errors = replace(source, result=result)
@@ -270,7 +265,6 @@ def test_straightness_that_depends_on_direction_is_stated_to_stay(loaded, source
 
 
 def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_u(loaded):
-    """EAX turns about X what is beyond the axis: Y and Z, with the tool's offset."""
     errors = map_errors(lose_across(loaded, "EAX", 20.0))
     at = np.array([[0.0, 100.0, 200.0]])
     half_mm = 0.5 * (errors.error_mm(at, 1.0) - errors.error_mm(at, -1.0))
@@ -285,7 +279,6 @@ def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_u(loaded):
 
 
 def test_a_model_states_it_as_an_effect_that_no_table_has(loaded):
-    """Of a model file that has the effect alone, and no table of it."""
     keys, numbers = {"axis": "X", "motion": "EYX"}, {"turnover_mm": 0.02}
     effect = restore_effect(LateralBacklashFamily(), loaded.machine, keys, numbers)
     theta = np.append(loaded.theta, 1e-3 * HALF_UM)
@@ -322,7 +315,6 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
 
 
 def have_effects(*described):
-    """Make files of a machine that has these effects and no other errors."""
     effects = (restore_effect(f, DEMO, keys, n) for f, keys, n, _ in described)
     model = MachineModel(DEMO, tuple(effects))
     theta = np.concatenate([values for *_, values in described])

@@ -21,7 +21,6 @@ ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the ot
 
 
 def store(folder, files, names=None):
-    """Write files, under other names where these are given; return their places."""
     written = []
     for name, text in files.items():
         place = folder / (names or {}).get(name, name)
@@ -31,7 +30,6 @@ def store(folder, files, names=None):
 
 
 def moments(position_mm, direction):
-    """Standstills that every axis comes to in one direction."""
     n, none = len(position_mm), np.zeros_like(position_mm)
     at = np.zeros(n), np.full(n, -1), np.zeros(n)
     return Conditions(MACHINE, position_mm, none, *at, none, none + direction)
@@ -87,7 +85,6 @@ def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
 
 
 def make_errors(loaded, size, lost_um):
-    """A machine whose errors are so many times those of the result."""
     half = {"X": (np.array([-200.0, 300.0]), np.array(lost_um))}
     theta = size * loaded.theta
     return map_errors(replace(loaded, theta=theta, half_difference_um=half))

@@ -60,7 +60,6 @@ TEXTS = "for name, text in super().write(*given).items()"
 
 @pytest.fixture(scope="module")
 def source(loaded):
-    """The result with Run, date, hash and measured ranges."""
     whole = {axis.name: (axis.low, axis.high) for axis in loaded.machine.linear_axes}
     return map_errors(replace(loaded, provenance=PROVENANCE, measured=whole))
 
@@ -81,8 +80,6 @@ def with_backlash(source):
 
 @pytest.fixture(scope="module")
 def losing(source):
-    """Make the same machine of other travels, 8 µm of lost motion in each axis."""
-
     def make(length_mm, middle_mm=0.0):
         low, high = middle_mm - length_mm / 2, middle_mm + length_mm / 2
         axes = tuple(replace(x, low=low, high=high) for x in source.machine.linear_axes)
@@ -316,7 +313,6 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_travel(with_backl
 
 
 def read_fanuc(files):
-    """Points with their increments, and what each parameter is for each axis."""
     data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
     words = files["c-parameters.txt"].split()[1:-1]
     values = (map(float, re.findall(r"A\dP([\d.-]+)", word)) for word in words)

@@ -56,7 +56,6 @@ def turning(request):
 
 
 def make_truth(machine, errors):
-    """The exact machine with the positioning of the result, and nothing else."""
     truth = perfect(parse_machine(load_machine(machine)))
     joints = dict(truth.joints)
     for axis in truth.machine.rotary_axes:
@@ -117,7 +116,6 @@ def test_the_account_states_the_angle_and_what_it_does_at_the_tool(turning):
 
 @pytest.fixture(scope="module", params=MACHINES)
 def erring(request):
-    """A machine with errors of every kind."""
     model = build_model(load_machine(request.param))
     size = np.array([5e-3 if p.unit == "mm" else 2e-5 for p in model.parameters])
     theta = size * np.random.default_rng(8).standard_normal(model.size)
@@ -169,7 +167,6 @@ def test_the_account_states_the_error_over_all_axes(erring):
 
 @pytest.fixture(scope="module", params=["A", "B"])
 def shifted(request):
-    """A trunnion, its tilting axis A or B, whose axes are off their place alone."""
     tilting = request.param
     text = json.dumps(load_machine("trunnion")).replace('"A"', f'"{tilting}"')
     content = json.loads(text.replace("w-C-A", f"w-C-{tilting}"))
@@ -281,7 +278,6 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
 
 
 def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> float:
-    """Mean length of the true error by a simulated control, elsewhere than stated."""
     machine = known.truth.machine
     low, high = find_ends(machine)
     unit = qmc.Sobol(len(low), rng=np.random.default_rng(77)).random(2048)
@@ -304,7 +300,6 @@ def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> flo
 
 
 def find_misfit(nominal, actual):
-    """Lengths that are left once both sets of points lie on each other best."""
     a, b = nominal - nominal.mean(axis=0), actual - actual.mean(axis=0)
     rotation, _ = Rotation.align_vectors(a, b)
     return np.linalg.norm(rotation.apply(b) - a, axis=1)

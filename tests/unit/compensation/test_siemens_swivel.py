@@ -42,7 +42,6 @@ def describe(chain):
 
 
 def draw_place(axis, rng):
-    """Return a place of an axis that is off in each way it can be."""
     names = list_locations(axis.name)
     sizes = (0.02 if one[0] in "XYZ" else 6e-5 for one in names)
     off = [size * rng.choice([-1.0, 0.7, 1.2]) for size in sizes]
@@ -91,7 +90,6 @@ def test_a_machine_that_no_data_set_describes_gets_none(chain):
 
 
 def write_trunnion():
-    """A trunnion, its file, and what it stands for."""
     content, tables = draw_machine("w-C-A-b-X-Y-Z-t")
     text = FORMAT.write(tables)[f"c{SWIVEL}"]
     stated = FORMAT.read_locations({"c.mpf": text}, tables.machine)
@@ -170,7 +168,6 @@ def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
 
 @pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json", "fanuc"])
 def test_a_format_states_the_places_that_its_files_have(displaced, name):
-    """What the files lack is in the tables: else it is corrected twice or never."""
     _, _, tables = displaced
     kind = load_format(name)
     stated = kind.list_written_locations(tables.machine, tables.places)

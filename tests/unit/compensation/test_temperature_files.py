@@ -56,7 +56,6 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
-    """With the argument less is left at an unseen temperature than without."""
     truth = map_errors(study.model.at(23.5))
     ranges = find_measured_ranges(truth.machine, {}, Unmeasured.HOLD)
 

@@ -42,7 +42,6 @@ _turns = st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=9)
 
 
 def simulate(order, files, position, direction, machine=SIMULATED):
-    """What the simulated controller adds, (n, axes)."""
     reading = "difference" if order == "heidenhain-difference" else "negative-value"
     systems = {"siemens-system-2": 2, "siemens-system-by-axis": "X=2"}
     rules = Rules(reading, tool_length_mm=100.0, measuring_system=systems.get(order, 1))

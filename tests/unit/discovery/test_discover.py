@@ -92,7 +92,6 @@ def test_a_spike_is_as_large_as_at_the_reversal_before_the_first_cell(crossing):
 
 
 def test_a_vibration_is_asked_against_a_free_form_or_the_tracker(knocked):
-    """Its head may swing alike in any case; that is no error beyond what is stated."""
     (found,) = knocked.findings
     swing = replace(found, grade=POSSIBLE, is_imitated=True)
     open_ = replace(knocked, fit=knocked.baseline_fit, findings=(), possible=(swing,))
@@ -130,7 +129,6 @@ def test_a_knock_is_named_with_its_moment_and_size_and_closes_the_gap(knocked):
 
 @pytest.mark.long
 def test_an_effect_beside_one_that_stays_closes_its_part_of_the_gap(record):
-    """Of a knock and a creep the model is given one: the other's gap stays open."""
     hidden = SetupStep(40.0, STEP_UM), TableDrift((0.0, 0.05, 0.04))
     both = discover([record(11, rows=60, setting=Setting(hidden=hidden))[0]])
     without, terms = both.fitter.fit([]), [found.term for found in both.findings]
@@ -224,7 +222,6 @@ def test_moments_are_compared_at_once_as_one_by_one(record):
 
 
 def quick_gain(term, residuals, moment_s):
-    """Return the log Bayes factor of a shift of all cells, the machine left aside."""
     J = term.with_value(float(moment_s)).candidate.effect.jacobian(residuals[0].at)
     data = np.einsum("nip,ni->p", J, residuals[0].weighted)
     square = np.einsum("nip,nij,njq->pq", J, residuals[0].precision, J)

@@ -46,8 +46,6 @@ LOW, HIGH = (parse_machine(CONTENT).low_mm, parse_machine(CONTENT).high_mm)
 
 @dataclass(frozen=True)
 class Circle:
-    """What the first Run left open, what was asked, what both Runs say."""
-
     first: Discovery
     asked: DiscriminationDesign
     both: Discovery
@@ -100,7 +98,6 @@ def calibrated(record):
 
 
 def without(known, effect):
-    """Return a model that has left an effect out; all of it for an empty name."""
     kept = tuple(e for e in known.model.effects if e.name != effect)
     number = np.arange(known.model.size)
     columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
@@ -115,7 +112,6 @@ LEAN = pytest.param(None, marks=pytest.mark.long, id="squareness")
 
 @pytest.fixture(scope="module", params=[pytest.param(SIDEWAYS, id=SIDEWAYS.name), LEAN])
 def leaning(request, run_of, calibrated):
-    """Lateral backlash of Y, or a squareness that the model has left out."""
     effect = request.param
     name = "squareness" if effect is None else effect.name
     given = without(calibrated, "C0Y" if effect is None else "")

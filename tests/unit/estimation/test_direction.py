@@ -21,7 +21,6 @@ def seen(record):
 
 
 def with_backlash(seen, shape=lambda y: np.ones_like(y)):
-    """Let Y fall behind by a half width, as seen by the target."""
     y = seen.at.position_mm[:, 1]
     offset = np.zeros((len(seen), 3))
     offset[:, 1] = -HALF_MM * shape(y / 400.0) * seen.at.approach[:, 1]

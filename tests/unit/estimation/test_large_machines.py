@@ -137,7 +137,6 @@ def _knock():
 
 
 def _examine(fit, cells):
-    """Return what is left of the first cells, and the most memory that it takes."""
     run = fit.runs[0]
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
@@ -159,7 +158,6 @@ def test_steps_that_are_tried_are_held_few_times():
 
 
 def analyse_with(record, monkeypatch, *hidden):
-    """Return what was added to the variance of error motions, in µm², by symbol."""
     run, _ = record(33, rows=30, setting=Setting(hidden=hidden))
     before = []
 

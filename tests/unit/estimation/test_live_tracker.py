@@ -23,7 +23,6 @@ LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
 def measure(seed, mode="otf", specification=None, rows=24, **setting):
-    """Return the Run of a tracker that errs within its specification, and the truth."""
     content = load_erring(specification)
     program = choose_program(content, seed, mode, rows=rows)
     setting = Setting(**(setting or {"machine_seed": seed}))

@@ -50,7 +50,6 @@ def squareness(fit):
 
 
 def spread_of(trials, noise, count):
-    """Return the standard deviation of outputs by the noise alone."""
     silent = tuple(replace(x, root=0.0 * x.root, log_sigma=0.0) for x in trials.prior)
     alone = replace(under(trials, noise), prior=silent)
     return sample_outputs(alone, 0, count).std(axis=1)

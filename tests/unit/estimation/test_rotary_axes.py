@@ -30,7 +30,6 @@ MEASURED = ("T1", "T2", "W1", "W2", "W3")
 
 @cache
 def measured(name, seed, points=200, targets=()):
-    """Return a Run at standstills, and the truth; targets : if not all are measured."""
     content = content_of(targets) if targets else load_small(name)
     machine = parse_machine(content)
     program = turning_paths.turning_points(machine, seed, points, dwell_s=0.5)
@@ -90,7 +89,6 @@ def test_what_targets_on_one_side_do_not_tell_of_the_other_is_named():
 
 
 def seat(machine, off_um):
-    """Return the machine whose file states targets where they are not."""
     targets = []
     for one in machine.targets:
         off_mm = 1e-3 * np.array(off_um.get(one.name, (0.0, 0.0, 0.0)))
@@ -131,7 +129,6 @@ def content_of(targets):
 
 @pytest.fixture(scope="module")
 def two_lengths():
-    """A B head measured with two tools, and its truth; T3 is not measured."""
     run, truth = measured("head-table", 7, 160, targets=MEASURED)
     machine = machine_from_json(content_of([*MEASURED, "T3"]))
     return estimate(align(replace(run, machine=machine))), truth
@@ -171,7 +168,6 @@ def test_u_covers_a_tool_that_nobody_measured(two_lengths):
 
 
 def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(two_lengths):
-    """What the hint asks for brings the rank: no tool is called useless."""
     result, _ = two_lengths
     said = result.observability.unobservable
     hint = next(s for s in said if s.startswith("ECB"))

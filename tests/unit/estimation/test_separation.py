@@ -128,7 +128,6 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
 
 
 def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
-    """What the targets do not tell moves another tool, and the grade counts it."""
     own = mill(FIRST)
     path = default_path(own)
     aside = mill((0.0, 0.0, -400.0), FIRST)
@@ -137,7 +136,6 @@ def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
 
 
 def told_but(model, shape, left):
-    """Return information that leaves a share of the usual deviation of one shape."""
     root = np.linalg.cholesky(typical_precision_matrix(model))
     direction = root.T @ shape
     direction /= np.linalg.norm(direction)

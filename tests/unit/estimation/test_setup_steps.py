@@ -20,7 +20,6 @@ def moving(record):
 
 
 def check(run, shift_mm):
-    """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
     found = estimate_one(*align_all([shift(run, shift_mm(share))], ["run"]))

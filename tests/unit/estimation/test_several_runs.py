@@ -122,7 +122,6 @@ def test_a_repeated_run_shrinks_uncertainty_and_halves_variance_of_noise(moving,
 
 
 def test_tools_of_separate_runs_are_told_apart_as_in_one():
-    """Rank 90 of one Run, less the three turns of how tools sit."""
     offsets = (SHORT, LONG, ASIDE)
     seen = [seen_of(10 + k, offset_mm=offset) for k, offset in enumerate(offsets)]
     result = estimate(*seen)
@@ -195,7 +194,6 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
 
 
 def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):
-    """The gain of the solve, written out over all cells, the pose held."""
     at_points = estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
     fit = at_points.fit
     (run,), size = fit.runs, fit.model.size

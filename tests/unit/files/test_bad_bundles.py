@@ -103,13 +103,11 @@ def targets(**placed):
 
 
 def streamed(text):
-    """Put a stream of these rows in place of the tracker's Parquet file."""
     text = "t_s,x_mm,y_mm,z_mm\n" + text
     return both(without("tracker.parquet"), holding("tracker.csv", text))
 
 
 def turning(stated):
-    """Put an axis C below X."""
     chain = key("kinematic_chain", "w-C-X-b-Y-Z-t")
     return both(key("axes.C", {**ROTARY, **stated}), chain)
 

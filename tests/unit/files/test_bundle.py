@@ -21,7 +21,6 @@ OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b"
 
 
 def assert_same(first, second):
-    """Everything that a bundle carries is equal to the last bit."""
     told = {"name": "", "provenance": {}, "stream_file": ""}
     runs = [replace(run, **told) for run in (first, second)]
     np.testing.assert_equal(*map(asdict, runs))
@@ -44,7 +43,6 @@ def standstill(run):
 
 
 def five_axes(run):
-    """The Run of a machine with a table C, an inclined B and two targets."""
     b = RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8))
     c = RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     on_tool = Target("T1", "tool", (20.0, 30.0, -150.0))

@@ -222,7 +222,6 @@ def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, 
 
 
 def nine(head, row):
-    """Rows below a head, each with its number in place of K."""
     return head + "\n".join(row.replace("K", str(k)) for k in range(9))
 
 

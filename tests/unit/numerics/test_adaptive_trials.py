@@ -18,8 +18,6 @@ from truepath.numerics.adaptive_trials import (
 
 
 def blocks(draw, seed=1, interval="symmetric"):
-    """Return a function of block numbers that keeps draws of (o, BLOCK)."""
-
     def made(number):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         return summarise(np.atleast_2d(draw(rng)), interval)

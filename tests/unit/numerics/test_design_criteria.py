@@ -20,7 +20,6 @@ CASES = {
 
 
 def belief(rng, seen, variance=0.01, spline=SPLINE):
-    """Independent control points, then some measurements at random places."""
     prior = np.diag(rng.uniform(0.1, 2.0, spline.size))
     known = IntegratedVariance(prior, spline.gram())
     for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
@@ -37,7 +36,6 @@ def test_integrated_variance_is_the_integral_of_the_variance_of_the_spline(rng):
 
 
 def a_case(knots, seed, seen, log_variance, values):
-    """A spline over any knots, independent values, some measurements made."""
     spline = natural_spline(np.concatenate([[0.0], np.cumsum(knots)]))
     rng = np.random.default_rng(seed)
     known = belief(rng, seen, 10.0**log_variance, spline)

@@ -40,7 +40,6 @@ class Limits:
 
 
 def violations(limits, position):
-    """Return what a path through the positions breaks, in words."""
     found = set()
     places = np.vstack([position[:1], *map(_walked, position[:-1], position[1:])])
     low, high = limits.low - SLACK_MM, limits.high + SLACK_MM

@@ -19,7 +19,6 @@ from truepath_drivers.interfaces.records import Path
 
 
 def left_mm(planner, plan):
-    """Volumetric uncertainty that a plan leaves, by the planner's own criterion."""
     design = planner.update(plan).design
     return float(np.sum(inverse(design.precision) * design.gram)) ** 0.5
 

@@ -79,7 +79,6 @@ def test_systematic_errors_make_further_stations_pay(plan_of):
 
 @pytest.mark.long
 def test_a_travel_that_no_place_sees_whole_demands_a_second_station(mill):
-    """A wall across the travel; the tracker may stand on either side of it."""
     wall = Box((240.0, -2600.0, -700.0), (260.0, 2000.0, 700.0), "wall")
     areas = StationAreas((FLOOR,), (), 60.0, PERFECT)
     space = Workspace(nearest_mm=200.0, stations=areas, blocks_sight=(wall,))
@@ -235,7 +234,6 @@ def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill
 
 
 def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mill):
-    """Lines chosen without that knowledge tell less beside those of the first."""
     first, second = planned.at_stations
     here = Workspace((), tuple(second.station_mm.tolist()), 200.0)
     order = PlanRequirements(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)

@@ -264,7 +264,6 @@ def test_all_axes_are_long_by_the_air_or_the_machine(estimate, provenance, off, 
     ("off", "state"), [(2e-6, "usable"), (68e-6, "doubtful"), (-68e-6, "doubtful")]
 )
 def test_a_length_that_air_and_tracker_deny_is_doubted(mill, provenance, off, state):
-    """On three it is believed where it leaves them a machine's usual size."""
     flat = replace(mill, tool_side=("Y",), axes=mill.axes[:2])
     model, _ = build_identifiable_model(flat, np.array([[0.0, 0.0, -150.0]]))
     found = EstimatedModel(model, np.zeros(model.size), 1e-8 * np.eye(model.size))

@@ -158,7 +158,6 @@ def made():
 
 @pytest.fixture(scope="module")
 def change(made):
-    """The first point of the first target on the table."""
     return made.program.target.index("W1")
 
 
@@ -181,7 +180,6 @@ def test_a_run_without_its_first_target_at_the_end_says_so(made, run_of, change)
 
 @pytest.mark.long
 def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(made, run_of):
-    """It is at the end as well, at its first points; all sit where they are found."""
     program = made.program
     own = program.target.index("T2") // 2
     position = np.vstack([program.position[:-4], program.position[:4]])

@@ -106,7 +106,6 @@ def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mil
 
 
 def count_held(machine, position, exact_mm, noise_um, trials, rng):
-    """In how many trials each figure holds that of the machine, by name."""
     of = "lines" if np.ptp(position[:, 1]) == 0.0 else "circles"
     (true,) = getattr(evaluate(machine, position, exact_mm, rng), of)
     noise_mm = 1e-3 * noise_um * rng.standard_normal((*exact_mm.shape, 300))

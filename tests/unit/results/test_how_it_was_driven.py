@@ -29,7 +29,6 @@ def said_of(run) -> Verdict:
 
 
 def at_feed(run, share):
-    """The same recording, of a path whose feeds were so much higher."""
     path = run.commanded
     return replace(run, commanded=replace(path, feed_mm_min=path.feed_mm_min / share))
 
@@ -39,7 +38,6 @@ def values_of(verdict):
 
 
 def held(record, lines=(5, 12), stood_s=(2.0, 0.8)):
-    """The recording of a machine that stood in the middle of lines."""
     run, _ = record(6, travel_mm=200.0)
     passes = {each.row: each for each in align(run).passes}
     time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
@@ -51,7 +49,6 @@ def held(record, lines=(5, 12), stood_s=(2.0, 0.8)):
 
 
 def lengthened(path, rng, rows=6):
-    """A path that goes on where the machine was stopped."""
     low, high = path.position.min(axis=0), path.position.max(axis=0)
     more = rng.uniform(low, high, (rows, len(low)))
     columns = path.feed_mm_min, path.dwell_s

@@ -153,14 +153,12 @@ def shoot(seed, **how):
 
 
 def take_shots(run, shots):
-    """Return the Run with single shots, of whose scatter nothing is known."""
     n = shots.sequence
     rows = PointRows(n, np.ones_like(n), np.zeros((len(n), 3, 3)))
     return replace(run, tracker=shots, points=rows)
 
 
 def find_noise(seen):
-    """Return the noise of a Run, beside a machine of which nothing is known."""
     model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
     start = guess_noise(seen, perpendicular_only=False)
     return refine_runs(model, [RunInput(seen, seen.pose, start)])[0].noise
@@ -218,7 +216,6 @@ def test_one_that_is_wrong_is_left_out_for_what_the_others_differ_by(differing, 
 
 
 def test_a_wrong_home_distance_is_no_difference_between_places():
-    """It bends the volume smoothly: no two places beside each other differ by it."""
     made = load_small("demo", 1.0)
     made["tracker"]["specification"] = {"range_offset_um": 4.0}
     program = paths.standstill_points(parse_machine(made), 3, 150, dwell_s=0.4)
@@ -233,7 +230,6 @@ def test_a_wrong_home_distance_is_no_difference_between_places():
 
 
 def test_knots_that_are_far_apart_are_no_difference_between_places(record):
-    """Between them a short machine bends by more than its tracker's noise."""
     run, _ = record(3, "standstill", rows=30, travel_mm=120.0)
     assert max(analyse(run).estimate.runs[0].noise.place) < 0.4
 

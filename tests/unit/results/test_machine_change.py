@@ -106,8 +106,6 @@ def content(found):
 
 @pytest.fixture
 def calibrate(content, tmp_path):
-    """Keep a result of a machine; its p95 may be another than the constructed one."""
-
     def keep(machine, number, p95=None):
         stated = json.loads(json.dumps(content))
         if p95 is not None:

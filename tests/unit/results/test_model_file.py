@@ -22,7 +22,6 @@ SAG = ElasticSag("X", "Y", "Z", 14.0)
 
 @pytest.fixture(scope="module")
 def sagging(record):
-    """A Run of a machine whose X guide bends under Y, and what it was made from."""
     return record(7, rows=40, travel_mm=200.0, setting=Setting(hidden=(SAG,)))
 
 

@@ -32,7 +32,6 @@ HALF_MM, SIGMA_MM = 0.015, 2e-4
 
 
 def free_gauge(loaded):
-    """Return a machine with splines that no gauge holds, and θ to match."""
     model = loaded.model
     effects, theta = list(model.effects), []
     for k, effect in enumerate(model.effects):
@@ -79,7 +78,6 @@ def test_a_rigid_motion_of_the_volume_changes_no_prediction(loaded, travel_point
 
 
 def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
-    """The mean of the map over the travel, and its mean turn, are zero."""
     machine = loaded.machine
     nodes = [np.linspace(a.low, a.high, 41) for a in machine.linear_axes]
     middle = [0.5 * (n[1:] + n[:-1]) for n in nodes]
@@ -257,7 +255,6 @@ def test_the_scale_of_lengths_is_in_the_uncertainty_of_the_volumetric_error(esti
 
 
 def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, loaded):
-    """The mean of both directions does not see it: squares of both add up."""
     assert compute_both_directions(estimate) is None
     effect = make_half_width("EXX", estimate.model.machine.linear("X"))
     covariance = np.pad(estimate.covariance, (0, 1))

@@ -42,7 +42,6 @@ FIRST = ("model", "effects", 0)
 
 @pytest.fixture
 def content(found):
-    """The result as it comes back from a file."""
     return json.loads(json.dumps(result_json(found), allow_nan=False))
 
 
@@ -141,7 +140,6 @@ def test_the_file_predicts_what_the_estimate_does(construct, provenance, travel_
 
 
 def test_parameters_and_tables_come_back_whatever_the_gauge(found, estimate, content):
-    """The file holds values at knots; a gauge brings its own basis when it is read."""
     read = result_from_json(content)
     assert read.mode == "otf"
     assert read.unobservable == estimate.observability.unobservable
@@ -310,8 +308,6 @@ def test_values_are_those_of_the_parameters_in_um_and_urad(estimate, tables):
 
 
 def test_uncertainty_is_the_spread_of_tables_the_covariance_allows(estimate, tables):
-    """A way to the numbers that shares nothing with the propagation."""
-
     def values(theta):
         found = build_error_tables(replace(estimate, theta=theta))
         of_tables = [table.value for table in found.tables]
@@ -390,7 +386,6 @@ def test_the_figures_of_iso_230_2_are_ranges_of_the_tables(estimate, tables, rng
 
 
 def test_what_nobody_measured_is_not_in_the_figures(estimate):
-    """X measured from -60 to 140 of its -200 to 300 mm, between rows of its table."""
     low, high = -60.0, 140.0
     (motion,) = (m for m in estimate.model.error_motions if m.symbol == "EXX")
     own = estimate.theta[estimate.model.slices[motion.name]]

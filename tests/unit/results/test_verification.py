@@ -33,8 +33,6 @@ TOLERANCE_UM = 5.5
 
 @pytest.fixture(scope="module")
 def remeasured(record):
-    """Measure the machine again, from elsewhere; as it is or as another one."""
-
     def measured(seed, mode="standstill", truth=None, hidden=()):
         setting = Setting(machine_seed=MACHINE, truth=truth, hidden=hidden)
         how = {"rows": POINTS if mode == "standstill" else 14, "feed": 6000.0}
@@ -55,7 +53,6 @@ class Compensated(TruthMachine):
 
 
 def truth_with(sign, result):
-    """Return the machine whose controller adds so many times the stated error."""
     truth = random_machine(parse_machine(load_small()), MACHINE)
 
     def add(q):
@@ -65,7 +62,6 @@ def truth_with(sign, result):
 
 
 def leave(sign, result):
-    """Return what such a controller adds, as verification takes it."""
     add = truth_with(sign, result).correction
     return lambda at: add(at.position_mm)
 

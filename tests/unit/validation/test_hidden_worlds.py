@@ -166,7 +166,6 @@ def test_a_small_draw_is_named_right(validation, kind, seed):
 
 
 def test_a_gap_is_closed_when_clean_worlds_show_as_much(validation):
-    """The ratio of a clean world scatters; a named effect may not stand above that."""
     judge = validation("discovery_score").judge
     summary = validation("discovery_summary").summarise
     truth = World(effect("backlash", axis="X"))

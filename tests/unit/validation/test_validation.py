@@ -70,7 +70,6 @@ def test_the_error_left_is_near_the_information_bound(validation):
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_an_order_of_axes_that_data_do_not_tell_ends_no_analysis(validation):
-    """Two axes turn in its table, and its targets leave much open."""
     assert validation("instrument_errors").judge_turning(5).inside > 0.8
 
 
@@ -97,7 +96,6 @@ def test_the_direction_halves_what_corner_paths_leave(validation, perfect_tracke
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_u_carries_what_few_targets_leave_open(validation):
-    """Whatever the targets tell: the measured tool, one nobody measured, tables."""
     script = validation("five_axes")
     for kind in script.KINDS:
         outcomes = [script.judge(kind, seed) for seed in range(1, 7)]
@@ -112,7 +110,6 @@ def test_u_carries_what_few_targets_leave_open(validation):
 def test_files_that_carry_all_errors_leave_a_twentieth_and_what_they_state(
     validation, tmp_path, monkeypatch, perfect_trackers
 ):
-    """Twenty machines in no table of the documents, as the exact machine stands."""
     tables = validation("compensation_tables")
     monkeypatch.setattr(tables, "ORDERS", {"siemens": ("siemens", {})})
     outcomes = []
