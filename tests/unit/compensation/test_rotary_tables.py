@@ -306,10 +306,7 @@ def find_misfit(nominal, actual):
 
 
 def find_offs(known: KnownMachine) -> np.ndarray:
-    """What is stated before and after less the truth, in standard uncertainties.
-
-    A row for each format.
-    """
+    """What each format states less the truth, in standard uncertainties."""
     true_before, offs = measure_true_um(known, None), []
     for name in FORMATS:
         written = write(known.found, name, 20.0)

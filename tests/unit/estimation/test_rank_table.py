@@ -112,10 +112,7 @@ def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(tra
     ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
 def test_tool_offsets_say_how_many_motions_are_told_apart(sides, offsets, known, rank):
-    """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
-
-    And less the turns of how the targets sit: each sits by itself.
-    """
+    # Ranks 73, 85, 96, less six of the whole volume and the turns of how targets sit.
     last = "XYZ".index("".join(sides)[-1])
     lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
     mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])

@@ -53,10 +53,7 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, deviations):
 
 
 def told(stands_on, targets):
-    """Return the effects that targets of a head-table tell, and what is said of others.
-
-    targets : which there are, on the tool or on the table
-    """
+    """Return the effects that targets tell, and what is said of others, by symbol."""
     content = load_machine("head-table")
     content["tracker"]["stands_on"] = stands_on
     content["targets"] = {name: content["targets"][name] for name in targets}

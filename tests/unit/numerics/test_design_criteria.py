@@ -73,18 +73,15 @@ def assert_exact(known, rows, knots, variance):
     assert best.drop == pytest.approx(there, rel=1e-9)
 
 
-@given(**CASES)
-@settings(deadline=None, max_examples=60)
-def test_the_exact_optimum_equals_a_dense_search(**case):
-    assert_exact(*a_case(**case))
-
-
-@pytest.mark.long
 @pytest.mark.timeout(900)
-@given(**CASES)
-@settings(deadline=None, max_examples=500)
-def test_the_exact_optimum_equals_a_dense_search_in_many_cases(**case):
-    assert_exact(*a_case(**case))
+@pytest.mark.parametrize("cases", [60, pytest.param(500, marks=pytest.mark.long)])
+def test_the_exact_optimum_equals_a_dense_search(cases):
+    @given(**CASES)
+    @settings(deadline=None, max_examples=cases)
+    def check(**case):
+        assert_exact(*a_case(**case))
+
+    check()
 
 
 def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):

@@ -105,42 +105,30 @@ def limits_of(workspace):
     return Limits(LOW, HIGH, OFFSET, pairs(workspace.keep_out), at, reach, pairs(walls))
 
 
-def assert_within_limits(planner, mill, workspace, kind, seed, feed):
-    made = planner(mill, kind, workspace=workspace, feeds=(feed,))
-    plan, refusal = None, ""
-    try:
-        plan = made.plan(30.0, seed=seed)
-    except PlanningError as error:
-        refusal = str(error)
-    if plan is None:
-        assert refusal.count(";") == 1  # the reason; the remedy
-        return
-    assert violations(limits_of(workspace), plan.position) == set()
-    inner = plan.position - LOW, HIGH - plan.position
-    # At both ends 2 % of the travel are kept free, of the shortest axis 6 mm.
-    assert min(part.min() for part in inner) >= 5.0
+KINDS = st.sampled_from(["lines", "points"])
 
 
-ANY = {
-    "workspace": workspaces(),
-    "kind": st.sampled_from(["lines", "points"]),
-    "seed": st.integers(0, 99),
-    "feed": st.floats(1500.0, 15000.0),
-}
-
-
-@given(**ANY)
-@settings(deadline=None, max_examples=5)
-def test_each_plan_passes_or_is_refused(planner, mill, workspace, kind, seed, feed):
-    assert_within_limits(planner, mill, workspace, kind, seed, feed)
-
-
-@pytest.mark.long
 @pytest.mark.timeout(900)
-@given(**ANY)
-@settings(deadline=None, max_examples=200)
-def test_two_hundred_pass_or_are_refused(planner, mill, workspace, kind, seed, feed):
-    assert_within_limits(planner, mill, workspace, kind, seed, feed)
+@pytest.mark.parametrize("plans", [5, pytest.param(200, marks=pytest.mark.long)])
+def test_each_plan_passes_or_is_refused(planner, mill, plans):
+    @given(workspaces(), KINDS, st.integers(0, 99), st.floats(1500.0, 15000.0))
+    @settings(deadline=None, max_examples=plans)
+    def check(workspace, kind, seed, feed):
+        made = planner(mill, kind, workspace=workspace, feeds=(feed,))
+        plan, refusal = None, ""
+        try:
+            plan = made.plan(30.0, seed=seed)
+        except PlanningError as error:
+            refusal = str(error)
+        if plan is None:
+            assert refusal.count(";") == 1  # the reason; the remedy
+            return
+        assert violations(limits_of(workspace), plan.position) == set()
+        inner = plan.position - LOW, HIGH - plan.position
+        # At both ends 2 % of the travel are kept free, of the shortest axis 6 mm.
+        assert min(part.min() for part in inner) >= 5.0
+
+    check()
 
 
 @given(workspace=workspaces(), data=st.data())

@@ -33,11 +33,7 @@ ANGLE = np.radians(figures.list_sector_angles())
 
 
 def drive(machine, *, seed=7, again=(), **setting):
-    """Return the Run of the circle path on a machine.
-
-    again : rows of circles that are driven a second time at its end
-    setting : what a Setting takes
-    """
+    """Return the Run of the circle path; rows of `again` come once more at its end."""
     path = make_circle_path(machine)
     if again:
         path = append_part(path, drive_arcs_again(path, again))
@@ -200,19 +196,17 @@ def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0), commanded_deg
     pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
     noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
     stream = ArcDrive(2, 0, len(time_s)), time_s, pose.apply(points.T)
-    driven = figures.reduce_to_sectors(
-        figures.CommandedCircle(*about, 3000.0), *stream, pose, noise, demo.tracker
-    )
+    commanded = figures.CommandedCircle(*about, 3000.0)
+    seen = *stream, pose, noise, demo.tracker
+    driven = figures.reduce_to_sectors(commanded, *seen)
     return driven and driven.radial_mm
-
-
-def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
-    assert turn(demo, lambda t: 0.0 * t, commanded_deg=-732.0) is None
 
 
 @pytest.mark.parametrize("turn_deg", [732.0, -732.0])
 def test_an_ellipse_is_in_its_sectors_and_run_in_is_in_none(demo, turn_deg):
-    radial = turn(demo, lambda t: 0.005 * np.cos(2 * t), turn_deg=turn_deg)
+    how = {"radial_mm": lambda t: 0.005 * np.cos(2 * t), "turn_deg": turn_deg}
+    assert turn(demo, **how, commanded_deg=-turn_deg) is None  # in the other sense
+    radial = turn(demo, **how)
     # The first sector and the last one meet: a little of what is driven past is there.
     assert np.allclose(radial, 0.005 * np.cos(2 * ANGLE), atol=1e-4)
 

@@ -93,10 +93,9 @@ def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured,
     assert content["conformity"]["deviation"]["conformity"] == "within"
     difference = content["difference_um"]["mean"]
     assert difference["within"]
-    measured, predicted = (
-        content["volumetric_error_um"][key]["mean"] for key in ("measured", "predicted")
-    )
-    assert difference["value"] == pytest.approx(measured - predicted)
+    mean = {key: one["mean"] for key, one in content["volumetric_error_um"].items()}
+    left = mean["measured"] - mean["predicted"]
+    assert difference["value"] == pytest.approx(left)
     if mode == "standstill":
         places = content["places"]
         assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
@@ -191,10 +190,7 @@ def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, reme
 
 
 def cut(run, row, first_row):
-    """Return a Run as it is up to a row, and its rest from `first_row` on.
-
-    The rest is seen from a tracker that has settled by some micrometres since.
-    """
+    """Cut a Run in two; before the second the tracker settles by some micrometres."""
     seen = align(run)
     time_s = run.tracker.device_time_s
     parts = []
