@@ -8,11 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.compensation.account.rotary_residual import (
-    describe_rotary,
-    measure_over_axes,
-    read_rotary_files,
-)
+from truepath.compensation.account import rotary_residual
 from truepath.compensation.format_registry import load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation
@@ -77,10 +73,10 @@ def write(errors, name, spacing_mm=50.0):
     made = tabulate(errors, name, spacing_mm)
     content = made.tabulate(errors)
     files = made.kind.write(content)
-    rotary = read_rotary_files(made.kind, content, files)
+    rotary = rotary_residual.read_rotary_files(made.kind, content, files)
     correction = made.kind.read(files, errors.machine)
-    over = measure_over_axes(errors, correction, rotary)
-    return Written(files, over or {}, describe_rotary(errors, rotary))
+    over = rotary_residual.measure_over_axes(errors, correction, rotary)
+    return Written(files, over or {}, rotary_residual.describe_rotary(errors, rotary))
 
 
 def displace(content, places):

@@ -179,7 +179,6 @@ def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():
     assert view["missing"].endswith(": 10.")
     for text in ("+Z", "+X", "H 3,2 ± 1,8 µm", "Ringabstand 2 µm", "F min −6,0"):
         assert text in view["figure"]
-    # Those of an earlier version are stated without a figure.
     earlier = {key: value for key, value in CIRCLE.items() if key != "centre_um"}
     view = describe(NUMBERS, {"circles_in_motion": [earlier]})["circles"]
     assert view["figure"] == ""

@@ -118,7 +118,6 @@ def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
             value, sigma = one.measured.value_um, one.measured.uncertainty_um
             held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
     assert np.mean(held) >= 0.9
-    # A perfect tracker knows radii better.
     world = worlds[0]
     run = world.drive_circles(world.compensated)
     perfect = replace(run.machine.tracker, specification=PERFECT)

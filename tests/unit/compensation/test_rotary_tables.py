@@ -183,7 +183,6 @@ def test_pins_of_the_kinematics_bring_the_tool_where_it_should_be(shifted):
     before, after = measure_left(truth, pins, spread(errors.machine, 300))
     assert before.max() > 0.02
     assert after.max() < 2e-5
-    # With the tables of the joints in one order as well.
     assert LoadedTables(files).correct(truth.machine) is not None
 
 

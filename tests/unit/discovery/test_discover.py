@@ -181,7 +181,6 @@ def test_growth_and_time_constant_agree_with_the_truth_and_carry_what_is_open(re
         assert abs(said[name].value - truth) < 2.0 * said[name].uncertainty
     # Growth is foretold for a time nobody has seen: far from as well as the data fit.
     assert said["tau_s"].uncertainty > 0.1 * said["tau_s"].value
-    # What the value leaves open is in the uncertainty of the growth.
     _, alone = warming.fit.parameters_of(0)
     assert float(found.term.covariance[0, 0]) > 2.0 * float(alone[0, 0])
 

@@ -44,7 +44,6 @@ def test_a_lost_motion_is_found_with_its_size_axis_and_shape_and_nowhere_else(se
     assert eyy.uncertainty[0] < 0.5
     clear = [s for s, h in found.items() if abs(h.value[0]) > 5 * h.uncertainty[0]]
     assert clear == ["EYY"]
-    # One that changes along the axis asks for tables.
     result = estimate(with_backlash(seen, lambda u: 1.0 + 1.5 * np.sin(5.0 * u)))
     assert result.direction == "tables"
     eyy = halves(result)["EYY"]

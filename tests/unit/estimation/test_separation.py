@@ -162,7 +162,6 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size():
     untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
     assert len(find_poorly_observable(untold, model, gram)) == 1
     assert find_poorly_observable(untold, model, gram, blind=False) == ()
-    # Motions that share a shape are named together.
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
     (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")

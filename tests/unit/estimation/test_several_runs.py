@@ -189,7 +189,6 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     assert parts["thermal"] == parts["effects"] == 0.0
     without_long, without_short = brought.without_mm
     assert stated < without_short < without_long
-    # Parts of one Run have nothing to be held against.
     assert find_contributions(found, (0, 0)).without_mm == ()
 
 

@@ -79,7 +79,6 @@ def test_points_are_told_by_their_row_each_time_they_are_measured(polled):
     twice = np.insert(np.arange(len(polled.tracker)), 21, 20)
     told = polled.points.row, polled.points.count, polled.points.covariance_mm2
     points = PointRows(*(column[twice] for column in told))
-    # One that is measured twice counts twice.
     samples = polled.tracker.select(twice)
     twice_seen = align(replace(polled, tracker=samples, points=points))
     assert (twice_seen.row == 20).sum() == 2

@@ -60,7 +60,6 @@ def test_a_verdict_is_restored_from_its_file():
         ("not-usable", [str(LEFT_OUT)], [asdict(LEFT_OUT)]),  # which does not carry it
         ("doubtful", ["New."], [asdict(Reason("of-a-later-version", "doubtful", {}))]),
         ("doubtful", ["Short."], [asdict(Reason("loop-open", "doubtful", {}))]),
-        # Details of others.
         ("not-usable", ["Odd."], None),
         ("not-usable", ["Odd."], 7),
         ("not-usable", ["Odd."], ["Line 3 is odd."]),

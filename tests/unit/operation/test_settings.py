@@ -149,7 +149,6 @@ def test_the_command_line_beats_environment_and_file(toml, monkeypatch, tmp_path
     settings = load_settings(file, port=3000, simulated=None)
     assert (settings.port, settings.log_level) == (3000, "error")
     assert settings.simulated_seed == 3
-    # Options of drivers are tables in the file and JSON in the environment.
     file = toml('[tracker_options]\nport = "/dev/tracker"\nbaudrate = 921600\n')
     monkeypatch.setenv("TRUEPATH_MOTION_OPTIONS", '{"host": "10.0.0.2", "port": 502}')
     settings = load_settings(file)

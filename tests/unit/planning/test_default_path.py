@@ -159,13 +159,10 @@ def test_the_first_target_is_measured_again_after_all_others_unless_by_one_line(
     assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
     blocks = np.diff([0, *change, len(path)])
     assert abs(blocks[0] - blocks[-1]) <= 1
-    # Its first lines are driven again at the end.
     np.testing.assert_array_equal(path.position[-4:], path.position[:4])
     np.testing.assert_array_equal(path.feed_mm_min[-3:], path.feed_mm_min[1:4])
-    # The machine waits while the target changes.
     assert (path.dwell_s[change] >= 5.0).all()
     assert (path.position[change] == path.position[change - 1]).all()
-    # A single line of the first target is not halved.
     targets = default_path(trunnion(), 6000.0, lines=3).target
     assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
     assert targets[-1] == "W1"

@@ -53,7 +53,6 @@ def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(small_mi
     assert "16000" in document["feed_choice"]["reason"]
     lines = {f["feed_mm_min"]: f["lines"] for f in document["feed_choice"]["feeds"]}
     assert sum(lines.values()) == len(feeds)
-    # No single feed tells much more a second than those of the plan.
     assert max(planned.feeds_worth.values()) < 1.08
 
 

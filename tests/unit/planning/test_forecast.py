@@ -105,7 +105,6 @@ def test_uncertainty_shrinks_from_row_to_row_and_what_is_known_least_is_named(ou
         assert set(step.weakest_mm) < set(foretold.motion_sigmas())
     first, last = (foretold.curve[i].weakest_mm for i in (0, -1))
     assert max(last.values()) < max(first.values())
-    # What one target cannot tell is named as well.
     assert {text[:3] for text in foretold.unobservable} == {"EAZ", "EBZ", "ECZ", "ECY"}
     motions = foretold.motion_sigmas()
     assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14

@@ -119,7 +119,6 @@ def test_points_keep_their_budget_and_tell_more_than_random(points, planner, mil
     low, high = points.position.min(axis=0), points.position.max(axis=0)
     anywhere = replace(points, position=rng.uniform(low, high, points.position.shape))
     assert left_mm(made, points) < 0.8 * left_mm(made, anywhere)
-    # Both sides are approached.
     step = np.sign(np.diff(made.plan(90.0).position, axis=0))
     forward, backward = (step > 0).mean(axis=0), (step < 0).mean(axis=0)
     assert min(forward.min(), backward.min()) > 0.2

@@ -226,7 +226,6 @@ def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill
     assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
     left = document["stations"]["options"][1]["random_um"]
     assert left == pytest.approx(1e3 * planned.outcome.random_mm)
-    # The forecast is that of all, whatever their order.
     there = forecast(small_mill, second.commanded, second.station_mm)
     both = forecast(small_mill, first.commanded, first.station_mm, before=there)
     expected = pytest.approx(planned.uncertainty_um, rel=1e-4)

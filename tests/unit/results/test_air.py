@@ -175,7 +175,6 @@ def test_uncorrected_ranges_decide_no_tolerance_nor_the_scale(estimate, provenan
             u_um = 2.0 * one.uncertainty_um
             decided = decide_conformity(one.value_um, u_um, tolerance_um)
             assert (decided is Conformity.UNDECIDED) == (one is open_air)
-    # The far end of a positioning table knows the scale of the air.
     known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]

@@ -90,7 +90,6 @@ def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(esti
     change = find_changes(*pair)
     assert change.volume.is_significant
     assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
-    # A rigid motion of the whole volume alone changes no entry and no volume.
     before = draw_result(estimate, 1)
     digest = [{"name": "later", "input_sha256": "f" * 64}]
     change = find_changes(before, replace(before, provenance={"runs": digest}))

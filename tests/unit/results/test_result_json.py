@@ -105,7 +105,6 @@ def test_rows_without_data_and_unknown_noise_say_so(estimate, provenance, across
     assert content["mode"] == "standstill"
     assert content["alignment"]["rows_without_data"] == [0]
     assert content["provenance"]["feed_mm_min"] is None
-    # Without data along the travel their noise is not known.
     content = result_json(state_findings(across_only, provenance))
     assert content["noise"]["along_travel_um"] is None
     assert content["provenance"]["options"] == {"perpendicular_only": True}
@@ -299,7 +298,6 @@ def test_values_are_those_of_the_parameters_in_um_and_urad(estimate, tables):
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
         assert square.value == pytest.approx(1e6 * angle)
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
-    # An effect that is no error motion has no table.
     theta = np.append(estimate.theta, np.ones(6))
     covariance = np.pad(estimate.covariance, (0, 6))
     more = build_error_tables(EstimatedModel(model, theta, covariance))
@@ -349,7 +347,6 @@ def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
             assert read == pytest.approx(getattr(table, column), abs=1e-4)
     squares = [r for r in rows if r["error"] in ("C0Y", "B0Z", "A0Z")]
     assert {(r["position_mm"], r["unit"]) for r in squares} == {("", "urad")}
-    # Nothing is said of what is not known.
     assert {r["error"] for r in rows}.isdisjoint({"EAZ", "EBZ", "ECZ"})
     assert len(squares) == 3
     assert len(rows) == sum(len(t.value) for t in found.tables.tables) + 3

@@ -183,7 +183,6 @@ def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, reme
     assert not found.consistency.is_consistent
     assert found.consistency.fits_together  # some machine does so: not the tracker
     assert any("a machine that has changed" in s for s in state_findings(found))
-    # A change that the uncertainty hides is not decided.
     length_um = float(found.deviation.length_um.max())
     found = verify(calibrated, run, tolerance_um=length_um - 0.3)
     assert found.conformity["deviation"].conformity == "undecided"
