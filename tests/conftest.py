@@ -361,10 +361,8 @@ def no_log_of_another_test():
 
 @pytest.fixture(scope="module")
 def plain_log():
-    before = structlog.get_config()
-    plain = structlog.dev.ConsoleRenderer(
-        colors=False, exception_formatter=structlog.dev.plain_traceback
-    )
+    before, trace = structlog.get_config(), structlog.dev.plain_traceback
+    plain = structlog.dev.ConsoleRenderer(colors=False, exception_formatter=trace)
     structlog.configure(
         processors=[structlog.contextvars.merge_contextvars, plain],
         logger_factory=structlog.stdlib.LoggerFactory(),
@@ -378,18 +376,11 @@ def plain_log():
 @pytest.fixture(scope="session")
 def trunnion(mill):
     """A tilting table under a mill, and a target on each side."""
-    return Machine(
-        "trunnion mill",
-        ("C", "A"),
-        ("X", "Y", "Z"),
-        (
-            *mill.axes,
-            RotaryAxis("A", -110, 30, (0.0, 20.0, 10.0), (1.0, 0.0, 0.0)),
-            RotaryAxis("C", 0, 360, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ),
-        (Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))),
-        TrackerNoise(stands_on="base"),
-    )
+    a = RotaryAxis("A", -110, 30, (0.0, 20.0, 10.0), (1.0, 0.0, 0.0))
+    c = RotaryAxis("C", 0, 360, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    targets = Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))
+    sides, tracker = (("C", "A"), ("X", "Y", "Z")), TrackerNoise(stands_on="base")
+    return Machine("trunnion mill", *sides, (*mill.axes, a, c), targets, tracker)
 
 
 @pytest.fixture(scope="module")

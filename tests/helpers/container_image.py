@@ -32,9 +32,8 @@ class Image:
     name: str = "localhost/truepath:test"
 
     def buildah(self, *words):
-        done = subprocess.run(
-            [*self._buildah, *words], capture_output=True, text=True, timeout=BUILD_S
-        )
+        how = {"capture_output": True, "text": True, "timeout": BUILD_S}
+        done = subprocess.run([*self._buildah, *words], **how)
         assert done.returncode == 0, done.stderr[-4000:]
         return done.stdout.strip()
 

@@ -80,9 +80,8 @@ def held(page: Page, button: Locator) -> Iterator[None]:
 
 def assert_fits(page: Page) -> None:
     """Nothing is wider than the panel, once pictures have its size."""
-    page.wait_for_function(
-        "() => document.documentElement.scrollWidth <= window.innerWidth"
-    )
+    fits = "() => document.documentElement.scrollWidth <= window.innerWidth"
+    page.wait_for_function(fits)
 
 
 def small_targets(page: Page, where: str, least_px: int) -> list[str]:

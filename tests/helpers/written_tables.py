@@ -103,15 +103,11 @@ def make_turn_table(axis, error_deg, half_deg, across_mm):
 def make_rotary_content(*turns):
     """Return the content of files: straight axes without errors, rotary ones off."""
     at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
-    tables = tuple(
-        AxisTable(axis, at, 0, none, none, none, none) for axis in TRUNNION.linear_axes
-    )
-    places = tuple(
-        RotaryAxisLocation(axis, PLACES[axis.name]) for axis in TRUNNION.rotary_axes
-    )
-    return CompensationTables(
-        "round", TRUNNION, tables, ("by hand",), rotary=turns, places=places
-    )
+    tables = tuple(AxisTable(one, at, 0, *[none] * 4) for one in TRUNNION.linear_axes)
+    axes = TRUNNION.rotary_axes
+    places = tuple(RotaryAxisLocation(one, PLACES[one.name]) for one in axes)
+    turned = {"rotary": turns, "places": places}
+    return CompensationTables("round", TRUNNION, tables, ("by hand",), **turned)
 
 
 def round_turns():

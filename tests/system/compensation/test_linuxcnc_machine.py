@@ -109,13 +109,9 @@ def driven(source):
     return (*run_program(write_program(path, machine, "linuxcnc"), tables), tables)
 
 
-def speed_mm_s(position_mm):
-    return 1e3 * np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
-
-
 def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed_and_dwells(driven):
     commanded, _, _ = driven
-    speed = speed_mm_s(commanded)
+    speed = 1e3 * np.linalg.norm(np.diff(commanded, axis=0), axis=1)  # mm/s
     begin = 0
     for row, feed in zip(ROWS, FEED, strict=True):
         away = np.linalg.norm(commanded[begin:-1] - row, axis=1)

@@ -20,6 +20,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
 FORMAT = load_format("siemens")
+RIGHT_HANDED = "v2 is not the direction of C, which turns right-handed"
 ORIGINS = {"A": [260.0, 220, -120], "B": [15.0, -8, 90], "C": [250.0, 225, -170]}
 CHAINS = {
     "w-C-A-b-X-Y-Z-t": ("P", "A C"),
@@ -126,9 +127,7 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
         "row 1: .*is no": "$TC_CARR4[1]=left",
         "row 1: 'G70' is no": f"G70\n{text}",
         "wants .TC_CARR 4, 5": "$TC_CARR4[1]=0.0",
-        "v2 is not the direction of C, which turns right-handed about 0, 0, 1": (
-            set_vector(text, 10, "0.0", "0.0", "-1.0")
-        ),
+        f"{RIGHT_HANDED} about 0, 0, 1": set_vector(text, 10, "0.0", "0.0", "-1.0"),
         "v1 is not the direction of A": set_vector(text, 7, "0.0", "0.0", "0.0"),
         "states a value twice": f"$TC_CARR4[1]=1.0\n{text}",
         "or is of another data set than 3": f"$TC_CARR44[3]=1.0\n{text}",
@@ -153,9 +152,8 @@ def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
     place = RotaryAxisLocation(axis, {"XOB": 0.01, "ZOB": 0.02})
     lines = list(write_swivel(machine, (place,)))
     assert "; not told by the measurement: AOB, COB" in lines
-    assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
-        f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
-    ]
+    zeros = [line for line in lines if line.endswith("]=0.000000000")]
+    assert zeros[-3:] == [f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)]
     machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
     a, c = machine.rotary_axes
     told = RotaryAxisLocation(a, {"YOA": 0.01})

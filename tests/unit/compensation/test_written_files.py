@@ -25,10 +25,8 @@ from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine_file import parse_machine
 
-SIMULATED, SIMULATED_TRUNNION = (
-    parse_machine(tables.CONTENT),
-    parse_machine(tables.ROTARY_CONTENT),
-)
+SIMULATED = parse_machine(tables.CONTENT)
+SIMULATED_TRUNNION = parse_machine(tables.ROTARY_CONTENT)
 TURNING = ("linuxcnc", "siemens", "siemens-lec")
 COMPOSING = ("isg-csv", "isg-csv-followed")
 RESOLUTION_MM = {"fanuc": 1.1e-3}
@@ -104,9 +102,8 @@ def vary(own, half, across):
     """Content of files: C as it is told, its last row the first, and A half of it."""
     turn, none = np.array([*own, own[0]]), np.zeros(len(own))
     c = tables.make_turn_table("C", turn, np.full(len(turn), half), across * turn)
-    return tables.make_rotary_content(
-        tables.make_turn_table("A", 0.5 * turn[:-1], none, none), c
-    )
+    a = tables.make_turn_table("A", 0.5 * turn[:-1], none, none)
+    return tables.make_rotary_content(a, c)
 
 
 @pytest.mark.parametrize("order", TURNING)

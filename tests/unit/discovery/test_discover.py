@@ -65,25 +65,19 @@ def test_an_effect_below_what_a_control_corrects_needs_nothing_done(knocked):
     assert stated["remedy"].endswith("it moves the target by 0.20 µm at most.")
 
 
-@pytest.fixture(scope="module")
-def crossing(record):
-    """A Run that crosses X on every line; a wave of X is 0 wherever it stands."""
+def test_waves_and_spikes_are_as_large_as_cells_that_have_little_of_them_say(record):
+    """X is crossed on every line; its wave is 0 wherever it stands."""
     rng, rows = np.random.default_rng(5), 24
     share = rng.integers(1, 8, rows) + 22 * (np.arange(rows) % 2)
     position = np.column_stack([LEAD_MM * share, *rng.uniform(10.0, 60.0, (2, rows))])
     program = Program(np.round(position, 3), np.full(rows, 100.0), np.full(rows, 0.4))
     setting = Setting(hidden=(ScrewCyclic("X", LEAD_MM, WAVE_UM, 0.0),))
     run, _ = record(11, program=program, travel_mm=150.0, setting=setting)
-    return discover([run])
-
-
-def test_a_wave_is_as_large_as_within_cells_that_have_little_of_it(crossing):
-    label = "screw-cyclic X"
-    (found,) = (f for f in crossing.findings if f.candidate.label == label)
+    crossing = discover([run])
+    waves = [f for f in crossing.findings if f.candidate.label == "screw-cyclic X"]
+    (found,) = waves
     assert effect_json(found)["largest_um"] == pytest.approx(WAVE_UM, rel=0.1)
-
-
-def test_a_spike_is_as_large_as_at_the_reversal_before_the_first_cell(crossing):
+    # A spike is largest at the reversal, before the first cell.
     fitter, label = crossing.fitter, "reversal-spike X X"
     (term,) = (each for each in fitter.catalogue if each.label == label)
     fit = fitter.fit([term.with_value(3.0)], refine=False)

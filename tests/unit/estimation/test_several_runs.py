@@ -146,9 +146,8 @@ def test_two_machines_are_refused_with_run_and_field(moving, standing):
 def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing):
     noise = NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 0.0)
     runs = [RunInput(seen, seen.pose, noise) for seen in (moving, standing)]
-    model, _ = build_identifiable_model(
-        moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5
-    )
+    offsets_mm = moving.at.offset_mm, standing.at.offset_mm
+    model, _ = build_identifiable_model(moving.at.machine, *offsets_mm, intervals=5)
     shares = collect_information(runs, model)
     own = [len(share.data.vector) - model.size for share in shares]
     stacked = np.zeros((model.size + sum(own), model.size + sum(own)))

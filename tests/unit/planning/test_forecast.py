@@ -112,19 +112,15 @@ def test_uncertainty_shrinks_from_row_to_row_and_what_is_known_least_is_named(ou
     assert all(sigma > 0.0 for sigma in motions.values())
 
 
-def merge_points(*places):
-    n = len(places)
-    position_mm = np.array([500.0, 400.0, 300.0]) * places
-    return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
-
-
 @pytest.mark.parametrize(
     ("places", "is_determined"),
     [(IN_SPACE[:3], False), (IN_SPACE, True), (IN_A_PLANE, False)],
     ids=["two-lines", "three-lines", "in-a-plane"],
 )
 def test_what_estimates_refuse_is_foretold_as_they_say(record, places, is_determined):
-    run, truth = record(2, program=merge_points(*places))
+    n, position_mm = len(places), np.array([500.0, 400.0, 300.0]) * places
+    program = Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
+    run, truth = record(2, program=program)
     stand_mm = truth.recording.pose.position_mm
     foretold = predict_undetermined(run.machine, run.commanded, stand_mm)
     refused = ""

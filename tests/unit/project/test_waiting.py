@@ -39,15 +39,12 @@ def waits_for_real_time(node):
     named = {word.arg for word in node.keywords}
     if named & {"timeout", "timeout_s"}:
         return True
-    if name not in ("get", "put") and any(map(_is_duration, node.args)):
+    words = [ast.unparse(argument).lower() for argument in node.args]
+    if name not in ("get", "put") and any(word.endswith("_s") for word in words):
         return True
     if name in ("poll", "settimeout") and node.args:
         return True
     return owner == "asyncio" and name.startswith("wait")
-
-
-def _is_duration(node):
-    return ast.unparse(node).lower().endswith("_s")
 
 
 def test_only_what_is_about_real_time_waits_for_it():

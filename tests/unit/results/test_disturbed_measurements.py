@@ -94,10 +94,10 @@ def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
 
 
 def test_a_drift_is_no_knock_and_widens_what_is_stated(record):
-    still, drifting = (
-        analyse(record(22, rows=40, travel_mm=TRAVEL_MM, setting=setting)[0])
-        for setting in (Setting(), Setting(hidden=(TableDrift((0.3, -0.3, 0.24)),)))
-    )
+    drift, how = TableDrift((0.3, -0.3, 0.24)), {"rows": 40, "travel_mm": TRAVEL_MM}
+    settings = Setting(), Setting(hidden=(drift,))
+    runs = (record(22, setting=setting, **how)[0] for setting in settings)
+    still, drifting = map(analyse, runs)
     assert drifting.knocks == ()
     before, after = (one.volumetric.before.mean for one in (still, drifting))
     assert after.uncertainty_um > 1.3 * before.uncertainty_um

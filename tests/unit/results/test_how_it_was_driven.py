@@ -104,9 +104,8 @@ def test_lines_that_a_further_run_has_are_not_missing(record, rng, driven, missi
     further = replace(seen, row=seen.row.clip(max=driven), driving=driving)
     found = drop_measured_elsewhere([first, rest], [seen, further])
     said = assess_driving([found[0].driving, None], ["first", "rest"]).reasons
-    assert [reason.values for reason in said] == (
-        [{"first": 1, "last": 23 + driven, "lines": 29}] if missing else []
-    )
+    told = {"first": 1, "last": 23 + driven, "lines": 29}
+    assert [reason.values for reason in said] == [told] * missing
 
 
 @pytest.mark.fault_row(21)

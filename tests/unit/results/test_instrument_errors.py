@@ -195,9 +195,8 @@ def test_places_that_differ_are_told_in_numbers_and_none_is_left_out(differing, 
     assert judge_map(found.estimate, made.truth.deviation_mm).inside > 0.85
     (told,) = (each for each in found.verdict.reasons if each.kind == "places-differ")
     stated_um = list(content["noise"]["between_places_um"].values())
-    assert stated_um == [
-        told.values[f"{d}_um"] for d in ("range", "azimuth", "elevation")
-    ]
+    names = ("range", "azimuth", "elevation")
+    assert stated_um == [told.values[f"{name}_um"] for name in names]
     assert stated_um == pytest.approx(sizes_um, rel=0.4)
 
 
