@@ -151,9 +151,7 @@ def test_no_line_is_lost_as_processes_fill_file_after_file(bodies, tmp_path, roo
         assert sorted(found) == sorted(f"line {n}" for n in range(200))
 
 
-def test_only_so_many_log_files_are_kept_and_one_not_to_be_written_is_named(
-    tmp_path, root_log
-):
+def test_few_log_files_are_kept_and_one_without_a_place_is_named(tmp_path, root_log):
     file = LogFile(tmp_path / "service.log", max_bytes=500, count=2)
     configure_log("info", "json", file)
     for number in range(50):

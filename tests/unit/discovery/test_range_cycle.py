@@ -37,7 +37,6 @@ def test_a_longer_cycle_gets_no_other_cause_and_a_vibration_is_still_one(search)
     found = search(1, RangeCycle(245.0, 2.8, 0.9))
     causes = [one for one in found.findings if one.structure is None]
     assert {one.candidate.family for one in causes} <= {"range-cycle"}
-
     (found,) = search(1, Vibration("Y", 12.0, 2.0)).findings
     assert found.candidate.label == "vibration Y"
     assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head

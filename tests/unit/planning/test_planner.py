@@ -76,7 +76,6 @@ def test_several_feeds_share_the_lines_and_tell_lags_better_than_one(planner, mi
     path = planner(mill, feeds=feeds).plan(120.0)
     counts = [(path.feed_mm_min[1:] == feed).sum() for feed in feeds]
     assert max(counts) - min(counts) <= 1
-
     drive = Drive.of(mill.axis_names, 0.4)
     station_mm = np.array([250.0, -900.0, 100.0])
     design = start_design(LineDesignState, mill, station_mm, drive, dynamic=True)
