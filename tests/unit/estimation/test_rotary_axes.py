@@ -10,7 +10,7 @@ from estimating import estimate, judge_map
 from recorded import load_small, record_run
 from truepath.alignment.align import align
 from truepath.estimation.problem.information import invert_covariance
-from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -107,15 +107,6 @@ def test_where_each_target_sits_is_found_and_no_harm_is_done(off_um):
     left = judge_map(found, partial(truth.deviation_mm, target="T1"), "T1")
     assert left.share < 0.05
     assert left.inside > 0.85
-
-
-def test_a_place_that_is_known_better_is_part_of_the_machine_file():
-    content = machine_to_json(machine_from_json(load_machine("head-table")))
-    assert "seat_sigma_mm" not in content["targets"]["W1"]
-    content["targets"]["W1"]["seat_sigma_mm"] = 0.002
-    again = machine_from_json(content)
-    assert again.target("W1").seat_sigma_mm == 0.002
-    assert machine_to_json(again) == content
 
 
 def content_of(targets):

@@ -46,7 +46,7 @@ def five_axes(run):
     b = RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8))
     c = RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     on_tool = Target("T1", "tool", (20.0, 30.0, -150.0))
-    on_table = Target("T2", "workpiece", (0.0, 100.0, 50.0))
+    on_table = Target("T2", "workpiece", (0.0, 100.0, 50.0), seat_sigma_mm=0.002)
     sides = {"workpiece_side": ("C", "X"), "tool_side": ("Y", "Z", "B")}
     own = {"axes": (*run.machine.axes, b, c), "targets": (on_tool, on_table)}
     tracker = replace(run.machine.tracker, stands_on="base", rate_hz=1000.0)
@@ -66,6 +66,8 @@ def test_reading_what_was_written_gives_the_run_back(run, tmp_path, change):
     assert_same(read, wanted)
     assert read.name == read.provenance["source"] == "out"
     assert len(read.provenance["tracker.parquet sha256"]) == 64
+    stated = (tmp_path / "out" / "machine.json").read_text()
+    assert stated.count("seat_sigma_mm") == (change is five_axes)  # of one target
     file = tmp_path / "upload.zip"
     file.write_bytes(zip_bundle(wanted))
     assert_same(read_bundle(file), wanted)
