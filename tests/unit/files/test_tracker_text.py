@@ -255,10 +255,8 @@ def test_names_are_matched_whole(spots):
     head = "Name;x_mm;y_mm;z_mm\n"
 
     def named(*names):
-        return head + "\n".join(
-            f"{name};{x:.4f};{y:.4f};{z:.4f}"
-            for name, (x, y, z) in zip(names, seen, strict=False)
-        )
+        pairs, form = zip(names, seen, strict=False), "{};{:.4f};{:.4f};{:.4f}".format
+        return head + "\n".join(form(name, *place) for name, place in pairs)
 
     for names in (["P12-1", "P12-2", "P12-3"], ["P1", "P2", "Q1"], ["P1", "P2", "P9"]):
         with pytest.raises(BundleError, match=r"export.txt, row \d, column Name: "):

@@ -206,11 +206,8 @@ def test_the_password_of_the_catalogue_comes_from_a_file(tmp_path):
 def test_who_computes_is_set_like_everything_else(monkeypatch, tmp_path):
     assert choose_workers(load_settings()) == Workers()
     settings = load_settings(data_dir=tmp_path, executor="dask")
-    with (
-        pytest.raises(BadInput, match="setting dask_scheduler: is empty"),
-        open_service(settings),
-    ):
-        pass
+    with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
+        open_service(settings).__enter__()
     monkeypatch.setenv("TRUEPATH_EXECUTOR", "dask")
     monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.20:8786")
     monkeypatch.setenv("TRUEPATH_EXECUTOR_WORKERS", "6")
