@@ -132,9 +132,10 @@ def test_files_are_ascii_and_say_where_they_come_from(export, source, name):
         assert "mm" in account["units"]
     stamp = "\n".join(account["stamp"])
     travels = (f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes)
+    whose = f"machine {machine.name}, chain {machine.chain}"
     run = "run morning, analysed 2026-11-26", "input f00df00df00df00d", "measured at "
-    whose = f"machine {machine.name}, chain {machine.chain}", "for the tool at target"
-    for said in (*whose, *run, *travels, units, "sign (", lengths):
+    others = "for the tool at target offset", units, "sign (", lengths
+    for said in (whose, *run, *travels, *others):
         assert said in stamp
 
 
