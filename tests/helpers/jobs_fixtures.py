@@ -193,7 +193,6 @@ def closer():
 
 @pytest.fixture
 def bundle(machine, tmp_path):
-    """A zipped bundle of a Run that has lost three samples."""
     sequence = (0, 1, 2, 3, 7, 8, 9, 10, 11, 12)
     return write_bundle_zip(machine, tmp_path / "bundle.zip", sequence)
 

@@ -29,7 +29,6 @@ NO_EVENTS = STREAM % 'setTimeout(() => this.dispatchEvent(new Event("close")));'
 
 
 def follow(page: Page, label: str) -> None:
-    """Press the one button that leads on, by its name."""
     page.locator(NEXT, has_text=label).click()
 
 

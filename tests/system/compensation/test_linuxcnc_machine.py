@@ -63,8 +63,6 @@ def run_program(program, tables):
 
 
 class _Samples:
-    """Takes what comes through a pipe, until its other end is closed."""
-
     def __init__(self, descriptor):
         self.rows = []
         self._descriptor = os.dup(descriptor)
@@ -92,7 +90,6 @@ def _has_ended(rsh):
 
 @pytest.fixture(scope="module")
 def source(loaded):
-    """A result whose machine has 8 µm of lost motion in X."""
     axis = loaded.machine.linear_axes[0]
     half_um = {"X": (np.array([axis.low, axis.high]), np.full(2, 4.0))}
     return map_errors(replace(loaded, half_difference_um=half_um))

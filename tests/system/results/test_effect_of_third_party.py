@@ -45,7 +45,6 @@ def example(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(example):
-    """Install the example by entry point, in place of all others."""
     point = EntryPoint(NAME, "bending_beam:BendingBeamFamily", "truepath.effects")
     found = plugins.entry_points
 

@@ -50,7 +50,6 @@ def taken(content) -> PriorModel:
 
 
 def model_of(family, run, keys, value=0.0, variance=1.0) -> PriorModel:
-    """Return a model of an effect; it knows no number of it unless one is given."""
     model = MachineModel(run.machine, (restore_effect(family, run.machine, keys, {}),))
     loaded = CalibrationResult(model, np.array([value]), np.array([[variance]]))
     return PriorModel(loaded, "named.json", "abc")

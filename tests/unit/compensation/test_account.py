@@ -67,7 +67,6 @@ def half_measured(source):
 
 
 def read_back(errors, name, unmeasured=Unmeasured.HOLD):
-    """What a control makes of files; they come without the account."""
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     made = replace(tabulate(errors, name, 10.0), measured=measured)
     return made.read_back(errors)

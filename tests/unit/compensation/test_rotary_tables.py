@@ -48,7 +48,6 @@ FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 @pytest.fixture(scope="module", params=MACHINES)
 def turning(request):
-    """A machine that does nothing but turn too far or too little."""
     model, rng = build_model(load_machine(request.param)), np.random.default_rng(3)
     motions = (m for m in model.identifiable_motions if m.symbol in TURNS)
     turns = {m.name: 5e-5 * rng.standard_normal(len(m.parameters)) for m in motions}
@@ -123,7 +122,6 @@ def erring(request):
 
 
 def find_left(errors, position, added):
-    """The error once the straight axes have moved as the control adds."""
     machine = errors.machine
     error = errors.error_mm(position)
     moved = make_standstill(machine, position + added).chain.point_mm
@@ -258,7 +256,6 @@ class KnownMachine(NamedTuple):
 
 
 def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
-    """Return a random machine; `unknown` is the share of its errors in the result."""
     rng = np.random.default_rng(seed)
     model = build_model(load_machine(name), intervals=4)
     machine = model.machine

@@ -37,7 +37,6 @@ def model_file(study, tmp_path):
 
 
 def read_gradient(text, celsius):
-    """What a PLC writes for X: straight between the temperatures of the list."""
     rows = re.findall(r"^; +([\d.]+) degC +SD43910 = (\S+)$", text, re.M)
     at, gradient = np.array(rows, float).T
     return float(np.interp(celsius, at, gradient))

@@ -99,7 +99,6 @@ def test_rows_take_the_error_of_the_axis_away_to_the_resolution(order):
 
 
 def vary(own, half, across):
-    """Content of files: C as it is told, its last row the first, and A half of it."""
     turn, none = np.array([*own, own[0]]), np.zeros(len(own))
     c = tables.make_turn_table("C", turn, np.full(len(turn), half), across * turn)
     a = tables.make_turn_table("A", 0.5 * turn[:-1], none, none)

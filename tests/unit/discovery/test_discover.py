@@ -38,7 +38,6 @@ def drive(record):
 
 @pytest.fixture(scope="module")
 def knocked(drive):
-    """A Run in the middle of which the tracker's mount is knocked by 5 µm."""
     return drive(KNOCK)
 
 

@@ -24,7 +24,6 @@ from truepath_simulators.scenario import load_machine
 
 
 def part_of_travel(content, seed):
-    """Cut 60 to 80 % out of each travel: at its low end, its high end or its middle."""
     rng = np.random.default_rng(seed)
     axes = {}
     for name, axis in content["axes"].items():
@@ -45,7 +44,6 @@ def partly_driven(seed):
 
 
 def true_theta(model, truth):
-    """Fit the model to the exact displacements of the truth, all over the travel."""
     low, high = np.array([(a.low, a.high) for a in model.machine.axes]).T
     q = np.random.default_rng(1).uniform(low, high, (1500, 3))
     corners = low + np.array(list(np.ndindex(2, 2, 2))) * (high - low)

@@ -49,7 +49,6 @@ def _record(travel_mm, rows, *, step_mm=0.0, level=None):
 
 
 def _curves(found, truth, symbol, at):
-    """Estimate, uncertainty and truth of a motion, all without a straight line."""
     motion = next(m for m in found.model.error_motions if m.name == symbol)
     part = found.model.slices[symbol]
     line = np.stack([np.ones(len(at)), at], axis=1)

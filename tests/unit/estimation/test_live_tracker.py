@@ -31,7 +31,6 @@ def measure(seed, mode="otf", specification=None, rows=24, **setting):
 
 
 def lose_beam(run, off_mm, share=0.6):
-    """Return a Run whose samples are off by off_mm(their places) after a new lock."""
     tracker = run.tracker
     time_s = tracker.device_time_s
     lost_s = time_s[0] + share * (time_s[-1] - time_s[0])
@@ -129,7 +128,6 @@ SAID = {said for _, _, said in KINDS.values()}
 
 
 def disturb(run, kind, share, broken_s=0.0):
-    """Return a Run to which something happens, and when; the beam is lost before."""
     first = int(share * len(run.tracker))
     at_s = run.tracker.device_time_s[first]
     late = run.tracker.device_time_s >= at_s + broken_s

@@ -50,7 +50,6 @@ def rank(rows):
 
 
 def on_lines(model, lines, travel, points=60):
-    """Columns at points of the lines, and the same without what lies along them."""
     share = (np.arange(points) + 0.5) / points
     full, across = [], []
     for begin, end in lines:

@@ -28,7 +28,6 @@ def about_of(seen, noise=NOISE):
 
 
 def all_at_once(about, seen):
-    """Take all cells and the timing of all lines into one dense problem."""
     design = about.build(seen)
     order = np.r_[: design.fixed, design.fixed + 1 : design.rows.shape[2], design.fixed]
     rows = design.rows[:, :, order]

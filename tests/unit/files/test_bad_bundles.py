@@ -97,7 +97,6 @@ def both(first, second):
 
 
 def targets(**placed):
-    """State named targets in machine.json, each by what it is on."""
     stated = {name: {"on": on, "offset_mm": [0, 0, 0]} for name, on in placed.items()}
     return both(key("targets", stated), key("tool_offset_mm", None))
 

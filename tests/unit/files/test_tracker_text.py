@@ -27,7 +27,6 @@ def drive(record):
 
 @pytest.fixture(scope="module")
 def spots(record):
-    """Commanded points, and where a tracker that stands turned sees them."""
     commanded = record(2, "standstill", rows=30)[0].commanded
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return commanded, commanded.position @ turn.T + [3000.0, 100.0, -50.0]
@@ -65,7 +64,6 @@ def assert_stream(read, run, mm=6e-4, second=2e-6):
 
 
 def spatial(k, t, x, y, z):
-    """Collection, group, number, place, and a date of whole seconds."""
     second = int(t + 0.3)
     clock = f"11/28/2026 02:{second // 60:02d}:{second % 60:02d} AM"
     return f"A, run, {k + 1}, {x:.4f}, {y:.4f}, {z:.4f}, {clock}"

@@ -50,7 +50,6 @@ def a_case(knots, seed, seen, log_variance, values):
 
 
 def search_densely(known, rows, borders, variance, points=10_000):
-    """Return the highest drop of many places, refined about each of the best."""
     at, step = np.linspace(borders[0], borders[-1], points, retstep=True)
     drop = known.compute_drops(rows(at), variance)
     beside = np.pad(drop, 1, constant_values=-np.inf)

@@ -41,7 +41,6 @@ def usual_path():
 
 
 def left_mm(machine, path):
-    """Volumetric uncertainty that a path leaves, by the planner's own criterion."""
     drive, told = Drive.of(machine.axis_names, 0.35), 0.0
     for target in machine.targets:
         order = LineDesignState, machine, STATION_MM, drive

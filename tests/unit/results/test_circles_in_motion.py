@@ -42,7 +42,6 @@ def drive(machine, *, seed=7, again=(), **setting):
 
 
 def evaluate(run):
-    """Return the figures of each plane, and the rows whose circle is not whole."""
     seen = align(run)
     noise = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 0.0)  # of the simulated air
     planes, whole = {}, set()

@@ -151,7 +151,6 @@ def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, mos
 
 @pytest.fixture(scope="module")
 def made():
-    """A trunnion at standstills, one target after the other."""
     program = turning_points(parse_machine(CONTENT), 5, 96, dwell_s=0.4)
     return synthetic.record(CONTENT, program, 5, "standstill")
 

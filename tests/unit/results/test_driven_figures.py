@@ -230,7 +230,6 @@ def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
 
 
 def draw_noise(rng, count):
-    """Noise of which a part is common to ten places one after another."""
     slow = rng.standard_normal((PLACES // 10, 3, count)).repeat(10, axis=0)
     return SIGMA_MM * (0.8 * rng.standard_normal((PLACES, 3, count)) + 0.6 * slow)
 

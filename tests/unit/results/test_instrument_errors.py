@@ -130,7 +130,6 @@ def test_jitter_of_the_feed_is_no_noise_across_it(still, rng):
 
 
 def stand(seed, **how):
-    """Return the Run of a perfect tracker at points, and its recording."""
     made = load_small("demo", 0.5)
     made["tracker"]["specification"] = {}
     made["tracker"]["rate_hz"] = how.pop("rate_hz", 100.0)
@@ -139,7 +138,6 @@ def stand(seed, **how):
 
 
 def shoot(seed, **how):
-    """A Run at points, its recording, and one sample of each point."""
     run, made = stand(seed, rate_hz=5.0, **how)
     first = np.searchsorted(made.row, np.arange(len(run.commanded)), "right") - 1
     n = np.arange(len(first))
@@ -160,7 +158,6 @@ def find_noise(seen):
 
 
 def differ(seed):
-    """Return a Run whose places differ as a real tracker's do, and drift; its truth."""
     rng = np.random.default_rng([seed, 77])
     run, made = stand(seed)
     sizes_um = [rng.uniform(8, 11), rng.uniform(12, 13), rng.uniform(3, 9)]

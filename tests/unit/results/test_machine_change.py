@@ -165,7 +165,6 @@ def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibr
 
 
 def look(beyond, begin_um=0.5, runs=4, limit=2.0):
-    """Look 10 h ahead where a share of 100 courses grows by 1 µm an hour."""
     grows = np.arange(100) < 100 * beyond
 
     def measure(at):

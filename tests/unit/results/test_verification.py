@@ -67,7 +67,6 @@ def leave(sign, result):
 
 
 def leaned(urad):
-    """Return the machine with Y out of square to X by so much more."""
     truth = random_machine(parse_machine(load_small()), MACHINE)
     y = truth.joints["Y"]
     turned = np.array(y.direction) + 1e-6 * urad * np.array([-1.0, 0.0, 0.0])
