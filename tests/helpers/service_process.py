@@ -133,14 +133,11 @@ def acknowledge(client, job_id):
 
 
 def moving(client, job_id):
-    wait_for(
-        lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
-        "samples",
-    )
+    address = f"/api/v1/jobs/{job_id}"
+    wait_for(lambda: client.get(address).json()["health"]["samples"] > 500, "samples")
 
 
 def begin_moving(client, rows=ROWS):
-    """Measure a path; return the job once samples have come."""
     job = create(client, path=rows)
     arm(client, job)
     moving(client, job["id"])
