@@ -145,9 +145,7 @@ def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
         (418, "odd", Refused, {}),
     ],
 )
-def test_a_refusal_is_an_exception_of_its_kind_with_what_belongs_to_it(
-    status, code, family, more
-):
+def test_a_refusal_is_an_exception_with_what_belongs_to_it(status, code, family, more):
     content = {"code": code, "detail": "no", "action": "go on", "request_id": "r1"}
     content |= {"file": "path.csv", "row": 3, "column": "x_mm"} | more
     script = Script(answer(status, content, **{"Retry-After": "3"}))

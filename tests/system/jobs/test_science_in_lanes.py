@@ -84,9 +84,7 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(submit):
 
 
 @pytest.mark.long
-def test_the_present_code_is_held_against_the_result_of_before(
-    lane, small_run, context, open_dispatcher, until
-):
+def test_runs_are_held_against_before(lane, small_run, context, open_dispatcher, until):
     runs = []
     for name in "abc":
         upload = context.runs.make_upload_file()

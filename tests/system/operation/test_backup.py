@@ -38,9 +38,7 @@ def list_bytes(folder):
     }
 
 
-def test_what_was_kept_under_a_running_measurement_comes_back_whole(
-    backups, tmp_path, capsys
-):
+def test_what_was_kept_in_motion_comes_back_whole(backups, tmp_path, capsys):
     folder, kept, measuring = backups
     assert list(kept.left_out) == [f"runs/{measuring}.sqlite"]
     result = folder / "data" / "results" / ANALYSED
@@ -129,9 +127,7 @@ def test_a_name_that_leads_out_of_the_data_folder_is_refused(name):
         check_name(name, ("runs", "results"))
 
 
-def test_what_cannot_be_kept_or_restored_is_refused_in_one_line(
-    tmp_path, backups, capsys
-):
+def test_what_cannot_be_kept_or_restored_is_one_line(tmp_path, backups, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text").write_text("no zip")
     none, data = str(tmp_path / "data"), str(backups.folder / "data")
@@ -184,7 +180,7 @@ def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_pat
     assert found["truepath_cell_connected"] == 1
 
 
-def test_a_backup_is_restored_to_an_empty_database_of_postgresql(
+def test_a_backup_is_restored_to_an_empty_postgresql(
     backups, postgres_server, tmp_path
 ):
     name = postgres_server.make_database()
@@ -329,9 +325,7 @@ def test_a_folder_of_an_older_schema_is_refused_and_left_as_it_is(tmp_path):
     assert list_bytes(old_folder) == before
 
 
-def test_schema_0014_is_read_by_this_version_and_migrated_by_the_next_with_a_copy(
-    folder, next_version
-):
+def test_schema_0014_is_read_and_migrated_by_the_next_version(folder, next_version):
     require_all(folder)
     assert list(folder.glob("catalogue.before-*")) == []
     before = dump(folder / "catalogue.sqlite")
@@ -342,9 +336,7 @@ def test_schema_0014_is_read_by_this_version_and_migrated_by_the_next_with_a_cop
     assert dump(copy) == before
 
 
-def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
-    folder, next_version, monkeypatch
-):
+def test_a_migration_that_fails_leaves_the_old_file(folder, next_version, monkeypatch):
     before = dump(folder / "catalogue.sqlite")
     own = database_module._MIGRATIONS
     next_version('raise RuntimeError("midway")')
@@ -356,9 +348,7 @@ def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
     require_all(folder)
 
 
-def test_a_backup_of_schema_0014_is_restored_by_the_next_version(
-    folder, next_version, tmp_path
-):
+def test_a_backup_of_schema_0014_is_restored_later(folder, next_version, tmp_path):
     make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
     next_version()
     target = tmp_path / "elsewhere"

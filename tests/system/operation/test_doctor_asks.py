@@ -73,9 +73,7 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
         assert asked == []
 
 
-def test_devices_that_answer_are_named_and_those_that_do_not_say_what_to_do(
-    settings, tmp_path, free_port
-):
+def test_devices_are_named_or_it_is_said_what_to_do(settings, tmp_path, free_port):
     file = tmp_path / "machine.json"
     file.write_text(json.dumps(load_machine("demo")))
     with running_rig({"tracker": "tcp"}) as rig:
@@ -199,9 +197,7 @@ def test_a_running_service_gives_its_metrics_and_its_log(tmp_path, bundle, monke
     assert "catalogue migrated" in parts["logs/service.log"]
 
 
-def test_it_is_written_where_the_catalogue_is_damaged_but_over_no_file(
-    tmp_path, bundle, capsys
-):
+def test_a_damaged_catalogue_is_no_hindrance_but_a_file_is(tmp_path, bundle, capsys):
     (tmp_path / "catalogue.sqlite").write_bytes(b"garbage " * 99)
     missing = json.loads(bundle("--data-dir", str(tmp_path))["summary.json"])["missing"]
     assert "is not a SQLite file" in missing["catalogue.json"]

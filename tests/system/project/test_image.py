@@ -111,9 +111,7 @@ def test_the_main_job_runs_in_the_image(serve):
         check_tables(end_first_job(client), client)
 
 
-def test_the_service_measures_simulators_of_another_container(
-    serve, image, compose, root, tmp_path
-):
+def test_another_container_is_measured(serve, image, compose, root, tmp_path):
     entry = compose["simulators"]
     bench = compose["truepath-bench"]["environment"]
     local = {

@@ -100,9 +100,7 @@ PLAY = LateralBacklash("Y", "EXY", 5.0, 0.3)
     [(PLAY, "half_width"), (Squareness("C0Y", -27.0), "value_urad")],
     ids=["lateral-backlash", "squareness"],
 )
-def test_lateral_backlash_and_squareness_are_told_apart_by_the_machine(
-    client, first, hidden, parameter
-):
+def test_backlash_and_squareness_are_told_apart(client, first, hidden, parameter):
     job = drive(client, kind="measure-extra", discovery_id=first["id"])
     check_what_is_decided(read_discovery(client, job["id"]), hidden, parameter)
 

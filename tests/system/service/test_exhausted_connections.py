@@ -102,9 +102,7 @@ def is_ended(link, data, within_s):
     return False
 
 
-def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_coming(
-    service, hasty
-):
+def test_a_client_has_a_deadline_but_while_its_body_keeps_coming(service, hasty):
     with serving(service) as place:
         with socket.create_connection(place) as link:
             assert is_ended(link, UNFINISHED["head"] + b"x" * 10_000, 8.0)
@@ -123,9 +121,7 @@ def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_comin
                 link.sendall((b"X-More: " + b"x" * 4000 + b"\r\n") * 5000)
 
 
-def test_a_handshake_of_tls_has_a_deadline_and_keeps_nobody_out(
-    service, hasty, tmp_path
-):
+def test_a_handshake_of_tls_keeps_nobody_out(service, hasty, tmp_path):
     files = create_certificate(["127.0.0.1"], tmp_path, 2)
     with serving(service, tls=files) as place, ExitStack() as stack:
         held = [hold(stack, place, b"") for _ in range(40)]

@@ -44,9 +44,7 @@ def read_sources(access):
         ("127.0.0.1", "", "127.0.0.1"),
     ],
 )
-def test_the_last_stranger_that_trusted_proxies_name_is_the_source(
-    service, access, peer, forwarded, source
-):
+def test_a_source_is_the_last_stranger_named(service, access, peer, forwarded, source):
     app = create_application(
         replace(service, access=access), trusted_proxies=["127.0.0.1", "10.0.0.0/8"]
     )

@@ -32,9 +32,7 @@ def printed_of(machines):
     return call
 
 
-def test_list_history_and_comparison_state_calibrations_and_standing(
-    printed_of, calibrated
-):
+def test_lists_and_histories_state_calibrations(printed_of, calibrated):
     (one,) = json.loads(printed_of("list", "--json"))["machines"]
     newest = one["calibration"]
     assert (one["id"], newest["job_id"]) == ("default", calibrated[-1])

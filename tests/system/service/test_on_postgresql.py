@@ -13,9 +13,7 @@ def database_kind():
     return "postgresql"
 
 
-def test_a_measurement_ends_with_its_run_in_the_catalogue_and_is_found_again_without(
-    client, finished, service, make_catalogue_url
-):
+def test_a_measurement_and_a_rebuild(client, finished, service, make_catalogue_url):
     assert service.database.engine.dialect.name == "postgresql"
     run = client.get(f"/api/v1/runs/{finished['run_id']}").json()
     assert run["samples"] > 0

@@ -224,9 +224,7 @@ def test_a_measurement_from_elsewhere_is_analysed(curl, sent_in, tmp_path):
 
 
 @pytest.mark.usefixtures("few_places")
-def test_a_result_is_taken_to_the_controller(
-    curl, service, sent_in, analysed, tmp_path
-):
+def test_a_result_goes_to_the_controller(curl, service, sent_in, analysed, tmp_path):
     curl.names["RUN"] = sent_in()
     curl.order(section("Analyse a measurement from elsewhere")[1])
     result = service.results / curl.names["JOB"] / "result.json"
@@ -250,9 +248,7 @@ def test_a_machine_is_followed_over_time(curl, sent_in):
     assert curl(report).status_code == 200
 
 
-def test_a_discovery_and_its_model_are_used_and_the_machine_is_asked(
-    curl, sent_in, explorer, tmp_path
-):
+def test_a_discovery_is_used_and_asks_the_machine(curl, sent_in, explorer, tmp_path):
     explorer.rows = [
         {"x_mm": x, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35}
         for x in (10.0, 400.0)

@@ -235,9 +235,7 @@ def test_a_verification_with_files_of_another_account_alarms(issue, account, ver
         assert ("MADE WITH OTHER FILES" in page.text) == is_other
 
 
-def test_only_a_later_measurement_with_compensation_states_the_machine_as_left(
-    issue, refuse, result, keep, measure_again
-):
+def test_as_left_is_a_later_measurement(issue, refuse, result, keep, measure_again):
     for one in result["runs"]:
         one["source"]["started"] = "2026-03-02T08:00:00+00:00"
     found = keep(result, "found.json")

@@ -74,9 +74,7 @@ def test_a_wrong_command_line_is_bad_input_in_one_line(arguments, said, capsys):
     assert said in captured.err
 
 
-def test_each_command_explains_itself_and_the_version_is_the_distributions(
-    command,
-):
+def test_each_command_explains_itself_and_has_the_distributions_version(command):
     for name in ("serve", "demo", "analyse", "predict"):
         assert "Usage: " in command.run(name, "--help").out
     assert "Calibrates machine tools" in command.run().out

@@ -102,9 +102,7 @@ def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
 
 
-def test_a_recording_keeps_when_it_began_where_its_date_is_sure(
-    bring, truth, written, tmp_path
-):
+def test_a_recording_keeps_when_it_began(bring, truth, written, tmp_path):
     read, _ = bring(of_stream(leica, truth.tracker)[0])
     assert read.provenance["started"] == "2026-03-01T23:59:40+00:00"
     shutil.rmtree(tmp_path / "bundle")

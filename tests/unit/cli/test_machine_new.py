@@ -90,9 +90,7 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
         ),
     ],
 )
-def test_what_is_missing_is_named_with_how_to_state_it(
-    command, file, answer, words, said
-):
+def test_what_is_missing_is_named_with_a_remedy(command, file, answer, words, said):
     answer()
     assert said in command.refuse("machine", "new", "-o", file, *words)
     assert not file.exists()

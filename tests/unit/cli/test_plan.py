@@ -116,9 +116,7 @@ def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
     assert document["duration_s"] < 30.0
 
 
-def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_is_said(
-    plan,
-):
+def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_is_said(plan):
     feeds = ("--feed", "3000", "--feed", "9000", "--minutes", "1")
     document, said = plan("--target-um", "0.25", *feeds)
     assert "the target of 0.25 µm (k = 1) is out of reach" in said
@@ -232,9 +230,7 @@ def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp
     assert {(tmp_path / name).parent.name for name in named} == {"out", "linuxcnc"}
 
 
-def test_circles_in_motion_have_a_program_where_the_control_drives_circles(
-    command, machine_file, machine, tmp_path
-):
+def test_circles_have_programs_for_arcs(command, machine_file, machine, tmp_path):
     words = ["plan", machine_file, "--verify", "circles-in-motion", "-o"]
     said = command.json(*words, tmp_path / "out")
     path = read_rows(tmp_path / "out" / "path.csv", machine)

@@ -56,9 +56,7 @@ def find_left_um(result, truth, points):
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_growth_and_squareness_per_kelvin_are_told_and_serve_at_another(
-    tmp_path,
-):
+def test_growth_and_squareness_per_kelvin_are_told_and_serve_at_another(tmp_path):
     content = load_slow_tracker("demo")
     path = default_path(machine_from_json(content, file=""), 9000.0, lines=20)
     truth = random_machine(parse_machine(content), 5)

@@ -63,9 +63,7 @@ def chain(declared):
         ),
     ],
 )
-def test_another_chain_or_sense_of_turns_is_named(
-    command, tmp_path, name, edit, fits, write
-):
+def test_another_chain_or_sense_is_named(command, tmp_path, name, edit, fits, write):
     bundle = tmp_path / "bundle"
     write_bundle(recorded_on(name), bundle)
     with edited(bundle / "machine.json") as content:
@@ -85,9 +83,7 @@ def test_another_chain_or_sense_of_turns_is_named(
         ("trunnion", "workpiece", "base", "a tracker on the table"),
     ],
 )
-def test_a_tracker_that_stands_elsewhere_is_found(
-    command, tmp_path, name, truly, stated, fits
-):
+def test_a_tracker_elsewhere_is_found(command, tmp_path, name, truly, stated, fits):
     content = load_small(name)
     content["tracker"] |= {"stands_on": truly, "rate_hz": 100.0}
     machine = parse_machine(content)

@@ -194,9 +194,7 @@ def test_a_pause_first_holds_once_unless_the_job_ends(followed, board, may_move,
     ("policy", "wish", "back_to"),
     [("check", None, 3.0), ("replan", None, 4.0), ("pause", "check", 3.0)],
 )
-def test_lines_are_measured_again_from_before_or_since_the_change_or_if_that_is_asked(
-    followed, board, policy, wish, back_to
-):
+def test_lines_before_a_change_are_driven_again(followed, board, policy, wish, back_to):
     shown, planned = board(OnNotice(policy))
     shown.show([notice()])
     if wish is not None:

@@ -68,9 +68,7 @@ def read_states(context):
 
 
 @pytest.mark.database
-def test_a_measurement_ends_at_its_target_with_its_reason_and_without_one_at_its_end(
-    followed, make_cell, until, context
-):
+def test_a_target_ends_a_measurement_with_a_reason(followed, make_cell, until, context):
     job, live = followed(replace(OTF, target_um=2.0))
     values = {"lines": "4", "distance_um": 50.0}
     off = Verdict((Reason("lines-off", "not-usable", values),))
@@ -110,9 +108,7 @@ OFF = Reason("lines-off", "not-usable", {"lines": "4", "distance_um": 50.0})
         ((OFF,), []),
     ],
 )
-def test_only_a_doubt_that_is_in_the_uncertainty_leaves_a_target_reached(
-    reasons, heard
-):
+def test_only_a_doubt_within_the_uncertainty_leaves_a_target_reached(reasons, heard):
     said = []
     verdict = verdict_json(Verdict(reasons))
     newest = {"volumetric_uncertainty_um": 1.9, "verdict": verdict}
@@ -204,9 +200,7 @@ def test_what_moves_again_is_not_wanted_to_stand(paused, cell, until, monkeypatc
     assert cell.heard.count("pause") == heard
 
 
-def test_a_pause_that_came_too_early_is_repeated_and_nothing_said_before_undoes_it(
-    dispatcher, context, running, cell, until
-):
+def test_a_pause_that_came_early_is_repeated(dispatcher, context, running, cell, until):
     context.confirm_s["pausing"] = 8.0
     cell.deaf.add("pause")
     dispatcher.pause(running.id)
@@ -409,9 +403,7 @@ def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, cell):
         ("faulted", ("motion-alarm", "servo alarm", "clear it")),
     ],
 )
-def test_a_measurement_that_ends_at_the_machine_ends_the_job_with_the_cells_reason(
-    running, cell, until, context, end, fault
-):
+def test_a_job_ends_with_its_cells_reason(running, cell, until, context, end, fault):
     if fault is not None:
         cell.fault(*fault)
     cell.end(end)

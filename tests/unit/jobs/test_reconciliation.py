@@ -120,9 +120,7 @@ def test_a_catalogue_that_does_not_answer_ends_nothing_and_a_foreign_run_stands_
     assert context.runs.get("foreign").complete
 
 
-def test_a_file_that_is_no_run_is_told_once_and_tried_ever_more_seldom(
-    context, reconciliation, monkeypatch, hand_clock
-):
+def test_what_is_no_run_is_told_once(context, reconciliation, monkeypatch, hand_clock):
     context.runs.name_run_file("garbage").write_bytes(b"no database at all" * 99)
     read, told = [], []
     fail = context.runs.read_measured
@@ -193,9 +191,7 @@ def test_what_a_killed_service_left_is_done_after_the_restart_and_an_abort_stays
         assert (context.results / job.id / "result.json").is_file()
 
 
-def test_an_analysis_that_was_queued_again_in_order_has_all_its_attempts(
-    context, run_id, restart, science, until
-):
+def test_queued_again_in_order_is_no_attempt(context, run_id, restart, science, until):
     first = restart()
     science.hold = threading.Event()
     request = RequestedJob(JobKind.ANALYSE, run_ids=[run_id])

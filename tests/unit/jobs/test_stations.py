@@ -268,7 +268,7 @@ def test_a_station_that_was_cut_short_goes_on_with_the_rest_of_its_lines(
 
 
 @pytest.mark.parametrize("is_put_back", [True, False])
-def test_a_station_that_was_moved_meanwhile_is_measured_on_as_a_new_one_unless_put_back(
+def test_a_moved_station_counts_as_a_new_one(
     go_on, measure, closer, checker, is_put_back
 ):
     closer.problem = "the target is 51 µm from where it was"

@@ -102,7 +102,7 @@ def address_of(route):
     return method, path.replace("{path:path}", "x").replace("{", "").replace("}", "")
 
 
-def test_each_route_refuses_each_role_that_is_too_low_and_takes_the_others(
+def test_each_route_takes_its_role_and_those_above(
     reached, tokens, monkeypatch, access
 ):
     done = Future()
@@ -128,9 +128,7 @@ def expect_status(route, least, role):
     return 200 if includes(role, least) and not moves_alone else 403
 
 
-def test_nobody_is_told_how_to_log_in_and_a_role_too_low_which_is_needed(
-    client, tokens
-):
+def test_strangers_hear_how_to_log_in_low_roles_which_they_need(client, tokens):
     answer = client.get(f"{API}/jobs")
     assert answer.status_code == 401
     assert answer.headers["WWW-Authenticate"] == "Bearer"
@@ -144,9 +142,7 @@ def test_nobody_is_told_how_to_log_in_and_a_role_too_low_which_is_needed(
     assert "needs the role operator; viewer is viewer" in refused.json()["detail"]
 
 
-def test_a_program_logs_in_for_a_token_and_a_browser_for_a_cookie_no_script_reads(
-    client, access
-):
+def test_a_program_logs_in_for_a_token_a_browser_for_a_cookie(client, access):
     access.accounts.add("anna", Role.OPERATOR, PASSWORD)
     body = {"name": "anna", "password": PASSWORD}
     opened = client.post(f"{API}/session", json=body)
@@ -207,9 +203,7 @@ def armed_by_hand(service, make_cell, order):
     return job.id
 
 
-def test_any_user_may_abort_even_while_no_session_can_be_read(
-    client, tokens, armed_by_hand, away, monkeypatch
-):
+def test_any_user_may_abort(client, tokens, armed_by_hand, away, monkeypatch):
     path = f"{API}/jobs/{armed_by_hand}/abort"
     assert client.post(path).status_code == 401
     away()
@@ -255,9 +249,7 @@ def test_the_first_controller_keeps_control_until_another_takes_it(
     assert (took["who"], took["old"]) == ("berta", {"controller": "operator"})
 
 
-def test_a_stop_says_what_the_controller_says_once_it_was_read_after_it(
-    client, armed_by_hand, make_cell
-):
+def test_a_stop_says_what_the_controller_says_later(client, armed_by_hand, make_cell):
     def stop():
         return client.post(f"{API}/stop").json()["machines"]
 
@@ -310,7 +302,7 @@ def test_administrators_manage_users_and_keys(client, tokens):
     assert client.get(f"{API}/jobs", headers=bearer(made["token"])).status_code == 401
 
 
-def test_a_job_has_its_owner_and_the_audit_log_what_was_done_and_refused(
+def test_jobs_have_owners_and_the_audit_log_what_was_done(
     client, tokens, access, order
 ):
     headers = bearer(tokens[Role.OPERATOR])
@@ -345,7 +337,7 @@ def test_a_job_has_its_owner_and_the_audit_log_what_was_done_and_refused(
     assert [row["seq"] for row in page["items"] + more["items"]] == [5, 4, 3, 2, 1]
 
 
-def test_stop_and_abort_have_no_rate_and_no_answer_waits_for_the_audit_log(
+def test_stops_have_no_rate_and_await_no_audit_log(
     reached, access, tokens, monkeypatch
 ):
     """The log cannot be written."""

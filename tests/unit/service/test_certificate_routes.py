@@ -35,9 +35,7 @@ def quick_print(monkeypatch):
     monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
 
 
-def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_changes(
-    client, service, with_result, place, quick_print
-):
+def test_what_was_stated_is_kept(client, service, with_result, place, quick_print):
     service.setup.registry.change("default", serial_number="4711", place="Hall 3")
     known = {"serial_number": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
@@ -93,7 +91,7 @@ def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
 
 
 @pytest.mark.usefixtures("few_places")
-def test_the_files_of_a_verification_are_stated_without_being_named_again(
+def test_files_that_were_verified_stand(
     client, service, with_result, place, quick_print
 ):
     at = f"/api/v1/jobs/{with_result}/compensations"
@@ -113,9 +111,7 @@ def test_the_files_of_a_verification_are_stated_without_being_named_again(
     assert "these files of the format json active" in page
 
 
-def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(
-    client, with_result, analysed, is_problem
-):
+def test_a_reference_is_compared_or_refused(client, with_result, analysed, is_problem):
     at = f"/api/v1/jobs/{with_result}/comparisons"
 
     def send(rows, **query):
@@ -151,9 +147,7 @@ def lengths(found):
     return np.linalg.norm(found["error_um"], axis=1)
 
 
-def test_a_map_is_that_of_the_result_computed_once_and_one_that_cannot_be_says_why(
-    client, service, at, with_result
-):
+def test_a_map_is_that_of_the_result_computed_once(client, service, at, with_result):
     found = client.get(f"{at}/volumetric-map?grid=3").json()
     assert (found["axes"], len(found["position"])) == (["X", "Y", "Z"], 27)
     np.testing.assert_allclose(found["length_um"], lengths(found), atol=1e-3)
@@ -195,9 +189,7 @@ def test_files_leave_what_their_format_does_not_carry(client, at):
     assert mean_um == pytest.approx(said["after"]["mean"], rel=0.1)
 
 
-def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines(
-    client, at
-):
+def test_means_have_a_stated_tolerance_most_places_the_machines(client, at):
     states = "before", "after_expected"
 
     def read(level, **query):

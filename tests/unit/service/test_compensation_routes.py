@@ -23,9 +23,7 @@ def place(with_result):
     return f"/api/v1/jobs/{with_result}/compensations"
 
 
-def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_given(
-    client, place, analysed, tmp_path, is_problem
-):
+def test_files_are_those_of_the_command(client, place, analysed, tmp_path, is_problem):
     choices = {"measuring_system": "X=2,Y=1"}
     order = {"format": "siemens", "unmeasured": "fade", "choices": choices}
     answer = client.post(place, json={**order, "spacing_mm": 25})
@@ -64,9 +62,7 @@ def test_files_and_their_account_are_those_of_the_command_line_and_no_other_is_g
     is_problem(client.get(f"{place}/..%2F..%2F../archive"), 404, "not-found")
 
 
-def test_what_cannot_be_made_says_why_and_what_is_not_to_be_used_has_to_be_accepted(
-    client, service, place, with_result, is_problem
-):
+def test_what_cannot_be_made_says_why(client, service, place, with_result, is_problem):
     for name in ("vcs", "../linuxcnc"):
         answer = client.post(place, json={"format": name})
         refusal = is_problem(answer, 422, "bad-input")
@@ -92,7 +88,7 @@ def say_on(file, active=None):
         content["provenance"]["active_tables"] = active
 
 
-def test_files_that_would_undo_unknown_tables_are_refused_until_these_are_given(
+def test_unknown_tables_have_to_be_given(
     client, service, with_result, place, is_problem
 ):
     file = service.results / with_result / "result.json"

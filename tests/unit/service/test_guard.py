@@ -5,9 +5,7 @@ from starlette.testclient import TestClient
 from truepath.service.api.application import create_application
 
 
-def test_the_service_answers_to_its_names_addresses_and_methods_alone(
-    client, is_problem
-):
+def test_the_service_answers_to_its_names_and_methods_alone(client, is_problem):
     own = "localhost", "localhost:8411", "127.0.0.1", "[::1]:8411", "10.0.0.9"
     for host in (*own, "shop-floor", "SHOP-FLOOR:80", "localhost."):
         assert client.get("/healthz", headers={"host": host}).status_code == 200
@@ -20,9 +18,7 @@ def test_the_service_answers_to_its_names_addresses_and_methods_alone(
     is_problem(client.get("/nowhere/at/all"), 404, "not-found")
 
 
-def test_a_page_of_another_site_can_change_nothing_and_the_own_page_can(
-    client, ready, is_problem, make_cell
-):
+def test_a_page_of_another_site_changes_nothing(client, ready, is_problem, make_cell):
     job = f"/api/v1/jobs/{ready['id']}"
     for headers in (
         {"sec-fetch-site": "cross-site"},
@@ -47,9 +43,7 @@ def test_a_page_of_another_site_can_change_nothing_and_the_own_page_can(
         assert answer.status_code == 200
 
 
-def test_every_answer_keeps_browsers_in_bounds_and_has_the_identifier_it_came_with(
-    client,
-):
+def test_every_answer_keeps_browsers_in_bounds_and_its_identifier(client):
     for path in ("/healthz", "/docs", "/nowhere", "/api/v1/jobs"):
         headers = client.get(path).headers
         assert "default-src 'self'" in headers["content-security-policy"]

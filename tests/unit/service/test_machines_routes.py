@@ -39,9 +39,7 @@ def chosen(client, service):
             cell.close()
 
 
-def test_the_only_machine_is_listed_and_its_identity_asked_once_and_kept(
-    client, is_problem
-):
+def test_a_machine_is_listed_and_its_identity_kept(client, is_problem):
     (one,) = client.get(BASE).json()["items"]
     assert (one["id"], one["name"], one["version"]) == ("default", "demo", 1)
     assert (one["cell"], one["current_job"]) == ("disconnected", None)
@@ -89,7 +87,7 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
     is_problem(add(client, "current", name="x"), 422, "validation")
 
 
-def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
+def test_a_machine_described_anew_keeps_its_devices(
     chosen, client, service, is_problem
 ):
     assert chosen["devices"]["tracker_options"] == TRACKER
@@ -144,7 +142,7 @@ def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
     assert read_change()[0]["machine_file.name"] == "mill 3b"
 
 
-def test_a_trial_says_what_the_tracker_sends_unless_its_machine_measures(
+def test_a_trial_says_what_the_tracker_sends(
     client, make_cell, order, take, is_problem
 ):
     trial = f"{BASE}/default/devices:try"
@@ -173,9 +171,7 @@ def remove(client, machine_id="mill-3", version=None):
     return client.delete(f"{BASE}/{machine_id}", headers=headers)
 
 
-def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
-    client, service, is_problem
-):
+def test_a_machine_that_is_removed_keeps_its_history(client, service, is_problem):
     (example,) = NewMachine.model_config["json_schema_extra"]["examples"]
     answer = client.post(BASE, json=example)  # of the description
     assert answer.status_code == 201, answer.text
@@ -193,9 +189,7 @@ def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
     assert (again.json()["origin"], again.json()["version"]) == ("catalogue", 3)
 
 
-def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
-    client, service, chosen, is_problem
-):
+def test_a_machine_is_removed_while_it_stands_free(client, service, chosen, is_problem):
     is_problem(client.delete(f"{BASE}/mill-3"), 428, "version-required")
     stale = remove(client, version=chosen["version"] - 1)
     assert is_problem(stale, 412, "stale-version")["current_version"] == 2
@@ -210,9 +204,7 @@ def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
     assert "is running" in moving["detail"]
 
 
-def test_the_history_of_a_machine_is_every_calibration_and_what_changed_is_said(
-    client, calibrated, service, is_problem
-):
+def test_history_is_every_calibration(client, calibrated, service, is_problem):
     answer = client.get(f"{BASE}/default/history").json()
     assert answer["schema"] == "machine-history/1"
     assert [c["job_id"] for c in answer["calibrations"]] == list(calibrated)
@@ -314,7 +306,7 @@ def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service,
     assert (event["is_alarm"], event["calibration"]) == (True, calibrated[1])
 
 
-def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
+def test_three_calibrations_tell_of_temperature(
     client, calibrated, service, is_problem
 ):
     at = f"{BASE}/default/temperature"

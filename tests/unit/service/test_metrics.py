@@ -38,9 +38,7 @@ def progress(samples, **counted):
 
 
 @pytest.mark.database
-def test_the_format_is_that_of_prometheus_and_names_the_machine(
-    scrape, service, monkeypatch
-):
+def test_the_format_is_that_of_prometheus(scrape, service, monkeypatch):
     found = scrape()
     machine = ("machine", "default")
     assert found["truepath_cell_up", machine] == 1
@@ -60,9 +58,7 @@ def test_the_format_is_that_of_prometheus_and_names_the_machine(
     assert scrape()["truepath_catalogue_up",] == 0  # a number and no failure
 
 
-def test_a_request_is_counted_by_the_template_of_its_route_by_its_service_alone(
-    client, service, scrape
-):
+def test_requests_are_counted_by_the_template_of_their_route(client, service, scrape):
     client.get("/api/v1/jobs/019a0000-0000-7000-8000-000000000000")
     client.get("/nowhere/019a")
     found = scrape()
@@ -78,9 +74,7 @@ def test_a_request_is_counted_by_the_template_of_its_route_by_its_service_alone(
 
 
 @pytest.mark.database
-def test_an_aborted_measurement_is_counted_and_times_its_commands(
-    client, armed, scrape, make_cell, until
-):
+def test_a_measurement_times_its_commands(client, armed, scrape, make_cell, until):
     client.post(f"/api/v1/jobs/{armed['id']}/abort")
     until(armed, "aborted")
     machine = ("machine", "default")
@@ -130,9 +124,7 @@ def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
 
 
-def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
-    client, is_problem, monkeypatch
-):
+def test_the_system_says_what_it_is_and_lacks(client, is_problem, monkeypatch):
     assert client.get("/healthz").json() == {"status": "ok"}
     ready = client.get("/readyz")
     assert ready.status_code == 200
@@ -154,9 +146,7 @@ def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
     assert (machine["connected"], machine["motion"]["model"]) == (True, "Controller")
 
 
-def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
-    client, make_cell, is_problem
-):
+def test_a_device_that_answers_wrongly_is_a_problem(client, make_cell, is_problem):
     for refusal, status, code in (
         (errors.ConnectionLost("no such port"), 502, "device-unreachable"),
         (errors.DeviceTimeout("silence"), 504, "device-silent"),

@@ -101,9 +101,7 @@ def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
         client.post("/api/v1/stop")
 
 
-def test_each_station_of_a_plan_has_its_program(
-    planned, more, short_plan, client, is_problem
-):
+def test_each_station_has_its_program(planned, more, short_plan, client, is_problem):
     by_row = ("position", "feed_mm_min", "dwell_s")
     whole = {name: short_plan[name] for name in ("kind", "axes", *by_row)}
     whole |= {"position_mm": [0.0, -1200.0, 0.0], "duration_s": 30.0, "target": []}
@@ -120,9 +118,7 @@ def test_each_station_of_a_plan_has_its_program(
     assert "2 stations, not 3" in told
 
 
-def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
-    plan, client, service, ready, is_problem
-):
+def test_a_plan_is_of_its_mode_and_machine(plan, client, service, ready, is_problem):
     client.post("/api/v1/stop")
 
     def refused(kind, plan_id=plan["id"], status=422, code="plan"):
@@ -161,9 +157,7 @@ def rows_at(*places):
     return [dict(zip(axes, place, strict=True)) for place in places]
 
 
-def test_rows_are_checked_over_the_swept_path_and_taken_whatever_they_leave_open(
-    client, is_problem
-):
+def test_rows_are_checked_over_the_swept_path(client, is_problem):
     def check(**body):
         return client.post("/api/v1/plans:validate", json=body)
 

@@ -136,9 +136,7 @@ def test_a_query_that_is_not_as_documented_is_named(client, is_problem):
         is_problem(client.get(f"/api/v1/jobs?after={after}"), 422, "bad-input")
 
 
-def test_rows_that_no_analysis_could_take_are_refused_by_check_and_order(
-    client, is_problem
-):
+def test_rows_of_no_use_are_refused_by_check_and_order(client, is_problem):
     for kind, key, places, said in (
         ("otf", "path", [10, 200], "the path has the target stand at 2 places"),
         ("otf", "path", [10, 200, 90], "the path lies on one straight line"),

@@ -25,9 +25,7 @@ def send(client, content, name="from shop.zip"):
     return client.post(RUNS, files={"bundle": (name, content, "application/zip")})
 
 
-def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent(
-    client, bundle, take
-):
+def test_an_uploaded_bundle_is_analysed_and_comes_back_as_sent(client, bundle, take):
     sent = bundle()
     answer = send(client, sent)
     assert answer.status_code == 201, answer.text
@@ -47,9 +45,7 @@ def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent
     assert take(**order)["monte_carlo"] is None
 
 
-def test_a_bundle_or_upload_that_cannot_be_used_is_refused_with_its_place(
-    client, service, bundle, is_problem, monkeypatch
-):
+def test_a_bad_upload_has_its_place(client, service, bundle, is_problem, monkeypatch):
     for members, file, column, text in (
         ({"tracker_csv": None}, "tracker.parquet", None, "missing"),
         ({"tracker_csv": "t_s,x_mm,y_mm\n0,1,2\n"}, "tracker.csv", "z_mm", "missing"),
@@ -116,9 +112,7 @@ def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
     assert (job["name"], job["note"]) == (noted["name"], noted["note"])
 
 
-def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_them(
-    client, ready, run, is_problem
-):
+def test_names_are_short_and_found_by_a_part(client, ready, run, is_problem):
     for at, named in ((JOBS, ready), (RUNS, run)):
         own = f"{at}/{named['id']}"
         client.patch(own, json={"name": "Vor der Spindel ÄÖ 100%_a"})
@@ -146,9 +140,7 @@ def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_t
         assert "pattern" not in detail
 
 
-def test_runs_are_listed_in_pages_that_lead_on_and_analysed_together(
-    client, run, upload, take, is_problem
-):
+def test_runs_are_listed_and_analysed_together(client, run, upload, take, is_problem):
     for asked, count in (
         ({"machine": run["machine"]}, 1),
         ({"machine": "default"}, 1),
@@ -280,9 +272,7 @@ def test_a_run_stays_while_its_measurement_can_go_on_from_it_and_is_then_forgott
     assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
 
 
-def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
-    client, service, finished, monkeypatch
-):
+def test_a_run_once_deleted_is_not_taken_in(client, service, finished, monkeypatch):
     """The rows are gone and the file is not: as if the power had failed between."""
     file = service.runs.file(finished["run_id"])
 
@@ -329,9 +319,7 @@ def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
 
 
-def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
-    client, service, run, is_problem
-):
+def test_known_lengths_stay_with_their_run(client, service, run, is_problem):
     address = run["links"]["known_lengths"]
 
     def send(text, to=address):

@@ -48,9 +48,7 @@ def look(client, ask, until):
     return looked
 
 
-def test_points_of_a_verification_follow_their_seed_and_touch_no_box(
-    ask, look, is_problem
-):
+def test_points_follow_their_seed_and_touch_no_box(ask, look, is_problem):
     asked = {"what": ["random-points", "circles"], "seed": 4, "tolerance_um": 5}
     job, plan = look(**asked)
     assert plan["kind"] == "points"
@@ -66,9 +64,7 @@ def test_points_of_a_verification_follow_their_seed_and_touch_no_box(
     assert not any(inside)
 
 
-def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
-    ask, look, is_problem, service
-):
+def test_circles_in_motion_ask_for_a_control_with_arcs(ask, look, is_problem, service):
     _, plan = look(what=["circles-in-motion"])
     assert plan["kind"] == "path"
     assert [arc[3] for arc in plan["arc"] if arc] == [732.0, -732.0] * 3
@@ -80,9 +76,7 @@ def test_circles_in_motion_are_a_path_that_asks_for_a_control_with_arcs(
     assert "this control does not drive arcs" in said["detail"]
 
 
-def test_a_result_is_verified_on_its_own_machine_alone(
-    client, service, ask, result, is_problem
-):
+def test_a_result_is_verified_on_its_machine(client, service, ask, result, is_problem):
     for unknown in (
         {"result_id": "0190a4a1-0000-7000-8000-000000000000"},
         {"compensation_id": "siemens-10-hold"},
@@ -102,9 +96,7 @@ def test_a_result_is_verified_on_its_own_machine_alone(
 
 
 @pytest.mark.usefixtures("few_places")
-def test_files_of_any_spacing_are_verified_unless_the_control_cannot_apply_them(
-    client, service, ask, look, result, is_problem
-):
+def test_files_that_apply_are_verified(client, service, ask, look, result, is_problem):
     service.setup.simulated_controls = SimulatedControls({"default": Mock()})
     at = f"{JOBS}/{result}/compensations"
     orders = {"format": "isg-csv", "spacing_mm": 12.5}, {"format": "linuxcnc"}

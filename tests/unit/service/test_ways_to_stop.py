@@ -156,9 +156,7 @@ def operator(service, access):
 
 
 @pytest.mark.parametrize("verb", ["/jobs/{id}/pause", "/jobs/{id}/abort", "/stop"])
-def test_what_stops_reaches_the_machine_with_every_other_thread_taken(
-    operator, armed, make_cell, verb
-):
+def test_a_stop_arrives_with_every_thread_taken(operator, armed, make_cell, verb):
     takers, answers = operator.portal.call(take_every_thread), []
     address = API + verb.format(id=armed["id"])
     sender = threading.Thread(target=lambda: answers.append(operator.post(address)))

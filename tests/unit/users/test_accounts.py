@@ -48,9 +48,7 @@ def test_who_is_not_there_has_no_password_and_is_refused_as_slowly_as_who_is():
         ),
     ],
 )
-def test_what_is_no_name_or_password_a_taken_name_and_a_role_of_programs_are_refused(
-    accounts, name, role, password, refused
-):
+def test_what_makes_no_user_is_refused(accounts, name, role, password, refused):
     error = errors.UserConflict if name == "anna" else BadInput
     with pytest.raises(error, match=refused):
         accounts.add(name, role, password)
@@ -89,9 +87,7 @@ def access(database, accounts):
     access.close()
 
 
-def test_who_logs_in_is_known_by_the_token_a_refusal_says_no_reason_and_many_wait(
-    access, monkeypatch
-):
+def test_who_logs_in_is_known_by_the_token_and_failures_wait(access, monkeypatch):
     token, actor = access.log_in("anna", PASSWORD, "192.0.2.17")
     assert actor == access.identify(token) == Actor("anna", Role.ADMINISTRATOR)
     for name in ("anna", "nobody"):
@@ -108,9 +104,7 @@ def test_who_logs_in_is_known_by_the_token_a_refusal_says_no_reason_and_many_wai
     assert access.log_in("anna", PASSWORD, "192.0.2.18"), "another place is not kept"
 
 
-def test_each_further_failure_waits_twice_as_long_up_to_a_limit_until_forgotten(
-    hand_clock,
-):
+def test_each_failure_waits_twice_as_long_until_forgotten(hand_clock):
     back_off = BackOff(3)
     waits = []
     for _ in range(16):
@@ -155,9 +149,7 @@ def session(accounts, tokens):
     return tokens.open_session("anna")
 
 
-def test_a_session_is_that_of_its_user_is_kept_as_a_hash_only_and_forgotten_once_ended(
-    database, tokens, session, clock
-):
+def test_a_session_is_kept_as_a_hash_until_its_end(database, tokens, session, clock):
     def read_rows():
         with database.read() as connection:
             return connection.execute(text("SELECT * FROM tokens")).all()
@@ -194,9 +186,7 @@ def test_the_time_that_the_computer_was_off_counts(tokens, session, clock):
     assert 0 <= first.age_s(then) < 10
 
 
-def test_another_role_or_password_a_log_out_and_a_removal_count_at_once(
-    accounts, tokens, session
-):
+def test_a_change_a_log_out_and_a_removal_count_at_once(accounts, tokens, session):
     accounts.add("ben", Role.ADMINISTRATOR, PASSWORD)
     of_ben, key = tokens.open_session("ben"), tokens.create_key("plant", Role.SERVICE)
     accounts.set_role("anna", Role.VIEWER)
@@ -214,9 +204,7 @@ def test_another_role_or_password_a_log_out_and_a_removal_count_at_once(
     assert tokens.find(key), "a key is of nobody's password"
 
 
-def test_a_key_is_no_person_and_lasts_until_its_end_or_is_revoked(
-    accounts, tokens, clock
-):
+def test_a_key_is_no_person_and_lasts_until_revoked(accounts, tokens, clock):
     short = tokens.create_key("gauge", Role.SERVICE, days=2)
     key = tokens.create_key("plant", Role.SERVICE)
     clock.pass_s(86400)
