@@ -18,21 +18,8 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 from service_process import process
-from truepath.client import (
-    AsyncClient,
-    Busy,
-    Client,
-    DeviceProblem,
-    JobEnded,
-    JobNotReached,
-    NotLoggedIn,
-    Problem,
-    Refused,
-    StaleVersion,
-    Unreachable,
-    bodies,
-    steps,
-)
+from truepath import client as api
+from truepath.client import AsyncClient, Client, Problem, Refused, Unreachable, bodies
 from truepath.client.problems import BadInput, ServiceProblem, make_problem
 
 ROOT = Path(__file__).parents[3]
@@ -44,7 +31,7 @@ def job(state, version=3, **more):
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(steps, "REPEATS_S", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(api.steps, "REPEATS_S", (0.0, 0.0, 0.0))
 
 
 class Script:
@@ -135,12 +122,12 @@ def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
 @pytest.mark.parametrize(
     ("status", "code", "family", "more"),
     [
-        (409, "busy", Busy, {"current_job": "/api/v1/jobs/8"}),
+        (409, "busy", api.Busy, {"current_job": "/api/v1/jobs/8"}),
         (409, "illegal-transition", Refused, {}),
-        (412, "stale-version", StaleVersion, {"current_version": 9}),
-        (401, "not-logged-in", NotLoggedIn, {}),
+        (412, "stale-version", api.StaleVersion, {"current_version": 9}),
+        (401, "not-logged-in", api.NotLoggedIn, {}),
         (422, "bundle", BadInput, {"errors": [{"type": "a"}]}),
-        (502, "device", DeviceProblem, {}),
+        (502, "device", api.DeviceProblem, {}),
         (500, "internal-error", ServiceProblem, {}),
         (418, "odd", Refused, {}),
     ],
@@ -166,9 +153,9 @@ def test_waiting_ends_in_the_state_or_says_why_not():
     script = Script(*[answer(200, one) for one in told])
     with script.open() as client:
         assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
-        with pytest.raises(JobEnded, match="failed: the CNC is off"):
+        with pytest.raises(api.JobEnded, match="failed: the CNC is off"):
             client.wait_for("7", "ready")
-        with pytest.raises(JobNotReached, match="preparing, not ready, after -1 s"):
+        with pytest.raises(api.JobNotReached, match="preparing, not ready, after -1 s"):
             client.wait_for("7", "ready", timeout_s=-1.0)
 
 

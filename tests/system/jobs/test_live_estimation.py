@@ -16,11 +16,8 @@ from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
 from truepath.cli.demo import compare_with_truth
 from truepath.jobs.kinds.job_creation import RequestedJob
-from truepath.jobs.running.live_estimation import (
-    PERIOD_S,
-    WAITING_BLOCKS,
-    LiveEstimation,
-)
+from truepath.jobs.running import live_estimation
+from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run
@@ -93,12 +90,12 @@ def test_an_estimate_is_told_with_its_age_until_its_process_dies(run, live, show
     told = [body for body in shown if body["done"] == shown[-1]["done"]]
     ages = [body["age_s"] for body in told]
     assert ages == sorted(ages)
-    assert len(told) >= 1.0 / (2 * PERIOD_S)
+    assert len(told) >= 1.0 / (2 * live_estimation.PERIOD_S)
     assert len({body["volumetric_uncertainty_um"] for body in told}) == 1
     live._process.kill()
     live.finish()
     count = len(shown)
-    time.sleep(3 * PERIOD_S)  # silence can only be waited for
+    time.sleep(3 * live_estimation.PERIOD_S)  # silence can only be waited for
     assert len(shown) == count
     assert not shown[-1]["is_last"]
 

@@ -20,10 +20,7 @@ from truepath.catalogue.store import database as database_module
 from truepath.catalogue.store.database import Database
 from truepath.cli.command import run
 from truepath.errors import BadInput
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
 from truepath.operation.archive import check_name
 from truepath.operation.backup import make_backup, restore_backup
 from truepath.settings import load_settings
@@ -180,15 +177,13 @@ def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_pat
     assert found["truepath_cell_connected"] == 1
 
 
-def test_a_backup_is_restored_to_an_empty_postgresql(
-    backups, postgres_server, tmp_path
-):
+def test_a_backup_is_restored_to_postgresql(backups, postgres_server, tmp_path):
     name = postgres_server.make_database()
     url, target = postgres_server.url(name), tmp_path / "elsewhere"
     settings = load_settings(data_dir=target, database_url=url)
     kept = restore_backup(settings, backups.folder / "folder")
     with closing(Database(url)) as database:
-        found = check_against_disk(database, target / "runs")
+        found = rebuilding.check_against_disk(database, target / "runs")
         assert (found["jobs"], found["rows_without_file"]) == (kept.rows["jobs"], [])
     other = load_settings(data_dir=tmp_path / "third", database_url=url)
     with pytest.raises(BadInput, match="not empty"):
@@ -257,11 +252,8 @@ def require_all(folder):
     with service_of(load_settings(data_dir=folder, port=0)) as (service, client):
         items = client.get("/api/v1/jobs").json()["items"]
         jobs = {job["kind"]: job for job in items}
-        ends = {
-            "analyse": "succeeded",
-            "measure-standstill": "aborted",
-            "plan": "failed",
-        }
+        ends = {"analyse": "succeeded", "measure-standstill": "aborted"}
+        ends["plan"] = "failed"
         assert {kind: job["state"] for kind, job in jobs.items()} == ends
         assert jobs["plan"]["error"]["detail"] == "no time"
         result = client.get(jobs["analyse"]["result"]["result"]).json()
@@ -317,11 +309,9 @@ def test_a_folder_of_an_older_schema_is_refused_and_left_as_it_is(tmp_path):
         "one, which brings it to 0014, then with this one"
     )
     # Nor is it made anew from what is on disk.
-    with (
-        closing(Database(f"sqlite:///{file}")) as database,
-        pytest.raises(SchemaTooOld),
-    ):
-        rebuild_catalogue(database, old_folder / "runs", old_folder / "results")
+    folders = old_folder / "runs", old_folder / "results"
+    with closing(Database(f"sqlite:///{file}")) as old, pytest.raises(SchemaTooOld):
+        rebuilding.rebuild_catalogue(old, *folders)
     assert list_bytes(old_folder) == before
 
 

@@ -15,13 +15,9 @@ from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.cli.command import run
-from truepath.operation import devices
+from truepath.operation import devices, running_service
 from truepath.operation.finding import Grade
-from truepath.operation.running_service import (
-    RunningService,
-    check_service,
-    find_service,
-)
+from truepath.operation.running_service import RunningService, check_service
 from truepath.settings import load_settings
 from truepath.users.accounts import Accounts
 from truepath.users.certificates import create_certificate
@@ -51,10 +47,10 @@ def test_an_installation_in_order_is_found_in_order(capsys, tmp_path):
 def test_a_port_that_somebody_has_taken_is_wrong_unless_a_service_answers(settings):
     given = settings()
     with socket.create_server(("127.0.0.1", given.port)):
-        found = check_service(given, find_service(given))
+        found = check_service(given, running_service.find_service(given))
     assert found.grade is Grade.WRONG
     assert str(given.port) in found.text
-    assert check_service(given, find_service(given)).grade is Grade.OK
+    assert check_service(given, running_service.find_service(given)).grade is Grade.OK
     for told, words in (({"version": "7.1"}, "version 7.1"), (None, "log-in")):
         found = check_service(given, RunningService(True, True, told))
         assert found.grade is Grade.OK
@@ -64,7 +60,7 @@ def test_a_port_that_somebody_has_taken_is_wrong_unless_a_service_answers(settin
 def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatch):
     given = settings(machine_file=None)
     with hold_folder(given.data_dir):
-        running = find_service(given)
+        running = running_service.find_service(given)
         assert running == RunningService(is_there=True)
         assert check_service(given, running).grade is Grade.WARNING
         asked = []

@@ -67,9 +67,8 @@ def serve(image, compose, volume, tmp_path, free_port):
         log = tmp_path / f"{name}.log"
         with image.running(command, given, mounts, log) as running:
             address = f"http://127.0.0.1:{free_port}"
-            line = (
-                f"import urllib.request as r; r.urlopen('{address}/healthz', None, 4)"
-            )
+            ask = f"r.urlopen('{address}/healthz', None, 4)"
+            line = f"import urllib.request as r; {ask}"
             running.wait_until_healthy(["python", "-c", line])
             with httpx2.Client(base_url=address, timeout=30.0) as client:
                 yield client
@@ -114,10 +113,8 @@ def test_the_main_job_runs_in_the_image(serve):
 def test_another_container_is_measured(serve, image, compose, root, tmp_path):
     entry = compose["simulators"]
     bench = compose["truepath-bench"]["environment"]
-    local = {
-        name: value.replace('"simulators"', '"127.0.0.1"')
-        for name, value in bench.items()
-    }
+    here = '"simulators"', '"127.0.0.1"'
+    local = {name: value.replace(*here) for name, value in bench.items()}
     machine = root / "simulators/truepath_simulators/scenarios" / "demo.json"
     copy = tmp_path / "machine.json"
     shutil.copy(machine, copy)

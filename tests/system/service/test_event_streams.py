@@ -162,9 +162,7 @@ def test_a_tick_comes_every_second_until_the_service_ends(live, service):
 
 
 @pytest.mark.fault_row(27)
-def test_what_a_full_disk_does_not_take_is_told_and_shown(
-    live, make_cell, order, service
-):
+def test_what_a_full_disk_does_not_take_is_told(live, make_cell, order, service):
     keep = service.store.change
 
     def full(*_, **__):
@@ -194,9 +192,7 @@ def test_what_a_full_disk_does_not_take_is_told_and_shown(
 
 
 @pytest.mark.fault_row(32)
-def test_a_slow_client_keeps_the_newest_live_events_and_every_kept_one(
-    live, service, job
-):
+def test_a_slow_client_keeps_newest_live_and_every_kept_event(live, service, job):
     with stream(live) as found:
         read(found, 1)
         for number in range(20_000):

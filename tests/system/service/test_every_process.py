@@ -153,9 +153,7 @@ def harm_each(running, client, state, roles):
 @pytest.mark.fault_row(30)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("roles", [OURS, ("cnc",), ("tracker",)], ids="-".join)
-def test_no_process_or_device_that_stands_or_dies_leaves_a_job_or_a_motion(
-    tmp_path, roles, state
-):
+def test_no_process_that_stands_or_dies_leaves_a_motion(tmp_path, roles, state):
     with process(tmp_path) as opened:
         harmed = harm_each(*opened, state, roles)
     assert {role for role in roles if has_to_run(role, state)} <= harmed
@@ -233,9 +231,7 @@ def rig():
 
 @pytest.mark.fault_row(25)
 @pytest.mark.fault_row(23)
-def test_nothing_answered_is_lost_and_nothing_moves_after_kills_and_freezes(
-    tmp_path, rig, measured
-):
+def test_nothing_is_lost_or_moves_after_kills_and_freezes(tmp_path, rig, measured):
     rng, ledger = random.Random(1), Ledger()
     file = tmp_path / "machine.json"
     environment = environment_of(rig.motion_options, rig.tracker_options, file)

@@ -2,10 +2,7 @@
 
 import pytest
 
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
 
 
 @pytest.fixture
@@ -22,9 +19,9 @@ def test_a_measurement_and_a_rebuild(client, finished, service, make_catalogue_u
         assert client.request(method, f"/api/v1/{address}").status_code == 400
     database = type(service.database)(make_catalogue_url("postgresql"))
     folder = service.results.parent / "runs"
-    lost = check_against_disk(database, folder)["runs_without_row"]
+    lost = rebuilding.check_against_disk(database, folder)["runs_without_row"]
     assert lost == [finished["run_id"]]
-    recovered = rebuild_catalogue(database, folder, service.results)
+    recovered = rebuilding.rebuild_catalogue(database, folder, service.results)
     assert (recovered.runs, recovered.aside) == (1, None)
-    assert check_against_disk(database, folder)["runs_without_row"] == []
+    assert rebuilding.check_against_disk(database, folder)["runs_without_row"] == []
     database.close()

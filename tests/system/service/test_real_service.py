@@ -121,9 +121,7 @@ def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
     "how", ["terminated", pytest.param("Ctrl+C", marks=pytest.mark.long)]
 )
 @pytest.mark.fault_row(40)
-def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
-    tmp_path, how, measured
-):
+def test_the_end_in_motion_stops_the_machine_first_in_time(tmp_path, how, measured):
     with process(tmp_path) as (running, client):
         begin_moving(client, LONG)
         with client.stream("GET", "/api/v1/events") as stream:

@@ -139,9 +139,8 @@ def sent_in(curl, bundle, tmp_path):
 
 
 def test_a_machine_is_measured_and_its_result_taken_away(curl, tmp_path):
-    connect, create, plan, look, show, arm, again, *own_rows = section(
-        "Measure a machine"
-    )
+    connect, create, plan, *others = section("Measure a machine")
+    look, show, arm, again, *own_rows = others
     assert curl(connect).json()["connected"]
     curl.order(create, "ready")
     assert len(curl(plan).json()["position"]) > 2
@@ -269,8 +268,7 @@ def test_a_discovery_is_used_and_asks_the_machine(curl, sent_in, explorer, tmp_p
     job = curl.follow("succeeded")
     answer = curl(found).json()
     assert (answer["schema"], answer["effects"][0]["axis"]) == ("discovery/1", "X")
-    assert job["result"] is None
-    assert job["run_ids"] == [run, job["run_id"]]
+    assert (job["result"], job["run_ids"]) == (None, [run, job["run_id"]])
     listed = [m["id"] for m in curl.client.get("/api/v1/models").json()["items"]]
     assert listed == [job["id"], discovery_id]
     curl.each(section("Use a model"), 202)

@@ -10,17 +10,9 @@ import random
 import numpy as np
 import pytest
 
+import service_process
 from real_services import drive, environment_of
-from service_process import (
-    acknowledge,
-    arm,
-    create,
-    follow,
-    kill,
-    process,
-    wait_for,
-    wait_until_done,
-)
+from service_process import acknowledge, arm, create, follow, wait_for, wait_until_done
 from truepath.cli.demo import compare_with_truth
 from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import digest_run
@@ -75,7 +67,7 @@ def rig(machine):
 def start(tmp_path, rig, machine):
     """Starts the service on the devices of the rig, again and again on one folder."""
     environment = environment_of(rig.motion_options, rig.tracker_options, machine)
-    return lambda: process(tmp_path, **environment)
+    return lambda: service_process.process(tmp_path, **environment)
 
 
 def kill_in_motion(service, client, done=DONE, **order):
@@ -83,7 +75,7 @@ def kill_in_motion(service, client, done=DONE, **order):
     job = create(client, **order)
     arm(client, job)
     wait_until_done(client, job["id"], done, order.get("kind", "measure-otf"))
-    kill(service)
+    service_process.kill(service)
     return job["id"]
 
 
@@ -110,9 +102,7 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
 
 @pytest.mark.fault_row(11)
 @pytest.mark.fault_row(25)
-def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size(
-    start, rig
-):
+def test_a_reflector_knocked_meanwhile_is_refused_with_its_size(start, rig):
     with start() as opened:
         job_id = kill_in_motion(*opened, path=ROWS)
     rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
@@ -161,9 +151,7 @@ def compare_with_places(found, rig):
 
 
 @pytest.mark.fault_row(25)
-def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_right(
-    start, rig, tmp_path
-):
+def test_a_killed_verification_counts_each_place_once(start, rig, tmp_path):
     verify = {"kind": "verify", "what": ["random-points"], "seed": 5}
     with start() as (service, client):
         result_id = drive(client, path=ROWS)["id"]
@@ -218,9 +206,7 @@ def set_down(rig, job, number):
 
 
 @pytest.mark.fault_row(25)
-def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
-    start, rig
-):
+def test_two_stations_that_were_killed_go_on_and_agree_with_truth(start, rig):
     with start() as (service, client):
         order, places_mm = plan_stations(client)
         job = create(client, **order)
@@ -228,7 +214,7 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
         set_down(rig, job, 1)
         arm(client, job)
         wait_until_done(client, job["id"], 4)
-        kill(service)
+        service_process.kill(service)
     with start() as (_, client):
         ready = acknowledge(client, job["id"])
         assert ready["station"]["number"] == 1
@@ -263,9 +249,7 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
 @pytest.mark.fault_row(25)
 @pytest.mark.parametrize("machine", [TOOLS], indirect=True)
 @pytest.mark.parametrize("done", [DONE, 15], ids=["first-tool", "second-tool"])
-def test_two_tools_whose_service_was_killed_go_on_and_agree_with_the_truth(
-    start, rig, done
-):
+def test_two_tools_that_were_killed_go_on_and_agree_with_truth(start, rig, done):
     with start() as opened:
         job_id = kill_in_motion(*opened, done, path=TWO_TOOLS)
     with start() as (_, client):

@@ -11,6 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from api_builders import FOREIGN
 from described_answers import read_document
 from scripted_cell import wait_until
 from truepath.catalogue.job import Job, JobKind
@@ -47,9 +48,7 @@ def open_socket(live):
         ({"Host": "evil.example"}, "checks"),
     ],
 )
-def test_every_message_of_the_open_channel_is_a_stop(
-    open_socket, service, headers, word
-):
+def test_every_message_of_the_channel_is_a_stop(open_socket, service, headers, word):
     running = service.store.create(Job(JobKind.ANALYSE))[0]
     with open_socket("/stop", headers) as channel:
         channel.send("check")
@@ -86,12 +85,7 @@ def test_a_page_of_another_site_hears_nothing(live, open_socket, service, is_pro
         for answer in operations.get("get", {}).get("responses", {}).values()
         if "text/event-stream" in answer.get("content", {})
     }
-    for headers in (
-        {"sec-fetch-site": "cross-site"},
-        {"sec-fetch-site": "same-site"},
-        {"origin": "http://evil.example"},
-        {"origin": "null"},
-    ):
+    for headers in FOREIGN:
         for path in streams:
             address = path.replace("{job_id}", job.id)
             with live.stream("GET", address, headers=headers) as answer:
@@ -126,9 +120,7 @@ def test_events_come_over_a_web_socket_as_in_a_stream(open_socket, service):
 
 
 @pytest.mark.parametrize("path", ["/events", SAMPLES, "/machines/default/live"])
-def test_a_socket_ends_with_its_session(
-    open_socket, service, access, monkeypatch, path
-):
+def test_a_socket_ends_with_a_session(open_socket, service, access, monkeypatch, path):
     for name, role in (("ada", Role.ADMINISTRATOR), ("vera", Role.VIEWER)):
         access.accounts.add(name, role, "a long sentence is easy")
     monkeypatch.setattr(service.access, "rules", access.rules)

@@ -53,7 +53,7 @@ def read(tmp_path):
     return made
 
 
-def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
+def test_a_bad_result_has_to_be_accepted(
     few_places, command, words, judged, read, tmp_path
 ):
     file = judged("not-usable")

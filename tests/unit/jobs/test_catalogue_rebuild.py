@@ -20,10 +20,8 @@ from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
+from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.measurement.run_file.run_file import Batch
 from truepath_simulators.scenario import load_machine
@@ -241,7 +239,7 @@ def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(fo
 
     def check(**asked):
         with open_catalogue(folder) as database:
-            return check_against_disk(database, folder / "runs", **asked)
+            return rebuilding.check_against_disk(database, folder / "runs", **asked)
 
     assert check()["runs_without_row"] == []
     assert check(with_hashes=True)["changed_files"] == []

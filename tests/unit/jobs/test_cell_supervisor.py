@@ -35,8 +35,7 @@ def running(supervisor, maker):
 def test_a_new_cell_opens_no_port_and_connecting_names_the_devices(running, maker):
     assert maker.cell.heard == []
     assert not running.status.connected
-    devices = running.connect()
-    assert devices["tracker"]["serial_number"] == "T-1"
+    assert running.connect()["tracker"]["serial_number"] == "T-1"
     assert running.status.connected
     assert running.status.state == "ready"
     running.connect()
@@ -52,8 +51,7 @@ def test_only_a_fresh_word_says_that_a_machine_stands(running, maker, monkeypatc
     def read(state):
         status = state and MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0)
         maker.cell.say(ControllerRead(status, "" if status else "no answer"))
-        expected = status
-        wait_until(lambda: running.controller and running.controller.status == expected)
+        wait_until(lambda: running.controller and running.controller.status == status)
         return running.read_standstill()
 
     assert running.read_standstill() is None
@@ -113,14 +111,11 @@ def test_a_cell_that_dies_or_is_killed_is_made_anew_unconnected(running, maker, 
     running.connect()
 
 
-def test_a_cell_that_does_not_start_is_tried_with_growing_pauses(supervisor, maker):
+def test_a_cell_that_does_not_start_is_tried_again_or_refuses(maker, supervisor):
     maker.fails = 2
     supervisor.start()
     wait_until(lambda: supervisor.status.state == "disconnected")
     assert supervisor.status.restarts == 2
-
-
-def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, supervisor):
     waiting = CellSupervisor(maker, first_pause_s=30.0)
     maker.fails = 1
     waiting.start()
@@ -129,7 +124,8 @@ def test_without_a_cell_and_after_the_end_verbs_are_refused_at_once(maker, super
         waiting.connect()
     assert isinstance(waiting.send(CellVerb.ABORT).exception(5), CellDown)
     waiting.close()
-    supervisor.close()  # it was never started
+    CellSupervisor(maker).close()  # it was never started
+    supervisor.close()
     with pytest.raises(CellDown, match="ending"):
         supervisor.connect()
 

@@ -53,10 +53,8 @@ def discover(dispatcher, run, until):
 @pytest.fixture
 def ask(dispatcher, discover):
     def asked(discovery=None, **order):
-        of = (discovery or discover()).id
-        asked = {"discovery_id": of, "plan_request": order}
-        request = RequestedJob(JobKind.MEASURE_EXTRA, **asked)
-        return dispatcher.create(request)[0]
+        asked = {"discovery_id": (discovery or discover()).id, "plan_request": order}
+        return dispatcher.create(RequestedJob(JobKind.MEASURE_EXTRA, **asked))[0]
 
     return asked
 
@@ -82,8 +80,7 @@ def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
     path = cell.order.commanded
     assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
     assert path.feed_mm_min.tolist() == [6000.0, 900.0]
-    assert job.has_discovery
-    assert not job.has_result
+    assert (job.has_discovery, job.has_result) == (True, False)
     assert job.run_ids == (run.id, job.run_id)
     files, _, _ = explorer.calls[-1]
     assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]

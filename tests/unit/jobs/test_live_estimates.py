@@ -89,8 +89,7 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     for effect in effects:
         part = model.slices[effect.name]
         value, sigma = theta[part][0], np.sqrt(covariance[part, part][0, 0])
-        is_shift = effect.symbol[0] in "XYZ"
-        unit, scale = ("um", 1e3) if is_shift else ("urad", 1e6)
+        unit, scale = ("um", 1e3) if effect.symbol[0] in "XYZ" else ("urad", 1e6)
         entry = places[effect.symbol]
         assert entry[f"value_{unit}"] == pytest.approx(scale * value, abs=1e-3)
         assert entry[f"uncertainty_{unit}"] == pytest.approx(scale * sigma, abs=1e-3)

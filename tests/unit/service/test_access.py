@@ -19,15 +19,9 @@ from truepath.machines.cell_status import NOT_READ
 from truepath.measurement.messages import ControllerRead
 from truepath.service.api.application import create_application
 from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.security import route_roles as roles
 from truepath.service.api.security.access_control import COOKIE, AccessControl
-from truepath.service.api.security.route_roles import (
-    ANYBODY,
-    LEAST_ROLES,
-    MOVES,
-    STOP,
-    find_least_role,
-    find_route,
-)
+from truepath.service.api.security.route_roles import LEAST_ROLES, find_route
 from truepath.service.page import pages
 from truepath.users.access import RateLimit
 from truepath.users.roles import PERSONAL_ROLES, Role, includes
@@ -85,13 +79,13 @@ def test_every_route_declares_its_least_role_and_what_does_not_is_closed():
     assert routes - set(LEAST_ROLES) == set(), "declare them in route_roles.py"
     assert set(LEAST_ROLES) - routes == set(), "no such route any more"
     assert len(routes) > 50
-    assert LEAST_ROLES[STOP] is ANYBODY
+    assert LEAST_ROLES[roles.STOP] is roles.ANYBODY
     certificates = f"{API}/jobs/{{job_id}}/certificates"
     assert LEAST_ROLES[f"POST {certificates}"] is Role.METROLOGIST
     assert LEAST_ROLES[f"GET {certificates}"] is Role.VIEWER
-    assert find_least_role("GET", find_route("GET", "/api/v1/new")) is Role.VIEWER
+    assert roles.find_least_role("GET", find_route("GET", "/api/v1/new")) is Role.VIEWER
     unknown = find_route("POST", "/api/v1/new")
-    assert find_least_role("POST", unknown) is Role.ADMINISTRATOR
+    assert roles.find_least_role("POST", unknown) is Role.ADMINISTRATOR
     for route in LEAST_ROLES:
         assert find_route(*address_of(route)) == route
     assert find_route("HEAD", "/api/v1/jobs") == "GET /api/v1/jobs"
@@ -102,9 +96,7 @@ def address_of(route):
     return method, path.replace("{path:path}", "x").replace("{", "").replace("}", "")
 
 
-def test_each_route_takes_its_role_and_those_above(
-    reached, tokens, monkeypatch, access
-):
+def test_routes_take_their_role_and_those_above(reached, tokens, monkeypatch, access):
     done = Future()
     done.set_result(None)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: done)
@@ -120,11 +112,11 @@ def test_each_route_takes_its_role_and_those_above(
 
 
 def expect_status(route, least, role):
-    if least is ANYBODY:
+    if least is roles.ANYBODY:
         return 200
     if role is None:
         return 401
-    moves_alone = role is Role.SERVICE and route in MOVES
+    moves_alone = role is Role.SERVICE and route in roles.MOVES
     return 200 if includes(role, least) and not moves_alone else 403
 
 
@@ -302,9 +294,7 @@ def test_administrators_manage_users_and_keys(client, tokens):
     assert client.get(f"{API}/jobs", headers=bearer(made["token"])).status_code == 401
 
 
-def test_jobs_have_owners_and_the_audit_log_what_was_done(
-    client, tokens, access, order
-):
+def test_jobs_have_owners_the_audit_log_what_was_done(client, tokens, access, order):
     headers = bearer(tokens[Role.OPERATOR])
     made = client.post(f"{API}/jobs", json=order, headers=headers)
     assert made.json()["owner"] == "operator"
@@ -337,9 +327,7 @@ def test_jobs_have_owners_and_the_audit_log_what_was_done(
     assert [row["seq"] for row in page["items"] + more["items"]] == [5, 4, 3, 2, 1]
 
 
-def test_stops_have_no_rate_and_await_no_audit_log(
-    reached, access, tokens, monkeypatch
-):
+def test_stops_have_no_rate_and_await_no_audit(reached, access, tokens, monkeypatch):
     """The log cannot be written."""
     patience = "truepath.service.api.security.access_control.AUDIT_PATIENCE_S"
     monkeypatch.setattr(patience, 0.05)

@@ -91,9 +91,7 @@ def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
 
 
 @pytest.mark.usefixtures("few_places")
-def test_files_that_were_verified_stand(
-    client, service, with_result, place, quick_print
-):
+def test_verified_files_are_stated(client, service, with_result, place, quick_print):
     at = f"/api/v1/jobs/{with_result}/compensations"
     kept = client.post(at, json={"format": "json"}).json()
     asked = {"result_id": with_result, "compensation_id": kept["id"]}

@@ -64,8 +64,7 @@ def test_every_family_of_errors_is_a_kind_of_problem():
 
 def test_a_failure_of_a_job_is_a_problem_of_its_family_with_its_own_code_and_way_out():
     content = problems.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
-    assert content["code"] == "bundle"
-    assert content["detail"] == "tracker.csv: NaN"
+    assert (content["code"], content["detail"]) == ("bundle", "tracker.csv: NaN")
     assert "status" not in content
     text = "127.0.0.1:5000 streams at up to 400 Hz, not at 500 Hz"
     failure = Failure("MeasurementEnded", text, "refused", "check the rate")
@@ -85,12 +84,9 @@ def test_an_error_or_status_nobody_foresaw_is_of_the_nearest_kind_and_tells_noth
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
     assert problems.find_kind(KeyError) is problems.INTERNAL
-    for status, code, shown in (
-        (418, "bad-request", 418),
-        (599, "internal-error", 500),
-    ):
+    for status, told in ((418, ("bad-request", 418)), (599, ("internal-error", 500))):
         kind = find_kind_of_status(status)
-        assert (kind.code, kind.status) == (code, shown)
+        assert (kind.code, kind.status) == told
 
 
 OPERATIONS = {

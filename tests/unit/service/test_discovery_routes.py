@@ -71,9 +71,7 @@ def test_what_names_no_run_discovery_or_model_is_not_found(client, run, is_probl
     assert client.get(JOBS).json()["items"] == []
 
 
-def test_a_model_not_to_be_used_steers_nothing(
-    client, run, discover, explorer, is_problem
-):
+def test_a_bad_model_steers_nothing(client, run, discover, explorer, is_problem):
     explorer.verdict = Verdict((Reason("stated", "not-usable", {"text": "Odd."}),))
     refused = discover()
     assert refused["verdict"] == "not-usable"

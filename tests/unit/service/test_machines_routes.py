@@ -87,9 +87,7 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
     is_problem(add(client, "current", name="x"), 422, "validation")
 
 
-def test_a_machine_described_anew_keeps_its_devices(
-    chosen, client, service, is_problem
-):
+def test_a_machine_file_anew_keeps_the_devices(chosen, client, service, is_problem):
     assert chosen["devices"]["tracker_options"] == TRACKER
     first, added = client.get(BASE).json()["items"]
     assert (first["id"], added["id"], added["place"]) == ("default", "mill-3", "hall 3")
@@ -142,9 +140,7 @@ def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
     assert read_change()[0]["machine_file.name"] == "mill 3b"
 
 
-def test_a_trial_says_what_the_tracker_sends(
-    client, make_cell, order, take, is_problem
-):
+def test_a_trial_says_what_a_tracker_sends(client, make_cell, order, take, is_problem):
     trial = f"{BASE}/default/devices:try"
     answer = client.post(trial)
     assert answer.status_code == 200, answer.text
@@ -252,7 +248,7 @@ def test_an_old_run_that_is_uploaded_late_is_not_the_newest(calibrated, service)
     assert len(list_jobs()) == 1
 
 
-def test_only_a_usable_calibration_of_the_machine_is_a_reference(
+def test_a_reference_is_a_calibration(
     client, calibrated, service, finished, is_problem
 ):
     at, standing = f"{BASE}/default", f"{BASE}/default/standing"
@@ -306,9 +302,7 @@ def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service,
     assert (event["is_alarm"], event["calibration"]) == (True, calibrated[1])
 
 
-def test_three_calibrations_tell_of_temperature(
-    client, calibrated, service, is_problem
-):
+def test_three_calibrations_show_temperature(client, calibrated, service, is_problem):
     at = f"{BASE}/default/temperature"
 
     def state(job_id, celsius):

@@ -69,9 +69,8 @@ PROXY = "192.0.2.7"
 
 def behind(service, *, peer=PROXY, **setup):
     """A client of the service as it is asked by a proxy."""
-    app = create_application(
-        service, pages=pages.router, trusted_proxies=(PROXY,), **setup
-    )
+    setup |= {"pages": pages.router, "trusted_proxies": (PROXY,)}
+    app = create_application(service, **setup)
     app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
     return TestClient(app, base_url="http://127.0.0.1:8411", client=(peer, 5000))
 
@@ -79,9 +78,7 @@ def behind(service, *, peer=PROXY, **setup):
 @pytest.mark.fault_row(47)
 @pytest.mark.parametrize("is_cut_off", [True, False])
 @pytest.mark.parametrize("root", ["/truepath", "/api", "/docs/a.b"])
-def test_every_address_is_below_the_path_at_which_a_proxy_shows_the_service(
-    service, order, root, is_cut_off
-):
+def test_every_address_is_below_the_path_of_a_proxy(service, order, root, is_cut_off):
     before = "" if is_cut_off else root
     with behind(service, root_path=root) as client:
         page = client.get(f"{before}/").text

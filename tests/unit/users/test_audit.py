@@ -29,10 +29,8 @@ def writer(audit_log):
 @contextmanager
 def locked(database):
     """Let nobody else write to the catalogue."""
-    with (
-        database.engine.connect() as raw,
-        raw.execution_options(truepath_writes=True).begin(),
-    ):
+    writes = {"truepath_writes": True}
+    with database.engine.connect() as raw, raw.execution_options(**writes).begin():
         yield
 
 

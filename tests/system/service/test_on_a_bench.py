@@ -1,7 +1,7 @@
-"""The whole circle over REST: measured, asked, driven by simulated devices, decided.
+"""The whole service over simulated devices: asked, knocked, and proved.
 
-The truth of the bench hides an effect; the service knows nothing of it. Extra lines are
-driven as any other motion: armed by whoever has looked at them.
+In the circle the truth of the bench hides an effect; the service knows nothing of it.
+Extra lines are driven as any other motion: armed by whoever has looked at them.
 """
 
 import json
@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from real_services import drive, simulated_service
-from service_process import ENDS
+from service_process import ENDS, SPEED, follow
 from truepath.files.bundle.bundle import zip_bundle
 from truepath_simulators.hidden.effects_by_name import as_json
 from truepath_simulators.hidden.guides import Squareness
 from truepath_simulators.hidden.screws import LateralBacklash
 from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
 MACHINE = 5
 FEW = 10  # extra lines
@@ -112,3 +113,80 @@ def test_the_lines_may_be_driven_as_a_path_of_ones_own(client, first, hidden):
     both = {"run_ids": [first["run_id"], extra["run_id"]]}
     job = drive(client, kind="discover", model_id=first["model_id"], **both)
     check_what_is_decided(read_discovery(client, job["id"]), hidden, "half_width")
+
+
+SLOW = 6.0
+ROWS, KNOCKED_S, KNOCK_MM = 34, 82.0, 0.03  # since the stream began
+
+
+@pytest.fixture
+def knocked(tmp_path):
+    """A service over a bench whose tracker is pushed aside once, and a client of it."""
+    fault = f"tracker:knock@{KNOCKED_S}s*{KNOCK_MM}"
+    bench = {"simulated_speed": SLOW, "simulated_faults": (fault,)}
+    with simulated_service(tmp_path / "data", 500, **bench) as opened:
+        yield opened
+
+
+def measure(client, end, on_notice):
+    program = paths.chord_path(parse_machine(load_machine("demo")), 3, ROWS, 8000.0)
+    path = [
+        {"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": dwell}
+        for (x, y, z), dwell in zip(
+            program.position.tolist(), program.dwell_s.tolist(), strict=True
+        )
+    ]
+    return drive(client, end, path=path, feed_mm_min=8000, on_notice=on_notice)
+
+
+def count_lines(client, job):
+    return len(client.get(job["links"]["plan"]).json()["position"]) - 1
+
+
+@pytest.mark.fault_row(11)
+def test_a_knock_is_told_kept_and_the_line_before_it_driven_again(knocked):
+    (service, client), told = knocked, []
+    service.event_bus.subscribe(told.append)
+    job = measure(client, "succeeded", "check")
+    notice = job["notices"][0]
+    assert (notice["kind"], notice["grade"]) == ("set-up-moved", "certain")
+    assert KNOCKED_S < notice["noticed_s"] < KNOCKED_S + 12.0
+    assert notice["noticed_row"] - notice["since_row"] <= 2
+    assert abs(notice["size_um"] - 1e3 * KNOCK_MM) < 3.0
+    assert notice["action"] == "check"
+    assert next(event for event in told if event.type == "notice").body["number"] == 1
+    assert count_lines(client, job) >= ROWS - 1 + 4
+    result = client.get(job["result"]["result"]).json()
+    assert result["notices"] == job["notices"]
+
+
+def test_a_machine_that_is_held_goes_on_as_it_is_told(knocked):
+    _, client = knocked
+    held = measure(client, "paused", "pause")
+    assert held["notices"]
+    version = {"If-Match": f'"{held["version"]}"'}
+    resume = f"/api/v1/jobs/{held['id']}/resume?then=replan"
+    assert client.post(resume, headers=version).status_code == 202
+    job = follow(client, held["id"], "succeeded", patience_s=150.0)
+    assert job["notices"][0]["action"] == "replan"
+    assert count_lines(client, job) > ROWS - 1
+
+
+def test_circles_are_driven_on_the_fly_and_held_against_the_result(tmp_path):
+    with simulated_service(tmp_path / "data", simulated_speed=SPEED) as (_, client):
+        order = {"kind": "verify", "result_id": drive(client)["id"]}
+        proved = drive(client, **order, what=["circles-in-motion"])
+        found = client.get(proved["verification"]["verification"]).json()
+    assert found["circles_missing"] == []
+    assert [one["plane"] for one in found["circles_in_motion"]] == ["XY", "YZ", "ZX"]
+    for one in found["circles_in_motion"]:
+        driven = one["driven_feed_mm_min"].values()
+        assert list(driven) == pytest.approx([one["feed_mm_min"]] * 2, rel=0.01)
+        assert one["figures_um"]["H"] <= 2.0 * one["uncertainty_um"]["H"]
+    within = [
+        difference["within"]
+        for one in found["circles_in_motion"]
+        for difference in one["difference_um"].values()
+    ]
+    assert sum(within) >= len(within) - 1
+    assert found["agreement"]["consistent"]
