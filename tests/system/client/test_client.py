@@ -17,6 +17,8 @@ import httpx2
 import pytest
 from playwright.sync_api import sync_playwright
 
+from answers_in_turn import Script, answer
+from described_answers import read_document
 from service_process import process
 from truepath import client as api
 from truepath.client import AsyncClient, Client, Problem, Refused, Unreachable, bodies
@@ -34,29 +36,7 @@ def no_waiting(monkeypatch):
     monkeypatch.setattr(api.steps, "REPEATS_S", (0.0, 0.0, 0.0))
 
 
-class Script:
-    """Answers requests in turn; an exception in place of an answer is a lost one."""
-
-    def __init__(self, *answers):
-        self.answers, self.requests = list(answers), []
-
-    def __call__(self, request):
-        self.requests.append(request)
-        answer = self.answers.pop(0)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    def open(self):
-        return Client("http://mill", transport=httpx2.MockTransport(self))
-
-
-DOCUMENT = json.loads((ROOT / "docs" / "openapi.json").read_text("utf-8"))
 LOST = httpx2.ReadError("gone")
-
-
-def answer(status, content, **headers):
-    return httpx2.Response(status, json=content, headers=headers)
 
 
 def stream(*events):
@@ -203,31 +183,17 @@ def test_a_token_goes_with_every_request_after_the_log_in():
     assert sent == [None, "Bearer secret", "Bearer secret"]
 
 
-SCHEMA_OF = {
-    bodies.Job: "JobOut",
-    bodies.JobLinks: "JobLinks",
-    bodies.ResultLinks: "ResultLinks",
-    bodies.Progress: "JobProgress",
-    bodies.Health: "JobHealth",
-    bodies.Run: "RunOut",
-    bodies.Plan: "PlanResource",
-    bodies.ErrorTables: "ErrorTablesOut",
-    bodies.ErrorTable: "ErrorTableOut",
-    bodies.Squareness: "SquarenessOut",
-    bodies.Verdict: "VerdictOut",
-    bodies.Estimate: "EstimateOut",
-    bodies.Condition: "ConditionOut",
-    bodies.System: "SystemOut",
-    bodies.Machine: "MachineEntry",
-    bodies.MachineRecord: "MachineDetail",
-    bodies.Problem: "Problem",
-}
+OUT = "Job Run ErrorTables ErrorTable Squareness Verdict Estimate Condition System"
+SCHEMA_OF = {name: name for name in ("JobLinks", "ResultLinks", "Problem")}
+SCHEMA_OF |= {name: f"{name}Out" for name in OUT.split()}
+SCHEMA_OF |= {"Progress": "JobProgress", "Health": "JobHealth", "Plan": "PlanResource"}
+SCHEMA_OF |= {"Machine": "MachineEntry", "MachineRecord": "MachineDetail"}
 
 
 @pytest.mark.parametrize("body", SCHEMA_OF)
 def test_the_types_of_the_client_are_those_of_the_interface(body):
-    described = DOCUMENT["components"]["schemas"][SCHEMA_OF[body]]["properties"]
-    assert set(get_type_hints(body)) <= set(described)
+    described = read_document()["components"]["schemas"][SCHEMA_OF[body]]["properties"]
+    assert set(get_type_hints(getattr(bodies, body))) <= set(described)
 
 
 JOB = {"id": "7", "version": 3, "state": "succeeded", "token": "once", "ended": "now"}
@@ -275,8 +241,7 @@ TLS = ssl.create_default_context()
 def one_tls_context(monkeypatch):
     """One for all clients: each takes a twentieth of a second."""
     for face in ("sync_client", "async_client"):
-        made = f"truepath.client.{face}.make_tls_context"
-        monkeypatch.setattr(made, lambda _: TLS)
+        monkeypatch.setattr(f"truepath.client.{face}.make_tls_context", lambda _: TLS)
 
 
 def list_methods(face):
@@ -288,8 +253,6 @@ def test_no_method_is_left_out():
 
 
 class Service:
-    """Answers everything, and keeps what was asked."""
-
     def __init__(self):
         self.asked = []
 
@@ -345,14 +308,13 @@ def test_it_asks_what_is_described_and_returns_what_came(name, call):
     elif name == "download":
         assert json.loads(answer) == PAGE
     else:
-        listed = name.startswith("list_")
-        assert answer in ((JOB, [JOB]) if listed else (PAGE,))
+        assert answer in ((JOB, [JOB]) if name.startswith("list_") else (PAGE,))
 
 
 def find_operation(method, path):
     fitting = [
         operations[method.lower()]
-        for template, operations in DOCUMENT["paths"].items()
+        for template, operations in read_document()["paths"].items()
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/:]+", template), path)
         and method.lower() in operations
     ]
@@ -371,7 +333,7 @@ def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
     assert done.stdout == written.read_text("utf-8")
 
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "clients.md").read_text("utf-8")
+GUIDE = (ROOT / "docs" / "clients.md").read_text("utf-8")
 ADDRESS = "http://127.0.0.1:8411"
 
 

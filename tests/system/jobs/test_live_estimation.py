@@ -101,7 +101,6 @@ def test_an_estimate_is_told_with_its_age_until_its_process_dies(run, live, show
 
 
 def links_to(bench, folder):
-    """Settings of a service that drives the machine of a bench."""
     file = folder / "machine.json"
     file.write_text(json.dumps(bench.machine), encoding="utf-8")
     options = bench.tracker_options, bench.motion_options

@@ -55,26 +55,15 @@ BEYOND = "cannot be read within 64 MiB of memory"
 PARQUET, CSV, MACHINE = "tracker.parquet", "tracker.csv", "machine.json"
 MANY = np.zeros(3_000_000)
 DEEP = b'{"a":' * 980 + b'"\\u0041"' + b"}" * 980  # as can just be read
-LINE = "is longer than 64 KiB"
+WIDE = b",".join(b"c%d" % n for n in range(501)) + b"\n"
+LINE, RAISE = "is longer than 64 KiB", f"{BEYOND}; send less, or raise upload_memory_mb"
 HOSTILE = [
     (lambda: encode(np.zeros(2_200_000)), PARQUET, "packs so well"),
     (lambda: encode(pa.array(["0" * 100_000] * 700)), PARQUET, "long texts"),
-    (
-        lambda: encode(MANY, t_s=np.arange(3_000_000) / 500),
-        PARQUET,
-        f"{BEYOND}; send less, or raise upload_memory_mb",
-    ),
-    (
-        lambda: HEADER + b"1" * 6_000_000,
-        f"{CSV}, row 2",
-        f"{LINE}; end every row with a line break",
-    ),
+    (lambda: encode(MANY, t_s=np.arange(3_000_000) / 500), PARQUET, RAISE),
+    (lambda: HEADER + b"1" * 6_000_000, f"{CSV}, row 2", f"{LINE}; end every row with"),
     (lambda: HEADER[:-1] + b"," * 6_000_000, f"{CSV}, row 1", LINE),
-    (
-        lambda: b",".join(b"c%d" % n for n in range(501)) + b"\n",
-        f"{CSV}, row 1",
-        "has 501 columns, more than 500",
-    ),
+    (lambda: WIDE, f"{CSV}, row 1", "has 501 columns, more than 500"),
     (lambda: b"a\rb,c\n", f"{CSV}, row 1", "cannot be read as CSV"),
     (lambda: bytes(100 << 20), CSV, BEYOND),
     (lambda: b"[" * 2_000_000, MACHINE, "nested too deeply"),

@@ -132,10 +132,8 @@ def test_what_a_block_raises_comes_back(tasks, pair, scheduler):
 
 @pytest.mark.fault_row(38)
 def test_a_worker_that_dies_is_told_not_waited_for(tasks):
-    with (
-        open_workers(Workers(count=1)) as mapper,
-        pytest.raises(WorkerDied, match="ended without an answer"),
-    ):
+    workers, said = Workers(count=1), "ended without an answer"
+    with open_workers(workers) as mapper, pytest.raises(WorkerDied, match=said):
         list(mapper(tasks.crash, range(3)))
 
 
@@ -173,12 +171,8 @@ def test_workers_and_lanes_end_with_whoever_asked_even_if_it_is_killed(tasks, tm
     )
     file = tmp_path / "program.py"
     file.write_text(program)
-    with subprocess.Popen(
-        [sys.executable, file],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as parent:
+    pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen([sys.executable, file], text=True, **pipes) as parent:
         assert parent.stdout is not None
         children = [int(pid) for pid in parent.stdout.readline().split()]
         assert len(children) == 2
@@ -198,9 +192,8 @@ def test_a_cluster_that_cannot_be_used_is_named(free_tcp_port, monkeypatch):
             pass
 
     refuse(f"no Dask scheduler answers at {address}", address, patience_s=0.5)
-    with distributed.LocalCluster(
-        n_workers=0, processes=False, protocol="tcp://", dashboard_address="127.0.0.1:0"
-    ) as cluster:
+    how = {"protocol": "tcp://", "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(n_workers=0, processes=False, **how) as cluster:
         refuse("has no workers", cluster.scheduler_address)
     with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
         Workers("dask").check()

@@ -35,7 +35,6 @@ class Backups(NamedTuple):
 
 
 def unpack(place: Path, revision: str = "0014") -> Path:
-    """Fill a data folder with Runs, jobs, a result and a user; return it."""
     with zipfile.ZipFile(DATA / f"data_folder_v{revision}.zip") as archive:
         archive.extractall(place)
     return place

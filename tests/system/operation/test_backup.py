@@ -248,7 +248,6 @@ def read_revision(file):
 
 
 def require_all(folder):
-    """Read everything that the folder holds over REST."""
     with service_of(load_settings(data_dir=folder, port=0)) as (service, client):
         items = client.get("/api/v1/jobs").json()["items"]
         jobs = {job["kind"]: job for job in items}

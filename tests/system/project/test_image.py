@@ -56,8 +56,6 @@ def volume(tmp_path):
 
 @pytest.fixture
 def serve(image, compose, volume, tmp_path, free_port):
-    """Run the service of a compose entry; yield a client of it."""
-
     @contextmanager
     def start(name, *words, volumes=(), **environment):
         entry = compose[name]["environment"]
@@ -77,13 +75,11 @@ def serve(image, compose, volume, tmp_path, free_port):
 
 
 def end_first_job(client):
-    """Return the job that the service takes on by itself, once it has succeeded."""
     first = until(lambda: client.get("/api/v1/jobs").json()["items"], JOB_S)[0]
     return follow(client, first["id"], "succeeded", patience_s=JOB_S)
 
 
 def check_tables(job, client):
-    """Error tables stand, the report opens, and the Run comes as a bundle."""
     result = f"/api/v1/jobs/{job['id']}/result"
     assert "EXX" in client.get(f"{result}/error-tables.json").text
     assert "EXX" in client.get(f"{result}/report.html").text

@@ -91,7 +91,6 @@ def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
 
 @pytest.fixture(scope="module")
 def packed(wheel):
-    """The members of the wheel."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         return {name: archive.read(name).decode("latin-1") for name in names}

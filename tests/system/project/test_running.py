@@ -105,8 +105,7 @@ def test_the_lines_of_the_container_start_the_service(root, tmp_path, free_port)
     check = [word.replace(":8411/", f":{free_port}/") for word in check]
     check[0] = sys.executable
     assert subprocess.run(check, capture_output=True).returncode != 0
-    address = f"http://127.0.0.1:{free_port}"
-    with running(words, address, tmp_path, **environment):
+    with running(words, f"http://127.0.0.1:{free_port}", tmp_path, **environment):
         assert subprocess.run(check, capture_output=True).returncode == 0
 
 

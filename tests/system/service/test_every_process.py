@@ -89,7 +89,6 @@ def harm(found, is_kill, frozen_s=FROZEN_S):
 
 
 def settle(client, job):
-    """Wait until the job has ended or waits for somebody; return its state."""
     wait_for(lambda: state_of(client, job)["state"] in SETTLED, "a settled job")
     return state_of(client, job)["state"]
 
@@ -291,8 +290,6 @@ def work(client, ledger, end_s):
 
 
 def require_standstill(rig):
-    """The machine comes to rest by itself and stays there."""
-
     def rests():
         before = rig.read_position()["position"][0]
         time.sleep(0.25)

@@ -93,13 +93,11 @@ def fill(path, name):
 
 
 def list_queries(path, method):
-    """Return the names that a request may have in its query, by its description."""
     parameters = PATHS[path][method].get("parameters", ())
     return [one["name"] for one in parameters if one["in"] == "query"]
 
 
 def list_properties(path, method):
-    """Return the names of the keys of a request's body, by its description."""
     schema = PATHS[path][method]["requestBody"]["content"]["application/json"]["schema"]
     return sorted(resolve(schema)["properties"])
 

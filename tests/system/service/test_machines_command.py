@@ -10,8 +10,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture
 def machines(live, capsys):
-    """The command at the service: exit status, what it printed, what it said."""
-
     def call(verb, *words):
         status = run(["machines", verb, *words, "--address", str(live.base_url)])
         printed, said = capsys.readouterr()
@@ -22,8 +20,6 @@ def machines(live, capsys):
 
 @pytest.fixture
 def printed_of(machines):
-    """What the command has printed where it succeeds."""
-
     def call(*words):
         status, printed, _ = machines(*words)
         assert status == 0

@@ -81,8 +81,7 @@ def read_discovery(client, job_id):
 
 def check_what_is_decided(found, hidden, parameter):
     effect, *others = found["effects"]
-    assert effect["name"] == hidden.name
-    assert effect["indistinguishable_from"] == []
+    assert (effect["name"], effect["indistinguishable_from"]) == (hidden.name, [])
     # Before its first motion an axis with play stands as it was left: that is no step.
     assert not {"setup-step", *LEANS} & {e["name"] for e in others}
     said = effect["parameters"][parameter]
@@ -121,7 +120,6 @@ ROWS, KNOCKED_S, KNOCK_MM = 34, 82.0, 0.03  # since the stream began
 
 @pytest.fixture
 def knocked(tmp_path):
-    """A service over a bench whose tracker is pushed aside once, and a client of it."""
     fault = f"tracker:knock@{KNOCKED_S}s*{KNOCK_MM}"
     bench = {"simulated_speed": SLOW, "simulated_faults": (fault,)}
     with simulated_service(tmp_path / "data", 500, **bench) as opened:

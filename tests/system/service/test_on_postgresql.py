@@ -12,8 +12,7 @@ def database_kind():
 
 def test_a_measurement_and_a_rebuild(client, finished, service, make_catalogue_url):
     assert service.database.engine.dialect.name == "postgresql"
-    run = client.get(f"/api/v1/runs/{finished['run_id']}").json()
-    assert run["samples"] > 0
+    assert client.get(f"/api/v1/runs/{finished['run_id']}").json()["samples"] > 0
     assert client.get("/api/v1/jobs").json()["items"][0]["id"] == finished["id"]
     for method, address in (("POST", "jobs/%00/abort"), ("GET", "runs/%00")):
         assert client.request(method, f"/api/v1/{address}").status_code == 400

@@ -108,8 +108,7 @@ def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
         assert "service has stood still" in json.dumps(paused)
         client.post("/api/v1/stop")
         run_id = follow(client, job, "aborted")["run_id"]
-    file = tmp_path / "data" / "runs" / f"{run_id}.sqlite"
-    axes = open_run(file).axis_samples
+    axes = open_run(tmp_path / "data" / "runs" / f"{run_id}.sqlite").axis_samples
     time_s = axes.host_time_s
     is_meanwhile = (time_s > frozen_s + 3.0) & (time_s < frozen_s + FROZEN_S)
     meanwhile = axes.position_mm[is_meanwhile]

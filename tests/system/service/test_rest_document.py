@@ -83,15 +83,12 @@ class Curl:
         return answer
 
     def order(self, words, state="succeeded"):
-        """Send an order of a job, take the job that it makes, wait until it is so."""
         answer = self(words)
         assert answer.status_code == 202, answer.text
         self.names["JOB"] = answer.json()["id"]
         return self.follow(state)
 
     def follow(self, state):
-        """Wait until the job is in a state; take its version and its Run."""
-
         def reached():
             job = self.client.get(f"/api/v1/jobs/{self.names['JOB']}").json()
             return job if job["state"] == state else None
@@ -102,7 +99,6 @@ class Curl:
         return job
 
     def arm(self, look, show, arm):
-        """Look at what will move, arm it; the machine moves."""
         assert self(look).headers["etag"] == f'"{self.names["VERSION"]}"'
         assert self(show).status_code == 200
         assert self(arm).status_code == 202

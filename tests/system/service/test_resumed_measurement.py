@@ -65,7 +65,6 @@ def rig(machine):
 
 @pytest.fixture
 def start(tmp_path, rig, machine):
-    """Starts the service on the devices of the rig, again and again on one folder."""
     environment = environment_of(rig.motion_options, rig.tracker_options, machine)
     return lambda: service_process.process(tmp_path, **environment)
 
@@ -87,8 +86,7 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
     with start() as opened:
         job_id = kill_in_motion(*opened, **{"kind": kind, rows: ROWS})
     with start() as (_, client):
-        job = client.get(f"/api/v1/jobs/{job_id}").json()
-        assert job["state"] == "interrupted"
+        assert client.get(f"/api/v1/jobs/{job_id}").json()["state"] == "interrupted"
         ended, first_row = go_on(client, rig, job_id)
         assert DONE - 1 <= first_row <= DONE + 4
         runs = [client.get(f"/api/v1/runs/{i}").json() for i in ended["run_ids"]]

@@ -20,7 +20,6 @@ WATCHDOG_S = 1.5
 
 @pytest.fixture
 def notices(tmp_path):
-    """What came to a notify socket, and when."""
     received = []
 
     def read():

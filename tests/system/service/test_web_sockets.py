@@ -41,12 +41,7 @@ def open_socket(live):
 @pytest.mark.fault_row(47)
 @pytest.mark.parametrize(
     ("headers", "word"),
-    [
-        ({}, "stop"),
-        (ELSEWHERE, ""),
-        (ELSEWHERE, b"\x00"),
-        ({"Host": "evil.example"}, "checks"),
-    ],
+    [({}, "stop"), (ELSEWHERE, ""), (ELSEWHERE, b"\x00"), ({"Host": "a.b"}, "checks")],
 )
 def test_every_message_of_the_channel_is_a_stop(open_socket, service, headers, word):
     running = service.store.create(Job(JobKind.ANALYSE))[0]

@@ -30,5 +30,4 @@ def test_the_proof_is_exact_for_a_result_that_is_the_truth(result):
 
     found = compare_with_truth(result, truth_um)
     assert found.before_um > 1.0
-    assert found.after_um == pytest.approx(0.0, abs=1e-6)
-    assert found.covered == 1.0
+    assert (found.after_um, found.covered) == (pytest.approx(0.0, abs=1e-6), 1.0)

@@ -19,8 +19,7 @@ def test_files_are_written_and_points_predicted(command, discovered, points, tmp
     assert names == {"discovery.json", "model.json", "report.html"}
     content = json.loads((discovered / "discovery.json").read_text())
     assert content["schema"] == "discovery/1"
-    assert content["effects"] == []
-    assert content["unnamed"] == []
+    assert content["effects"] == content["unnamed"] == []
     out, model = tmp_path / "predicted.csv", discovered / "model.json"
     command.run("predict", model, "--points", points, "-o", out)
     header, *rows = out.read_text().splitlines()

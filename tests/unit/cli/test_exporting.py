@@ -14,6 +14,12 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
+CONTENT = load_machine("demo")
+pytestmark = [
+    pytest.mark.timeout(240),  # two measurements are analysed
+    pytest.mark.usefixtures("few_places"),
+]
+
 
 @pytest.fixture
 def words(analysed, tmp_path):
@@ -103,12 +109,8 @@ def test_stated_lost_motion_is_for_both_ways(command, words, result, keep, tmp_p
 def test_the_result_itself_is_never_written_over(command, words, result, keep, names):
     file = keep(result)
     before = file.read_bytes()
-    for name, output in (
-        ("siemens", "result.ini"),
-        ("siemens-lec", "result.json"),
-        ("json", "result.json"),
-        ("json", "result"),
-    ):
+    own = ("siemens-lec", "result.json"), ("json", "result.json"), ("json", "result")
+    for name, output in (("siemens", "result.ini"), *own):
         said = command.refuse(*words(name, output, result=file))
         assert "result.json: would be written over" in said
         assert names() == {"result.json"}
@@ -123,13 +125,6 @@ def test_an_account_replaces_nothing_but_accounts(command, words, names, tmp_pat
         assert "machine.json: the account of the files would be written over it" in said
         assert machine.read_text() == text
     assert "machine.ini" not in names()
-
-
-CONTENT = load_machine("demo")
-pytestmark = [
-    pytest.mark.timeout(240),  # two measurements are analysed
-    pytest.mark.usefixtures("few_places"),
-]
 
 
 def export(result, output, *more):
@@ -175,7 +170,6 @@ def left(record, active, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def combined(left, given, tmp_path_factory):
-    """Files that hold what the active ones hold as well."""
     folder = tmp_path_factory.mktemp("combined")
     export(left[0], folder / "t", *given)
     return folder

@@ -1,7 +1,8 @@
 """What a person sees: progress, and every failure as one line and an exit status.
 
 Every cell of every file of a bundle is held in tests/unit/files/test_bad_bundles.py, of
-points and of results in tests/unit/results: here stand a few, as a user meets them."""
+points and of results in tests/unit/results: here stand a few, as a user meets them.
+"""
 
 import errno
 import shutil
@@ -98,47 +99,18 @@ def test_a_log_gets_a_line_a_stage(capsys):
     assert said.out == ""
 
 
-def test_a_terminal_gets_a_bar_with_share_stage_and_note(monkeypatch, capsys):
+def test_a_terminal_gets_a_bar_and_tables_keep_columns(monkeypatch, capsys):
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
     with show_progress("measure") as report:
         report(0.25, "measuring", "8000 samples, 0 lost")
     said = capsys.readouterr()
-    assert "measuring" in said.err
-    assert "25%" in said.err
-    assert "8000 samples, 0 lost" in said.err
+    for word in ("measuring", "25%", "8000 samples, 0 lost"):
+        assert word in said.err
     assert said.out == ""
-
-
-def test_a_table_keeps_its_columns(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "100")
     print_table("Errors", ("error", "value"), [("EXX", "1.5"), ("C0Y", "-20.0")])
     lines = capsys.readouterr().out.splitlines()
     assert any("EXX" in line and line.rstrip().endswith("1.5 │") for line in lines)
-
-
-def missing(bundle):
-    (bundle / "tracker.parquet").unlink()
-
-
-def out_of_travel(bundle):
-    file = bundle / "path.csv"
-    head, first, *rows = file.read_text().splitlines()
-    file.write_text("\n".join([head, f"612.4,{first.partition(',')[2]}", *rows, ""]))
-
-
-@pytest.mark.parametrize(
-    ("spoil", "line"),
-    [
-        (missing, "tracker.parquet: is missing from the bundle"),
-        (out_of_travel, "path.csv, row 2, column x_mm: is out of travel: X = 612.4 mm"),
-    ],
-)
-def test_a_bad_bundle_is_one_line(spoil, line, command, bundle, tmp_path):
-    spoil(bundle)
-    said = command.refuse("analyse", bundle, "-o", tmp_path / "out")
-    assert said.startswith(line)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("is_beside", [False, True])
@@ -162,8 +134,7 @@ def test_a_damaged_zip_or_no_bundle_is_one_line(command, bundle, tmp_path):
     shutil.make_archive(str(tmp_path / "bundle"), "zip", bundle)
     archive.write_bytes(archive.read_bytes()[:-300])
     for place in (archive, tmp_path / "nowhere"):
-        said = command.refuse("analyse", place, "-o", tmp_path / "out")
-        assert place.name in said
+        assert place.name in command.refuse("analyse", place, "-o", tmp_path / "out")
 
 
 def test_an_output_folder_that_is_a_file_is_one_line(command, recorded, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from truepath.files.bundle.machine_file import read_machine
 
 DOCS = Path(__file__).parents[3] / "docs"
+PLAIN = ["--chain", "w-b-X-Y-Z-t", "--target", "1,2,3"]
 MILL = ["--travel", "X=0,500", "--travel", "Y=0,400", "--travel", "Z=-300,0"]
 
 
@@ -69,21 +70,10 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
     [
         ([], "nobody answers; state all by options"),
         (MILL, "add --chain, as w-X-b-Y-Z-t"),
-        ([*MILL, "--chain", "w-b-X-Y-Z-t"], "add --target, as 20,30,-150"),
+        ([*MILL, *PLAIN[:2]], "add --target, as 20,30,-150"),
         (["--travel", "X=0"], "--chain"),
         (["--travel", "X=0", "--chain", "w", "--target", "1,2,3"], "write 2 numbers"),
-        (
-            [
-                *MILL,
-                "--chain",
-                "w-b-X-Y-Z-t",
-                "--target",
-                "1,2,3",
-                "--origin",
-                "C=1,2,3",
-            ],
-            "--travel states no rotary axis 'C'",
-        ),
+        ([*MILL, *PLAIN, "--origin", "C=1,2,3"], "--travel states no rotary axis 'C'"),
         (
             [*MILL[:4], "--chain", "w-b-X-Y-t", "--target", "1,2,3"],
             'axes.Z is missing; add it, as "Z": {"type": "linear", "min_mm"',

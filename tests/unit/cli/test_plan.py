@@ -28,9 +28,8 @@ def machine(machine_file):
 @pytest.fixture(scope="module")
 def planned(little_search, machine_file, tmp_path_factory):
     folder = tmp_path_factory.mktemp("planned")
-    content = {"keep_out": [BOX], "tracker": STAND}
     workspace = folder / "workspace.json"
-    workspace.write_text(json.dumps(content))
+    workspace.write_text(json.dumps({"keep_out": [BOX], "tracker": STAND}))
     options = ["-o", str(folder / "out"), "--minutes", "1", "--seed", "5"]
     options += ["--workspace", str(workspace)]
     assert run(["plan", str(machine_file), *options]) == 0
@@ -62,8 +61,7 @@ def document(planned):
 
 
 def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, machine):
-    assert document["schema"] == "plan/1"
-    assert document["mode"] == "otf"
+    assert (document["schema"], document["mode"]) == ("plan/1", "otf")
     assert document["rows"] == len(read_rows(planned / "path.csv", machine)) > 5
     assert 45.0 < document["duration_s"] <= 60.0
     names = {file.name for file in planned.iterdir() if file.is_file()}
@@ -72,9 +70,8 @@ def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, mach
     expanded = predicted["expanded_volumetric_uncertainty_um"]
     assert expanded == pytest.approx(2.0 * predicted["volumetric_uncertainty_um"])
     assert 0.1 < expanded < 50.0
-    assert predicted["errors"]["EXX"]["uncertainty_um"] > 0.0
-    assert predicted["errors"]["EAX"]["uncertainty_urad"] > 0.0
-    assert predicted["errors"]["C0Y"]["uncertainty_urad"] > 0.0
+    for symbol, unit in (("EXX", "um"), ("EAX", "urad"), ("C0Y", "urad")):
+        assert predicted["errors"][symbol][f"uncertainty_{unit}"] > 0.0
     assert {text[:3] for text in document["unobservable"]} >= {"EAZ", "EBZ", "ECZ"}
     told = [place["expanded_volumetric_uncertainty_um"] for place in document["curve"]]
     assert (np.diff(told) <= 0.0).all()
@@ -108,10 +105,8 @@ def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_
 
 def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
     document, _ = plan("--target-um", "5", "--minutes", "0.6", "--feed", "6000")
-    target = document["target"]
-    assert target.pop("reached")
     name = "volumetric_uncertainty_um"
-    assert target == {name: 5.0, f"expanded_{name}": 10.0}
+    assert document["target"] == {name: 5.0, f"expanded_{name}": 10.0, "reached": True}
     assert document["predicted"]["volumetric_uncertainty_um"] <= 5.0
     assert document["duration_s"] < 30.0
 
@@ -178,8 +173,7 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert tracker["chosen"]
     assert not tracker["assumed"]
     place = np.array(tracker["position_mm"])
-    assert (place >= FLOOR["min_mm"]).all()
-    assert (place <= FLOOR["max_mm"]).all()
+    assert ((place >= FLOOR["min_mm"]) & (place <= FLOOR["max_mm"])).all()
     assert stations["best"]["position_mm"] == tracker["position_mm"]
     assert [option["count"] for option in stations["options"]] == [1, 2, 3]
     predicted_um = document["predicted"]["volumetric_uncertainty_um"]
@@ -188,8 +182,7 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert random_um < predicted_um < 1.2 * random_um
     assert stations["recommended"] == 1
     assert all(f"tracker: {one}" in said for one in stations["statement"])
-    page = (tmp_path / "out" / "plan.html").read_text()
-    assert "one station is enough" in page
+    assert "one station is enough" in (tmp_path / "out" / "plan.html").read_text()
 
 
 def test_a_plan_says_what_the_tracker_may_be_off_by_and_the_remedy(plan, keep):

@@ -43,8 +43,6 @@ def words(tmp_path):
 
 @pytest.fixture
 def read(tmp_path):
-    """The files of the control and their account."""
-
     def made():
         folder = tmp_path / "tables"
         account = json.loads((folder / "comp.json").read_text())
@@ -96,8 +94,7 @@ def test_a_comparison_says_it_of_the_result(command, judged, tmp_path):
     assert command.json(*order)["verdict"]["state"] == "not-usable"
     content = json.loads((out / "comparison.json").read_text())
     assert content["verdict"] == verdict_json(VERDICTS["not-usable"])
-    page = (out / "comparison.html").read_text()
-    assert "<strong>Not to be used</strong>" in page
+    assert "<strong>Not to be used</strong>" in (out / "comparison.html").read_text()
 
 
 @pytest.mark.parametrize("state", VERDICTS)
@@ -140,13 +137,9 @@ def test_what_rests_on_a_doubtful_model_is_so_too(command, judged, recorded, tmp
     asked = ["--minutes", "0.3", "--feed", "9000", "--control", "linuxcnc"]
     given = [recorded / "machine.json", "--model", model, "-o", out]
     assert f"warning: the plan is {said}" in command.run("plan", *given, *asked).err
-    page = (out / "plan.html").read_text()
-    assert 'class="verdict doubtful"' in page
-
-
-def test_a_bad_model_of_the_same_run_is_taken(command, judged, recorded, tmp_path):
-    model, out = judged("not-usable"), tmp_path / "out"
-    command.run("analyse", recorded, "--model", model, "-o", out)
+    assert 'class="verdict doubtful"' in (out / "plan.html").read_text()
+    # A bad one of the same Run is taken.
+    command.run("analyse", recorded, "--model", judged("not-usable"), "-o", out)
     content = json.loads((out / "result.json").read_text())
     assert content["verdict"]["state"] == "usable"
 
@@ -155,8 +148,7 @@ def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, ca
     print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "*** NOT TO BE USED ***"
-    worst_first = [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
-    assert lines[1:4] == worst_first
+    assert lines[1:4] == [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
     many = Verdict((LEFT_OUT,) * 40)
     print_result(result | {"verdict": verdict_json(many)}, tmp_path)
     lines = capsys.readouterr().out.splitlines()

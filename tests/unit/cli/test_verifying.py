@@ -10,7 +10,6 @@ from truepath_simulators.worlds import synthetic
 
 @pytest.fixture(scope="module")
 def held_out(record, tmp_path_factory):
-    """The same machine, measured at points from elsewhere."""
     setting = synthetic.Setting(machine_seed=1)
     again, _ = record(101, "standstill", rows=30, feed=6000.0, setting=setting)
     folder = tmp_path_factory.mktemp("held-out") / "again"

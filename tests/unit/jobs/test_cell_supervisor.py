@@ -45,6 +45,11 @@ def test_a_new_cell_opens_no_port_and_connecting_names_the_devices(running, make
     assert running.connect()["motion"]["serial_number"] == "C-1"
     assert maker.cell.heard[2:] == ["begin"], "a measurement is not disturbed"
     running.ignore_events()
+    maker.cell.fault("link-lost", "the cable is out", "plug it in")
+    maker.cell.say_state("faulted")
+    wait_until(lambda: running.status.state == "faulted")
+    assert running.status.text == "the cable is out"
+    assert not running.status.connected, "a fault makes connecting necessary"
 
 
 def test_only_a_fresh_word_says_that_a_machine_stands(running, maker, monkeypatch):
@@ -82,15 +87,6 @@ def test_a_device_that_refuses_is_named_not_connected(running, maker, refusal, f
     maker.cell.refuses = refusal
     with pytest.raises(family, match=str(refusal)):
         running.connect()
-    assert not running.status.connected
-
-
-def test_a_fault_of_the_machine_makes_connecting_necessary(running, maker):
-    running.connect()
-    maker.cell.fault("link-lost", "the cable is out", "plug it in")
-    maker.cell.say_state("faulted")
-    wait_until(lambda: running.status.state == "faulted")
-    assert running.status.text == "the cable is out"
     assert not running.status.connected
 
 

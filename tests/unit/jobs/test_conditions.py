@@ -80,6 +80,7 @@ PROGRAM = ConditionType.CONTROLLER_FREE, "end or reset it at the panel"
 OVERRIDE = ConditionType.FEED_OVERRIDE_FULL
 REFERENCE = ConditionType.AXES_REFERENCED, "reference (home) them"
 SILENT = ConditionType.CONTROLLER_ANSWERS
+MUTE = ControllerLevels(None, "10.0.0.9 is mute", NOW_S)
 
 
 @pytest.mark.parametrize(
@@ -92,11 +93,7 @@ SILENT = ConditionType.CONTROLLER_ANSWERS
         (state(override=1.2), OVERRIDE, "120 %"),
         (state(MotionState.IDLE, referenced=False), *REFERENCE),
         (state(MotionState.READY, referenced=False), *REFERENCE),
-        (
-            {"controller": ControllerLevels(None, "10.0.0.9 is mute", NOW_S)},
-            SILENT,
-            "10.0.0.9",
-        ),
+        ({"controller": MUTE}, SILENT, "10.0.0.9"),
         (state(read_s=NOW_S - condition_log.LATE_S - 1.0), SILENT, "11 s ago"),
         (
             {"cell": CellStatus("disconnected", "the port is gone")},
@@ -326,7 +323,8 @@ def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
     assert "12.0 ± 1.0 µm" in over.message
     assert (changed.level, changed.message) == (Level.FALSE, "EXX has changed.")
-    assert not {over.type, changed.type} & conditions.REQUIRED
+    watched = {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
+    assert not watched & conditions.REQUIRED
     text = "changes are not watched: job job-1 is no calibration"
     standing = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
     found = find_conditions(replace(GOOD, standing=standing), NOW_S)

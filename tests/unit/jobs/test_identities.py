@@ -42,15 +42,6 @@ def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
 
 
 @pytest.mark.database
-def test_what_the_registry_keeps_under_an_earlier_name_has_the_name_of_today(registry):
-    registry.change("mill-3", stated={"tracker_serial": "7"})
-    assert describe_identity(registry.get("mill-3")) == {"tracker_serial_number": "7"}
-    now = {"tracker_serial_number": "8"}
-    kept.store_identity(registry.get("mill-3"), now, registry)
-    assert registry.get("mill-3").stated == now
-
-
-@pytest.mark.database
 def test_a_result_is_of_its_jobs_machine_or_of_the_one_of_its_name(registry):
     mine = find_machine(Job(JobKind.ANALYSE, machine="mill-3"), "other", registry)
     named = find_machine(Job(JobKind.ANALYSE), "mill", registry)
@@ -60,7 +51,13 @@ def test_a_result_is_of_its_jobs_machine_or_of_the_one_of_its_name(registry):
 
 
 @pytest.mark.database
-def test_what_is_stated_of_an_unknown_machine_or_one_measurement_is_not_kept(registry):
+def test_what_is_stated_of_a_machine_alone_is_kept_by_the_name_of_today(registry):
+    registry.change("mill-3", stated={"tracker_serial": "7"})
+    assert describe_identity(registry.get("mill-3")) == {"tracker_serial_number": "7"}
+    now = {"tracker_serial_number": "8"}
+    kept.store_identity(registry.get("mill-3"), now, registry)
+    assert registry.get("mill-3").stated == now
+    registry.change("mill-3", stated={})
     assert kept.store_identity(None, {"operator": "A"}, registry) == {"operator": "A"}
     record = registry.get("mill-3")
     now = {"operator": "A", "measured_on": "2026-11-24"}

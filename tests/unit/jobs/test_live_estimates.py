@@ -97,8 +97,6 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
 
 @dataclass
 class Followed:
-    """Stands for the job and for the cell that drives it."""
-
     told: list = field(default_factory=list)
     kept: tuple = ()
     asked: list = field(default_factory=list)

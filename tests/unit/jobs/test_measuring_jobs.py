@@ -531,7 +531,6 @@ def test_progress_and_views_are_told_not_kept(event_bus, running, cell, context,
 
 @contextmanager
 def locked(store):
-    """Let nobody else write to the catalogue."""
     database = store._database
     with database.engine.connect() as raw:
         connection = raw.execution_options(truepath_writes=True)

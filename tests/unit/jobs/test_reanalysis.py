@@ -25,8 +25,6 @@ def figures(um):
 
 
 class Analyst:
-    """Analyses a Run in no time; some fail, and it can be held."""
-
     def __init__(self):
         self.calls, self.failing, self.defects = [], set(), set()
         self.let = threading.Event()

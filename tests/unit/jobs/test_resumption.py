@@ -32,7 +32,6 @@ OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
 
 @pytest.fixture
 def lives():
-    """The live estimates, the newest last."""
     return []
 
 

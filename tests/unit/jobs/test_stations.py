@@ -48,8 +48,6 @@ def checker():
 
 @pytest.fixture
 def planner(machine):
-    """A plan of as many stations as are asked for, ten lines from each."""
-
     def plan(_, order, *, on_progress):
         path = encode_commanded_json(command_rows(machine, LONG, is_path=True))
         points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]

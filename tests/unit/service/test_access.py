@@ -44,7 +44,6 @@ def tokens(access):
 
 @pytest.fixture
 def client(service, access):
-    """Overrides the client of a service without users."""
     app = create_application(replace(service, access=access))
     with TestClient(app, base_url="https://127.0.0.1:8411") as client:
         yield client

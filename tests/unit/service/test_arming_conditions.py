@@ -28,7 +28,6 @@ REQUIRED = {
 
 @pytest.fixture
 def seen():
-    """What the board sees, as the only element."""
     return [GOOD]
 
 

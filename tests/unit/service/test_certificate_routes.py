@@ -16,13 +16,10 @@ HEADER = "error,position_mm,direction,value,unit\n"
 
 @pytest.fixture
 def place(with_result):
-    """Address of the certificates of a job with a real result."""
     return f"/api/v1/jobs/{with_result}/certificates"
 
 
 class Here:
-    """Calls what a process of its own would compute."""
-
     def __init__(self, name):
         self.call, self.close = (lambda function: function()), (lambda: None)
 
@@ -137,7 +134,6 @@ def test_a_reference_is_compared_or_refused(client, with_result, analysed, is_pr
 
 @pytest.fixture
 def at(with_result):
-    """Address of a real result."""
     return f"/api/v1/jobs/{with_result}/result"
 
 

@@ -26,7 +26,6 @@ TABLES = "/api/v1/machines/default/simulated-tables"
 
 @pytest.fixture
 def place(with_result):
-    """Address of the compensations of a job with a real result."""
     return f"/api/v1/jobs/{with_result}/compensations"
 
 
@@ -200,7 +199,6 @@ JOBS = "/api/v1/jobs"
 
 @pytest.fixture
 def result(service, with_result):
-    """A job with a real result, of the machine that the service drives."""
     one = service.machines.get("default")
     machine = read_result(service.results / with_result / "result.json").machine
     service.machines.put(replace(one, machine=machine))
@@ -215,8 +213,6 @@ def ask(client, result):
 
 @pytest.fixture
 def look(client, ask, until):
-    """Order a verification and abort it once it waits; return job and plan."""
-
     def looked(**more):
         answer = ask(**more)
         assert answer.status_code == 202, answer.text

@@ -33,7 +33,6 @@ OPERATIONS = sorted(
 
 @pytest.fixture
 def planner(planner):
-    """Its plans have the whole document, as those of a real planner."""
     document = EXAMPLES["get_plan"]["document"]
     return lambda *order, on_progress: (
         planner(*order, on_progress=on_progress) | {"document": document}
@@ -50,8 +49,6 @@ def described(service):
 
 
 def check_answers(described, path, method, most):
-    """Hold so many drawn requests of an operation against the description."""
-
     @settings(
         max_examples=most,
         deadline=None,

@@ -176,7 +176,6 @@ def test_a_result_states_its_verdict_and_what_is_not_to_be_used_has_to_be_accept
 
 
 def part_from(commanded):
-    """Return a part of two lines from where the rows end."""
     position = np.outer([1.0, 0.5, 0.25], commanded.position[-1])
     path = Path(commanded.axes, position, np.full(3, 6000.0), np.full(3, 0.4))
     return Part(path, 2, 9.5, 1.1e-3)

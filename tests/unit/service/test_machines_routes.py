@@ -268,7 +268,6 @@ def test_a_reference_is_a_calibration(
 
 @pytest.fixture
 def told(service):
-    """What is told of machines."""
     told = []
     service.event_bus.subscribe(lambda n: n.type == "machine" and told.append(n.body))
     return told
@@ -306,7 +305,6 @@ def test_three_calibrations_show_temperature(client, calibrated, service, is_pro
     at = f"{BASE}/default/temperature"
 
     def state(job_id, celsius):
-        """Write what the scales' thermometers have shown."""
         shown = {"mean": celsius, "low": celsius, "high": celsius, "used": True}
         with edited(service.results / job_id / "result.json") as content:
             axes = content["machine"]["axes"]

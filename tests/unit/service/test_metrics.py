@@ -16,8 +16,6 @@ from truepath_drivers.interfaces import errors
 
 @pytest.fixture
 def scrape(client):
-    """Read the metrics as a dictionary of samples by name and labels."""
-
     def read(http=client):
         answer = http.get("/metrics")
         assert answer.status_code == 200, answer.text

@@ -18,14 +18,11 @@ BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
 
 @pytest.fixture
 def more():
-    """What a test adds to the plan."""
     return {}
 
 
 @pytest.fixture
 def planner(short_plan, more):
-    """The real one, whose short plan is made once."""
-
     def plan(machine, order, *, on_progress):
         if {key: order[key] for key in order if order[key]} == SHORT:
             return copy.deepcopy(short_plan | more)
@@ -36,8 +33,6 @@ def planner(short_plan, more):
 
 @pytest.fixture
 def planned(client, until):
-    """Ask for a plan and wait until its job has ended."""
-
     def make(request):
         answer = client.post("/api/v1/plans", json=request)
         assert answer.status_code == 202, answer.text

@@ -180,7 +180,6 @@ def analyse(take):
 
 @pytest.fixture
 def kept(service, analyse, run):
-    """A job whose answer stands in its folder."""
     job = analyse(run)
     folder = service.results / job["id"]
     folder.mkdir(exist_ok=True)
@@ -347,8 +346,6 @@ def test_known_lengths_stay_with_their_run(client, service, run, is_problem):
 
 @pytest.fixture
 def upload_at(upload):
-    """Take in a Run that begins at some time of the tracker's clock."""
-
     def taken(begin_s, name="mill.zip", **members):
         rows = "".join(f"{begin_s + n / 500:.3f},{n},0,0\n" for n in range(100))
         return upload(name, tracker_csv="t_s,x_mm,y_mm,z_mm\n" + rows, **members)["id"]

@@ -68,7 +68,6 @@ PROXY = "192.0.2.7"
 
 
 def behind(service, *, peer=PROXY, **setup):
-    """A client of the service as it is asked by a proxy."""
     setup |= {"pages": pages.router, "trusted_proxies": (PROXY,)}
     app = create_application(service, **setup)
     app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
@@ -144,7 +143,6 @@ async def give_back(takers):
 
 @pytest.fixture
 def operator(service, access):
-    """A client of an operator, where everybody logs in."""
     access.accounts.add("ben", Role.OPERATOR, "a long sentence is easy")
     own = {"Authorization": f"Bearer {access.tokens.open_session('ben')}"}
     app = create_application(replace(service, access=access))

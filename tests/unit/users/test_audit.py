@@ -28,7 +28,6 @@ def writer(audit_log):
 
 @contextmanager
 def locked(database):
-    """Let nobody else write to the catalogue."""
     writes = {"truepath_writes": True}
     with database.engine.connect() as raw, raw.execution_options(**writes).begin():
         yield
