@@ -18,6 +18,12 @@ KNOWN_LENGTHS = (
 )
 
 
+def rows_at(*places, **more):
+    """Rows of a path at places in mm, each with what more it states."""
+    axes = "x_mm", "y_mm", "z_mm"
+    return [dict(zip(axes, place, strict=True)) | more for place in places]
+
+
 @contextmanager
 def edited(file):
     """Yield the content of a file of JSON; write it back as it is left."""

@@ -110,8 +110,7 @@ def test_predict_adds_error_with_uncertainty(command, analysed, points, tmp_path
         assert all(float(row[name]) > 0 for name in ("ux_um", "uy_um", "uz_um"))
     assert (said["points"], said["files"]) == (3, [str(out)])
     points.write_text("x_mm,y_mm,z_mm\n600,0,0\n")
-    noted = "note: 1 of 1 points lie beyond the travel"
-    assert noted in command.run(*order).err
+    assert "note: 1 of 1 points lie beyond the travel" in command.run(*order).err
 
 
 def test_a_run_file_is_analysed_as_its_bundle_is(command, record, result, tmp_path):

@@ -130,8 +130,7 @@ def test_a_refusal_is_an_exception_with_what_belongs_to_it(status, code, family,
 def test_waiting_ends_in_the_state_or_says_why_not():
     off = {"error": {"detail": "the CNC is off"}}
     told = job("preparing"), job("ready"), job("failed", **off), job("preparing")
-    script = Script(*[answer(200, one) for one in told])
-    with script.open() as client:
+    with Script(*[answer(200, one) for one in told]).open() as client:
         assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
         with pytest.raises(api.JobEnded, match="failed: the CNC is off"):
             client.wait_for("7", "ready")

@@ -139,5 +139,5 @@ def test_services_share_profiles_and_are_of_this_version(compose, root):
             assert not theirs or theirs & set(service.get("profiles", [])), name
     pyproject = tomllib.loads((root / "pyproject.toml").read_text())
     version = pyproject["project"]["version"]
-    ours = [s for s in services.values() if "build" in s]
-    assert {service["image"] for service in ours} == {f"truepath:{version}"}
+    images = {service["image"] for service in services.values() if "build" in service}
+    assert images == {f"truepath:{version}"}

@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 
+from api_builders import rows_at
 from real_services import drive, simulated_service
 from service_process import ENDS, SPEED, follow
 from truepath.files.bundle.bundle import zip_bundle
@@ -48,8 +49,7 @@ def two_sides_of_y():
     far = np.arange(n) % 2 == 1
     share[:, 1] = np.where(far, 1.0 - 0.03 * share[:, 1], 0.03 * share[:, 1])
     share[0, 1] = 0.5
-    places = np.round(LOW + share * (HIGH - LOW), 3).tolist()
-    return [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.8} for x, y, z in places]
+    return rows_at(*np.round(LOW + share * (HIGH - LOW), 3).tolist(), dwell_s=0.8)
 
 
 @pytest.fixture
@@ -128,12 +128,9 @@ def knocked(tmp_path):
 
 def measure(client, end, on_notice):
     program = paths.chord_path(parse_machine(load_machine("demo")), 3, ROWS, 8000.0)
-    path = [
-        {"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": dwell}
-        for (x, y, z), dwell in zip(
-            program.position.tolist(), program.dwell_s.tolist(), strict=True
-        )
-    ]
+    path = rows_at(*program.position.tolist())
+    for row, dwell_s in zip(path, program.dwell_s.tolist(), strict=True):
+        row["dwell_s"] = dwell_s
     return drive(client, end, path=path, feed_mm_min=8000, on_notice=on_notice)
 
 

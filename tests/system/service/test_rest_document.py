@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from api_builders import KNOWN_LENGTHS
+from api_builders import KNOWN_LENGTHS, rows_at
 from scripted_cell import wait_until
 from truepath.catalogue.transitions import FINAL, State
 
@@ -244,10 +244,8 @@ def test_a_machine_is_followed_over_time(curl, sent_in):
 
 
 def test_a_discovery_is_used_and_asks_the_machine(curl, sent_in, explorer, tmp_path):
-    explorer.rows = [
-        {"x_mm": x, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35}
-        for x in (10.0, 400.0)
-    ]
+    places = (10.0, 10.0, 10.0), (400.0, 10.0, 10.0)
+    explorer.rows = rows_at(*places, feed_mm_min=6000.0, dwell_s=0.35)
     run = curl.names["RUN"] = curl.names["OTHER"] = sent_in()
     discover, *taken = section("Discover what the model lacks")
     discovery_id = curl.order(discover)["id"]
@@ -272,8 +270,7 @@ def test_a_discovery_is_used_and_asks_the_machine(curl, sent_in, explorer, tmp_p
 
 def test_the_example_of_a_refusal_is_what_is_answered(curl):
     example = json.loads(re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL)[0])
-    places = (10, 10, 10), (400, 401, 200), (100, 350, 50)
-    rows = [dict(zip(("x_mm", "y_mm", "z_mm"), row, strict=True)) for row in places]
+    rows = rows_at((10, 10, 10), (400, 401, 200), (100, 350, 50))
     body = {"kind": "measure-otf", "path": rows}
     problem = curl.client.post("/api/v1/jobs", json=body).json()
     assert {**problem, "request_id": ""} == {**example, "request_id": ""}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import service_process
+from api_builders import rows_at
 from real_services import drive, environment_of
 from service_process import acknowledge, arm, create, follow, wait_for, wait_until_done
 from truepath.cli.demo import compare_with_truth
@@ -28,7 +29,7 @@ KNOCK_MM = 0.05
 RNG = random.Random(1)
 ENDS_MM = (490, 390, 290)
 PLACES = [[round(RNG.uniform(10, end), 1) for end in ENDS_MM] for _ in range(24)]
-ROWS = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.6} for x, y, z in PLACES]
+ROWS = rows_at(*PLACES, dwell_s=0.6)
 AREAS = [
     {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
     {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},

@@ -40,8 +40,7 @@ def test_options_make_a_machine_without_a_question(command, file, answer):
         (0.0, 500.0), (0.0, 400.0), (-300.0, 0.0)
     ]  # fmt: skip
     assert made.target().offset_mm == (20.0, 30.0, -150.0)
-    assert made.tracker.stands_on == "base"
-    assert made.motion.max_feed_mm_min == 12000.0
+    assert (made.tracker.stands_on, made.motion.max_feed_mm_min) == ("base", 12000.0)
     assert made.motion.assumed == ("jerk_mm_s3",)
 
 
@@ -61,8 +60,7 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
     assert [(t.name, t.on) for t in made.targets] == [
         ("T1", "tool"), ("T2", "tool"), ("W1", "workpiece")
     ]  # fmt: skip
-    assert made.tracker.stands_on == "workpiece"
-    assert made.name == "mill"
+    assert (made.tracker.stands_on, made.name) == ("workpiece", "mill")
 
 
 @pytest.mark.parametrize(

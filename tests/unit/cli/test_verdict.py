@@ -144,14 +144,25 @@ def test_what_rests_on_a_doubtful_model_is_so_too(command, judged, recorded, tmp
     assert content["verdict"]["state"] == "usable"
 
 
-def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, capsys):
-    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
-    lines = capsys.readouterr().out.splitlines()
+def test_the_terminal_begins_with_the_worst_and_ends_with_what_is_next(
+    result, tmp_path, capsys
+):
+    def show(verdict):
+        print_result(result | {"verdict": verdict_json(verdict)}, tmp_path)
+        return capsys.readouterr().out.splitlines()
+
+    verdict, before, after, following = show(VERDICTS["doubtful"])[-4:]
+    assert verdict == "verdict: doubtful"
+    mean = result["volumetric_error"]["before"]["mean"]["value_um"]
+    assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
+    assert after.startswith("after compensation: mean ")
+    assert after.endswith(" µm (k = 2)")
+    assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
+    lines = show(VERDICTS["not-usable"])
+    assert "next: " not in "\n".join(lines)
     assert lines[0] == "*** NOT TO BE USED ***"
     assert lines[1:4] == [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
-    many = Verdict((LEFT_OUT,) * 40)
-    print_result(result | {"verdict": verdict_json(many)}, tmp_path)
-    lines = capsys.readouterr().out.splitlines()
+    lines = show(Verdict((LEFT_OUT,) * 40))
     assert sum(line.startswith("- ") for line in lines) == 13
     assert "- and 28 more" in lines
 
@@ -166,16 +177,3 @@ def test_analyse_warns_on_stderr_and_succeeds(command, recorded, tmp_path, monke
     assert said.out.startswith("*** NOT TO BE USED ***\n")
     verdict = command.json(*order)["verdict"]
     assert verdict == verdict_json(VERDICTS["not-usable"])
-
-
-def test_the_last_lines_state_error_rest_and_next_step(result, tmp_path, capsys):
-    print_result(result | {"verdict": verdict_json(VERDICTS["doubtful"])}, tmp_path)
-    verdict, before, after, following = capsys.readouterr().out.splitlines()[-4:]
-    assert verdict == "verdict: doubtful"
-    mean = result["volumetric_error"]["before"]["mean"]["value_um"]
-    assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
-    assert after.startswith("after compensation: mean ")
-    assert after.endswith(" µm (k = 2)")
-    assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
-    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
-    assert "next: " not in capsys.readouterr().out

@@ -258,5 +258,4 @@ def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(fo
     file.rename(file.with_name("s3.sqlite"))
     found = check()
     assert (found["jobs"], found["runs"]) == (4, 5)
-    assert found["runs_without_row"] == ["s3"]
-    assert found["rows_without_file"] == ["s2"]
+    assert (found["runs_without_row"], found["rows_without_file"]) == (["s3"], ["s2"])

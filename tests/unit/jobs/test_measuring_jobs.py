@@ -239,8 +239,7 @@ def test_a_refused_resume_stays_paused(dispatcher, paused, cell, until, context)
         cell.fault("not-resumed", "no valid samples", "lock the beam")
         held = until(paused, "paused")
         assert held.desired_state == "paused"
-    assert held.failure.code == "not-resumed"
-    assert held.failure.action == "lock the beam"
+    assert (held.failure.code, held.failure.action) == ("not-resumed", "lock the beam")
     cell.deaf.clear()
     dispatcher.resume(paused.id, held.version)
     until(paused, "running")

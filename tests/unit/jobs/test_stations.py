@@ -143,8 +143,7 @@ def test_each_station_is_asked_for(prepare, measure, context, checker, science, 
 def test_a_station_that_known_points_contradict_is_asked_again(moved, measure, checker):
     checker.answers = [BAD, GOOD]
     again = measure(moved, POINTS)
-    assert again.station.number == 2
-    assert again.station.checks[-1].problem == "not-moved"
+    assert (again.station.number, again.station.checks[-1].problem) == (2, "not-moved")
     assert again.run_ids == moved.run_ids
     last = measure(again, POINTS, LINES)
     assert [check.problem for check in last.station.checks] == ["", ""]

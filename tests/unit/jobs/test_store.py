@@ -198,14 +198,11 @@ def test_events_can_be_caught_up_on_by_job(store):
     assert store.read_last_event_id() == mine[-1].id
 
 
-def test_event_identifiers_rise_in_the_order_they_are_told(store, told):
+def test_identifiers_differ_and_rise_in_the_order_they_are_told(store, told):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda _: store.create(ANALYSE), range(8)))
     ids = [event.id for event in told]
     assert (ids, len(set(ids))) == (sorted(ids), 8)
-
-
-def test_identifiers_sort_by_time_and_differ():
     ids = []
     for _ in range(3):
         ids.append(job_records.make_id())

@@ -99,15 +99,10 @@ def test_routes_take_their_role_and_those_above(reached, tokens, monkeypatch, ac
     done = Future()
     done.set_result(None)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: done)
-    wrong = []
-    for route, least in LEAST_ROLES.items():
-        for role in (None, *Role):
-            headers = bearer(tokens[role]) if role else {}
-            answer = reached.request(*address_of(route), headers=headers)
-            expected = expect_status(route, least, role)
-            if answer.status_code != expected:
-                wrong.append((route, role, answer.status_code, expected))
-    assert wrong == []
+    for (route, least), role in product(LEAST_ROLES.items(), (None, *Role)):
+        headers = bearer(tokens[role]) if role else {}
+        answer = reached.request(*address_of(route), headers=headers)
+        assert answer.status_code == expect_status(route, least, role), (route, role)
 
 
 def expect_status(route, least, role):
@@ -252,8 +247,7 @@ def test_a_stop_says_what_the_controller_says_later(client, armed_by_hand, make_
         ("held", "false", "it stands by a feed hold alone (held)"),
         ("idle", "true", "it has stopped (idle)"),
     ):
-        read = ControllerRead(MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0))
-        cell.say(read)
+        cell.say(ControllerRead(MotionStatus(MotionState(state), (0.0, 0.0, 0.0), 0)))
         wait_until(lambda level=level: stop()[0]["stopped"] == level, level)
         wait_until(lambda words=words: stop()[0]["says"].startswith(words), words)
 

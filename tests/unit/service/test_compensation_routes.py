@@ -70,8 +70,9 @@ def test_files_are_those_of_the_command(client, place, analysed, tmp_path, is_pr
 
 def test_what_cannot_be_made_says_why(client, service, place, with_result, is_problem):
     for name in ("vcs", "../linuxcnc"):
-        answer = client.post(place, json={"format": name})
-        refusal = is_problem(answer, 422, "bad-input")
+        refusal = is_problem(
+            client.post(place, json={"format": name}), 422, "bad-input"
+        )
         assert "installed: csv, etalon" in json.dumps(refusal)
     for word in ("X=3", "A=2"):
         order = {"format": "siemens", "choices": {"measuring_system": word}}
@@ -82,8 +83,7 @@ def test_what_cannot_be_made_says_why(client, service, place, with_result, is_pr
     assert "accept_verdict" in refusal["action"]
     assert client.get(place).json()["items"] == []
     taken = client.post(place, json={**asked, "accept_verdict": True})
-    assert taken.status_code == 201
-    assert taken.json()["verdict"] == "not-usable"
+    assert (taken.status_code, taken.json()["verdict"]) == (201, "not-usable")
 
 
 def say_on(file, active=None):
@@ -106,10 +106,9 @@ def test_unknown_tables_must_be_given(client, service, with_result, place, is_pr
     texts = {name: client.get(f"{at}/{name}").text for name in first["files"]}
     say_on(file)
     is_problem(make(), 422, "active-tables-unknown")
-    given = make(active_files=texts).json()
-    assert given["basis"]["holds"] == "combined"
-    part = make(difference=True).json()
-    assert part["basis"]["holds"] == "difference"
+    given, part = make(active_files=texts).json(), make(difference=True).json()
+    holds = [one["basis"]["holds"] for one in (given, part)]
+    assert holds == ["combined", "difference"]
     assert len({first["id"], given["id"], part["id"]}) == 3
     bad = {**texts, "compensation-X.tbl": "no table"}
     is_problem(make(active_files=bad), 422, "bad-input")
@@ -237,8 +236,9 @@ def test_points_follow_their_seed_and_touch_no_box(ask, look, is_problem):
     assert "the way to row 2 enters the keep-out box vice" in said["detail"]
     _, plan = look(what=["random-points"], seed=4, keep_out=[box])
     assert plan["keep_out"] == [box]
-    inside = [all(0 <= v <= 150 for v in row[:3]) for row in plan["position"]]
-    assert not any(inside)
+    assert not any(
+        max(row[:3]) <= 150 and min(row[:3]) >= 0 for row in plan["position"]
+    )
 
 
 def test_circles_in_motion_ask_for_a_control_with_arcs(ask, look, is_problem, service):
@@ -254,13 +254,10 @@ def test_circles_in_motion_ask_for_a_control_with_arcs(ask, look, is_problem, se
 
 
 def test_a_result_is_verified_on_its_machine(client, service, ask, result, is_problem):
-    for unknown in (
-        {"result_id": "0190a4a1-0000-7000-8000-000000000000"},
-        {"compensation_id": "siemens-10-hold"},
-    ):
+    nobody = "0190a4a1-0000-7000-8000-000000000000"
+    for unknown in ({"result_id": nobody}, {"compensation_id": "siemens-10-hold"}):
         is_problem(ask(**unknown), 404, "not-found")
-    one = service.machines.get("default")
-    service.machines.put(replace(one, id="mill-9"))
+    service.machines.put(replace(service.machines.get("default"), id="mill-9"))
     said = is_problem(ask(machine="mill-9"), 422, "bad-input")
     assert "is of machine default, not of mill-9" in said["detail"]
     made = ask()

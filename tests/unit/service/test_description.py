@@ -1,13 +1,19 @@
-"""The interface as it describes itself: enough to generate a client from it."""
+"""The interface as it describes itself, and answers that are as it says."""
 
 import inspect
+import json
 import re
 import runpy
 import sys
+from importlib import resources
 from urllib.parse import urljoin
 
 import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
 from pydantic import TypeAdapter
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi import checks
 
 from described_answers import DOCUMENT, list_errors, read_document, resolve
 from truepath import errors as app_errors
@@ -15,6 +21,7 @@ from truepath.catalogue import errors as job_errors
 from truepath.catalogue.job import Failure, Job, JobKind
 from truepath.catalogue.transitions import VERB_TRANSITIONS, State, Verb
 from truepath.service.api import problems
+from truepath.service.api.application import create_application
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.jobs.job_request import JobRequest
 from truepath.service.api.problems import find_kind_of_status
@@ -199,3 +206,69 @@ def test_a_job_names_the_verbs_that_its_state_allows_each_with_its_address():
         assert set(job.allowed_verbs) == legal
     computing = Job(JobKind.ANALYSE, state=State.RUNNING)
     assert computing.allowed_verbs == (Verb.CANCEL, Verb.ABORT)
+
+
+HEADERS = {"host": "127.0.0.1"}
+CHECKS = [
+    not_a_server_error,
+    checks.status_code_conformance,
+    checks.content_type_conformance,
+    checks.response_headers_conformance,
+    checks.response_schema_conformance,
+]
+EXAMPLES = json.loads(
+    resources.files("truepath.service.api").joinpath("examples.json").read_text()
+)
+ROUTES = sorted(
+    (path, method)
+    for path, methods in read_document()["paths"].items()
+    for method in methods
+    if not path.endswith("/events")  # endless
+)
+
+
+@pytest.fixture
+def planner(planner):
+    document = EXAMPLES["get_plan"]["document"]
+    return lambda *order, on_progress: (
+        planner(*order, on_progress=on_progress) | {"document": document}
+    )
+
+
+@pytest.fixture
+def described(service):
+    found = schemathesis.openapi.from_dict(
+        read_document()
+    )  # described once, not each time
+    found.app = create_application(service)
+    return found
+
+
+def check_answers(described, path, method, most):
+    @settings(
+        max_examples=most,
+        deadline=None,
+        derandomize=True,
+        phases=[Phase.generate],
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+    @given(case=described[path][method].as_strategy())
+    def check(case):
+        case.validate_response(case.call(headers=HEADERS), checks=CHECKS)
+
+    check()
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(35)
+@pytest.mark.timeout(240)
+def test_every_answer_is_documented(described):
+    for path, method in ROUTES:
+        check_answers(described, path, method, 2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("path", "method"), ROUTES)
+@pytest.mark.timeout(120)
+def test_every_answer_to_many_requests_is_documented(described, path, method):
+    check_answers(described, path, method, 20)

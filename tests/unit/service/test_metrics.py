@@ -30,9 +30,8 @@ def scrape(client):
 
 
 def progress(samples, **counted):
-    return messages.MeasurementProgress(
-        1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
-    )
+    known = 1, 2, "lines", "measuring", 1.0, 1.0
+    return messages.MeasurementProgress(*known, samples=samples, **counted)
 
 
 @pytest.mark.database
@@ -63,8 +62,8 @@ def test_requests_are_counted_by_the_template_of_their_route(client, service, sc
     template = ("route", "/api/v1/jobs/{job_id}"), ("status", "404")
     key = ("truepath_request_seconds_count", ("method", "GET"), *template)
     assert found[key] == 1
-    none = ("method", "GET"), ("route", "none"), ("status", "404")
-    assert found[("truepath_request_seconds_count", *none)] == 1
+    none = key[0], key[1], ("route", "none"), ("status", "404")
+    assert found[none] == 1
     assert not [name for name in found if "019a" in str(name)]
     with TestClient(create_application(service), base_url="http://localhost") as other:
         routes = {dict(key[1:]).get("route") for key in scrape(other)}
@@ -77,14 +76,11 @@ def test_a_measurement_times_its_commands(client, armed, scrape, make_cell, unti
     until(armed, "aborted")
     machine = ("machine", "default")
     count = "truepath_cell_command_seconds_count"
-    found = wait_until(
-        lambda: (now := scrape()).get((count, ("command", "abort"), machine)) and now,
-        "the abort",
-    )
+    abort = count, ("command", "abort"), machine
+    found = wait_until(lambda: (now := scrape()).get(abort) and now, "the abort")
     key = ("kind", "measure-otf"), ("state", "aborted")
     assert found[("truepath_jobs", *key)] == 1
-    assert found[count, ("command", "begin"), machine] == 1
-    assert found[count, ("command", "abort"), machine] == 1
+    assert found[count, ("command", "begin"), machine] == found[abort] == 1
     upto = [
         number
         for (name, *labels), number in found.items()
@@ -162,13 +158,11 @@ class TestWithoutAMachine:
 
     def test_nothing_is_measured_and_a_stop_is_still_taken(self, client, is_problem):
         system = client.get("/api/v1/system").json()
-        assert system["machine"] is None
-        assert system["cell"]["state"] == "none"
+        assert (system["machine"], system["cell"]["state"]) == (None, "none")
         ready = client.get("/readyz").json()
         assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
         is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
         is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
         answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
-        problem = is_problem(answer, 409, "no-machine")
-        assert "machine_file" in problem["action"]
+        assert "machine_file" in is_problem(answer, 409, "no-machine")["action"]
         assert client.post("/api/v1/stop").status_code == 202

@@ -5,6 +5,7 @@ import dataclasses
 
 import pytest
 
+from api_builders import rows_at
 from service_fixtures import SHORT
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_requests import plan_measurement
@@ -74,8 +75,7 @@ def test_a_plan_and_each_beginning_of_it_say_what_they_will_leave_unknown(plan, 
     assert points[0]["grade"]["verdict"] == "poor"
     for point in points:
         at_tool = [weak["at_tool_um"] for weak in point["weakest"]]
-        assert at_tool == sorted(at_tool, reverse=True)
-        assert len(at_tool) == 3
+        assert (at_tool, len(at_tool)) == (sorted(at_tool, reverse=True), 3)
     assert found["tracker_mm"] == document["tracker"]["position_mm"]
 
 
@@ -117,8 +117,7 @@ def test_a_plan_is_of_its_mode_and_machine(plan, client, service, ready, is_prob
     client.post("/api/v1/stop")
 
     def refused(kind, plan_id=plan["id"], status=422, code="plan"):
-        order = {"kind": kind, "plan_id": plan_id}
-        answer = client.post("/api/v1/jobs", json=order)
+        answer = client.post("/api/v1/jobs", json={"kind": kind, "plan_id": plan_id})
         return is_problem(answer, status, code)["detail"]
 
     refused("measure-otf", ready["id"], 404, "not-found")
@@ -135,21 +134,14 @@ def test_a_plan_is_of_its_mode_and_machine(plan, client, service, ready, is_prob
 def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, client):
     axes = MACHINE.linear_axes
     low, high = [axis.low - 1.0 for axis in axes], [axis.high + 1.0 for axis in axes]
-    everything = {"min_mm": low, "max_mm": high}
-    order = {**SHORT, "workspace": {"keep_out": [everything]}}
+    order = {**SHORT, "workspace": {"keep_out": [{"min_mm": low, "max_mm": high}]}}
     made = planned(order)
-    assert made["state"] == "failed"
-    assert made["error"]["code"] == "plan"
+    assert (made["state"], made["error"]["code"]) == ("failed", "plan")
     assert "keep-out" in made["error"]["detail"]
     assert (made["commanded"], made["document"]) == (None, None)
     sent = {"json": order, "headers": {"Idempotency-Key": "plan-1"}}
     first, again = (client.post("/api/v1/plans", **sent) for _ in range(2))
     assert first.json()["id"] == again.json()["id"]
-
-
-def rows_at(*places):
-    axes = "x_mm", "y_mm", "z_mm"
-    return [dict(zip(axes, place, strict=True)) for place in places]
 
 
 def test_rows_are_checked_over_the_swept_path(client, is_problem):

@@ -189,16 +189,13 @@ def kept(service, analyse, run):
 
 @pytest.fixture
 def retention(service):
-    rows = []
-    rules = RetentionRules(keep_runs_days=20, keep_results_days=20)
-    made = Retention(
-        service.dispatcher._context,
-        service.calibrations,
-        service.deletion,
-        rules,
-        lambda _, deleted: rows.append((deleted.kind, deleted.id)),
-        lambda: False,
-    )
+    rows, rules = [], RetentionRules(keep_runs_days=20, keep_results_days=20)
+    parts = service.dispatcher._context, service.calibrations, service.deletion
+
+    def note(_, deleted):
+        rows.append((deleted.kind, deleted.id))
+
+    made = Retention(*parts, rules, note, lambda: False)
     made.rows = rows
     return made
 

@@ -106,8 +106,7 @@ def test_each_failure_waits_twice_as_long_until_forgotten(hand_clock):
             waits.append(error.retry_after_s)
             hand_clock.time_s += error.retry_after_s
             back_off.check("anna")
-    assert waits[:4] == [1, 2, 4, 8]
-    assert waits[-1] == limits.LONGEST_WAIT_S
+    assert (waits[:4], waits[-1]) == ([1, 2, 4, 8], limits.LONGEST_WAIT_S)
     back_off.clear("anna")
     for _ in range(31):  # a typo a day
         back_off.fail("anna")
