@@ -14,7 +14,6 @@ import pytest
 
 from answers_in_turn import Script, answer
 from truepath.cli import calibration
-from truepath.cli.calibration import calibrate, follow_to_the_end, measure_on_the_fly
 from truepath.client import Client
 from truepath.errors import MeasurementFailed
 
@@ -109,15 +108,14 @@ def in_turn(*told):
 def measured(*states):
     """The answers to an order of the first machine, whose job has these states."""
     machines = {"items": [{"id": "mill-1"}, {"id": "mill-2"}]}
-    return in_turn(
-        {}, machines, job("queued"), *states, {"token": "once"}, job("armed")
-    )
+    armed = {"token": "once"}, job("armed")
+    return in_turn({}, machines, job("queued"), *states, *armed)
 
 
 def test_the_first_machine_is_measured_by_arming_the_version_that_was_ready():
     script = measured(job("preparing"), job("ready", version=5))
     with script.open() as client:
-        assert measure_on_the_fly(client) == "7"
+        assert calibration.measure_on_the_fly(client) == "7"
     *_, order, _, _, _, arm = script.requests
     assert (order.method, order.url.path) == ("POST", "/api/v1/jobs")
     assert json.loads(order.content) == {"kind": "measure-otf", "machine": "mill-1"}
@@ -127,12 +125,10 @@ def test_the_first_machine_is_measured_by_arming_the_version_that_was_ready():
 
 def test_a_job_that_fails_before_it_is_ready_is_never_armed():
     problem = {"title": "Device", "detail": "the CNC is off", "action": "switch it on"}
-    script, said = (
-        measured(job("failed", error=problem)),
-        "failed: the CNC is off; switch it on",
-    )
+    script = measured(job("failed", error=problem))
+    said = "failed: the CNC is off; switch it on"
     with script.open() as client, pytest.raises(MeasurementFailed, match=said):
-        measure_on_the_fly(client)
+        calibration.measure_on_the_fly(client)
     assert len(script.requests) == 4, "nothing after its state"
 
 
@@ -140,7 +136,7 @@ def test_progress_is_told_until_the_end():
     nothing, told = {"done": 0, "total": 0}, Mock()
     states = job("running"), job("running", progress=nothing), job("succeeded")
     with in_turn(*states).open() as client:
-        follow_to_the_end(client, "7", told)
+        calibration.follow_to_the_end(client, "7", told)
     first, second, _ = (call.args for call in told.call_args_list)
     assert first == (0.25, "measuring", "10 samples, 0 lost")
     assert second[0] == 0.0
@@ -149,12 +145,12 @@ def test_progress_is_told_until_the_end():
 def test_a_job_that_ends_badly_says_why():
     said, faulted = "7 is faulted: no reason was given", in_turn(job("faulted"))
     with faulted.open() as client, pytest.raises(MeasurementFailed, match=said):
-        follow_to_the_end(client, "7", lambda *words: None)
+        calibration.follow_to_the_end(client, "7", lambda *words: None)
 
 
 def test_a_refusal_is_told_in_the_words_of_its_problem(monkeypatch, capsys):
     refused = {"detail": "the machine is in use", "action": "wait for it"}
     monkeypatch.setattr(calibration, "Client", Script(answer(409, refused)).open)
-    calibrate("http://mill")
+    calibration.calibrate("http://mill")
     said = capsys.readouterr().err
     assert said == "the main job ended early: the machine is in use; wait for it\n"

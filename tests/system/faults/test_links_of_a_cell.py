@@ -9,6 +9,7 @@ import sys
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import psutil
@@ -18,7 +19,6 @@ from driven_cell import Driven, config_of
 from measuring import Measuring, measuring_on, order_of
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement import messages
-from truepath.measurement.messages import RunClosed, StateChanged
 from truepath.measurement.monitors.stream_reader import StreamState, record_stream
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
@@ -70,7 +70,8 @@ def test_a_dead_link_to_the_tracker_holds_the_feed_within_a_second(tmp_path):
         run_on(bench, tmp_path, tracker_options=proxy.options) as measuring,
     ):
         proxy.harm(to_host=HOLE)
-        measuring.until(lambda: measuring.of(StateChanged)[-1].state == "paused", 1.5)
+        told = partial(measuring.of, messages.StateChanged)
+        measuring.until(lambda: told()[-1].state == "paused", 1.5)
         assert onlooker.status().hold_reason == "command"
         proxy.harm()
         closed = measuring.until_closed()
@@ -202,9 +203,9 @@ def test_no_status_holds_the_feed_by_the_age_of_the_last_one(measuring, measured
         assert onlooker.status().hold_reason == "command"
         proxy.harm()
         until_it(running, onlooker, lambda s: s.state == "running", 6.0)
-        running.until(lambda: running.of(StateChanged)[-1].state == "running")
+        running.until(lambda: running.of(messages.StateChanged)[-1].state == "running")
     assert running.faults == {"control-late"}
-    assert not running.of(RunClosed)
+    assert not running.of(messages.RunClosed)
 
 
 @pytest.mark.fault_row(44)
@@ -234,7 +235,7 @@ def test_what_cannot_be_is_held_over_real_links(measuring, fault, code):
     running, bench, _, onlooker = measuring
     bench.inject(fault)
     until_it(running, onlooker, lambda s: s.state == "held", 8.0)
-    running.until(lambda: running.of(StateChanged)[-1].state == "paused")
+    running.until(lambda: running.of(messages.StateChanged)[-1].state == "paused")
     assert running.faults == {code}
 
 
@@ -302,7 +303,7 @@ def record(bench, folder, rate_hz, stall):
 @pytest.mark.long
 @pytest.mark.fault_row(31)
 @pytest.mark.parametrize(
-    "stall", [lambda: hold_the_interpreter(2.0), collect_garbage], ids=["stall", "gc"]
+    "stall", [partial(hold_the_interpreter, 2.0), collect_garbage], ids=["stall", "gc"]
 )
 def test_a_pause_of_the_recording_process_costs_no_sample(bench, tmp_path, stall):
     closed, run, states, overflows = record(bench, tmp_path, 500.0, stall)
@@ -314,9 +315,8 @@ def test_a_pause_of_the_recording_process_costs_no_sample(bench, tmp_path, stall
 
 @pytest.mark.fault_row(31)
 def test_samples_that_no_buffer_holds_are_counted_and_told(bench, tmp_path, measured):
-    closed, run, _, overflows = record(
-        bench, tmp_path, 5000.0, lambda: hold_the_interpreter(1.0)
-    )
+    stall = partial(hold_the_interpreter, 1.0)
+    closed, run, _, overflows = record(bench, tmp_path, 5000.0, stall)
     missing = np.diff(run.tracker.sequence) - 1
     assert closed.lost_samples == missing.sum() > 1000
     assert overflows >= 1

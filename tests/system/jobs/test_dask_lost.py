@@ -17,7 +17,6 @@ from truepath.jobs.workers.workers import Workers, open_workers
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.long, pytest.mark.timeout(120)]
-
 PATIENCE_S = 5.0
 BOUND_S = 45.0
 TASKS = """

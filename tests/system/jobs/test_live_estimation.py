@@ -20,7 +20,6 @@ from truepath.catalogue.job import JobKind
 from truepath.cli.demo import compare_with_truth
 from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running import live_estimation
-from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run
@@ -43,7 +42,8 @@ def shown():
 
 @pytest.fixture
 def live(run, shown):
-    live = LiveEstimation(LiveEstimateOrder(run.machine, run.commanded), shown.append)
+    order = LiveEstimateOrder(run.machine, run.commanded)
+    live = live_estimation.LiveEstimation(order, shown.append)
     yield live
     live.close()
     live.close()
@@ -51,7 +51,7 @@ def live(run, shown):
 
 def feed(live, run, until=lambda: False):
     for begin in range(0, len(run.tracker), 200):
-        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
+        wait_until(lambda: live._queue.qsize() < live_estimation.WAITING_BLOCKS)
         live.offer(run.tracker.select(slice(begin, begin + 200)))
         if until():
             return
@@ -260,9 +260,8 @@ def begin_on_bench(service, machine):
 @pytest.mark.long
 @pytest.mark.timeout(180)
 def test_two_benches_measure_at_once_and_the_death_of_a_cell_leaves_the_other(tmp_path):
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_machines=2, port=0
-    )
+    simulated = {"simulated": True, "simulated_machines": 2}
+    settings = load_settings(data_dir=tmp_path / "data", port=0, **simulated)
     with open_service(settings) as service:
         first, second = service.machines.list_all()
         assert (first.id, second.id) == ("default", "bench-2")

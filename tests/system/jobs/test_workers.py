@@ -316,9 +316,7 @@ def submit(lane, small_run, tmp_path_factory):
     def submit(plan, workers, on_progress=ignore_progress):
         folder = tmp_path_factory.mktemp("analysed") / "result"
         arguments = [str(small_run)], str(folder), False, plan, workers
-        computation = lane.submit(
-            analyse_recorded, *arguments, on_progress=on_progress, started=lambda: None
-        )
+        computation = run(lane, analyse_recorded, *arguments, on_progress=on_progress)
         return computation, folder
 
     return submit
@@ -348,7 +346,10 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(submit):
         if stage == "validating":
             trying.set()
 
-    before = set(psutil.Process().children(recursive=True))
+    def list_children():
+        return set(psutil.Process().children(recursive=True))
+
+    before = list_children()
     endless = TrialPlan(digits=2, most_blocks=10_000)
     job, folder = submit(endless, Workers(count=2), on_progress=on_progress)
     with ThreadPoolExecutor() as pool:
@@ -357,10 +358,7 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(submit):
         job.cancel()
         assert isinstance(outcome.exception(10.0), Aborted)
     assert not folder.exists()
-    wait_until(
-        lambda: not set(psutil.Process().children(recursive=True)) - before,
-        "the end of the workers",
-    )
+    wait_until(lambda: not list_children() - before, "the end of the workers")
 
 
 @pytest.mark.long

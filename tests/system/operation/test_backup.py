@@ -144,9 +144,8 @@ def test_what_cannot_be_kept_or_restored_is_one_line(tmp_path, backups, capsys):
 @pytest.mark.long
 @pytest.mark.timeout(240)
 def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_path):
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=4.0, port=0
-    )
+    simulated = {"simulated": True, "simulated_speed": 4.0}
+    settings = load_settings(data_dir=tmp_path / "data", port=0, **simulated)
     with service_of(settings) as (_, client):
         client.post("/api/v1/machines/current:connect")
         job = create(client, path=ROWS)
@@ -313,15 +312,21 @@ def test_a_folder_of_an_older_schema_is_refused_and_left_as_it_is(tmp_path):
     assert list_bytes(old_folder) == before
 
 
-def test_schema_0014_is_read_and_migrated_by_the_next_version(folder, next_version):
+def test_schema_0014_is_migrated_and_restored_later(folder, next_version, tmp_path):
     require_all(folder)
     assert list(folder.glob("catalogue.before-*")) == []
     before = dump(folder / "catalogue.sqlite")
+    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
     next_version()
     require_all(folder)
     assert read_revision(folder / "catalogue.sqlite") == "9999"
     (copy,) = folder.glob("catalogue.before-0014-*.sqlite")
     assert dump(copy) == before
+    target = tmp_path / "elsewhere"
+    kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
+    assert kept.revision == "0014"
+    assert read_revision(target / "catalogue.sqlite") == "9999"
+    require_all(target)
 
 
 def test_a_migration_that_fails_leaves_the_old_file(folder, next_version, monkeypatch):
@@ -334,16 +339,6 @@ def test_a_migration_that_fails_leaves_the_old_file(folder, next_version, monkey
     assert read_revision(folder / "catalogue.sqlite") == "0014"
     monkeypatch.setattr(database_module, "_MIGRATIONS", own)
     require_all(folder)
-
-
-def test_a_backup_of_schema_0014_is_restored_later(folder, next_version, tmp_path):
-    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
-    next_version()
-    target = tmp_path / "elsewhere"
-    kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
-    assert kept.revision == "0014"
-    assert read_revision(target / "catalogue.sqlite") == "9999"
-    require_all(target)
 
 
 def test_a_backup_of_an_older_schema_is_refused_and_nothing_changed(folder, tmp_path):

@@ -105,9 +105,8 @@ def test_environments_make_good_settings(dockerfile, compose, monkeypatch, tmp_p
             settings = load_settings()
         assert settings.host == "0.0.0.0"
         if settings.database_url:
-            assert settings.database == (
-                "postgresql+psycopg://truepath:pass%2Fword@postgres/truepath"
-            )
+            place = "truepath:pass%2Fword@postgres/truepath"
+            assert settings.database == f"postgresql+psycopg://{place}"
 
 
 def test_the_bench_listens_where_the_service_looks_for_it(compose, root):
@@ -123,15 +122,12 @@ def test_the_bench_listens_where_the_service_looks_for_it(compose, root):
     assert read_machine(machine).name == "demo"
 
 
-def test_secrets_come_from_files_that_git_does_not_keep(compose, root):
+def test_services_share_profiles_and_keep_secrets_in_files(compose, root):
     for secret in compose["secrets"].values():
         path = Path("docker") / secret["file"]
         ignored = subprocess.run(["git", "check-ignore", "-q", path], cwd=root)
         assert ignored.returncode == 0, f"{path} could be committed"
     assert "PASSWORD:" not in (root / "docker" / "compose.yaml").read_text()
-
-
-def test_services_share_profiles_and_are_of_this_version(compose, root):
     services = compose["services"]
     for name, service in services.items():
         for other in service.get("depends_on", {}):

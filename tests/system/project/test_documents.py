@@ -20,11 +20,8 @@ OF_DEVICES = (*range(1, 24), 30, 31)  # rows of reliability.md
 
 @pytest.fixture(scope="module")
 def documents(project_files, root):
-    return [
-        path
-        for path in project_files
-        if path.suffix == ".md" and path.relative_to(root).parts[0] in PARTS
-    ]
+    texts = (path for path in project_files if path.suffix == ".md")
+    return [path for path in texts if path.relative_to(root).parts[0] in PARTS]
 
 
 def anchor(heading):
@@ -61,9 +58,8 @@ def test_every_document_can_be_reached_from_the_index(documents, root):
     assert set(documents) <= reached
 
 
-PLACE = re.compile(
-    r"`((?:app|drivers|simulators|tests|validation|benchmarks|docker|docs)/[\w./-]*\w)/?`"
-)
+ROOMS = "app|drivers|simulators|tests|validation|benchmarks|docker|docs"
+PLACE = re.compile(rf"`((?:{ROOMS})/[\w./-]*\w)/?`")
 
 
 def test_every_file_and_folder_that_documents_name_exists(documents, root):
@@ -133,15 +129,12 @@ def commands(documents):
                         yield document, words
 
 
-def test_every_make_target_of_the_documents_exists(documents, root):
+def test_every_make_target_and_command_of_the_documents_exists(documents, root):
     text = (root / "Makefile").read_text()
     targets = set(re.findall(r"^([\w-]+):(?!=)", text, re.MULTILINE))
     asked = {w[1] for _, w in commands(documents) if w[0] == "make" and len(w) > 1}
     assert asked
     assert asked <= targets
-
-
-def test_every_truepath_command_of_the_documents_exists(documents, root):
     helps = {}
 
     def help_of(*name):

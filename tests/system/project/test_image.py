@@ -21,7 +21,6 @@ from processes import until
 from service_process import arm, create, follow
 
 pytestmark = pytest.mark.long
-
 LARGEST_MB = 700
 JOB_S = 240.0
 
@@ -134,10 +133,8 @@ def test_the_service_keeps_its_catalogue_in_postgresql(serve, tmp_path, request)
     secret = tmp_path / "database_password"
     secret.write_text(postgres_server.password)
     secret.chmod(0o444)
-    environment = {
-        "TRUEPATH_DATABASE_URL": postgres_server.url(),
-        "TRUEPATH_SIMULATED_SPEED": "10",
-    }
+    environment = {"TRUEPATH_SIMULATED_SPEED": "10"}
+    environment["TRUEPATH_DATABASE_URL"] = postgres_server.url()
     mounts = {secret: "/run/secrets/database_password"}
     options = ("--simulated", "--measure")
     with serve("truepath-postgres", *options, volumes=mounts, **environment) as client:

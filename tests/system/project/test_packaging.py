@@ -105,7 +105,7 @@ def test_hooks_before_a_commit_run_what_make_check_runs(root):
     assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
-def test_the_wheel_holds_the_rooms_and_the_licence_alone(packed, project_files, root):
+def test_the_wheel_holds_the_rooms_and_their_plug_ins(packed, project_files, root):
     texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
     assert texts == [(root / "LICENSE").read_text()]
     places = [path.relative_to(root).parts for path in project_files]
@@ -114,9 +114,6 @@ def test_the_wheel_holds_the_rooms_and_the_licence_alone(packed, project_files, 
     first = {name.split("/")[0] for name in packed}
     rooms = {"truepath", "truepath_drivers", "truepath_simulators"}
     assert {name for name in first if not name.endswith(".dist-info")} == rooms
-
-
-def test_the_wheel_registers_the_command_and_the_plug_ins(packed):
     (points,) = (text for n, text in packed.items() if n.endswith("entry_points.txt"))
     groups = set(re.findall(r"^\[(.+)\]$", points, re.MULTILINE))
     kinds = ("trackers", "motion_controllers", "simulators")

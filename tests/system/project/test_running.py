@@ -27,9 +27,8 @@ def running(command, address, folder, **environment):
     foreign = ("TRUEPATH_", "COVERAGE_")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     with (folder / "log").open("w+") as log:
-        service = subprocess.Popen(
-            command, env=kept | environment, cwd=folder, stdout=log, stderr=log
-        )
+        how = {"env": kept | environment, "cwd": folder, "stdout": log, "stderr": log}
+        service = subprocess.Popen(command, **how)
         with service:
             try:
                 wait_until_healthy(service, address, folder / "log")

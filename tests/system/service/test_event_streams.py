@@ -25,7 +25,6 @@ from truepath.machines.cell_status import NOT_READ
 from truepath.machines.sample_feed import CHUNK, CHUNKS, SampleFeed
 from truepath.measurement.messages import BlockRecorded
 from truepath.service.api.routes import events
-from truepath.service.api.routes.events import Topics
 from truepath.users.roles import Role
 from truepath_drivers.interfaces.records import TrackerSamples
 
@@ -207,9 +206,8 @@ def test_a_slow_client_keeps_newest_live_and_every_kept_event(live, service, job
     with stream(live) as found:
         read(found, 1)
         for number in range(20_000):
-            service.event_bus.publish(
-                JobEvent("live", job.id, {"number": number, "pad": "x" * 99})
-            )
+            body = {"number": number, "pad": "x" * 99}
+            service.event_bus.publish(JobEvent("live", job.id, body))
         advance(service, job.id, State.RUNNING)
         service.event_bus.publish(JobEvent("live", job.id, {"number": 20_000}))
         numbers, states = [0], []
@@ -252,7 +250,7 @@ def test_a_stream_ends_with_its_session(live, service, monkeypatch):
 
 def test_notices_after_the_loop_has_ended_are_harmless(service):
     async def subscribe():
-        return events.Subscription(service, Topics(), lambda: True)
+        return events.Subscription(service, events.Topics(), lambda: True)
 
     subscription = asyncio.run(subscribe())
     event = JobEvent("live", None, {})

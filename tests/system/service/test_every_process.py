@@ -19,10 +19,9 @@ from arming import arm_over_http
 from processes import runs
 from real_services import environment_of, find_child, process
 from service_process import ENDS, ROWS, arm, begin_moving, create, follow, wait_for
-from service_with_devices import connect, running_devices
+from service_with_devices import connect, moves, running_devices
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
-
 OURS = ("worker", "live", "cell")
 DEVICES = ("cnc", "tracker")
 FROZEN_S = 3.0
@@ -70,12 +69,8 @@ def make_computing(client):
     return job["id"]
 
 
-STATES = {
-    "ready": make_ready,
-    "running": begin_moving,
-    "paused": make_paused,
-    "computing": make_computing,
-}
+STATES = {"ready": make_ready, "running": begin_moving}
+STATES |= {"paused": make_paused, "computing": make_computing}
 
 
 def harm(found, is_kill, frozen_s=FROZEN_S):
@@ -290,11 +285,6 @@ def work(client, ledger, end_s):
 
 
 def require_standstill(rig):
-    def rests():
-        before = rig.read_position()["position"][0]
-        time.sleep(0.25)
-        after = rig.read_position()["position"][0]
-        return max(abs(a - b) for a, b in zip(after, before, strict=True)) < 1e-6
-
-    wait_for(rests, "a machine that stands still", STANDS_S)
-    assert rests()
+    """The machine comes to rest by itself and stays there."""
+    wait_for(lambda: not moves(rig), "a machine that stands still", STANDS_S)
+    assert not moves(rig)

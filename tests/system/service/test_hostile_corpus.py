@@ -75,6 +75,7 @@ BODY = st.fixed_dictionaries(
     {"kind": KINDS_OF_JOBS | VALUES},
     optional=dict.fromkeys(KEYS, VALUES) | dict.fromkeys(("path", "points"), ROWS),
 )
+ONE_SERVICE = HealthCheck.function_scoped_fixture
 HEADER = st.text(st.characters(min_codepoint=0x21, max_codepoint=0x7E), max_size=40)
 
 
@@ -148,11 +149,7 @@ def test_hostile_bodies_are_problems(client, sound, method, path, measured):
     measured(f"{method} {path}: {len(sent)} bodies, no 5xx")
 
 
-@settings(
-    max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=60, deadline=None, suppress_health_check=[ONE_SERVICE])
 @given(body=BODY, tag=HEADER, key=HEADER)
 @pytest.mark.fault_row(35)
 def test_any_order_with_any_headers_is_sound(client, sound, body, tag, key):
@@ -238,9 +235,7 @@ def send(client, content):
 
 
 @pytest.mark.fault_row(36)
-def test_uploads_that_are_read_hinder_nobody(
-    live, service, bundle, run_reader, measured
-):
+def test_uploads_being_read_hinder_nobody(live, service, bundle, run_reader, measured):
     assert send(live, bundle()).status_code == 201  # the reader is up
     uploads, folder = 45, service.runs._folder  # more than there are request threads
     process_id = run_reader._process._process.process_id

@@ -55,8 +55,7 @@ def test_a_machine_is_added_shown_and_changed(printed_of, tmp_path, service):
     stated = ("--state", "serial_number=4711", "--state", "place=hall 3")
     printed_of("add", "mill-3", str(machine), *stated)
     shown = printed_of("show", "mill-3")
-    assert "4711" in shown
-    assert "never" in shown
+    assert all(word in shown for word in ("4711", "never"))
     taken = ("--state", "place=", "--state", "tolerance_um=12.5", "--json")
     printed = printed_of("change", "mill-3", *taken, "--devices", str(devices))
     service.machines.get("mill-3").close()

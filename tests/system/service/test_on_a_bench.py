@@ -22,7 +22,6 @@ from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
-
 MACHINE = 5
 FEW = 10  # extra lines
 LEANS = {"lateral-backlash", "squareness"}

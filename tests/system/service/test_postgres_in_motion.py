@@ -9,7 +9,6 @@ from real_services import process
 from service_process import ENDS, ROWS, begin_moving, wait_for
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
-
 FROZEN_S = 10.0
 
 

@@ -31,9 +31,8 @@ ONE_EACH = ("feed_mm_min", "dwell_s")
 
 @pytest.fixture
 def settings(tmp_path):
-    return load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
+    simulated = {"simulated": True, "simulated_speed": SPEED}
+    return load_settings(data_dir=tmp_path / "data", port=0, **simulated)
 
 
 def check_now_and_then():

@@ -22,7 +22,6 @@ from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
-
 SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
@@ -34,16 +33,13 @@ AREAS = [
     {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
     {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
 ]
-
 TOOLS = {
     "T1": {"on": "tool", "offset_mm": [20.0, 30.0, -150.0]},
     "T2": {"on": "tool", "offset_mm": [60.0, -20.0, -90.0]},
 }
 # The change of the target repeats the row where the machine stands.
-TWO_TOOLS = [
-    *({**row, "target": "T1"} for row in ROWS[:12]),
-    *({**row, "target": "T2"} for row in ROWS[11:]),
-]
+TWO_TOOLS = [{**row, "target": "T1"} for row in ROWS[:12]]
+TWO_TOOLS += [{**row, "target": "T2"} for row in ROWS[11:]]
 
 
 @pytest.fixture

@@ -43,8 +43,7 @@ def failing(error):
 def test_a_failure_is_one_line_and_a_status(error, status, line, capsys):
     assert run_command(failing(error)) == status
     captured = capsys.readouterr()
-    assert captured.err == line + "\n"
-    assert captured.out == ""
+    assert (captured.err, captured.out) == (line + "\n", "")
 
 
 def test_a_fault_of_the_program_keeps_its_traceback():
@@ -76,9 +75,9 @@ def test_success_is_zero_and_any_other_status_a_one(answer, status):
 )
 def test_a_wrong_command_line_is_bad_input_in_one_line(arguments, said, capsys):
     assert run(arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1
-    assert said in captured.err
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert said in line
 
 
 def test_each_command_explains_itself_and_has_the_distributions_version(command):

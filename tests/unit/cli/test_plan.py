@@ -16,7 +16,6 @@ STAND = {"position_mm": [200.0, -1200.0, 0.0]}
 BLIND = {"direction": [0, 0, 0], "half_angle_deg": 30}
 BOX = {"min_mm": [150, 120, 90], "max_mm": [500, 400, 300]}
 FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
-
 pytestmark = pytest.mark.usefixtures("little_search")
 
 
@@ -244,7 +243,7 @@ def files(recorded):
     return recorded / "machine.json", recorded / "path.csv"
 
 
-def test_a_path_is_graded_in_one_object_better_with_along_path(command, files):
+def test_paths_and_points_are_graded_in_numbers_and_words(command, files, tmp_path):
     order = ["grade", *files, "--tracker=-900,0,200"]
     said = command.json(*order)
     assert said["schema"] == "grade/1"
@@ -253,16 +252,10 @@ def test_a_path_is_graded_in_one_object_better_with_along_path(command, files):
     assert said["tracker"]["assumed"] is False
     assert all(s[0] == "E" for s in said["unobservable"])
     assert command.json(*order, "--perpendicular-only")["number"] > said["number"]
-
-
-def test_a_person_gets_a_sentence_and_what_cannot_be_seen(command, files):
     said = command.run("grade", *files).out
     assert said.startswith("grade of the set-up: 0.")
     assert "worst of four usual places" in said
     assert "cannot be seen: EBZ (turn of Z about Y) is not distinguishable from" in said
-
-
-def test_rows_without_a_feed_are_standstill_points(command, files, tmp_path):
     points = tmp_path / "points.csv"
     points.write_text("x_mm,y_mm,z_mm,dwell_s\n10,10,10,1\n400,300,200,1\n")
     assert command.json("grade", files[0], points)["verdict"] == "poor"

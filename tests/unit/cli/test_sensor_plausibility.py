@@ -12,7 +12,6 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 
 pytestmark = pytest.mark.fault_row(43)
-
 WRONG_ORDER = -2.4e-41
 HENE = {"wavelength_nm": 633, "is_group": False, "assumed_index": 1.0}
 

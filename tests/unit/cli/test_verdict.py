@@ -51,9 +51,7 @@ def read(tmp_path):
     return made
 
 
-def test_a_bad_result_has_to_be_accepted(
-    few_places, command, words, judged, read, tmp_path
-):
+def test_bad_results_need_consent(few_places, command, words, judged, read, tmp_path):
     file = judged("not-usable")
     line = command.refuse(*words(file))
     assert not (tmp_path / "tables").exists()
@@ -144,9 +142,7 @@ def test_what_rests_on_a_doubtful_model_is_so_too(command, judged, recorded, tmp
     assert content["verdict"]["state"] == "usable"
 
 
-def test_the_terminal_begins_with_the_worst_and_ends_with_what_is_next(
-    result, tmp_path, capsys
-):
+def test_the_terminal_shows_the_worst_first_and_the_next_step(result, tmp_path, capsys):
     def show(verdict):
         print_result(result | {"verdict": verdict_json(verdict)}, tmp_path)
         return capsys.readouterr().out.splitlines()

@@ -29,13 +29,8 @@ from truepath_simulators.scenario import load_machine
 VERDICT = {"state": "usable", "reasons": []}
 
 
-@contextmanager
 def open_catalogue(folder):
-    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
-    try:
-        yield database
-    finally:
-        database.close()
+    return closing(Database(f"sqlite:///{folder / 'catalogue.sqlite'}"))
 
 
 @pytest.fixture(scope="module")

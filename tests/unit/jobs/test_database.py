@@ -17,7 +17,6 @@ from sqlalchemy.exc import DBAPIError, OperationalError
 
 from truepath.catalogue import errors, schema
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.schema import metadata
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.database import Database, check_catalogue
 from truepath.catalogue.store.idempotency import IdempotencyKey
@@ -58,7 +57,7 @@ def test_migrations_make_the_tables_that_the_code_expects_however_often(database
     assert database.ready()
     with database.engine.connect() as connection:
         context = MigrationContext.configure(connection)
-        assert compare_metadata(context, metadata) == []
+        assert compare_metadata(context, schema.metadata) == []
 
 
 def test_sqlite_is_set_for_safety_on_each_connection(sqlite_database):
@@ -73,9 +72,8 @@ def test_sqlite_is_set_for_safety_on_each_connection(sqlite_database):
 
 @pytest.mark.fault_row(37)
 def test_a_newer_schema_is_refused(sqlite_database):
-    sqlite_database.write(
-        lambda c: c.execute(text("UPDATE alembic_version SET version_num='9999'"))
-    )
+    newer = text("UPDATE alembic_version SET version_num='9999'")
+    sqlite_database.write(lambda c: c.execute(newer))
     with pytest.raises(errors.SchemaTooNew, match="schema 9999, newer than this"):
         sqlite_database.migrate()
 
@@ -158,10 +156,8 @@ def test_a_row_of_the_audit_log_is_never_changed(database, verb):
     log = AuditLog(database)
     for outcome in ("202", "403"):
         log.append(Entry("anna", "operator", "", "", "POST /stop", outcome))
-    with (
-        pytest.raises(DBAPIError, match="never changed"),
-        database.engine.begin() as connection,
-    ):
+    refused = pytest.raises(DBAPIError, match="never changed")
+    with refused, database.engine.begin() as connection:
         connection.execute(text(verb))
     assert log.verify() == []
     assert [row.entry.outcome for row in log.read()] == ["202", "403"]
@@ -180,11 +176,8 @@ def file(empty_catalogue, tmp_path):
 
 
 def open_catalogue(file):
-    database = Database(f"sqlite:///{file}")
-    try:
+    with closing(Database(f"sqlite:///{file}")) as database:
         database.migrate()
-    finally:
-        database.close()
 
 
 def flip(file):
@@ -308,9 +301,8 @@ def read_all(database):
 def filled(database):
     """A catalogue with something in most tables; JSON that a parser would change."""
     store = Store(database, lambda _: None)
-    job, _ = store.create(
-        Job(JobKind.PLAN), IdempotencyKey("k", b"{}"), {"request": {"µm": 1.0}}
-    )
+    plan = {"request": {"µm": 1.0}}
+    job, _ = store.create(Job(JobKind.PLAN), IdempotencyKey("k", b"{}"), plan)
     store.create(Job(JobKind.PLAN))
     odd = '{"b": 1.50, "a": [1e3, "\\u00b5"]}'
     value = ":odd" if database.engine.dialect.name == "sqlite" else "CAST(:odd AS JSON)"

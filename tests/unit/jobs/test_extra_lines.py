@@ -15,8 +15,6 @@ ROWS = [
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},
     {"x_mm": 400.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 900.0, "dwell_s": 0.35},
 ]
-
-
 VICE = {"name": "vice", "min_mm": [200, 0, 0], "max_mm": [300, 50, 50]}
 DOOR = {"name": "door", "min_mm": [200, 200, 200], "max_mm": [300, 300, 300]}
 PRESS = {"name": "press", "min_mm": [20, 100, 100], "max_mm": [30, 110, 110]}

@@ -74,9 +74,8 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
-    told = live_process.estimate_json(
-        LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
-    )
+    estimate = LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
+    told = live_process.estimate_json(estimate)
     tables, places = told["error_tables"], told["axis_location"]
     for symbol, table in tables.items():
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"

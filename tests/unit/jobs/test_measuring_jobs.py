@@ -15,7 +15,6 @@ from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
 from truepath.catalogue import errors
-from truepath.catalogue.errors import NotResumable
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.job_rows import read_job
@@ -701,8 +700,9 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
     else:
         cell.end(end)
     wait_until(lambda: dispatcher.show(store.get(running.id)).state == end, end)
+    refusals = IllegalTransition, errors.NotResumable, errors.StorageUnavailable
     for verb in random.Random(end).sample([*VERBS] * 2, 2 * len(VERBS)):
-        with suppress(IllegalTransition, NotResumable, errors.StorageUnavailable):
+        with suppress(*refusals):
             answered = VERBS[verb](dispatcher, running)
             shown = answered[0] if isinstance(answered, tuple) else answered
             assert shown.state == end, verb

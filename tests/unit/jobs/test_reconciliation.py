@@ -8,7 +8,6 @@ from unittest.mock import Mock
 import pytest
 
 import job_builders
-from job_builders import OTF
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
@@ -71,7 +70,7 @@ def test_a_run_that_its_job_does_not_name_is_named_at_the_next_start(
 def test_nothing_is_touched_in_motion(context, ended, begin_run, dispatcher, until):
     begin_run(ended.id).close("failed")
     reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
-    job, _ = dispatcher.create(OTF)
+    job, _ = dispatcher.create(job_builders.OTF)
     reconciliation.look()
     assert context.runs.list_page(9) == []
     dispatcher.abort(job.id)

@@ -268,9 +268,7 @@ def note(lives, context):
     return note
 
 
-def test_notices_are_kept_and_go_on(
-    faulted, drive, until, cell, resumer, context, note
-):
+def test_notices_are_kept_later(faulted, drive, until, cell, resumer, context, note):
     """Rows that were driven again count: the Run numbers its rows with them."""
 
     def notice():

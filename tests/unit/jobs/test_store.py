@@ -15,7 +15,6 @@ from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, NotFound
 
 pytestmark = pytest.mark.database
-
 ANALYSE = Job(JobKind.ANALYSE)
 MEASURE = Job(JobKind.MEASURE_OTF)
 PLAN = {"kind": "path", "axes": ["X"]}

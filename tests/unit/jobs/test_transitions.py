@@ -23,7 +23,7 @@ def test_every_state_stands_in_the_table_can_be_reached_and_has_an_end_in_reach(
 
 def test_the_six_ends_are_never_left_and_an_abort_leaves_them_as_they_are():
     ends = {"aborted", "cancelled", "succeeded", "failed", "faulted", "interrupted"}
-    assert {str(state) for state in FINAL} == ends
+    assert set(map(str, FINAL)) == ends
     for state in FINAL:
         assert apply_verb(Verb.ABORT, state) is state
         for after in set(State) if state not in table.LEFT_BY_ACKNOWLEDGE else ():

@@ -70,9 +70,8 @@ def test_files_are_those_of_the_command(client, place, analysed, tmp_path, is_pr
 
 def test_what_cannot_be_made_says_why(client, service, place, with_result, is_problem):
     for name in ("vcs", "../linuxcnc"):
-        refusal = is_problem(
-            client.post(place, json={"format": name}), 422, "bad-input"
-        )
+        answer = client.post(place, json={"format": name})
+        refusal = is_problem(answer, 422, "bad-input")
         assert "installed: csv, etalon" in json.dumps(refusal)
     for word in ("X=3", "A=2"):
         order = {"format": "siemens", "choices": {"measuring_system": word}}
@@ -236,9 +235,8 @@ def test_points_follow_their_seed_and_touch_no_box(ask, look, is_problem):
     assert "the way to row 2 enters the keep-out box vice" in said["detail"]
     _, plan = look(what=["random-points"], seed=4, keep_out=[box])
     assert plan["keep_out"] == [box]
-    assert not any(
-        max(row[:3]) <= 150 and min(row[:3]) >= 0 for row in plan["position"]
-    )
+    rows = (row[:3] for row in plan["position"])
+    assert not any(min(row) >= 0 and max(row) <= 150 for row in rows)
 
 
 def test_circles_in_motion_ask_for_a_control_with_arcs(ask, look, is_problem, service):

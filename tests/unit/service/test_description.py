@@ -24,7 +24,6 @@ from truepath.service.api import problems
 from truepath.service.api.application import create_application
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.jobs.job_request import JobRequest
-from truepath.service.api.problems import find_kind_of_status
 from truepath.service.api.security.route_roles import LEAST_ROLES
 from truepath_drivers.interfaces import errors as device_errors
 
@@ -92,7 +91,7 @@ def test_an_error_or_status_nobody_foresaw_is_of_the_nearest_kind_and_tells_noth
     assert "secret" not in str(content)
     assert problems.find_kind(KeyError) is problems.INTERNAL
     for status, told in ((418, ("bad-request", 418)), (599, ("internal-error", 500))):
-        kind = find_kind_of_status(status)
+        kind = problems.find_kind_of_status(status)
         assert (kind.code, kind.status) == told
 
 
@@ -209,6 +208,9 @@ def test_a_job_names_the_verbs_that_its_state_allows_each_with_its_address():
 
 
 HEADERS = {"host": "127.0.0.1"}
+SLOW = [HealthCheck.too_slow, HealthCheck.filter_too_much]
+DRAWN = settings(deadline=None, derandomize=True, phases=[Phase.generate])
+DRAWN = settings(DRAWN, suppress_health_check=SLOW)
 CHECKS = [
     not_a_server_error,
     checks.status_code_conformance,
@@ -216,9 +218,7 @@ CHECKS = [
     checks.response_headers_conformance,
     checks.response_schema_conformance,
 ]
-EXAMPLES = json.loads(
-    resources.files("truepath.service.api").joinpath("examples.json").read_text()
-)
+EXAMPLES = resources.files("truepath.service.api").joinpath("examples.json")
 ROUTES = sorted(
     (path, method)
     for path, methods in read_document()["paths"].items()
@@ -229,10 +229,8 @@ ROUTES = sorted(
 
 @pytest.fixture
 def planner(planner):
-    document = EXAMPLES["get_plan"]["document"]
-    return lambda *order, on_progress: (
-        planner(*order, on_progress=on_progress) | {"document": document}
-    )
+    more = {"document": json.loads(EXAMPLES.read_text())["get_plan"]["document"]}
+    return lambda *order, on_progress: planner(*order, on_progress=on_progress) | more
 
 
 @pytest.fixture
@@ -245,13 +243,7 @@ def described(service):
 
 
 def check_answers(described, path, method, most):
-    @settings(
-        max_examples=most,
-        deadline=None,
-        derandomize=True,
-        phases=[Phase.generate],
-        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-    )
+    @settings(DRAWN, max_examples=most)
     @given(case=described[path][method].as_strategy())
     def check(case):
         case.validate_response(case.call(headers=HEADERS), checks=CHECKS)

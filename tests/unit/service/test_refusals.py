@@ -48,8 +48,6 @@ NAMED = [
         )
     ),
 ]
-
-
 SENSELESS = [
     *(
         ("jobs", VERIFY, change)
@@ -94,9 +92,7 @@ SENSELESS = [
 ]
 
 
-def test_an_order_that_makes_no_sense_is_refused_and_its_fault_named(
-    client, is_problem
-):
+def test_orders_that_make_no_sense_are_refused_with_their_fault(client, is_problem):
     for address, body, where, text in NAMED:
         answer = client.post(f"/api/v1/{address}", json=body)
         error = is_problem(answer, 422, "validation")["errors"][0]

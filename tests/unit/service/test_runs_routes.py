@@ -95,8 +95,7 @@ def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
     at = f"{JOBS}/{ready['id']}"
     assert (ready["name"], ready["note"]) == ("", "")
     event = service.store.read_last_event_id()
-    named = client.patch(at, json={"name": "As found, Müller"})
-    assert named.status_code == 200, named.text
+    assert client.patch(at, json={"name": "As found, Müller"}).status_code == 200
     noted = client.patch(at, json={"note": "Warm since 8:00.\nDoor open."}).json()
     assert noted["name"] == "As found, Müller"
     assert noted == client.get(at).json()
@@ -280,8 +279,7 @@ def test_a_run_once_deleted_is_not_taken_in(client, service, finished, monkeypat
         patch.setattr(type(service.runs), "remove_files", fail)
         at = f"{RUNS}/{finished['run_id']}"
         assert client.delete(at, params={"with_results": True}).status_code == 204
-    assert file.is_file()
-    assert file.suffix == ".sqlite"
+    assert (file.is_file(), file.suffix) == (True, ".sqlite")
     reconcile(service.dispatcher._context)
     assert not service.runs.find([finished["run_id"]])
     service.deletion.remove_files()

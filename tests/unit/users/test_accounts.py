@@ -6,7 +6,6 @@ from sqlalchemy import text
 from truepath.errors import BadInput, NotFound
 from truepath.users import access as limits
 from truepath.users import errors, passwords
-from truepath.users.access import Access, AccessRules, BackOff, RateLimit
 from truepath.users.passwords import is_password
 from truepath.users.roles import Actor, Role, includes
 from truepath.users.tokens import read_moment
@@ -73,7 +72,7 @@ def test_each_role_may_what_those_before_it_may():
 
 @pytest.fixture
 def access(database, accounts):
-    access = Access(database, AccessRules(log_in_required=True))
+    access = limits.Access(database, limits.AccessRules(log_in_required=True))
     yield access
     access.close()
 
@@ -96,7 +95,7 @@ def test_who_logs_in_is_known_by_the_token_and_failures_wait(access, monkeypatch
 
 
 def test_each_failure_waits_twice_as_long_until_forgotten(hand_clock):
-    back_off = BackOff(3)
+    back_off = limits.BackOff(3)
     waits = []
     for _ in range(16):
         back_off.fail("anna")
@@ -121,7 +120,7 @@ def test_each_failure_waits_twice_as_long_until_forgotten(hand_clock):
 
 
 def test_a_rate_is_a_burst_and_then_so_many_a_second(hand_clock):
-    limit = RateLimit(3, 2.0)
+    limit = limits.RateLimit(3, 2.0)
     for _ in range(3):
         limit.count_request("anna")
     with pytest.raises(errors.TooManyRequests) as refused:

@@ -10,7 +10,6 @@ from structlog.testing import capture_logs
 
 from truepath.users import audit_writer
 from truepath.users.audit import AuditLog, Entry
-from truepath.users.audit_writer import AuditWriter
 
 ENTRY = Entry(
     *("anna", "operator", "192.0.2.17", "6f0e4c1b9a7d4e52", "POST /api/v1/jobs", "202"),
@@ -21,7 +20,7 @@ ENTRY = Entry(
 
 @pytest.fixture
 def writer(audit_log):
-    writer = AuditWriter(audit_log)
+    writer = audit_writer.AuditWriter(audit_log)
     yield writer
     writer.close()
 
