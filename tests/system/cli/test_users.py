@@ -13,6 +13,7 @@ from truepath.users.roles import Actor, Role
 
 PASSWORD = "a long sentence is easy"
 pytestmark = pytest.mark.usefixtures("plain_log")  # migrating writes to the log
+LOG_IN = {"LOG_IN": "always"}
 
 
 @pytest.fixture
@@ -106,9 +107,6 @@ def test_a_certificate_is_made_with_its_settings(call, tmp_path):
     assert status == 0
     both = [f'tls_{kind} = "{tmp_path}/tls/{kind}.pem"' for kind in ("cert", "key")]
     assert said.splitlines() == both
-
-
-LOG_IN = {"LOG_IN": "always"}
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from truepath.client import AsyncClient, Client, Problem, Refused, Unreachable, 
 from truepath.client.problems import BadInput, ServiceProblem, make_problem
 
 ROOT = Path(__file__).parents[3]
+LOST = httpx2.ReadError("gone")
 
 
 def job(state, version=3, **more):
@@ -34,9 +35,6 @@ def job(state, version=3, **more):
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
     monkeypatch.setattr(api.steps, "REPEATS_S", (0.0, 0.0, 0.0))
-
-
-LOST = httpx2.ReadError("gone")
 
 
 def stream(*events):

@@ -27,6 +27,7 @@ from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 
 NONE = RunningService(is_there=False)
+PLANTED = "planted-5eCret"
 
 
 @pytest.fixture
@@ -85,9 +86,6 @@ def test_devices_are_named_or_it_is_said_what_to_do(settings, tmp_path, free_por
     assert {name: found[name].grade for name in grades} == grades
     assert "serial" in found["motion"].text
     assert "cable" in found["tracker"].remedy
-
-
-PLANTED = "planted-5eCret"
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ FEW = 10  # extra lines
 LEANS = {"lateral-backlash", "squareness"}
 CONTENT = load_machine("demo")
 LOW, HIGH = parse_machine(CONTENT).low_mm + 15.0, parse_machine(CONTENT).high_mm - 15.0
+PLAY = LateralBacklash("Y", "EXY", 5.0, 0.3)
 
 
 @pytest.fixture
@@ -89,9 +90,6 @@ def check_what_is_decided(found, hidden, parameter):
     assert gap["after"] < gap["before"]
     # So few lines do not fix all parameters: a complete model leaves that much.
     assert gap["after"] < 1.1 * gap["expected"]
-
-
-PLAY = LateralBacklash("Y", "EXY", 5.0, 0.3)
 
 
 @pytest.mark.parametrize(

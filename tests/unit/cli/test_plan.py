@@ -17,6 +17,7 @@ BLIND = {"direction": [0, 0, 0], "half_angle_deg": 30}
 BOX = {"min_mm": [150, 120, 90], "max_mm": [500, 400, 300]}
 FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
 pytestmark = pytest.mark.usefixtures("little_search")
+VERIFY = ("--verify", "diagonals", "--verify", "random-points")
 
 
 @pytest.fixture(scope="module")
@@ -203,9 +204,6 @@ def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
         assert len(read_rows(rows, machine)) == station["rows"]
         assert f"station-{number}/linuxcnc" in "".join(document["files"])
         assert f"station-{number}: tracker at (" in said
-
-
-VERIFY = ("--verify", "diagonals", "--verify", "random-points")
 
 
 def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp_path):

@@ -14,6 +14,7 @@ from truepath.files.bundle.run import summarize_run
 pytestmark = pytest.mark.fault_row(43)
 WRONG_ORDER = -2.4e-41
 HENE = {"wavelength_nm": 633, "is_group": False, "assumed_index": 1.0}
+WORDS = "environment.csv", "row 2", "pressure_hPa", "746", "120 m", "mmHg"
 
 
 @pytest.fixture
@@ -126,9 +127,6 @@ def test_units_are_taken_by_the_names_of_columns_one_for_each_sensor(surround):
     assert np.allclose(read.air.pressure_hpa, 1009.1, atol=0.1)
     with pytest.raises(BundleError, match="column X_degF"):
         read_bundle(surround(X_degC=noisy(20.0), X_degF=noisy(68.0)))
-
-
-WORDS = "environment.csv", "row 2", "pressure_hPa", "746", "120 m", "mmHg"
 
 
 @pytest.mark.parametrize(

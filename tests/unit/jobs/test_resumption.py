@@ -28,6 +28,9 @@ PATH = tuple(
     for n in range(12)
 )
 OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
+TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
+ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
+DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 
 @pytest.fixture
@@ -134,9 +137,6 @@ def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     assert len(science.calls[0][0]) == 1
 
 
-TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
-
-
 @pytest.mark.parametrize(
     ("next_row", "change", "known"),
     [
@@ -210,9 +210,6 @@ def test_nothing_goes_on_beside_a_job_or_after_an_abort(dispatcher, faulted, unt
     until(other, "aborted")
     with pytest.raises(IllegalTransition, match="cannot acknowledge"):
         dispatcher.acknowledge(other.id)
-
-
-ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
 
 
 def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
@@ -366,9 +363,6 @@ def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
     computing = Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED)
     with pytest.raises(errors.NotResumable, match=r"only computes.*begin a new job"):
         resumability.require_resumable(computing, {})
-
-
-DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 
 @pytest.mark.parametrize(

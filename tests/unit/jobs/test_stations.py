@@ -30,6 +30,8 @@ CURVE = [
 ]
 GOOD = {"place_mm": (1.0, 2.0, 3.0)}
 BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
+POINTS, LINES = "Configurations", "Path"
+VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
 class Checker:
@@ -118,9 +120,6 @@ def moved(prepare, measure):
     return measure(prepare(), POINTS, LINES)
 
 
-POINTS, LINES = "Configurations", "Path"
-
-
 def test_each_station_is_asked_for(prepare, measure, context, checker, science, cell):
     job = prepare()
     assert (job.station.number, job.station.total) == (1, 3)
@@ -157,9 +156,6 @@ def test_known_points_not_seen_are_no_fault_of_the_job(prepare, begin, cell, unt
     assert asked.station.checks[-1].problem == "not-seen"
     assert "beam" in asked.station.checks[-1].text
     assert "abort" in cell.heard
-
-
-VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
 def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, cell):

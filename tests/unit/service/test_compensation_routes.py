@@ -22,6 +22,7 @@ from truepath_simulators.worlds import synthetic
 
 pytestmark = pytest.mark.usefixtures("few_places")
 TABLES = "/api/v1/machines/default/simulated-tables"
+JOBS = "/api/v1/jobs"
 
 
 @pytest.fixture
@@ -190,9 +191,6 @@ def test_files_of_a_result_are_given_to_a_simulated_control_alone_and_taken_away
         asked = name_files(format=name, choices=choices)
         assert client.put(TABLES, json=asked).status_code == 200
         assert read_given()[1] == choices, "the control is set as the files were made"
-
-
-JOBS = "/api/v1/jobs"
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.database
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
+LATER = datetime.now(UTC) + timedelta(days=25)
 
 
 def send(client, content, name="from shop.zip"):
@@ -167,9 +168,6 @@ def test_runs_are_listed_and_analysed_together(client, run, upload, take, is_pro
         is_problem(answer, 404, "not-found")
     for path in ("/nowhere", "/nowhere/bundle", "/..%2f..%2fetc"):
         is_problem(client.get(RUNS + path), 404, "not-found")
-
-
-LATER = datetime.now(UTC) + timedelta(days=25)
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from truepath.users.roles import Role
 API = "/api/v1"
 ELSEWHERE = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
 MEGABYTE = b"x" * (1 << 20)
+PROXY = "192.0.2.7"
 
 
 @pytest.mark.fault_row(47)
@@ -62,9 +63,6 @@ def test_a_check_goes_the_way_of_a_stop_and_stops_nothing(client, armed, service
     service.access.close()
     told = [row.entry.what for row in service.access.audit_log.read()]
     assert not [what for what in told if "check" in what]
-
-
-PROXY = "192.0.2.7"
 
 
 def behind(service, *, peer=PROXY, **setup):

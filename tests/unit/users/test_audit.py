@@ -16,6 +16,7 @@ ENTRY = Entry(
     old={"version": "3"},
     new={"made": "ä"},
 )
+STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
 
 
 @pytest.fixture
@@ -92,9 +93,6 @@ def test_entries_wait_for_the_catalogue_in_order(audit_log, database, writer):
     writer.close()
     assert [row.entry.outcome for row in audit_log.read()] == ["0", "1", "2"]
     assert audit_log.verify() == []
-
-
-STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
 
 
 def test_what_strangers_repeat_is_counted_in_few_rows(audit_log, writer):
