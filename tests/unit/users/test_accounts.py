@@ -21,7 +21,9 @@ def test_a_password_is_kept_as_argon2id_only(accounts, database):
     with database.read() as connection:
         rows = connection.execute(text("SELECT * FROM users")).all()
     assert PASSWORD not in str(rows)
-    # Who is not there has none, and is refused as slowly as who is.
+
+
+def test_who_is_not_there_has_no_password_and_is_refused_as_slowly_as_who_is():
     assert not passwords._hasher.check_needs_rehash(passwords._NOBODY)
     assert not is_password("the password of nobody", None)
 
