@@ -17,8 +17,10 @@ from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
+from truepath.files.bundle.machine_file import machine_from_json
 from truepath.operation.backup import Kept, make_backup
 from truepath.settings import load_settings
+from truepath_simulators.scenario import load_machine
 
 DATA = Path(__file__).parent / "data"
 ANALYSED = "01a220f2-f399-7474-b15c-e45c29842872"
@@ -62,11 +64,12 @@ def measuring(data: Path, machine) -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def backups(tmp_path_factory, mill) -> Backups:
+def backups(tmp_path_factory) -> Backups:
     folder = tmp_path_factory.mktemp("backup")
     data = unpack(folder / "data")
     settings = load_settings(data_dir=data, port=0)
-    with measuring(data, mill) as job_id:
+    machine = machine_from_json(load_machine("demo"))
+    with measuring(data, machine) as job_id:
         kept = make_backup(settings, folder / "folder")
         make_backup(settings, folder / "one.zip")
     return Backups(folder, kept, job_id)
