@@ -38,9 +38,7 @@ def test_a_result_not_to_be_used_is_printed_alike(command, words, tmp_path):
     assert "The table shook." in first
 
 
-def test_a_doubtful_result_and_the_machine_as_left_are_a_readable_german_document(
-    command, words, result, measure_again, tmp_path
-):
+def test_a_doubtful_result_in_german(command, words, result, measure_again, tmp_path):
     left = ("--as-left", measure_again(result), "--language", "de")
     command.run(*words("doubtful", "c.pdf", *left))
     texts = ("Kalibrierschein", "Verifizierung", "für", "Größte", "Seite 2 von ")
