@@ -70,13 +70,11 @@ class OnLinuxCnc:
 
     def drive_on(self, **options):
         driven = self.begin(**options)
-        told = driven.of
-        driven.until(
-            lambda: any(
-                p.position and p.position[0] > 15.0
-                for p in told(messages.MeasurementProgress)
-            )
-        )
+
+        def is_on_its_way():
+            return any(p.position and p.position[0] > 15.0 for p in driven.progress)
+
+        driven.until(is_on_its_way)
 
     def find(self, name):
         return self.driven.cell.process_id if name == "cell" else self.inside[name]
@@ -90,13 +88,9 @@ class OnLinuxCnc:
         }
         first = str(self.inside["halsampler"])
         enter = ["nsenter", "-t", first, "-n", "-i", "-m", "-p"]
-        said = subprocess.run(
-            [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        command = [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"]
+        how = {"env": environment, "capture_output": True, "text": True}
+        said = subprocess.run(command, check=False, **how)
         return None if said.returncode else float(said.stdout.split()[-1])
 
 

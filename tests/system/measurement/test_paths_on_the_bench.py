@@ -5,6 +5,7 @@ import pytest
 
 from driven_cell import measure_undisturbed
 from paths_by_hand import path_of, two_turns
+from recorded import nominal_error_mm
 from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.files.bundle.bundle import read_bundle, write_bundle
@@ -26,8 +27,8 @@ def measure(content, commanded, folder, **given):
 
 
 def find_farthest_mm(seen):
-    """How far cells lie from their nominal place, at most."""
-    return np.abs(seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm).max()
+
+    return np.abs(nominal_error_mm(seen)).max()
 
 
 @pytest.mark.long

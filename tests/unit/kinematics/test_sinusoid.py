@@ -33,9 +33,7 @@ def test_amplitude_and_phase_make_the_same_wave():
     ],
     ids=["well known", "badly known phase"],
 )
-def test_the_uncertainties_are_the_spread_of_what_could_have_been_found(
-    rng, root, within
-):
+def test_the_uncertainties_are_the_spread_of_what_may_be_found(rng, root, within):
     theta = np.array([0.003, 0.004])
     drawn = theta + rng.standard_normal((20_000, 2)) @ root.T
     amplitude, phase = find_amplitude_and_phase(theta, root @ root.T)
@@ -57,9 +55,8 @@ def moving(span_s, count):
         np.tile([900.0, 0.0, 0.0], (count, 1)),
         np.eye(3),
     )
-    return replace(
-        make_standstill(machine, position), time_s=3.7 + lag_s, recorded=recorded
-    )
+    at = make_standstill(machine, position)
+    return replace(at, time_s=3.7 + lag_s, recorded=recorded)
 
 
 @pytest.mark.parametrize(

@@ -83,8 +83,7 @@ def test_a_part_elsewhere_is_never_loaded(waiting, order, motion, rows, states, 
     waiting.obey(along(order, rows).commanded)
     assert waiting.ended() in states
     assert said in waiting.fault.text
-    assert motion.calls.count("load") == 1
-    assert len(waiting.run.commanded) == 4
+    assert (motion.calls.count("load"), len(waiting.run.commanded)) == (1, 4)
 
 
 def test_a_pause_between_parts_keeps_the_next_waiting(waiting, part, motion, conclude):

@@ -21,10 +21,8 @@ from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 PLUGINS = {"tracker": PluginOrigin("t", "ours", "1.2", 1)}
-DEVICES = {
-    "tracker": Identity("Us", "T", "1", "0.1"),
-    "motion": Identity("Us", "C", "2", "0.2"),
-}
+TRACKER, MOTION = Identity("Us", "T", "1", "0.1"), Identity("Us", "C", "2", "0.2")
+DEVICES = {"tracker": TRACKER, "motion": MOTION}
 
 
 @pytest.fixture
@@ -72,16 +70,14 @@ def test_one_signed_file_gives_back_everything(recorder, file, header, read_link
     recorder.event("start", "cycle start")
     closed = recorder.close("finished")
     assert [p.name for p in file.parent.iterdir()] == ["monday.sqlite"]
-    assert file.stat().st_mode & 0o777 == 0o444
-    assert closed.sha256 == hash_file(file)
+    assert (file.stat().st_mode & 0o777, closed.sha256) == (0o444, hash_file(file))
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
     run = open_run(file)
     for name in ("sequence", "device_time_s", "position_mm", "status"):
         kept, put = getattr(run.tracker, name), getattr(written, name)
         np.testing.assert_array_equal(kept, put)
     link = b"".join(b"%03d" % i * 20 for i in range(20))
-    assert read_link_bytes(file) == link + b"noise"
-    assert run.name == "monday"
+    assert (read_link_bytes(file), run.name) == (link + b"noise", "monday")
     assert run.machine == header.machine
     np.testing.assert_array_equal(run.commanded.position, header.commanded.position)
     np.testing.assert_array_equal(run.commanded.dwell_s, header.commanded.dwell_s)
@@ -115,10 +111,8 @@ def test_points_are_read_back(file, header, square):
     points = Configurations(square.axes, square.position, square.dwell_s, names)
     Recorder(file, replace(header, commanded=points), reserve_bytes=0).close("failed")
     run = open_run(file)
-    assert run.mode == "standstill"
-    assert run.commanded.target == names
-    assert len(run.tracker) == 0
-    assert run.axis_samples is None
+    assert (run.mode, run.commanded.target) == ("standstill", names)
+    assert (len(run.tracker), run.axis_samples) == (0, None)
 
 
 def test_a_hole_in_the_counter_is_named_and_one_that_goes_back_refused(recorder, file):
@@ -160,9 +154,8 @@ def test_a_display_that_fails_stops_no_recording(file, header, caplog, monkeypat
     closed = recorder.close("finished")
     assert closed.failure == ""
     assert closed.samples == len(open_run(file).tracker) == 1000
-    assert [r.getMessage() for r in caplog.records] == [
-        "recorded samples cannot be shown; recording goes on"
-    ]
+    (record,) = caplog.records
+    assert record.getMessage() == "recorded samples cannot be shown; recording goes on"
 
 
 def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
@@ -288,11 +281,9 @@ def test_a_flipped_bit_costs_one_batch_is_named_and_the_run_salvaged(closed_file
     before = closed_file.read_bytes()
     closed = repair_run(closed_file)
     assert "CRC does not match" in closed.failure
-    assert closed.samples == 39 * 50
-    assert closed.lost_samples == 50
+    assert (closed.samples, closed.lost_samples) == (39 * 50, 50)
     torn = closed_file.with_name("monday.sqlite.torn")
-    assert torn.read_bytes() == before
-    assert closed.sha256 == hash_file(closed_file)
+    assert (torn.read_bytes(), closed.sha256) == (before, hash_file(closed_file))
     run = open_run(closed_file)
     assert len(run.tracker) == 39 * 50
     assert [e.kind for e in run.events] == ["start", "gap"]
@@ -314,9 +305,8 @@ def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng, measured):
         except BundleError:
             refused += 1
             continue
-        written = good.tracker.position_mm[
-            [whole[int(s)] for s in run.tracker.sequence]
-        ]
+        kept = [whole[int(s)] for s in run.tracker.sequence]
+        written = good.tracker.position_mm[kept]
         np.testing.assert_array_equal(run.tracker.position_mm, written)
         np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
     measured(f"40 flipped bits: {refused} files refused, 0 wrong samples")

@@ -212,8 +212,7 @@ def source():
 
 def test_positions_are_those_of_the_source_at_its_own_times(source):
     followed, write = source
-    assert followed.timeline() is None
-    assert followed.now_s() == 0.0
+    assert (followed.timeline(), followed.now_s()) == (None, 0.0)
     write("1000 10.0 5.0\n1001 10.2 5.0\n1002 10.4 5.1 99 98\n1003 10.4 ")
     at = followed.timeline().positions(np.array([1.0, 1.0005, 1.0015, 1.002, 7.0]))
     expected = [[10.0, 5.0], [10.1, 5.0], [10.3, 5.05], [10.4, 5.1], [10.4, 5.1]]

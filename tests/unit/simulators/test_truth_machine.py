@@ -18,8 +18,6 @@ CHAINS = [
     for order in itertools.permutations("XYZ")
     for k in range(4)
 ]
-
-
 LINEAR = {"type": "linear", "min_mm": 0.0, "max_mm": 300.0}
 STRAIGHT = dict.fromkeys("XYZ", LINEAR)
 

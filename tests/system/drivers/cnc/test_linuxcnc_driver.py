@@ -87,8 +87,7 @@ def test_a_machine_that_cannot_be_driven_says_why_and_what_to_do(fresh):
     ):
         assert status.state is state
         assert all(remedy in text for text in (status.alarm, *refusals))
-    assert idle.state is MotionState.IDLE
-    assert moved.position == pytest.approx((1, 1, -1))
+    assert (idle.state, moved.position) == (MotionState.IDLE, pytest.approx((1, 1, -1)))
 
 
 def test_an_emergency_stop_in_motion_is_told(driver):

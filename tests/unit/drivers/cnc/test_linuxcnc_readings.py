@@ -130,8 +130,7 @@ def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path
         "[JOINT_3]\nMIN_LIMIT = -360\nMAX_LIMIT = 360\n"
     )
     machine = read_ini(file)
-    assert machine.name == "Big"
-    assert machine.axes == ("X", "Y", "C")
+    assert (machine.name, machine.axes) == ("Big", ("X", "Y", "C"))
     assert machine.travel == ((0, 500), (-20, 300), (-360, 360))
     assert (machine.joints, machine.joint_count) == ((0, 1, 3), 4)
     file.write_text(file.read_text() + "[TRAJ]\nLINEAR_UNITS = inch\n")
@@ -163,8 +162,6 @@ UNITS = b"USER_LINEAR_UNITS "
 
 
 class AnsweringPort(HandPort):
-    """Gives the next answer after each request."""
-
     def __init__(self, answers):
         super().__init__()
         self._answers = list(answers)
