@@ -13,10 +13,9 @@ from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
 from truepath_simulators.bench.bench import Bench
 
-TRACKERS, CONTROLLERS = (
-    {point.name: point for point in entry_points(group=f"truepath.{devices}")}
-    for devices in ("trackers", "motion_controllers")
-)
+TRACKERS = {one.name: one for one in entry_points(group="truepath.trackers")}
+MOTION = "truepath.motion_controllers"
+CONTROLLERS = {one.name: one for one in entry_points(group=MOTION)}
 POLLED = {"geocom": "pty", "t2sa": "tcp"}  # each has simulated instruments of its own
 # Where drivers of ours find a device; a new one needs a word here.
 HERE = {"streaming", "modbus", *POLLED}

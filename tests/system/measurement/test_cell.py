@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import psutil
@@ -83,12 +84,9 @@ def watchful(start):
 def orders(bench):
     """Orders of paths by their number of lines: planning takes longer than starting."""
     machine = machine_from_json(bench.machine)
-    return {
-        lines: messages.MeasurementOrder(
-            "bench", "", machine, default_path(machine, lines=lines), RATE_HZ
-        )
-        for lines in (4, 7)
-    }
+    paths = {lines: default_path(machine, lines=lines) for lines in (4, 7)}
+    order = partial(messages.MeasurementOrder, "bench", "", machine)
+    return {lines: order(path, RATE_HZ) for lines, path in paths.items()}
 
 
 @pytest.fixture
@@ -117,11 +115,9 @@ def moves(run):
 
 
 def test_over_rtu_a_cell_reads_sensors_tries_trackers_and_measures(bench, start, order):
-    driven = start(
-        motion_options=bench.motion_options_rtu,
-        thermometer_driver="modbus-registers",
-        thermometer_options=bench.thermometer_options,
-    )
+    sensors = {"thermometer_driver": "modbus-registers"}
+    sensors["thermometer_options"] = bench.thermometer_options
+    driven = start(motion_options=bench.motion_options_rtu, **sensors)
     driven.until(lambda: bool(driven.of(messages.TemperaturesRead)))
     readings = driven.of(messages.TemperaturesRead)[0].readings
     assert readings

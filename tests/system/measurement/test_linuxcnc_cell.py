@@ -81,11 +81,8 @@ class OnLinuxCnc:
 
     def motor_x(self):
         """Return where HAL sends the motor, past all that may be dead."""
-        environment = {
-            "RTAPI_UID": "65534",
-            "RTAPI_FIFO_PATH": str(self.linuxcnc.folder / "run" / "fifo"),
-            "PATH": os.environ["PATH"],
-        }
+        environment = {"RTAPI_UID": "65534", "PATH": os.environ["PATH"]}
+        environment["RTAPI_FIFO_PATH"] = str(self.linuxcnc.folder / "run" / "fifo")
         first = str(self.inside["halsampler"])
         enter = ["nsenter", "-t", first, "-n", "-i", "-m", "-p"]
         command = [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"]

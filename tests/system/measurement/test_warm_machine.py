@@ -31,12 +31,9 @@ def driven(bench):
     """A connected cell with sensors that are asked ten times a second."""
     rows = bench.thermometer_options["registers"]
     quick = [{**row, "period_s": 0.1} for row in rows]
-    config = config_of(
-        bench,
-        timeouts=CALM,
-        thermometer_driver="modbus-registers",
-        thermometer_options={**bench.thermometer_options, "registers": quick},
-    )
+    options = {**bench.thermometer_options, "registers": quick}
+    given = {"thermometer_driver": "modbus-registers", "thermometer_options": options}
+    config = config_of(bench, timeouts=CALM, **given)
     with Driven(config) as started:
         devices = started.cell.connect()
         assert devices["thermometers"].model == "Modbus registers"

@@ -26,12 +26,8 @@ def measured(place_mm, seed, *, nudge_mm=0.0, poses=reposition, **defects):
     content = load_machine("demo")
     n = len(POINTS)
     program = Program(POINTS, np.full(n, 100.0), np.full(n, 1.8))
-    setting = synthetic.Setting(
-        machine_seed=5,
-        pose=poses(place_mm, seed),
-        defects=synthetic.Defects(**defects),
-        sensors=False,
-    )
+    given = {"pose": poses(place_mm, seed), "defects": synthetic.Defects(**defects)}
+    setting = synthetic.Setting(machine_seed=5, sensors=False, **given)
     run, made = record_run(content, program, seed, "standstill", setting)
     late = made.time_s > made.time_s[0] + 0.7 * np.ptp(made.time_s)
     tracker_mm = run.tracker.position_mm + np.outer(late, [0.0, 0.0, nudge_mm])

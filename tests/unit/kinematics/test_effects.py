@@ -39,12 +39,9 @@ def test_phase_and_speed_move_along_their_own_line_only_and_not_at_a_standstill(
     law = TimingLaw((0, 1))
     position = rng.uniform(0, 500, (3, 3))
     velocity = [[100.0, 0, 0], [100.0, 0, 0], [0, 0, -50.0]]
-    at = replace(
-        make_standstill(MACHINE, position),
-        line=np.array([0, 0, 1]),
-        line_time_s=np.array([-1.0, 1.0, 0.5]),
-        velocity_mm_s=np.array(velocity),
-    )
+    still, line_time_s = make_standstill(MACHINE, position), np.array([-1.0, 1.0, 0.5])
+    lines = {"line": np.array([0, 0, 1]), "line_time_s": line_time_s}
+    at = replace(still, **lines, velocity_mm_s=np.array(velocity))
     moved = law.displacement_mm(at, np.array([0.1, 0.01, 0.0, 0.2]))
     assert np.allclose(moved, [[0.09, 0, 0], [0.11, 0, 0], [0, 0, -0.1]])
     assert not law.jacobian(make_standstill(MACHINE, position)).any()

@@ -33,17 +33,9 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
-CHAINS = [
-    "w-C-b-X-Y-Z-B-t",
-    "w-C-A-b-X-Y-Z-t",
-    "w-C-Y-b-X-Z-A-t",
-    "w-b-X-Y-Z-C-A-t",
-    "w-X-Y-Z-C-B-b-t",
-    "w-b-C-X-Y-Z-t",
-    "w-b-X-Y-Z-t",
-    "w-Y-b-X-Z-t",
-    "w-Y-X-b-Z-t",
-]
+CHAINS = ["w-C-b-X-Y-Z-B-t", "w-C-A-b-X-Y-Z-t", "w-C-Y-b-X-Z-A-t", "w-b-X-Y-Z-C-A-t"]
+CHAINS += ["w-X-Y-Z-C-B-b-t", "w-b-C-X-Y-Z-t"]
+CHAINS += ["w-b-X-Y-Z-t", "w-Y-b-X-Z-t", "w-Y-X-b-Z-t"]
 INCLINED = {"B": [0.0, 1.0, 1.0], "C": [0.2, -0.1, -1.0], "A": [-1.0, 0.0, 0.0]}
 TURNING = {
     "A": {"min_deg": -100, "max_deg": 30, "origin_mm": [200, 150, -60]},

@@ -48,13 +48,11 @@ def moving(span_s, count):
     machine = build_mill((0.0, 0.0, -150.0), sides=("X", "YZ"))
     lag_s = ((np.arange(count) + 0.5) / count - 0.5) * SPAN_S
     position = np.array([[210.0, 40.0, 30.0]]) + lag_s[:, None] * RATE_MM_S
-    recorded = RecordedState(
-        np.tile(RATE_MM_S, (count, 1)),
-        np.full(count, span_s),
-        np.full((count, 3), np.inf),
-        np.tile([900.0, 0.0, 0.0], (count, 1)),
-        np.eye(3),
+    rate_mm_s, seen_mm = (
+        np.tile(v, (count, 1)) for v in (RATE_MM_S, [900.0, 0.0, 0.0])
     )
+    since = np.full(count, span_s), np.full((count, 3), np.inf)
+    recorded = RecordedState(rate_mm_s, *since, seen_mm, np.eye(3))
     at = make_standstill(machine, position)
     return replace(at, time_s=3.7 + lag_s, recorded=recorded)
 

@@ -31,12 +31,8 @@ pytestmark = pytest.mark.usefixtures("clock")
 TURN = build_rotation(np.array([0.02, -0.03, 1.1]))
 TO_TRACKER = RigidTransform(TURN, np.array([1500.0, 600.0, 80.0]))
 ELSEWHERE_MM = np.array([0.0, 300.0, 0.0])
-SETTINGS = EngineSettings(
-    poll_s=0.02,
-    confirm_s=30.0,
-    progress_s=0.0,
-    timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, search_s=30.0),
-)
+WAITS = StreamTimeouts(silent_s=30.0, dead_s=60.0, search_s=30.0)
+SETTINGS = EngineSettings(poll_s=0.02, confirm_s=30.0, progress_s=0.0, timeouts=WAITS)
 
 
 @pytest.fixture(autouse=True)
@@ -251,11 +247,9 @@ class FindingPolled(FakePolledTracker, TargetFinder):
 
 def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion, order):
     motion.speed, position = 2000.0, draw_rows(6)
-    running = begin(
-        standing_at(order, position, 0.02),
-        tracker=FindingPolled(motion),
-        settings=replace(SETTINGS, poll_s=0.01, settle_s=0.02),
-    )
+    settings = replace(SETTINGS, poll_s=0.01, settle_s=0.02)
+    points = standing_at(order, position, 0.02)
+    running = begin(points, tracker=FindingPolled(motion), settings=settings)
     assert running.ended() == "finished"
     run = running.run
     assert (run.points.row.tolist(), running.faults) == (list(range(6)), ["beam-lost"])

@@ -45,13 +45,9 @@ def recorder(file, header):
 
 def block(first, count=50):
     sequence = np.arange(first, first + count, dtype=np.int64)
-    rng = np.random.default_rng(first)
-    return TrackerSamples(
-        sequence,
-        1000.0 + sequence * 0.002,
-        rng.normal(0, 100, (count, 3)),
-        (sequence % 7 == 0).astype(np.int64),
-    )
+    place_mm = np.random.default_rng(first).normal(0, 100, (count, 3))
+    status = (sequence % 7 == 0).astype(np.int64)
+    return TrackerSamples(sequence, 1000.0 + sequence * 0.002, place_mm, status)
 
 
 def fill(recorder, blocks=20):

@@ -54,12 +54,9 @@ def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill):
 
 def test_arcs_survive_their_files_unless_they_do_not_lead_to_their_row(mill, circles):
     data = commanded_file.encode_commanded(circles)
-    for again in (
-        commanded_file.decode_commanded(data, mill, "path.csv", is_path=True),
-        commanded_file.decode_commanded_json(
-            commanded_file.encode_commanded_json(circles)
-        ),
-    ):
+    json = commanded_file.encode_commanded_json(circles)
+    rows = commanded_file.decode_commanded(data, mill, "path.csv", is_path=True)
+    for again in (rows, commanded_file.decode_commanded_json(json)):
         assert isinstance(again, Path)
         assert again.arc == circles.arc
         assert np.array_equal(again.position, circles.position)

@@ -43,13 +43,9 @@ class Instrument(LinePeer):
         self.port: str = self.options["port"]
         self.heard: list[bytes] = []
         self.unknown: set[int] = set()
-        self.answers: dict[int, bytes] = {
-            5004: b'0,"TS"',
-            5003: b"0,77",
-            5034: b"0,1,2,3",
-            2108: b"0,0.1,1.5,10.0",
-            2029: b"0,0.000000658,1013.25,20.0,14.0",
-        }
+        self.answers = {5004: b'0,"TS"', 5003: b"0,77", 5034: b"0,1,2,3"}
+        self.answers[2108] = b"0,0.1,1.5,10.0"
+        self.answers[2029] = b"0,0.000000658,1013.25,20.0,14.0"
         self.say = lambda number, body: b"%R1P,0," + number + b":" + body + b"\r\n"
 
     def answer(self, line: bytes) -> bytes:
@@ -126,10 +122,8 @@ def test_requests_are_byte_for_byte_those_of_geocompy(instrument):
             operator.attrgetter(ask)(client)(*values)
         theirs = instrument.heard[begin:]
     first = int(theirs[0].split(b",")[2].split(b":")[0])
-    assert [
-        encode_request(procedure, first + k, values)
-        for k, (_, _, procedure, values) in enumerate(REQUESTS)
-    ] == theirs
+    numbered = enumerate((asked[2:] for asked in REQUESTS), first)
+    assert [encode_request(what, k, values) for k, (what, values) in numbered] == theirs
 
 
 def test_a_reply_to_another_request_is_never_taken(instrument):

@@ -26,12 +26,12 @@ class Application(LinePeer):
     def __init__(self) -> None:
         super().__init__(TcpWire())
         self.heard: list[str] = []
-        self.answers: dict[str, str] = {
-            "?STAT": "ACK-300 Instrument is connected",
+        self.answers = {"?STAT": "ACK-300 Instrument is connected"}
+        self.answers |= {
             "?LSTA": "ACK-300 LON",
-            "!LST:1": "ACK-300 Tracker Interface Started: True",
             MEASURE: POINT.format("1500.5,20.25,-3"),
         }
+        self.answers["!LST:1"] = "ACK-300 Tracker Interface Started: True"
         self.say: Callable[[str], str] = lambda reply: reply + "\r\n"
 
     def answer(self, line: bytes) -> bytes:

@@ -139,16 +139,13 @@ def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path
     with pytest.raises(Refused, match="ini_file"):
         read_ini(tmp_path / "none.ini")
 
+    plain = "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
+    plain += "[JOINT_1]\nMIN_LIMIT = 0\n"
+    entries = {"": False, "COMP_FILE = x.tbl": True}
     for entry, has in (
-        ("", False),
-        ("COMP_FILE = x.tbl", True),
-        ("BACKLASH = 0.0", False),
-        ("BACKLASH = 0.01", True),
-    ):
-        file.write_text(
-            "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
-            f"[JOINT_1]\nMIN_LIMIT = 0\n{entry}\n"
-        )
+        entries | {"BACKLASH = 0.0": False, "BACKLASH = 0.01": True}
+    ).items():
+        file.write_text(f"{plain}{entry}\n")
         assert read_ini(file).has_compensation is has
     travel = parse_travel("X 0 500, c -360 360")
     assert (travel.axes, travel.has_compensation) == (("X", "C"), None)
