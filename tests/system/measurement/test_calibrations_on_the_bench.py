@@ -34,8 +34,7 @@ def calibrate(tmp_path, journal, rigid_free):
     def made(bench, tracker, commanded, settings):
         """Return (mean error before over after, share of the truth within 2u)."""
         machine, file = machine_from_json(bench.machine), tmp_path / "run.sqlite"
-        rate_hz = machine.tracker.rate_hz
-        given = "bench", str(file), machine, commanded, rate_hz
+        given = "bench", str(file), machine, commanded, machine.tracker.rate_hz
         order = MeasurementOrder(*given, reserve_bytes=0)
         factory = load("truepath.motion_controllers", "modbus")
         with factory(**bench.motion_options) as motion:

@@ -35,8 +35,7 @@ def driven(bench):
     given = {"thermometer_driver": "modbus-registers", "thermometer_options": options}
     config = config_of(bench, timeouts=CALM, **given)
     with Driven(config) as started:
-        devices = started.cell.connect()
-        assert devices["thermometers"].model == "Modbus registers"
+        assert started.cell.connect()["thermometers"].model == "Modbus registers"
         yield started
 
 

@@ -151,8 +151,7 @@ class TestGate:
 
     def test_a_new_level_is_believed_when_a_machine_can_have_come_there(self):
         found, _ = judged([*[20.0] * 30, *[26.0] * 600])
-        first = int(np.flatnonzero(np.isfinite(found[30:]))[0])
-        assert 100 < first < 400
+        assert 100 < int(np.flatnonzero(np.isfinite(found[30:]))[0]) < 400
 
     def test_the_air_is_colder_than_a_spindle_may_be(self):
         assert math.isnan(judged([60.0], channel=Channel("air_degC"))[0][0])
@@ -355,8 +354,7 @@ def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, s
     settings = replace(calm, light=HENE)
     run = measure(sensors, replace(order, live=True), settings=settings)
     shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
-    kept_mm = run.tracker.position_mm[0]
-    np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)
+    np.testing.assert_allclose(shown_mm, run.tracker.position_mm[0], rtol=10e-6)
     assert shown_mm[2] < 3.0 * (1.0 - 200e-6)
 
 

@@ -66,8 +66,7 @@ def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
     for times, place in enumerate(ON, 1):
         until_asked(times)
         one.obey(standing_at(order, [place], 0.5).commanded)
-    run = conclude(one, 4)
-    np.testing.assert_array_equal(run.commanded.position[2:], ON)
+    np.testing.assert_array_equal(conclude(one, 4).commanded.position[2:], ON)
     done = [text.split(" until ")[0] for text in one.texts("point")]
     assert done == [f"row {i}" for i in range(1, 6)]
 

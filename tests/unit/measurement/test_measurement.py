@@ -89,8 +89,7 @@ def test_lines_are_counted_shown_and_watched(begin, short_order, journal, motion
     assert (last.stage, last.remaining_s, last.crc_errors) == ("closing", 0.0, 2)
     assert last.samples > 0
     # The fake machine is twenty times faster than the 38 s that were planned.
-    half_way = next(p for p in progress if p.done >= 3)
-    assert half_way.remaining_s < 6.0
+    assert next(p for p in progress if p.done >= 3).remaining_s < 6.0
     # Live points are a tenth of a second apart.
     live = journal.of(messages.LivePoints)
     points = sum(len(body.tracker_mm) for body in live)

@@ -189,8 +189,7 @@ def test_a_full_disk_loses_nothing_committed(file, header, monkeypatch, measured
     assert "check disk space" in recorder.failure
     with pytest.raises(MeasurementFailed):
         recorder.event("late", "too late")
-    closed = recorder.close("failed")
-    assert "full" in closed.failure
+    assert "full" in recorder.close("failed").failure
     recorded = open_run(file).tracker
     assert len(recorded) >= 200
     measured(f"{len(recorded)} samples, all that were committed")
@@ -217,8 +216,7 @@ def test_a_disk_too_slow_is_an_error_once_the_queue_is_full(file, header, monkey
         recorder.put_tracker(block(250))
     assert recorder.is_strained
     go_on.set()
-    closed = recorder.close("failed")
-    assert "too slow" in closed.failure
+    assert "too slow" in recorder.close("failed").failure
     assert len(open_run(file).tracker) >= 50
 
 

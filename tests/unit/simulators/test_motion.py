@@ -152,8 +152,7 @@ def test_the_feed_changes_under_way_within_limits(length, feed, other, when, lim
 def test_half_the_feed_takes_twice_the_time_from_then_on():
     timeline = drive(one_line(400.0, 100.0, 0.0))
     slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
-    at = np.array([3.0])
-    assert slower.speeds(at)[0] == pytest.approx(50.0)
+    assert slower.speeds(np.array([3.0]))[0] == pytest.approx(50.0)
     assert slower.end_s == pytest.approx(2.0 + 2.0 * (timeline.end_s - 2.0), rel=0.02)
 
 

@@ -195,8 +195,7 @@ def test_a_prism_near_the_beam_is_found_again_and_one_far_off_is_told(tracker):
     aside = 0.015 * np.linalg.norm(before) * np.array([0.0, 0.0, 1.0])
     x, y, z = before + aside
     tracker.aim(math.atan2(y, x), math.atan2(z, math.hypot(x, y)))
-    again = tracker.measure(0.0).position_mm
-    assert np.linalg.norm(again - before) < 0.2
+    assert np.linalg.norm(tracker.measure(0.0).position_mm - before) < 0.2
     kinds = [event.kind for event in tracker.take_events()]
     assert kinds == [TrackerEventKind.BEAM_LOST, TrackerEventKind.BEAM_LOCKED]
     tracker.home()

@@ -63,8 +63,7 @@ def test_a_baud_rate_is_set_and_tcp_waits_for_no_more_bytes(pty_port, tcp_port):
     for _, port in (pty_port, tcp_port):
         port.open()
     assert termios.tcgetattr(pty_port[0].slave)[4] == termios.B921600
-    link = tcp_port[1]._socket
-    assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert tcp_port[1]._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_close_twice_is_one_close_and_open_opens_anew(either_port):

@@ -342,9 +342,6 @@ def test_settings_that_are_lost_are_not_guessed():
         parse_settings(SETTINGS, [b"[VER:1.1h.20190830:]"])
 
 
-TURNED = ((-300.0, 0.0), (-200.0, 0.0), (-100.0, 0.0))
-
-
 @pytest.mark.parametrize(
     ("letters", "first"),
     [
@@ -358,7 +355,8 @@ TURNED = ((-300.0, 0.0), (-200.0, 0.0), (-100.0, 0.0))
 def test_options_of_any_letters_are_read(letters, first):
     settings = parse_settings([*SETTINGS, b"$23=1"], [b"[OPT:%b,35,255]" % letters])
     assert (settings.queue, settings.options.encode()) == (35, letters)
-    assert (settings.travel, settings.buffer_bytes) == ((first, *TURNED[1:]), 128)
+    assert settings.travel == (first, (-200.0, 0.0), (-100.0, 0.0))
+    assert settings.buffer_bytes == 128
 
 
 def before_command(device, command, act):
@@ -569,24 +567,15 @@ def test_every_alarm_ends_the_motion_and_homing_ends_it(driving, device, code, r
     assert driving.status().referenced is True
 
 
-LINES_BEHIND = b"G4P3\nG53G1X-50F600\n"
-
-
-def test_connect_drops_the_lines_behind_a_dwell(grbl, device):
-    device.receive(LINES_BEHIND)
+@pytest.mark.parametrize("is_open", [False, True])
+def test_connect_drops_the_lines_behind_a_dwell_or_a_door(grbl, device, is_open):
+    device.receive(b"G4P3\nG53G1X-50F600\n")
+    device.open_door(is_open)
     other = driver.GrblController(port="")
-    other.connect()
-    assert stands(device, 10.0)
-    assert other.status().state is MotionState.IDLE
-
-
-def test_connect_drops_the_lines_behind_a_door(grbl, device):
-    device.receive(LINES_BEHIND)
-    device.open_door(True)
-    other = driver.GrblController(port="")
-    with pytest.raises(errors.Refused, match="door"):
-        other.connect()
-    device.open_door(False)
+    if is_open:
+        with pytest.raises(errors.Refused, match="door"):
+            other.connect()
+        device.open_door(False)
     other.connect()
     assert other.status().state is MotionState.IDLE
     other.resume()
@@ -758,8 +747,7 @@ def test_a_report_that_comes_late_is_not_taken_for_the_next(driving, device):
 
     device.take = take_late
     device.update(host_clock.now_s())
-    status = driving.status()
-    assert status.position == pytest.approx(device.position, abs=1e-3)
+    assert driving.status().position == pytest.approx(device.position, abs=1e-3)
 
 
 def test_replies_that_come_in_halves_are_whole(driving, device):
@@ -856,14 +844,11 @@ def test_a_hold_at_standstill_does_not_keep_the_next_motion_from_going(grbl, dev
     assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
-def test_two_questions_in_one_look_have_one_answer(grbl, device):
+def test_two_questions_have_one_answer_and_two_line_ends_are_two_lines(grbl, device):
     device.take()
     device.receive(b"??")
     assert device.take().count(b"<") == 1
     assert grbl.status().state is MotionState.FINISHED
-
-
-def test_windows_line_ends_are_two_lines_to_grbl(device):
     device.take()
     device.receive(b"$N\r\n")
     assert device.take().count(b"ok") == 2
@@ -1175,8 +1160,7 @@ def test_what_ran_dry_keeps_to_its_feed_again(grbl, device):
 def test_what_is_dry_and_answers_too_late_to_be_fed_is_held(grbl, device):
     grbl.move_to([-100.0, -1.0, -1.0], 1200.0)
     grbl.status()
-    states = drive_by_late_answers(grbl, device, 0.35, 0.05)
-    assert MotionState.HELD in states
+    assert MotionState.HELD in drive_by_late_answers(grbl, device, 0.35, 0.05)
     assert grbl.status().hold_reason == "watchdog"
 
 
@@ -1233,8 +1217,7 @@ def test_a_board_that_was_another_one_while_it_was_held_dry_is_not_fed(driving, 
     assert driving.wait(5.0).hold_reason == "watchdog"
     device.position = np.zeros(3)
     driving.resume()
-    status = driving.wait(5.0)
-    assert status.state is MotionState.ABORTED
+    assert driving.wait(5.0).state is MotionState.ABORTED
     assert device.position == pytest.approx(np.zeros(3))
 
 
