@@ -73,10 +73,8 @@ def test_connect_reads_who_and_what_and_sets_a_watchdog_unless_another_is_kept(p
 def test_a_move_is_one_command_and_ends_where_it_was_sent(peer, controller):
     controller.move_to([12.34565, 0.0, -0.0001], 1500)
     row = struct.pack(">6i2I", 123_456, 0, -1, 0, 0, 0, 1_500_000, 0)
-    request = (
-        struct.pack(">BHHB6H", 16, 200, 22, 44, 1, peers.MOVE_TO, 0, 1, 0, 0) + row
-    )
-    assert request in peer.requests
+    head = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, peers.MOVE_TO, 0, 1, 0, 0)
+    assert head + row in peer.requests
     status = controller.wait(2.0)
     assert status.state is MotionState.FINISHED
     assert status.position == pytest.approx((12.3456, 0.0, -0.0001), abs=1e-9)
@@ -97,11 +95,9 @@ def test_a_path_of_any_order_of_axes_is_loaded_and_runs(peer, controller, rows):
         assert peer.model.rows[i] == expected
     controller.start()
     assert controller.wait(2.0).state is MotionState.FINISHED
-    blocks = -(-rows // 7)
-    assert peer.model.executed == [peers.PUT_ROWS] * blocks + [
-        peers.COMMIT,
-        peers.START,
-    ]
+    *blocks, commit, start = peer.model.executed
+    assert blocks == [peers.PUT_ROWS] * -(-rows // 7)
+    assert (commit, start) == (peers.COMMIT, peers.START)
 
 
 def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controller):
@@ -282,14 +278,11 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 @pytest.mark.fault_row(14)
 def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
-    with (
-        peers.RtuPeer() as rtu_peer,
-        ModbusController(**rtu_peer.options) as controller,
-    ):
-        rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
+    with peers.RtuPeer() as rtu, ModbusController(**rtu.options) as controller:
+        rtu.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
         with pytest.raises(errors.DeviceTimeout):
             controller.status()
-        rtu_peer.mangle = lambda reply: reply
+        rtu.mangle = lambda reply: reply
         assert controller.status().position == (0.0, 0.0, 0.0)
 
     def shortened(reply):
@@ -404,11 +397,10 @@ def test_the_wrong_device_by_its_serial_number_or_another_map_is_refused(peer):
         ModbusController(serial_number="CNC-2", **peer.options).connect()
     with ModbusController(serial_number="CNC-1", **peer.options) as controller:
         assert controller.axes
+    remedy = "check unit number and register map"
     for code in (1, 2, 3):
         peer.exceptions = [code]
-        with pytest.raises(
-            errors.WrongDevice, match="check unit number and register map"
-        ):
+        with pytest.raises(errors.WrongDevice, match=remedy):
             ModbusController(**peer.options).connect()
 
 
@@ -490,10 +482,9 @@ def test_close_lets_a_held_machine_stand_and_does_without_an_answer(peer, caplog
 
 def test_one_way_has_to_be_given_and_one_that_leads_nowhere_is_told(free_port):
     nowhere = {"host": "127.0.0.1", "port": free_port}, {"serial_port": "/dev/none"}
+    remedy = "check address, cable and power"
     for options in nowhere:
-        with pytest.raises(
-            errors.ConnectionLost, match="check address, cable and power"
-        ):
+        with pytest.raises(errors.ConnectionLost, match=remedy):
             ModbusController(**options).connect()
     for options in ({}, {"host": "a", "serial_port": "/dev/b"}):
         with pytest.raises(ValueError, match="either host"):
@@ -504,13 +495,12 @@ def test_an_abort_overtakes_the_upload_of_4096_rows(tcp_peer, tcp_controller, un
     tcp_controller.load(zigzag(4096))
     assert tcp_peer.model.words[104] == 4096
     tcp_peer.model.executed.clear()
+    cause = "aborted while the path was being loaded"
     with ThreadPoolExecutor() as pool:
         loading = pool.submit(tcp_controller.load, zigzag(4096))
         until(lambda: len(tcp_peer.model.executed) > 5)
         tcp_controller.abort()
-        with pytest.raises(
-            errors.Refused, match="aborted while the path was being loaded"
-        ):
+        with pytest.raises(errors.Refused, match=cause):
             loading.result()
     assert tcp_peer.model.executed.count(peers.PUT_ROWS) < 4096 / 7
     assert peers.ABORT in tcp_peer.model.executed[-2:]

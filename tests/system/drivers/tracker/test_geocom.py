@@ -172,7 +172,8 @@ def test_a_name_of_any_letters_is_told_and_others_are_wrong_devices(instrument):
     instrument.answers[5004] = '0,"TS60 I, R für 3D"'.encode()
     with instrument.driver() as tracker:
         assert tracker.connect().model == "TS60 I, R für 3D"
-    with pytest.raises(errors.WrongDevice, match="77 answers, 78 is configured"):
+    said = "instrument 77 answers, 78 is configured"
+    with pytest.raises(errors.WrongDevice, match=said):
         instrument.driver(serial_number="78").connect()
     instrument.say = lambda *_: b"OK\r\n"
     with pytest.raises(errors.WrongDevice, match="not in GeoCOM"):
@@ -211,7 +212,8 @@ def test_what_an_instrument_lacks_is_asked_for_otherwise_or_refused(instrument):
     assert b"%R1Q,18005," in heard
     assert b"%R1Q,18007," in heard
     instrument.unknown |= {18005, 18007}
-    with pytest.raises(errors.Refused, match=r"not know AUS_SET_USER_ATR.*follows"):
+    said = r"does not know AUS_SET_USER_ATR.*follows"
+    with pytest.raises(errors.Refused, match=said):
         instrument.driver().connect()
     with instrument.driver(follows=False):
         pass

@@ -285,13 +285,15 @@ def test_what_a_machine_a_control_an_installation_or_an_order_lacks_is_named(mil
     texts = [write_program(path, mill, "fanuc", "P") for path in (L_SHAPE, shorter)]
     assert len({read_program(text, "fanuc").name for text in texts}) == 2
     long = path_of(*np.tile(L_SHAPE.position, (11_001, 1)))
-    with pytest.raises(PlanningError, match=r"33003 rows; a Fanuc .* numbers 33000"):
+    said = "33003 rows; a Fanuc program numbers 33000"
+    with pytest.raises(PlanningError, match=said):
         write_program(long, mill, "fanuc", "P")
     points = Configurations(("X", "Y", "Z", "B"), np.zeros((1, 4)), np.ones(1))
     with pytest.raises(OutOfTravel, match="axis B"):
         write_program(points, mill, "linuxcnc", "P")
     assert set(OURS) <= set(list_dialects())
-    with pytest.raises(BadInput, match=r"'mazatrol' is inst.*; installed: .*linuxcnc"):
+    said = r"'mazatrol' is installed; installed: .*linuxcnc"
+    with pytest.raises(BadInput, match=said):
         write_program(L_SHAPE, mill, "mazatrol", "P")
 
 
