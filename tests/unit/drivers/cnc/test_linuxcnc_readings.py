@@ -142,9 +142,8 @@ def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path
     plain = "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
     plain += "[JOINT_1]\nMIN_LIMIT = 0\n"
     entries = {"": False, "COMP_FILE = x.tbl": True}
-    for entry, has in (
-        entries | {"BACKLASH = 0.0": False, "BACKLASH = 0.01": True}
-    ).items():
+    entries |= {"BACKLASH = 0.0": False, "BACKLASH = 0.01": True}
+    for entry, has in entries.items():
         file.write_text(f"{plain}{entry}\n")
         assert read_ini(file).has_compensation is has
     travel = parse_travel("X 0 500, c -360 360")
