@@ -17,8 +17,11 @@ from measurement_fixtures import Told
 from truepath import child_process
 from truepath.measurement.messages import CellConfig, CellVerb, RunClosed
 from truepath.measurement.process.cell import Cell
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath_simulators.bench.bench import Bench
 
+# A computer that is busy with other things is no silent tracker.
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 QUICK = get_context("forkserver")
 DRIVERS = ("tracker.streaming.driver", "cnc.modbus.driver")
 ROOMS = ["pytest", "truepath.measurement.process.cell_process"]

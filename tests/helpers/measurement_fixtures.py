@@ -405,13 +405,16 @@ class Told:
     def faults(self):
         return [event.code for event in self.of(messages.FaultReported)]
 
+    @property
+    def progress(self):
+        return self.of(messages.MeasurementProgress)
+
     def until_state(self, state):
         self.until(lambda: self.states[-1:] == [state])
 
     def until_done(self, rows=1):
         """Wait until so many lines or points are done: it moves."""
-        told = messages.MeasurementProgress
-        self.until(lambda: any(one.done >= rows for one in self.of(told)))
+        self.until(lambda: any(p.done >= rows for p in self.progress))
 
 
 class Journal(Told):

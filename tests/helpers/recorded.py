@@ -26,6 +26,11 @@ def record_run(content, program, seed=3, mode="otf", setting=None):
     return _run(made), made
 
 
+def nominal_error_mm(seen):
+    """How far cells lie from their nominal place, in the workpiece frame."""
+    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+
+
 def stream(run, sizes=(50,)):
     """Align a Run as it comes in blocks of these sizes, over and over.
 
