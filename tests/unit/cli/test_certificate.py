@@ -166,6 +166,92 @@ def test_what_nobody_stated_is_not_stated(issued, language):
     assert identity[serial] == unknown
 
 
+STATED = {
+    "laboratory": "Measuring room, 1 Example Street",
+    "customer": "Example Mill, ask for B. Klein",
+    "received_on": "2026-11-20",
+    "authorised_by": "C. Roth",
+    "condition": "spindle replaced",
+    "deviations": "none",
+    "tracker_certificate": "T-77",
+    "tracker_calibrated_on": "2026-05-04",
+}
+
+
+def test_it_has_what_iso_17025_asks_for(issue):
+    words = [word for k, v in STATED.items() for word in ("--state", f"{k}={v}")]
+    page = read_page(issue("c.html", *words))
+    for text in STATED.values():
+        assert text in page.text
+    assert "traceable to the SI" in page.text
+    assert "certificate T-77, calibrated on: 2026-05-04" in page.text
+    for text in (
+        "ISO 230-1",
+        "relate only to the machine",
+        "reproduced only in full",
+        "supplied by the customer",
+        "None: no tolerance was agreed.",
+        "End of calibration certificate TP-",
+    ):
+        assert text in page.text
+    bare = read_page(issue("bare.html")).text
+    assert "Traceability to the SI is not shown" in bare
+    assert "SIMULATED" not in bare
+
+
+@pytest.mark.parametrize("how", ["reported", "stated"])
+def test_simulated_devices_are_named_on_it(issue, result, keep, how):
+    stated = ()
+    if how == "reported":
+        result["runs"][0]["source"]["motion"] = "Truepath Simulated CNC SIM-C000001 1.0"
+    else:
+        stated = ("--state", "tracker=simulated tracker")
+    page = issue("c.html", *stated, result=keep(result)).read_text(encoding="utf-8")
+    assert page.count("SIMULATED DEVICES") == 2  # above the title, and of every page
+
+
+def test_conformity_is_decided_by_iso_14253_and_not_of_a_bad_result(
+    issue, result, keep
+):
+    p95 = result["volumetric_error"]["before"]["p95"]
+    value, half = p95["value_um"], 2.0 * p95["uncertainty_um"]
+    for limit, said in (
+        (value + 1.1 * half, "conforms"),
+        (value - 1.1 * half, "does NOT conform"),
+        (value, "not decided"),
+    ):
+        page = read_page(issue("c.html", "--tolerance-um", f"{limit:.3f}"))
+        (row,) = page.tables["conformity"][0][1:]
+        assert row[1] == f"{limit:.2f}"
+        assert row[2] == page.tables["brief"][0][1][2]
+        assert row[4] == said
+        assert "ISO 14253-1 with a guard band of U" in page.text
+    bad = {**result, "verdict": {"state": "not-usable", "reasons": ["It shook."]}}
+    words = ("--accept-verdict", "--tolerance-um", "100")
+    page = read_page(issue("c.html", *words, result=keep(bad)))
+    assert "None: the result is not to be used." in page.text
+
+
+PROVED = {
+    "conformity": "outside",
+    "tolerance_um": 5.0,
+    "length_um": 5.6,
+    "expanded_uncertainty_um": 0.4,
+    "coverage_factor": 3.2,
+}
+
+
+def test_the_conformity_of_a_verification_has_its_own_k(issue, verified):
+    check = {"conformity": {"measured": PROVED}, "places": {"row": [1, 2, 3]}}
+    page = read_page(issue("c.html", *verified(**check, compensated=True)))
+    (row,) = page.tables["conformity"][0][1:]
+    assert row[0] == "Verification with compensation: deciding place of 3"
+    assert row[1:] == ["5.00", "5.60 ± 0.40", "3.2", "does NOT conform"]
+    other = {"provenance": {"result": {"input_sha256": "f" * 64}}}
+    page = read_page(issue("c.html", *verified(**check, **other)))
+    assert "None: no tolerance was agreed." in page.text
+
+
 def test_the_html_fetches_nothing_and_has_no_script(issued):
     html = (issued / "en.html").read_text(encoding="utf-8")
     assert not re.search(r"<script|https?://|url\(|@import|<link|<img", html)

@@ -144,12 +144,11 @@ def describe_provenance(certificate: Certificate, language: Language) -> View:
 
 
 def describe_signatures(certificate: Certificate, language: Language) -> View:
-    """Operator by name, and an empty line for the responsible person."""
-    operator = certificate.identity.get("operator", "")
+    """Names of the operator and of who authorises, each with a line to sign on."""
     return {
         "signatories": [
-            (language.say("signature_operator"), operator),
-            (language.say("signature_responsible"), ""),
+            (language.say(f"signature_{name}"), certificate.identity.get(name, ""))
+            for name in ("operator", "authorised_by")
         ]
     }
 
@@ -181,9 +180,9 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
 def _describe_mismatch(
     key: str, source: Source, certificate: Certificate, language: Language
 ) -> str:
-    other, own = source.input_sha256, certificate.found.input_sha256
-    if not other or other == own:
+    if not source.is_of_another(certificate.found):
         return ""
+    other, own = source.input_sha256, certificate.found.input_sha256
     return language.say(key, other=other[:16], own=own[:16])
 
 

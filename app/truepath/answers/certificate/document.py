@@ -12,6 +12,7 @@ from truepath.answers.certificate.closing_sections import (
     describe_verification,
 )
 from truepath.answers.certificate.identity_sections import (
+    describe_conformity,
     describe_heading,
     describe_identity,
     describe_verdict,
@@ -36,6 +37,7 @@ from truepath.answers.shown.templating import View, render_page
 _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
     "heading": describe_heading,
     "verdict": describe_verdict,
+    "conformity": describe_conformity,
     "identity": describe_identity,
     "brief": describe_brief,
     "measurement": describe_measurement,

@@ -39,10 +39,17 @@ _TRACKER = 7.0  # size of the tracker's sign
 def describe_measurement(certificate: Certificate, language: Language) -> View:
     """Method and conditions of each Run, warm-up, and grade of the set-up."""
     runs: list[Run] = certificate.found.content.get("runs", [])
-    warm_up = certificate.identity.get("warm_up", language.say("not_stated"))
+    stated, missing = certificate.identity, language.say("not_stated")
+    version = certificate.found.content["provenance"].get("software_version", "")
+    rows = [(language.say("procedure"), language.say("procedure_is", version=version))]
+    rows += [
+        (language.say(f"identity_{name}"), stated.get(name, missing))
+        for name in ("deviations", "warm_up")
+    ]
+    if grade := _describe_grade(certificate.found.content.get("grade"), language):
+        rows.append((language.say("grade"), grade))
     return {
-        "warm_up": (language.say("identity_warm_up"), warm_up),
-        "grade": _describe_grade(certificate.found.content.get("grade"), language),
+        "rows": rows,
         "runs": [_describe_run(run, language) for run in runs],
     }
 

@@ -16,6 +16,7 @@ from truepath.answers.certificate.map_figures import (
     draw_histograms,
     draw_slices,
 )
+from truepath.answers.certificate.stated_results import list_errors
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.places.positioning_figures import (
@@ -38,26 +39,18 @@ _POSITION_SIGN = {"mm": "mm", "deg": "°"}
 
 def describe_brief(certificate: Certificate, language: Language) -> View:
     """The volumetric error as found, expected after compensation, and as left."""
-    stated = certificate.found.content["volumetric_error"]
-    states = [("before", stated["before"])]
-    if both := stated.get("both_directions"):
-        states.append(("before_both_directions", both))
-    states.append(("after_expected", stated["after_expected"]))
-    if certificate.left is not None:
-        left = certificate.left.content["volumetric_error"]
-        states.append(("after_left", left["before"]))
-        if both := left.get("both_directions"):
-            states.append(("after_left_both_directions", both))
     return {
         "rows": [
             (
-                language.say(name),
+                language.say(one.state),
                 *(
-                    _describe_figure(spread[k], language)
-                    for k in ("mean", "p95", "largest")
+                    language.write_expanded(
+                        size.value_um, 0.5 * size.expanded_uncertainty_um
+                    )
+                    for size in (one.mean, one.p95, one.largest)
                 ),
             )
-            for name, spread in states
+            for one in list_errors(certificate)
         ],
         "is_measured": certificate.left is not None,
         "left_note": _describe_compensated(certificate, language),
@@ -195,10 +188,6 @@ def _list_after(
         return language.say("after_expected"), before.after_lengths_um
     left = compute_volumetric_error(certificate.left.result)
     return language.say("after_left"), np.linalg.norm(left.error_um, axis=1)
-
-
-def _describe_figure(figure: Mapping[str, float], language: Language) -> str:
-    return language.write_expanded(figure["value_um"], figure["uncertainty_um"])
 
 
 def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:
