@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.certificate.issue import Certificate, Source
+from truepath.answers.certificate.issue import Certificate, Content, Source
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.lengths import (
     describe_lengths,
     describe_measured_lengths,
 )
 from truepath.answers.certificate.paper_colours import inline_colours
+from truepath.answers.certificate.setup_figures import draw_places
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.circles.circle_figures import FIGURES
@@ -62,11 +63,23 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         ),
         "decision": describe_decision(source.content, language),
         "statements": word_findings(source.content, language),
+        "places": _draw_places(certificate, source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
         "driven": describe_iso_figures(source.content, language),
         "circles": _describe_circles(source.content, language),
     }
+
+
+def _draw_places(certificate: Certificate, content: Content, language: Language) -> str:
+    """Empty without decisions of places, or without three linear axes."""
+    places = as_object(content.get("places"))
+    machine, decided = certificate.found.result.machine, places.get("conformity")
+    linear = [k for k, a in enumerate(machine.axes) if a in machine.linear_axes]
+    if not decided or len(linear) != 3:
+        return ""
+    position_mm = np.array(places["position"], float)[:, linear]
+    return draw_places(machine.linear_axes, position_mm, decided, language)
 
 
 def describe_compensation(certificate: Certificate, language: Language) -> View:
@@ -242,7 +255,7 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         one.get("length_scale_ppm") for one in _list_runs(content)
     ):
         if ppm is not None:
-            scale_ppm = language.number(ppm, 2)
+            scale_ppm = language.number(_K * ppm, 2)
             yield language.say("length_scale", ppm=scale_ppm)
 
 

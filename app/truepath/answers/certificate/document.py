@@ -27,6 +27,7 @@ from truepath.answers.certificate.measurement_sections import (
 from truepath.answers.certificate.result_sections import (
     describe_brief,
     describe_budget,
+    describe_curves,
     describe_positioning,
     describe_single,
     describe_tables,
@@ -50,6 +51,7 @@ _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
     "effects": describe_effects,
     "verification": describe_verification,
     "compensation": describe_compensation,
+    "curves": describe_curves,
     "tables": describe_tables,
     "provenance": describe_provenance,
     "signature": describe_signatures,
