@@ -65,13 +65,14 @@ class CertificateOrder:
     tolerance_um: float | None = None
 
 
-def preview_certificate(order: CertificateOrder) -> str:
-    """The HTML that `issue_certificate` would make, marked as a preview; keeps nothing.
+def preview_certificate(order: CertificateOrder) -> dict[str, Any]:
+    """HTML marked as a preview, and results; keeps nothing.
 
-    Raises as it does.
+    Raises as `issue_certificate` does.
     """
     content = replace(_gather(order), is_preview=True)
-    return render_certificate(content, accept_verdict=order.accept_verdict)
+    html = render_certificate(content, accept_verdict=order.accept_verdict)
+    return {"html": html, "results": asdict(state_results(content))}
 
 
 def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:

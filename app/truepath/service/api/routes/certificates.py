@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse
 from pydantic import AliasChoices, AwareDatetime, BaseModel, ConfigDict, Field
 
 from truepath.answers.certificate.stated_results import StatedResults
@@ -37,7 +37,6 @@ from truepath.service.api.models.base import (
 from truepath.service.api.models.naming import Name
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.results import (
-    REPORT_HEADERS,
     get_machine_tolerance_um,
     send_page,
 )
@@ -159,6 +158,13 @@ class CertificateOut(BaseModel):
     links: CertificateLinks
 
 
+class CertificatePreview(BaseModel):
+    """What issuing would make."""
+
+    html: str = Field(description="One page, each of its sheets marked as a preview.")
+    results: StatedResults
+
+
 class CertificateList(BaseModel):
     """All certificates of a result, in the order they were issued."""
 
@@ -183,18 +189,13 @@ def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
 
 
 @router.post(
-    "/jobs/{job_id}/certificates/preview",
-    response_class=HTMLResponse,
-    responses={
-        200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **declare_problems(404, 422),
-    },
+    "/jobs/{job_id}/certificates/preview", responses=declare_problems(404, 422)
 )
 @on_threads(_ISSUING)
 def preview_certificate(
     job_id: JobId, body: CertificateRequest, service: ServiceDep, actor: ActorDep
-) -> HTMLResponse:
-    """Return the page that issuing would make, marked as a preview; keeps nothing."""
+) -> CertificatePreview:
+    """Return what issuing would make, marked as a preview; nothing is kept."""
     from truepath.answers.certificate.kept_certificates import (
         preview_certificate as preview,
     )
@@ -203,8 +204,7 @@ def preview_certificate(
     known = describe_identity(_find_machine(service, order.result))
     order = replace(order, identity={**known, **_list_stated(body)})
     with _TURN, closing(WorkerProcess("printer")) as printer:
-        page = printer.call(partial(preview, order))
-    return HTMLResponse(page, headers=REPORT_HEADERS)
+        return CertificatePreview(**printer.call(partial(preview, order)))
 
 
 @router.post(

@@ -49,13 +49,11 @@ from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(prefix="/jobs", tags=["results"])
 
-REPORT_HEADERS = {
-    "Content-Security-Policy": (
-        "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
-        "script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
-        "img-src data: blob:; font-src data:; worker-src blob:"
-    )
-}
+_REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
+    "script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; worker-src blob:"
+)
 
 
 _COVERAGE = 2.0  # k of expanded uncertainties
@@ -268,7 +266,7 @@ def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
 
 def send_page(report: Path) -> FileResponse:
     """A report as a page without access to anything outside."""
-    return FileResponse(report, headers=REPORT_HEADERS)
+    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
 
 @router.get(
