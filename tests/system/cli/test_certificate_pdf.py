@@ -63,6 +63,7 @@ def test_a_letter_of_no_font_is_in_html_alone(command, words, caplog, level):
     caplog.set_level(level)
     customer = ("--state", "customer=Werk \U0010fffd")
     said = command.refuse(*words("usable", "c.pdf", *customer))
+    assert not [one for one in caplog.records if one.name.startswith("weasyprint")]
     assert "no installed font has \U0010fffd; install" in said
     command.run(*words("usable", "c.html", *customer))
 
@@ -125,7 +126,7 @@ def read_back(result, keep, measure_again, tmp_path):
         tolerance_um=12.0,
     )
     record = issue_certificate(order, tmp_path / "certificates")
-    assert record == read_certificate(tmp_path / "certificates", record["number"])
+    record = read_certificate(tmp_path / "certificates", record["number"])
     file = tmp_path / "certificates" / record["number"] / "certificate.pdf"
     pages = [page.extract_text() for page in pypdf.PdfReader(file).pages]
     return record, [" ".join(page.split()) for page in pages]

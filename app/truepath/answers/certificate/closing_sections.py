@@ -74,9 +74,11 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
 def _draw_places(certificate: Certificate, content: Content, language: Language) -> str:
     """Empty without decisions of places, or without three linear axes."""
     places = as_object(content.get("places"))
-    machine, decided = certificate.found.result.machine, places.get("conformity")
+    if not (decided := places.get("conformity")):
+        return ""
+    machine = certificate.found.result.machine
     linear = [k for k, a in enumerate(machine.axes) if a in machine.linear_axes]
-    if not decided or len(linear) != 3:
+    if len(linear) != 3:
         return ""
     position_mm = np.array(places["position"], float)[:, linear]
     return draw_places(machine.linear_axes, position_mm, decided, language)
