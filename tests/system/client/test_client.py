@@ -220,7 +220,9 @@ CALLS = {
     "get_machine_changes": ("mill", "7"),
     "get_machine_temperature": ("mill", {"sensor": ["X", "Y"]}),
     "compare_machines": {"machine": ["mill", "lathe"]},
-    "issue_certificate": ("7", {"language": "de"}),
+    **dict.fromkeys(
+        ("issue_certificate", "preview_certificate"), ("7", {"language": "de"})
+    ),
     "download": ("/api/v1/jobs/7/result/report.html",),
     "create_plan": {"mode": "otf"},
     "upload_bundle": (Path(__file__),),

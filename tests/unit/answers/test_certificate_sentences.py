@@ -132,7 +132,7 @@ def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     judged, runs = verdict_json(Verdict((air,))), [{"length_scale_ppm": 270.0}] * 2
     _, uncorrected, _, scale = german(run_verdict=judged, runs=runs)
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
-    assert "270,00 ppm" in scale
+    assert "540,00 ppm (k = 2)" in scale
     figure = {"value_um": 5.0, "uncertainty_um": 0.2}
     spread = dict.fromkeys(("mean", "p95", "largest"), figure)
     known = KnownLengthsFile(count=3, off_ppm=-61.5, uncertainty_ppm=0.7)
@@ -249,4 +249,7 @@ def test_numbers_of_a_statement_stand_in_its_german_words():
     said = describe_poorly_observable(poor, GERMAN)
     assert "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung" in said
     assert "73 % dessen" in said
-    assert "2,4 µm (k = 1)" in said
+    assert "4,8 µm (k = 2)" in said
+    earlier = poor.replace("4.8 µm at the tool (k = 2)", "2.4 µm at the tool (k = 1)")
+    assert describe_poorly_observable(earlier, GERMAN) == said
+    assert describe_poorly_observable(earlier, BRITISH) == poor

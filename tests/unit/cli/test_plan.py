@@ -114,7 +114,7 @@ def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
 def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_is_said(plan):
     feeds = ("--feed", "3000", "--feed", "9000", "--minutes", "1")
     document, said = plan("--target-um", "0.25", *feeds)
-    assert "the target of 0.25 µm (k = 1) is out of reach" in said
+    assert "the target of 0.5 µm (k = 2) is out of reach" in said
     lags = document["predicted"]["servo_mismatch"]
     assert set(lags) == {"X", "Y", "Z"}
     assert all(0.0 < lag["uncertainty_ms"] < 0.3 for lag in lags.values())

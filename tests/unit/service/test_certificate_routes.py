@@ -67,6 +67,30 @@ def test_what_was_stated_is_kept(client, service, with_result, place, quick_prin
     assert client.delete(first["links"]["self"]).status_code == 405
 
 
+def test_a_preview_is_what_would_be_issued_and_keeps_nothing(
+    client, service, place, quick_print
+):
+    service.setup.registry.change("default", tolerance_um=1000.0)
+    before = service.setup.registry.get("default").stated
+    order = {"identity": {"operator": "A. Weiß", "laboratory": "Room 1"}}
+    seen = client.post(f"{place}/preview", json=order)
+    assert seen.status_code == 200, seen.text
+    assert client.get(place).json()["items"] == []
+    assert service.setup.registry.get("default").stated == before
+    issued = client.post(place, json=order).json()
+    assert seen.json()["results"] == issued["results"]
+    (decided,) = issued["results"]["conformity"]
+    assert (decided["of"], decided["conformity"]) == ("before", "within")
+    assert decided["tolerance_um"] == 1000.0
+    html, page = seen.json()["html"], client.get(issued["links"]["html"]).text
+    assert "PREVIEW: not issued" in html
+    assert issued["number"] not in html
+    assert "PREVIEW" not in page
+    for text in ("A. Weiß", "Room 1", "ISO 14253-1"):
+        assert text in html
+        assert text in page
+
+
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
     client, service, with_result, place, is_problem, quick_print
 ):

@@ -182,7 +182,7 @@ def _worst_json(found: Verification) -> dict[str, Any]:
 
 
 def _places_json(found: Verification) -> dict[str, Any]:
-    at = found.places.at
+    at, measured = found.places.at, found.conformity.get("measured")
     return {
         "row": found.places.row.tolist(),
         "run": found.places.run.tolist(),
@@ -193,6 +193,7 @@ def _places_json(found: Verification) -> dict[str, Any]:
         "predicted_um": _um_rows(found.predicted.vector_mm),
         "predicted_uncertainty_um": found.predicted.sigma_um.tolist(),
         "deviation_um": _um_rows(found.deviation.vector_mm),
+        "conformity": [one.value for one in measured.each] if measured else None,
     }
 
 

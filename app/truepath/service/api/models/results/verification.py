@@ -157,6 +157,11 @@ class PlacesOut(BaseModel):
     predicted_um: list[list[float]]
     predicted_uncertainty_um: list[list[float]]
     deviation_um: list[list[float]]
+    conformity: list[Conformity] | None = Field(
+        None,
+        description="Of each place as measured; null without a tolerance, and of "
+        "earlier versions.",
+    )
 
 
 class WorstPlaceOut(BaseModel):

@@ -214,6 +214,7 @@ export function createActions(store, go) {
 
   /** Issue a certificate of a result; null where it is refused. */
   const issue = (id, order) => during("issue", () => api.issueCertificate(id, order));
+  const preview = (id, order) => during("preview", () => api.previewCertificate(id, order));
 
   return {
     loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse, regain,
@@ -227,7 +228,7 @@ export function createActions(store, go) {
     prepare: begin,
     /** Keep that a step that may be left out was done for a result. */
     did: (step, id) => store.set({ done: { ...store.get().done, [id]: { ...store.get().done[id], [step]: true } } }),
-    verify, issue, choose,
+    verify, issue, preview, choose,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
       try {

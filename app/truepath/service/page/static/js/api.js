@@ -195,6 +195,9 @@ export const certificates = (id) => call("GET", `/jobs/${id}/certificates`);
 /** Issue one; it never changes. */
 export const issueCertificate = (id, order) =>
   call("POST", `/jobs/${id}/certificates`, { json: order, patience_ms: 180000 });
+/** What issuing would make; keeps nothing. */
+export const previewCertificate = (id, order) =>
+  call("POST", `/jobs/${id}/certificates/preview`, { json: order, patience_ms: 60000 });
 /** A certificate as the page that was issued. */
 export async function certificatePage({ links: { html } }) {
   const answer = await fetch(locate(html), { cache: "no-store" });
