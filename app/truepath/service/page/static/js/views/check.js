@@ -2,6 +2,7 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, isExtra, machineName, rowsNow, stepOf, waitsForArming } from "../flow.js";
+import { nameOfBox } from "../keep-out.js";
 import { card, errorNotice, head, kindOf, linkButton, notice, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
@@ -111,13 +112,11 @@ function describe(job, plan, machine) {
     const predicted = quantity(COVERAGE * plan.predicted_um, "error");
     facts.push([t("check.predicted"), t("check.predicted_at", { predicted, k: COVERAGE })]);
   }
-  if (plan.keep_out) facts.push([t("keepout.title"), nameBoxes(plan.keep_out)]);
+  if (plan.keep_out) facts.push([t("keepout.title"), plan.keep_out.map(nameOfBox).join("; ") || t("keepout.none")]);
   const time_s = job.progress?.eta_s ?? plan.duration_s;
   if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
   return facts;
 }
-
-const nameBoxes = (boxes) => boxes.map(({ name }, i) => name || t("keepout.box", { number: number(i + 1) })).join("; ") || t("keepout.none");
 
 function feeds(feed_mm_min) {
   const values = feed_mm_min.slice(1).filter((feed) => feed > 0);

@@ -1,5 +1,6 @@
 /* Where the tracker may stand: chosen by the plan on the sides of the travel that are free. */
 import { h, mark } from "../dom.js";
+import { LINEAR } from "../keep-out.js";
 import { segments } from "../parts.js";
 import { t } from "../texts.js";
 import { numberField, within } from "./number-field.js";
@@ -33,7 +34,7 @@ export function placeOrder(machine) {
 
 /** A flat area beside the travel; its corners belong to front and back. */
 function areaOf(side, machine) {
-  const [x, y, z] = ["X", "Y", "Z"].map((name) => travel(machine, name));
+  const [x, y, z] = travelOf(machine);
   const [near, far] = [site.near_mm, site.far_mm];
   const wide = [x[0] - far, x[1] + far];
   const [xs, ys] = {
@@ -44,10 +45,11 @@ function areaOf(side, machine) {
   return { name: t(`place.${side}`), min_mm: [xs[0], ys[0], height], max_mm: [xs[1], ys[1], height] };
 }
 
-const travel = (machine, name) => {
+/** Ends of X, Y and Z; 0 where the machine has none. */
+export const travelOf = (machine) => LINEAR.map((name) => {
   const { min_mm = 0, max_mm = 0 } = machine?.axes?.[name] ?? {};
   return [min_mm, max_mm];
-};
+});
 
 /** The card that asks for it. */
 export function placeCard(changed) {

@@ -1,7 +1,7 @@
 /* Step 2: how to measure, and how well. */
 import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
-import { boxesOf, orderBoxes } from "../keep-out.js";
+import { areWhole, boxesOf, orderBoxes } from "../keep-out.js";
 import { modelInUse } from "../model-choice.js";
 import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
@@ -9,7 +9,7 @@ import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { temperatureCard } from "./conditions-card.js";
 import { curveCard, shownPart } from "./curve-card.js";
-import { keepOutCard, refuseBoxes } from "./keep-out-card.js";
+import { boxEditor, refuseBoxes } from "./keep-out-card.js";
 import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
 import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
@@ -56,7 +56,7 @@ export function lead(state, { actions, go }) {
 const isFeedGood = () => !streams() || within(choices.most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
 
 /** Whether a plan can be asked for with what is chosen, by who looks on. */
-const mayBePlanned = ({ machine, machine_id }) => isConnected(machine) && document.body.dataset.role !== "viewer"
+const mayBePlanned = ({ machine, machine_id }) => isConnected(machine) && !isAdaptive() && document.body.dataset.role !== "viewer"
   && isFeedGood() && !refuseBoxes(machine_id) && !refusePlace();
 
 function refusal({ machine, machine_id, busy, planned }) {
@@ -131,13 +131,15 @@ export function mount(root, { store, actions }) {
   }
 
   const place = placeCard(changedWithin);
-  const keepOut = keepOutCard(changedWithin);
+  const keepOut = boxEditor(changedWithin);
   const temperatures = temperatureCard(store);
   temperatures.element.classList.add("below");
   const curve = curveCard({
     asked: () => (mayBePlanned(store.get()) ? asked(store.get()) : null),
     foresee: actions.foresee,
     choice: effective,
+    boxes: () => boxesOf(store.get().machine_id).filter((box) => areWhole([box])),
+    beside: h("div", { class: "stack", "data-card": "keep-out" }, h("h3", {}, t("keepout.title")), keepOut.element),
     pick(picked) {
       Object.assign(choices, picked);
       if (picked.minutes !== undefined) minutes.write(picked.minutes);
@@ -148,19 +150,19 @@ export function mount(root, { store, actions }) {
     head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element, temperatures.element, answered(store.get()),
     h("div", { class: "columns" },
       h("div", { class: "stack" },
-        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular(changed)), place, keepOut.element),
+        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular(changed)), place),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
         target.element, compensationWish(changed), policy)),
   );
   return {
     update(state) {
       temperatures.update(state);
-      keepOut.update(state);
+      keepOut.show(state.machine_id, state.machine);
       if (shownId !== state.machine_id) {
         shownId = state.machine_id;
         planFor(shownId);
       }
-      curve.element.hidden = isAdaptive();
+      mark(curve.element, "data-adaptive", isAdaptive());
       curve.update(state);
       minutes.element.hidden = isForTarget();
       feed.element.hidden = !streams();
