@@ -481,9 +481,28 @@ def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
     service.change(job, state="aborted")
     go(page, "#/plan")
     page.reload()
-    expect(page.locator("#minutes")).to_have_value("2")  # computed as the page opens
+    expect(page.locator("#minutes")).to_have_value("1")
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
     prepare(page)
-    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
+    assert plans(service) == [3]
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_reload_keeps_choices_and_curve_and_plans_nothing_again(
+    panel, service, language
+):
+    page, card = show(panel, service, language=language)
+    with page.expect_response("**/curve"):
+        page.get_by_role("checkbox").click()
+    card.locator(".handle").press("Home")
+    page.reload()
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "1")
+    expect(page.get_by_role("checkbox")).to_have_attribute("aria-checked", "true")
+    expect(card.locator(".notice")).to_be_hidden()
+    space = card.locator(".curve-space")
+    expect(space).to_have_attribute("data-drawn", "plan-1")
+    assert plans(service) == [3, 3]
 
 
 def test_a_curve_that_is_not_driven_says_so_and_a_longer_time_has_its_own(
@@ -568,11 +587,13 @@ def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
 
 
 def test_the_check_shows_tracker_and_beams_of_the_plan(panel, service):
+    service.plan["tracker_mm"] = [700, -900, 50]
     page, _ = show(panel, service)
     service.change(prepare(page), state="ready")
-    picture = page.locator(".path-view[role=img]")
-    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
-    expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
-    expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
-    beams = picture.locator("[data-trace='5'] path").get_attribute("d")
-    assert beams.count("M") == len(planned_path()["position"])
+    for picture in (page.locator(".path-view[role=img]"),) * 2:
+        expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
+        expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
+        expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
+        beams = picture.locator("[data-trace='5'] path").get_attribute("d")
+        assert beams.count("M") == len(planned_path()["position"])
+        page.reload()

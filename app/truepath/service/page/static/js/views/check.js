@@ -74,7 +74,7 @@ export function mount(root, { store, actions }) {
       safety.update(job);
       arming.update(job);
       const plan = rowsNow(whole, job);
-      path.update(plan && { ...plan, tracker_mm: plan.position_mm ?? whole.place?.tracker.position_mm ?? state.trackers[job.id] }, machine);
+      path.update(plan && { ...plan, tracker_mm: plan.position_mm ?? plan.tracker_mm }, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
       program.update(job, plan);
       const name = machineName(state);

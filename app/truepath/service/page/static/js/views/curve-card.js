@@ -5,6 +5,7 @@ import { COVERAGE } from "../plots/error-chart.js";
 import { linear, offsetOf, pickLinear } from "../plots/job-path.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
 import { drawPlanSpace } from "../plots/plan-space.js";
+import { recall, retain } from "../preferences.js";
 import { sayUnobservable } from "../statements.js";
 import { nameOf } from "../tables.js";
 import { duration, number, t } from "../texts.js";
@@ -15,7 +16,8 @@ import { travelOf } from "./place-fields.js";
 const LONGEST_MIN = ["3", "6", "12"];
 
 /** What has been computed, kept while the operator looks elsewhere. */
-const ahead = { longest: "3", minutes: 0, key: "", plan: null, at: 0 };
+const ahead = recall("ahead", { longest: "3", minutes: 0, key: "", plan_id: null, at: 0 });
+ahead.plan = null;
 const REST_MS = 500; // until choices that change count
 
 /** The beginning of the computed plan that is driven: what the card shows; null where it is none of these choices.
@@ -23,7 +25,7 @@ const REST_MS = 500; // until choices that change count
  * asked: a plan whatever its length, with all that it is computed from
  */
 export function shownPart(asked, choice) {
-  const at = ahead.key === keyOf(asked) ? placeOf(choice) : null;
+  const at = ahead.plan && ahead.key === keyOf(asked) ? placeOf(choice) : null;
   return at === null ? null : { plan_id: ahead.plan.id, plan_rows: rowAt(at) };
 }
 
@@ -44,13 +46,13 @@ const minutesOf = (point) => Math.max(0.5, Math.ceil(point.time_s / 6) / 10);
 /** The card; `update(state)` hears of the machine, `close` ends it.
  *
  * asked(): what a plan is asked whatever its length, with all that it is computed from, null where none can be asked for;
- * foresee(request, tell): has one made
+ * foresee(request, tell): has one made; find(id): one that was made
  * choice(): {kind, by, minutes, reach_um}, of what is chosen; pick({by, minutes, reach_um}): tells what was chosen
  * boxes(): kept clear, as far as they are whole; beside: what is shown beside the picture
  */
-export function curveCard({ asked, foresee, choice, pick, boxes, beside }) {
+export function curveCard({ asked, foresee, find, choice, pick, boxes, beside }) {
   let machine = null;
-  let wanted = ahead.plan ? `${ahead.minutes} ${ahead.key}` : "";
+  let wanted = ahead.plan_id ? `${ahead.minutes} ${ahead.key}` : "";
   let due = null;
   let closed = false;
   let curve = null;
@@ -82,6 +84,15 @@ export function curveCard({ asked, foresee, choice, pick, boxes, beside }) {
       h("div", {}, space, h("ul", { class: "key curve-key" }, key.map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text)))),
       beside), weak, below);
 
+  /** After a reload the plan is still where it was made. */
+  async function findAgain() {
+    const plan = await find(ahead.plan_id);
+    if (ahead.plan || closed) return;
+    if (plan) ahead.plan = plan;
+    else wanted = "";
+    show();
+  }
+
   /** Have the curve computed that belongs to the choices, once these rest; another choice makes it void. */
   function askSoon() {
     const all = asked();
@@ -100,7 +111,7 @@ export function curveCard({ asked, foresee, choice, pick, boxes, beside }) {
     if (own !== wanted || closed) return;
     write(waiting, "");
     if (!plan) return;
-    Object.assign(ahead, { key: keyOf(all), minutes, plan, at: plan.curve.points.length - 1 });
+    Object.assign(ahead, { key: keyOf(all), minutes, plan, plan_id: plan.id, at: plan.curve.points.length - 1 });
     ahead.at = placeOf(choice()) ?? ahead.at;
     const { reach_um, ...time } = choiceAt(ahead.at);
     pick({ reach_um, ...(choice().minutes === null ? time : {}) }); // what is shown is chosen, but where a time was
@@ -145,6 +156,8 @@ export function curveCard({ asked, foresee, choice, pick, boxes, beside }) {
   /** Let everything follow the handle. */
   function put(at, isChosen = true) {
     ahead.at = at;
+    const { plan, ...kept } = ahead;
+    retain("ahead", kept);
     const point = drawn.curve.points[at];
     const u = quantity(point.expanded_volumetric_uncertainty_um, "gap");
     const minutes = `${duration(point.time_s)} min`;
@@ -158,6 +171,7 @@ export function curveCard({ asked, foresee, choice, pick, boxes, beside }) {
     if (isChosen) pick(choiceAt(at));
   }
 
+  if (ahead.plan_id && !ahead.plan) findAgain();
   return {
     element,
     update(state) {

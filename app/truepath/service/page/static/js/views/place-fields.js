@@ -2,13 +2,14 @@
 import { h, mark } from "../dom.js";
 import { LINEAR } from "../keep-out.js";
 import { segments } from "../parts.js";
+import { recall, retain } from "../preferences.js";
 import { t } from "../texts.js";
 import { numberField, within } from "./number-field.js";
 
 const SIDES = ["left", "right", "front", "back"];
 const OFF_MM = { least: 100, most: 50000, step: 250 };
 const HEIGHT_MM = { most: 20000, step: 50 };
-const site = { chosen: false, count: 1, sides: new Set(SIDES), near_mm: 500, far_mm: 2500, height_mm: null };
+const site = recall("site", { chosen: false, count: 1, sides: SIDES, near_mm: 500, far_mm: 2500, height_mm: null });
 
 /** How many stations share the time. */
 export const stationCount = () => (site.chosen ? site.count : 1);
@@ -19,7 +20,7 @@ export const choosesPlace = () => site.chosen;
 /** Why no plan can be asked for with these areas; empty where one can. */
 export function refusePlace() {
   if (!site.chosen) return "";
-  if (!site.sides.size) return t("place.sides_refused");
+  if (!site.sides.length) return t("place.sides_refused");
   const { near_mm, far_mm, height_mm } = site;
   const off = OFF_MM.least <= near_mm && near_mm <= far_mm && far_mm <= OFF_MM.most;
   return off && within(height_mm, -HEIGHT_MM.most, HEIGHT_MM.most) ? "" : t("place.limits_refused");
@@ -28,7 +29,7 @@ export function refusePlace() {
 /** What a plan is asked of the tracker's place; nothing where it stays as it is. */
 export function placeOrder(machine) {
   if (!site.chosen) return {};
-  const areas = SIDES.filter((side) => site.sides.has(side)).map((side) => areaOf(side, machine));
+  const areas = SIDES.filter((side) => site.sides.includes(side)).map((side) => areaOf(side, machine));
   return { workspace: { tracker: { areas } }, stations: site.count };
 }
 
@@ -52,7 +53,11 @@ export const travelOf = (machine) => LINEAR.map((name) => {
 });
 
 /** The card that asks for it. */
-export function placeCard(changed) {
+export function placeCard(tell) {
+  const changed = () => {
+    retain("site", site);
+    tell();
+  };
   const details = h("div", { class: "stack" }, countField(changed), sidesField(changed),
     ...["near_mm", "far_mm"].map((name) => offField(name, changed).element), heightField(changed).element);
   const choices = [[false, "stays"], [true, "chosen"]].map(([chosen, name]) =>
@@ -88,12 +93,12 @@ function countField(changed) {
 
 function sidesField(changed) {
   const toggles = SIDES.map((side) => h("button", { type: "button", "data-side": side,
-    "aria-pressed": String(site.sides.has(side)), onclick: (event) => toggle(side, event.currentTarget) },
+    "aria-pressed": String(site.sides.includes(side)), onclick: (event) => toggle(side, event.currentTarget) },
   t(`place.${side}`)));
 
   function toggle(side, button) {
-    if (!site.sides.delete(side)) site.sides.add(side);
-    mark(button, "aria-pressed", String(site.sides.has(side)));
+    site.sides = site.sides.includes(side) ? site.sides.filter((other) => other !== side) : [...site.sides, side];
+    mark(button, "aria-pressed", String(site.sides.includes(side)));
     changed();
   }
 

@@ -5,6 +5,7 @@ import { areWhole, boxesOf, orderBoxes } from "../keep-out.js";
 import { modelInUse } from "../model-choice.js";
 import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { recall, retain } from "../preferences.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { temperatureCard } from "./conditions-card.js";
@@ -17,10 +18,10 @@ import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100] };
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
-const choices = {
+const choices = recall("choices", {
   kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
   by: "time", minutes: null, reach_um: null, on_notice: "note", control_compensation: "any",
-};
+});
 
 const isAdaptive = () => choices.kind === "measure-adaptive";
 
@@ -113,7 +114,10 @@ function asked(state) {
 
 /** Show the choices. */
 export function mount(root, { store, actions }) {
-  const changed = () => store.set({});
+  const changed = () => {
+    retain("choices", choices);
+    store.set({});
+  };
   const feed = feedField(changed);
   const minutes = minutesField(changed);
   const target = targetField(changed);
@@ -137,6 +141,7 @@ export function mount(root, { store, actions }) {
   const curve = curveCard({
     asked: () => (mayBePlanned(store.get()) ? asked(store.get()) : null),
     foresee: actions.foresee,
+    find: actions.findPlan,
     choice: effective,
     boxes: () => boxesOf(store.get().machine_id).filter((box) => areWhole([box])),
     beside: h("div", { class: "stack", "data-card": "keep-out" }, h("h3", {}, t("keepout.title")), keepOut.element),
