@@ -32,7 +32,7 @@ export function createActions(store, go) {
   }
 
   function refuse(error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     const offer = error.code === "not-in-control" ? { label: t("control.take"), run: takeControl } : null;
     store.set({ problem: { ...worded(error), code: error.code, tone: "fault", offer } });
   }

@@ -187,7 +187,7 @@ async function start() {
   try {
     await load();
   } catch (error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     actions.refuse(error);
     setTimeout(start, RETRY_MS);
     return;

@@ -36,7 +36,7 @@ function traces(rows, travel, standing, boxes, { tracker_mm, offset_mm }) {
 export const offsetOf = (machine) => machine?.tool_offset_mm ?? Object.values(machine?.targets ?? {})[0]?.offset_mm ?? [0, 0, 0];
 
 /** Travel of X, Y and Z: of the machine, widened to the plan. */
-function travelOf(machine, rows) {
+export function travelOf(machine, rows) {
   return ["X", "Y", "Z"].map((name, i) => {
     const axis = machine?.axes?.[name];
     const values = rows.map((row) => row[i]);

@@ -46,6 +46,8 @@ async function drawInSpace(element, traces, travel, isZoomed) {
   const Plotly = await plotly();
   const options = { ...OPTIONS, scrollZoom: isZoomed };
   await Plotly.newPlot(element, traces, layout(travel, element), options);
+  // At the end of a line under the pointer plotly.js has no data coordinate to snap to: uniform3fv throws, and nothing is drawn any more.
+  element._fullLayout.scene._scene.glplot.snapToData = false;
   return {
     restyle: (change, which) => Plotly.restyle(element, change, which),
     replace: (next) => Plotly.react(element, next, element.layout, options),

@@ -1,6 +1,7 @@
 /* What time buys: the curve of a long plan, the part of it that the handle chooses, and the set-up in space. */
 import { h, mark, write } from "../dom.js";
-import { notice, segments, tile } from "../parts.js";
+import { term } from "../glossary.js";
+import { fold, notice, segments, tile } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { linear, offsetOf, pickLinear } from "../plots/job-path.js";
 import { drawPlanCurve } from "../plots/plan-curve.js";
@@ -62,10 +63,10 @@ export function curveCard({ asked, foresee, find, choice, pick, boxes, beside })
   let kept = "";
   const label = (text) => h("span", { class: "label" }, text);
   const [waiting, weak] = ["quiet", "curve-weak"].map((name) => h("p", { class: name, role: "status" }));
-  const [chart, below] = ["curve-chart", "stack"].map((name) => h("div", { class: name }));
+  const [chart, below] = ["curve-chart", "curve-more"].map((name) => h("div", { class: name }));
   const space = h("div", { class: "curve-space", role: "img", "aria-label": t("curve.space") });
   const stale = h("div", { hidden: true }, notice("held", t("curve.stale"), t("curve.stale_text")));
-  const names = { minutes: t("curve.minutes"), lines: t("curve.lines"), uncertainty: t("result.u", { k: COVERAGE }), grade: t("curve.grade") };
+  const names = { minutes: t("curve.minutes"), lines: t("curve.lines"), uncertainty: term("uncertainty", t("result.u", { k: COVERAGE })), grade: term("grade", t("curve.grade")) };
   const tiles = Object.fromEntries(Object.entries(names).map(([name, text]) => [name, tile(text)]));
   const key = [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")], ["box", t("keepout.title")]];
   const element = h("section", { class: "card stack", "data-card": "curve", "aria-label": t("curve.title") },
@@ -79,10 +80,9 @@ export function curveCard({ asked, foresee, find, choice, pick, boxes, beside })
           pick({ by: value });
           if (drawn) put(ahead.at);
         }, true))), stale,
-    h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)),
     h("div", { class: "curve-pictures" }, chart,
       h("div", {}, space, h("ul", { class: "key curve-key" }, key.map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text)))),
-      beside), weak, below);
+      h("div", { class: "curve-beside" }, h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)), beside)), weak);
 
   /** After a reload the plan is still where it was made. */
   async function findAgain() {
@@ -173,7 +173,7 @@ export function curveCard({ asked, foresee, find, choice, pick, boxes, beside })
 
   if (ahead.plan_id && !ahead.plan) findAgain();
   return {
-    element,
+    element, more: below,
     update(state) {
       machine = state.machine;
       show();
@@ -202,8 +202,7 @@ function more(plan, unobservable) {
   const { tracker, stations, at_stations, predicted } = plan.document ?? {};
   const advice = stations ? adviceCard({ place: { tracker, stations, at_stations } }) : null;
   const blind = unobservable.length
-    ? h("details", { class: "curve-blind" }, h("summary", {}, t("curve.blind", { count: number(unobservable.length) })),
-      h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, sayUnobservable(text))))) : null;
+    ? fold("blind", t("curve.blind", { count: number(unobservable.length) }), h("ul", { class: "lines" }, unobservable.map((text) => h("li", {}, sayUnobservable(text))))).element : null;
   return [advice, settleCard(predicted), blind].filter(Boolean);
 }
 

@@ -49,7 +49,7 @@ export const refuseBoxes = (machine_id) => (areWhole(boxesOf(machine_id)) ? "" :
 /** Fields of all boxes; `changed()` hears of each change, `show(machine_id, machine)` draws those of another machine. */
 export function boxEditor(changed) {
   const list = h("div", { class: "stack" });
-  const add = h("button", { class: "button", type: "button", onclick: addBox }, t("keepout.add"));
+  const add = h("button", { class: "button", onclick: addBox }, t("keepout.add"));
   const element = h("div", { class: "stack" }, list, h("div", {}, add));
   let id;
   let travel = [];
@@ -128,5 +128,5 @@ function boxFields(first, { at, travel, change, remove }) {
     h("div", { class: "text-field" }, h("label", { for: name.id }, t("keepout.name")), name),
     h("div", { class: "box-ends" }, h("span"), ENDS.map(([, word]) => h("span", { class: "quiet", "aria-hidden": "true" }, `${t(word)} (${unitOf(KIND)})`)),
       rows.map((pair, i) => [h("b", { "aria-hidden": "true" }, LINEAR[i]), pair])), error,
-    h("div", {}, h("button", { class: "button", type: "button", onclick: remove }, icon("cross"), t("keepout.remove"))));
+    h("div", {}, h("button", { class: "button", onclick: remove }, icon("cross"), t("keepout.remove"))));
 }

@@ -1,7 +1,7 @@
 /* Where the tracker may stand: chosen by the plan on the sides of the travel that are free. */
-import { h, mark } from "../dom.js";
+import { h, mark, write } from "../dom.js";
 import { LINEAR } from "../keep-out.js";
-import { segments } from "../parts.js";
+import { fold, segments } from "../parts.js";
 import { recall, retain } from "../preferences.js";
 import { t } from "../texts.js";
 import { numberField, within } from "./number-field.js";
@@ -61,7 +61,7 @@ export function placeCard(tell) {
   const details = h("div", { class: "stack" }, countField(changed), sidesField(changed),
     ...["near_mm", "far_mm"].map((name) => offField(name, changed).element), heightField(changed).element);
   const choices = [[false, "stays"], [true, "chosen"]].map(([chosen, name]) =>
-    h("button", { class: "choice", type: "button", role: "radio", "data-place": name,
+    h("button", { class: "choice", role: "radio", "data-place": name,
       onclick: () => choose(chosen) }, h("strong", {}, t(`place.${name}`)), h("span", {}, t(`place.${name}_note`))));
 
   function choose(chosen) {
@@ -73,12 +73,12 @@ export function placeCard(tell) {
   function show() {
     choices.forEach((choice, i) => mark(choice, "aria-checked", String(Boolean(i) === site.chosen)));
     details.hidden = !site.chosen;
+    write(card.value, t(`place.${site.chosen ? "chosen" : "stays"}`));
   }
 
-  const element = h("section", { class: "card stack" }, h("h2", {}, t("place.title")),
-    h("div", { class: "stack", role: "radiogroup", "aria-label": t("place.title") }, choices), details);
+  const card = fold("place", t("place.title"), h("div", { class: "stack", role: "radiogroup", "aria-label": t("place.title") }, choices), details);
   show();
-  return element;
+  return card;
 }
 
 function countField(changed) {
@@ -92,7 +92,7 @@ function countField(changed) {
 }
 
 function sidesField(changed) {
-  const toggles = SIDES.map((side) => h("button", { type: "button", "data-side": side,
+  const toggles = SIDES.map((side) => h("button", { "data-side": side,
     "aria-pressed": String(site.sides.includes(side)), onclick: (event) => toggle(side, event.currentTarget) },
   t(`place.${side}`)));
 
