@@ -60,7 +60,7 @@ def test_plan_and_check_fit_one_screen_with_a_line_for_each_condition(
     go(page, f"#/check/{service.ready()}")
     page.locator(".path-view[data-drawn]").wait_for()
     expect(page.locator(".conditions li")).to_have_count(len(types))
-    expect(page.locator(".is-check .pairs").first).to_be_visible()
+    expect(page.locator(".is-check [role=status] .pairs")).to_be_visible()
     assert page.evaluate(TOO_LOW) <= 0
     row = page.locator(".conditions [data-level=told]")
     expect(row.locator("p").first).to_be_hidden()

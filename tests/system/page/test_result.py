@@ -47,7 +47,6 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
     card = page.locator(".card", has_text="Grade of the set-up")
     expect(card.locator(".grade")).to_have_text("1.47: poor")
     expect(card).to_contain_text("volumetric uncertainty U = 22.6 µm (k = 2)")
-    expect(card).to_contain_text("up to 0.25 good, up to 1.00 usable")
     expect(card).to_contain_text("ECX, Tilt of X about Z")
     expect(card).to_contain_text("add a line along Y at the high end of X")
     rows = page.locator("[data-card=budget] tbody tr")  # the largest first

@@ -84,9 +84,9 @@ const byUrgency = (a, b) => ORDER.indexOf(stateOf(a)) - ORDER.indexOf(stateOf(b)
 function row(condition) {
   const { type, level, since, temperatures } = condition;
   const state = stateOf(condition);
-  const line = [icon(SHAPES[level]), h("b", {}, nameOf(type, state)),
-    state !== "true" && h("span", { class: "condition-since" }, t("condition.since", { at: clock(new Date(since)) }))];
-  const more = [explain(condition), (temperatures ?? []).map(temperature).join("; "), state === "told" && t("condition.no_obstacle")].filter(Boolean);
+  const line = [icon(SHAPES[level]), h("b", {}, nameOf(type, state))];
+  const more = [explain(condition), (temperatures ?? []).map(temperature).join("; "), state === "told" && t("condition.no_obstacle"),
+    state !== "true" && t("condition.since", { at: clock(new Date(since)) })].filter(Boolean);
   const details = () => h("details", { open: opened.has(type), ontoggle: ({ target }) => (target.open ? opened.add(type) : opened.delete(type)) },
     h("summary", {}, line), more.map((text) => h("p", {}, text)));
   return h("li", { "data-level": state, "data-type": type }, more.length ? details() : line);

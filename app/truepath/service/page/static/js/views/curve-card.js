@@ -68,7 +68,7 @@ export function curveCard({ asked, foresee, find, choice, pick, boxes, beside })
   const stale = h("div", { hidden: true }, notice("held", t("curve.stale"), t("curve.stale_text")));
   const names = { minutes: t("curve.minutes"), lines: t("curve.lines"), uncertainty: term("uncertainty", t("result.u", { k: COVERAGE })), grade: term("grade", t("curve.grade")) };
   const tiles = Object.fromEntries(Object.entries(names).map(([name, text]) => [name, tile(text)]));
-  const key = [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")], ["box", t("keepout.title")]];
+  const key = [["chosen", t("curve.chosen")], ["rest", t("curve.rest")], ["sight", t("curve.sight")], ["tool", t("curve.tool")]];
   const element = h("section", { class: "card stack", "data-card": "curve", "aria-label": t("curve.title") },
     h("div", { class: "curve-ask" }, h("h2", {}, t("curve.title")), label(t("curve.longest")),
       segments(t("curve.longest"), LONGEST_MIN.map((m) => [m, `${number(m)} min`]), ahead.longest, (value) => {
@@ -81,7 +81,7 @@ export function curveCard({ asked, foresee, find, choice, pick, boxes, beside })
           if (drawn) put(ahead.at);
         }, true))), stale,
     h("div", { class: "curve-pictures" }, chart,
-      h("div", {}, space, h("ul", { class: "key curve-key" }, key.map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text)))),
+      space, h("ul", { class: "key curve-key" }, key.map(([name, text]) => h("li", { class: `is-${name}` }, h("i"), text))),
       h("div", { class: "curve-beside" }, h("dl", { class: "tiles curve-tiles" }, Object.values(tiles).map((one) => one.element)), beside)), weak);
 
   /** After a reload the plan is still where it was made. */

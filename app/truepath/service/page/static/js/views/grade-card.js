@@ -18,8 +18,8 @@ export function gradeCard(grade) {
   const expected = quantity(COVERAGE * grade.expected_uncertainty_um, "error");
   return card(t("grade.title"),
     h("p", { class: "grade", "data-verdict": verdict }, icon(SHAPES[verdict]),
-      h("strong", {}, `${number(grade.number, 2)}: ${t(`grade.${verdict}`)}`)),
-    h("p", {}, t(`grade.${verdict}_means`), " ", t("grade.expected", { u: expected, k: COVERAGE }), " ", term("grade")),
+      h("strong", {}, term("grade", `${number(grade.number, 2)}: ${t(`grade.${verdict}`)}`))),
+    h("p", {}, t(`grade.${verdict}_means`), " ", t("grade.expected", { u: expected, k: COVERAGE })),
     remedies(grade));
 }
 

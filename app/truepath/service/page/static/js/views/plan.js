@@ -153,8 +153,8 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element, temperatures.element,
-    h("div", { class: "folds" }, method.element, place.element, details.element, curve.more),
+    head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element,
+    h("div", { class: "folds" }, temperatures.element, method.element, place.element, details.element, curve.more),
   );
   return {
     update(state) {
