@@ -57,10 +57,9 @@ _STRANGERS = """(own) => performance.getEntriesByType("resource")
     .filter((url) => !["data:", "blob:"].includes(url.protocol) && url.hostname !== own)
     .map((url) => url.href)"""
 # What a tap opens is open: most tests look inside.
-_UNFOLDED = "sessionStorage.setItem('truepath.folds', '%s');" % json.dumps(
-    dict.fromkeys(("method", "place", "details", "blind", "run"), True)
-    | dict.fromkeys(("grade", "program"), True)
-)
+_FOLDS = ("method", "place", "details", "blind", "run", "grade", "program")
+_ALL_OPEN = json.dumps(dict.fromkeys(_FOLDS, True))
+_UNFOLDED = f"sessionStorage.setItem('truepath.folds', '{_ALL_OPEN}');"
 _NO_GRAPHICS = _GRAPHICS % "null"
 _GRAPHICS_CARD = (
     _GRAPHICS % '{ getExtension: () => null, getParameter: () => "ANGLE (a card)" }'
