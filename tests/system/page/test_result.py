@@ -329,7 +329,7 @@ def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
     ("language", "said"),
     [
         ("en", ("27 within the tolerance", "1 undecided", "2 outside")),
-        ("de", ("27 innerhalb der Toleranz", "1 unentschieden", "2 außerhalb")),
+        ("de", ("27 innerhalb der Toleranz", "1 nicht entscheidbar", "2 außerhalb")),
     ],
 )
 def test_each_measured_place_is_in_the_volume_by_colour_and_shape(
