@@ -59,7 +59,9 @@ _STRANGERS = """(own) => performance.getEntriesByType("resource")
 # What a tap opens is open: most tests look inside.
 _FOLDS = ("method", "place", "details", "blind", "run", "grade", "program")
 _ALL_OPEN = json.dumps(dict.fromkeys(_FOLDS, True))
-_UNFOLDED = f"try {{ sessionStorage.setItem('truepath.folds', '{_ALL_OPEN}') }} catch {{}};"
+_UNFOLDED = (
+    f"try {{ sessionStorage.setItem('truepath.folds', '{_ALL_OPEN}') }} catch {{}};"
+)
 _NO_GRAPHICS = _GRAPHICS % "null"
 _GRAPHICS_CARD = (
     _GRAPHICS % '{ getExtension: () => null, getParameter: () => "ANGLE (a card)" }'
