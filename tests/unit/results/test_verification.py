@@ -98,6 +98,11 @@ def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured,
     if mode == "standstill":
         places = content["places"]
         assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
+        length_um = np.linalg.norm(places["measured_um"], axis=1)
+        outside = np.array(places["conformity"]) == "outside"
+        assert outside.any()
+        assert length_um[outside].min() > TOLERANCE_UM
+        assert set(places["conformity"]) >= {"outside", "within"}
         return
     assert found.places.unseen_directions == ()
     across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.places), 1))

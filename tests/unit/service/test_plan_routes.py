@@ -91,6 +91,7 @@ def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
         driven = client.get(job["links"]["plan"]).json()
         assert driven["position"] == position[:rows]
         assert driven["predicted_um"] == predicted_um
+        assert driven["tracker_mm"] == plan["document"]["tracker"]["position_mm"]
         target_um = asked.get("target_um")
         assert job["target_um"] == driven["target_um"] == target_um
         client.post("/api/v1/stop")

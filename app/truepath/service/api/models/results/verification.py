@@ -152,6 +152,11 @@ class PlacesOut(BaseModel):
     )
     position: list[list[float]]
     standstill: list[bool]
+    conformity: list[Conformity] | None = Field(
+        None,
+        description="Of each place alone with the tolerance, by the coverage factor "
+        "of all together; null without a tolerance. Earlier versions do not have it.",
+    )
     measured_um: list[list[float]]
     measured_uncertainty_um: list[list[float]]
     predicted_um: list[list[float]]

@@ -18,6 +18,11 @@ export class Problem extends Error {
   }
 }
 
+/** Throw what is no refusal of the service. */
+export function expectProblem(error) {
+  if (!(error instanceof Problem)) throw error;
+}
+
 async function call(method, path, { json, form, version, key, patience_ms = PATIENCE_MS } = {}) {
   const headers = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";

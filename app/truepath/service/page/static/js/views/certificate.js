@@ -133,7 +133,7 @@ function proofField(order) {
   if (!order.proof) return h("p", { class: "quiet" }, t("certificate.no_proof"));
   const { job, verification } = order.proof;
   const word = t(`verify.is_${decisionOf(verification)}`);
-  const box = h("button", { class: "choice is-box", type: "button", role: "checkbox", "aria-checked": "true", onclick: () => {
+  const box = h("button", { class: "choice is-box", role: "checkbox", "aria-checked": "true", onclick: () => {
     order.proves = !order.proves;
     box.setAttribute("aria-checked", String(order.proves));
   } }, h("strong", {}, t("certificate.with_proof")), h("span", {}, `${dateTime(job.ended ?? job.created)} · ${word}`));
@@ -152,7 +152,7 @@ function issuedList(items, show) {
     h("div", {}, h("strong", { class: "number" }, one.number),
       h("p", { class: "quiet" }, [dateTime(one.issued_at), NAMES[one.language] ?? one.language, one.issued_by].filter(Boolean).join(" · "))),
     h("div", { class: "row-actions" },
-      h("button", { class: "button", type: "button", onclick: () => show(one) }, t("certificate.show")), download(one))));
+      h("button", { class: "button", onclick: () => show(one) }, t("certificate.show")), download(one))));
   return [card(t("certificate.issued"), h("ul", { class: "kept-list" }, rows))];
 }
 
