@@ -135,6 +135,8 @@ def work(page: Page, job_id: str) -> int:
 
     tap(".step a[href='#/plan']")
     page.wait_for_url("**/#/plan")
+    for name in ("method", "details"):
+        tap(f"[data-fold={name}] > summary")
     for kind in ("measure-standstill", "measure-adaptive", "measure-otf"):
         tap(f"[data-kind={kind}]")
     for field in ("#minutes", "#feed"):

@@ -155,7 +155,7 @@ def _prepare(desk: Desk) -> None:
     desk.take("connect", "#/connect", ".conditions li")
     for panel in desk.panels[:2]:
         panel.open("#/plan")
-        panel.page.locator("[data-card=curve] .curve-tiles").wait_for()
+        panel.page.locator("[data-card=curve] .handle").wait_for()
         panel.page.locator(".curve-space[data-drawn]").wait_for()
         panel.take("plan", top="[data-card=curve]")
     desk.first.locator(NEXT).click()

@@ -22,7 +22,6 @@ from truepath.catalogue.store.database import Database
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
-from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
@@ -40,18 +39,10 @@ from postgres_server import PostgresServer
 
 
 def pytest_addoption(parser):
-    """Let the rooms of jobs and API be tested on either database."""
-    parser.addoption(
-        "--database",
-        choices=("sqlite", "postgresql"),
-        default="sqlite",
-        help="what the catalogues of tests/jobs and tests/api stand on",
-    )
-    parser.addoption(
-        "--measured",
-        type=FilePath,
-        help="JSON file that takes what tests of faults have measured",
-    )
+    kinds, stood_on = ("sqlite", "postgresql"), "what the catalogues of tests stand on"
+    parser.addoption("--database", choices=kinds, default="sqlite", help=stood_on)
+    taken = "JSON file that takes what tests of faults have measured"
+    parser.addoption("--measured", type=FilePath, help=taken)
 
 
 _PERFECT = tempfile.TemporaryDirectory()
@@ -71,7 +62,6 @@ def use_perfect_trackers(folder):
 
 
 def pytest_configure(config):
-    """Collect what tests measure where a file for it is named."""
     use_perfect_trackers(FilePath(_PERFECT.name))
     file = config.getoption("--measured")
     if file is not None and not hasattr(config, "workerinput"):
@@ -98,7 +88,6 @@ class Measured:
         self._texts = {}
 
     def pytest_runtest_logreport(self, report):
-        """Take what a test that has passed noted."""
         if report.when != "call" or not report.passed:
             return
         for name, value in report.user_properties:
@@ -108,7 +97,6 @@ class Measured:
                 tests.setdefault(report.nodeid, []).append(text)
 
     def pytest_sessionfinish(self):
-        """Write it beside what the file has of other tests."""
         content = {}
         if self._file.is_file():
             content = json.loads(self._file.read_text(encoding="utf-8"))
@@ -250,7 +238,6 @@ def mill():
 
 @pytest.fixture
 def square():
-    """A path of three lines in the travel of the mill."""
     rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
     return path_of(*rows, dwell_s=(0.1, 0.2, 0.1, 0.3))
 
@@ -344,7 +331,6 @@ def without_rigid_motion(position_mm, error_mm):
 
 @pytest.fixture(scope="session")
 def rigid_free():
-    """Give tests the map without its gauge."""
     return without_rigid_motion
 
 
@@ -357,11 +343,6 @@ def volume():
         return np.random.default_rng(7).uniform(low, high, (n, len(axes)))
 
     return points
-
-
-@pytest.fixture(scope="session")
-def at_rest():
-    return make_standstill
 
 
 @pytest.fixture
@@ -380,11 +361,8 @@ def no_log_of_another_test():
 
 @pytest.fixture(scope="module")
 def plain_log():
-    """Log with short traces."""
-    before = structlog.get_config()
-    plain = structlog.dev.ConsoleRenderer(
-        colors=False, exception_formatter=structlog.dev.plain_traceback
-    )
+    before, trace = structlog.get_config(), structlog.dev.plain_traceback
+    plain = structlog.dev.ConsoleRenderer(colors=False, exception_formatter=trace)
     structlog.configure(
         processors=[structlog.contextvars.merge_contextvars, plain],
         logger_factory=structlog.stdlib.LoggerFactory(),
@@ -398,18 +376,11 @@ def plain_log():
 @pytest.fixture(scope="session")
 def trunnion(mill):
     """A tilting table under a mill, and a target on each side."""
-    return Machine(
-        "trunnion mill",
-        ("C", "A"),
-        ("X", "Y", "Z"),
-        (
-            *mill.axes,
-            RotaryAxis("A", -110, 30, (0.0, 20.0, 10.0), (1.0, 0.0, 0.0)),
-            RotaryAxis("C", 0, 360, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ),
-        (Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))),
-        TrackerNoise(stands_on="base"),
-    )
+    a = RotaryAxis("A", -110, 30, (0.0, 20.0, 10.0), (1.0, 0.0, 0.0))
+    c = RotaryAxis("C", 0, 360, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    targets = Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))
+    sides, tracker = (("C", "A"), ("X", "Y", "Z")), TrackerNoise(stands_on="base")
+    return Machine("trunnion mill", *sides, (*mill.axes, a, c), targets, tracker)
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,22 @@ from contextlib import contextmanager
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 
+FOREIGN = (  # headers of a page of another site
+    {"sec-fetch-site": "cross-site"},
+    {"sec-fetch-site": "same-site"},
+    {"origin": "http://evil.example"},
+    {"origin": "null"},
+)
 KNOWN_LENGTHS = (
     "x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,length_mm,u_mm\n"
     "1000,0,0,3000.02,0,0,2000.01,0.001\n"
 )
+
+
+def rows_at(*places, **more):
+    """Rows of a path at places in mm, each with what more it states."""
+    axes = "x_mm", "y_mm", "z_mm"
+    return [dict(zip(axes, place, strict=True)) | more for place in places]
 
 
 @contextmanager

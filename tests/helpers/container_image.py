@@ -32,10 +32,8 @@ class Image:
     name: str = "localhost/truepath:test"
 
     def buildah(self, *words):
-        """Run buildah on this store; return what it prints."""
-        done = subprocess.run(
-            [*self._buildah, *words], capture_output=True, text=True, timeout=BUILD_S
-        )
+        how = {"capture_output": True, "text": True, "timeout": BUILD_S}
+        done = subprocess.run([*self._buildah, *words], **how)
         assert done.returncode == 0, done.stderr[-4000:]
         return done.stdout.strip()
 
@@ -45,13 +43,11 @@ class Image:
         return ("buildah", "--storage-driver", "vfs", *store)
 
     def run_line(self, container, options, command):
-        """Return the words that run a command in a container as its user."""
         isolation = ["--isolation", "chroot", "--user", f"{USER}:{USER}"]
         return [*self._buildah, "run", *isolation, *options, container, "--", *command]
 
     @contextmanager
     def container(self):
-        """A container of the image, removed at the end."""
         name = self.buildah("from", "--pull-never", self.name)
         try:
             yield name

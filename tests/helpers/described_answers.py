@@ -17,11 +17,6 @@ def read_document():
     return json.loads(DOCUMENT.read_text(encoding="utf-8"))
 
 
-@cache
-def _read_schemas():
-    return _close(read_document()["components"]["schemas"])
-
-
 def _close(part):
     """Return a schema that takes no key but its own, unless it says so."""
     if isinstance(part, list):
@@ -36,16 +31,14 @@ def _close(part):
 
 @cache
 def _make_validator(schema):
-    components = {"schemas": _read_schemas()}
+    components = {"schemas": _close(read_document()["components"]["schemas"])}
     return Draft202012Validator({**json.loads(schema), "components": components})
 
 
 def list_errors(schema, instance):
-    validator = _make_validator(json.dumps(schema))
-    return [
-        f"{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}"
-        for error in validator.iter_errors(instance)
-    ]
+    errors = _make_validator(json.dumps(schema)).iter_errors(instance)
+    places = (("/".join(map(str, one.absolute_path)), one.message) for one in errors)
+    return [f"{place}: {message[:300]}" for place, message in places]
 
 
 def resolve(part):

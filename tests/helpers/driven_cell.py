@@ -17,8 +17,11 @@ from measurement_fixtures import Told
 from truepath import child_process
 from truepath.measurement.messages import CellConfig, CellVerb, RunClosed
 from truepath.measurement.process.cell import Cell
+from truepath.measurement.time_limits import StreamTimeouts
 from truepath_simulators.bench.bench import Bench
 
+# A computer that is busy with other things is no silent tracker.
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 QUICK = get_context("forkserver")
 DRIVERS = ("tracker.streaming.driver", "cnc.modbus.driver")
 ROOMS = ["pytest", "truepath.measurement.process.cell_process"]
@@ -81,10 +84,7 @@ def config_of(bench, **given):
 def measure_undisturbed(order, content, folder, *, speed=10.0, faults=()):
     """Measure on a bench of its own; nothing of it is a fault of the measurement."""
     how = {"seed": 3, "speed": speed, "workdir": folder / "b", "faults": faults}
-    with (
-        Bench(content, rtu=False, **how) as bench,
-        Driven(config_of(bench)) as driven,
-    ):
+    with Bench(content, rtu=False, **how) as bench, Driven(config_of(bench)) as driven:
         driven.cell.connect()
         driven.cell.begin(order)
         driven.until_closed(120.0)
@@ -123,11 +123,8 @@ def measured_by_another(folder, config, order, *paths):
     script.write_text(PARENT)
     (folder / "given").write_bytes(pickle.dumps((config, order)))
     places = os.pathsep.join(map(str, (Path(__file__).parents[2], *paths)))
-    parent = subprocess.Popen(
-        [sys.executable, script, folder],
-        stdout=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": places},
-    )
+    how = {"stdout": subprocess.PIPE, "env": os.environ | {"PYTHONPATH": places}}
+    parent = subprocess.Popen([sys.executable, script, folder], **how)
     try:
         told = map(int, parent.stdout or ())
         yield parent, psutil.Process(next(told)), told

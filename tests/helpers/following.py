@@ -6,6 +6,7 @@ import numpy as np
 
 from truepath.estimation.checks.notices import Notice
 from truepath.estimation.live.live import LiveEstimate, LiveEstimator
+from truepath.files.bundle.run import PointBlock, PointRows
 from truepath.results.error_tables import build_error_tables
 
 
@@ -36,10 +37,21 @@ def follow(run, *, blocks=None, with_notices=False, **options):
     return followed
 
 
+def follow_lines(run):
+    return follow(run, blocks=list_blocks(run, 100), with_notices=True)
+
+
 def list_blocks(run, size=20):
-    tracker = run.tracker
-    begins = range(0, len(tracker), size)
-    return [tracker.select(slice(begin, begin + size)) for begin in begins]
+    begins = range(0, len(run.tracker), size)
+    return [run.tracker.select(slice(begin, begin + size)) for begin in begins]
+
+
+def list_point_blocks(run):
+    points = run.points
+    columns = points.row, points.count, points.covariance_mm2
+    ones = (slice(k, k + 1) for k in range(len(run.tracker)))
+    rows = (PointRows(*(column[one] for column in columns)) for one in ones)
+    return list(map(PointBlock, list_blocks(run, 1), rows))
 
 
 def shift(run, shift_mm):
@@ -50,9 +62,8 @@ def shift(run, shift_mm):
 
 def compare_tables(found, expected):
     """Return how far tables are off those of another estimate, in u."""
-    tables = build_error_tables(found)
-    off = [
-        (tables.table(one.symbol).value - one.value) / np.maximum(one.uncertainty, 0.05)
-        for one in build_error_tables(expected).tables
-    ]
+    tables, off = build_error_tables(found), []
+    for one in build_error_tables(expected).tables:
+        apart = tables.table(one.symbol).value - one.value
+        off.append(apart / np.maximum(one.uncertainty, 0.05))
     return np.concatenate(off)

@@ -110,7 +110,6 @@ def context(
 
 @pytest.fixture
 def open_dispatcher(context, event_bus):
-    """Opens the service as often as a test asks, with parts of its own."""
     opened = []
 
     def make(**parts):
@@ -130,8 +129,6 @@ def dispatcher(context, open_dispatcher):
 
 @pytest.fixture
 def open_watched(context, open_dispatcher):
-    """Opens the service with a machine whose conditions are what the test says."""
-
     def make(observe, **parts):
         board = ConditionLog(observe)
         watched = replace(context.machines.get("default"), conditions=board)
@@ -159,8 +156,6 @@ def ready(dispatcher, until):
 
 @pytest.fixture
 def begin(dispatcher, until, make_cell):
-    """Arms a job as soon as it is ready; waits until the machine moves."""
-
     def begin(job, dispatcher=dispatcher):
         version = until(job, "ready").version
         make_cell.cell.begun.clear()
@@ -198,7 +193,6 @@ def closer():
 
 @pytest.fixture
 def bundle(machine, tmp_path):
-    """A zipped bundle of a Run that has lost three samples."""
     sequence = (0, 1, 2, 3, 7, 8, 9, 10, 11, 12)
     return write_bundle_zip(machine, tmp_path / "bundle.zip", sequence)
 

@@ -8,11 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.compensation.account.rotary_residual import (
-    describe_rotary,
-    measure_over_axes,
-    read_rotary_files,
-)
+from truepath.compensation.account import rotary_residual
 from truepath.compensation.format_registry import load_format
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.tabulation import Tabulation
@@ -77,10 +73,10 @@ def write(errors, name, spacing_mm=50.0):
     made = tabulate(errors, name, spacing_mm)
     content = made.tabulate(errors)
     files = made.kind.write(content)
-    rotary = read_rotary_files(made.kind, content, files)
+    rotary = rotary_residual.read_rotary_files(made.kind, content, files)
     correction = made.kind.read(files, errors.machine)
-    over = measure_over_axes(errors, correction, rotary)
-    return Written(files, over or {}, describe_rotary(errors, rotary))
+    over = rotary_residual.measure_over_axes(errors, correction, rotary)
+    return Written(files, over or {}, rotary_residual.describe_rotary(errors, rotary))
 
 
 def displace(content, places):
@@ -88,24 +84,25 @@ def displace(content, places):
     joints = dict(truth.joints)
     for place in places:
         own, at = place.axis.name, place.location
-        shift, tilt = (
-            tuple(at.get(f"{one}O{own}", 0.0) for one in letters)
-            for letters in ("XYZ", "ABC")
-        )
-        joints[own] = replace(joints[own], shift_mm=shift, tilt_rad=tilt)
+        off = [at.get(f"{letter}O{own}", 0.0) for letter in "XYZABC"]
+        moved = {"shift_mm": tuple(off[:3]), "tilt_rad": tuple(off[3:])}
+        joints[own] = replace(joints[own], **moved)
     return replace(truth, joints=joints)
 
 
-def spread(axes, count):
-    low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = np.random.default_rng(2).uniform(size=(count, len(axes)))
+def find_ends(errors):
+    """Return the lower and the upper ends of the travel of all axes."""
+    return np.array([(axis.low, axis.high) for axis in errors.axes]).T
+
+
+def spread(machine, count):
+    low, high = find_ends(machine)
+    unit = np.random.default_rng(2).uniform(size=(count, len(low)))
     return low + unit * (high - low)
 
 
 def measure_left(truth, files, position):
     """Return lengths of errors, mm, without files and once a control has them."""
-    before, after = (
-        np.linalg.norm(measure_deviation_mm(truth, one, position), axis=1)
-        for one in (None, LoadedTables(files).correct(truth.machine))
-    )
-    return before, after
+    corrections = None, LoadedTables(files).correct(truth.machine)
+    left = (measure_deviation_mm(truth, one, position) for one in corrections)
+    return [np.linalg.norm(one, axis=1) for one in left]

@@ -141,12 +141,9 @@ class FakeTracker(Tracker, ByteLink):
         if self.restarted:
             sequence -= first
         self._bytes += bytes(count - first)
-        samples = TrackerSamples(
-            sequence,
-            100.0 + np.arange(first, count) / self._rate_hz,
-            self._see(count - first),
-            np.full(count - first, 0 if self.beam else 4, np.int64),
-        )
+        time_s = 100.0 + np.arange(first, count) / self._rate_hz
+        status = np.full(count - first, 0 if self.beam else 4, np.int64)
+        samples = TrackerSamples(sequence, time_s, self._see(count - first), status)
         return samples.select(sequence % 20 == 0) if self.damaged else samples
 
     def _see(self, count):
@@ -163,9 +160,8 @@ class FakeTracker(Tracker, ByteLink):
 class FakePolledTracker(PolledTracker):
     @property
     def capabilities(self):
-        return tracker_records.TrackerCapabilities(
-            streams=False, clock=tracker_records.Clock.HOST, distance="ADM"
-        )
+        how = {"clock": tracker_records.Clock.HOST, "distance": "ADM"}
+        return tracker_records.TrackerCapabilities(streams=False, **how)
 
     def connect(self):
         return Identity("Us", "fake polled tracker", "P1", "0")
@@ -211,10 +207,8 @@ class FakePolled(FakePolledTracker, EventSource):
             times.append(host_clock.now_s())
             if host_clock.wait(self.stopped, 0.005):
                 raise Refused("the measurement was stopped")
-        air = tracker_records.Air(21.5, 1013.0, 40.0)
-        return tracker_records.PointMeasurement.average(
-            np.array(times), np.array(shots), air
-        )
+        seen = np.array(times), np.array(shots), tracker_records.Air(21.5, 1013.0, 40.0)
+        return tracker_records.PointMeasurement.average(*seen)
 
 
 @pytest.fixture
@@ -411,14 +405,16 @@ class Told:
     def faults(self):
         return [event.code for event in self.of(messages.FaultReported)]
 
+    @property
+    def progress(self):
+        return self.of(messages.MeasurementProgress)
+
     def until_state(self, state):
         self.until(lambda: self.states[-1:] == [state])
 
     def until_done(self, rows=1):
         """Wait until so many lines or points are done: it moves."""
-        self.until(
-            lambda: any(p.done >= rows for p in self.of(messages.MeasurementProgress))
-        )
+        self.until(lambda: any(p.done >= rows for p in self.progress))
 
 
 class Journal(Told):
@@ -448,9 +444,8 @@ class Running(Told):
     def __init__(self, order, tracker, motion, journal, settings, sensors=None):
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
-        self.measurement = Measurement(
-            order, tracker, motion, devices, journal.report, settings, sensors
-        )
+        how = devices, journal.report, settings, sensors
+        self.measurement = Measurement(order, tracker, motion, *how)
         self.obey, self.told = self.measurement.obey, journal.of
         self.events, self.until = journal.events, journal.wait
         self.thread = threading.Thread(target=self.measurement.run)
@@ -464,9 +459,8 @@ class Running(Told):
 
     def until_seen(self, time_s):
         """Wait until the tracker has measured for so long; its clock begins at 100."""
-        self.until(
-            lambda: any(b.device_time_s > time_s for b in self.of(messages.LivePoints))
-        )
+        told = messages.LivePoints
+        self.until(lambda: any(one.device_time_s > time_s for one in self.of(told)))
 
     def pass_until(self, condition):
         """Let time pass, a tenth of a second a look, until something has happened."""
@@ -476,12 +470,10 @@ class Running(Told):
             host_clock.sleep_s(0.1)
 
     def look(self, times=3, kind=messages.MeasurementProgress):
-        """Let it look at its devices some more times."""
         told = len(self.told(kind))
         self.until(lambda: len(self.told(kind)) > told + times)
 
     def see(self, times=3):
-        """Let it see where the target is some more times."""
         self.look(times, messages.LivePoints)
 
     def pause(self):
@@ -525,7 +517,6 @@ class Running(Told):
 
 @pytest.fixture
 def begin(tracker, motion, journal, calm):
-    """Begin measurements in threads; those under way at the end are aborted."""
     begun = []
 
     def start(order, *, settings=calm, tracker=tracker, sensors=None):
@@ -542,7 +533,6 @@ def begin(tracker, motion, journal, calm):
 
 @pytest.fixture
 def order(mill, square, tmp_path):
-    """Three lines in the travel of the mill."""
     file = str(tmp_path / "monday.sqlite")
     return messages.MeasurementOrder("monday", file, mill, square, reserve_bytes=0)
 
@@ -554,7 +544,6 @@ def along(order, rows, feed_mm_min=6000.0, **given):
 
 
 def there_and_back(order, times):
-    """Return the order with long lines, a quarter of a second each."""
     return along(order, [[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]] * times)
 
 
@@ -565,7 +554,6 @@ def standing_at(order, rows, dwell_s, target=()):
 
 
 def draw_rows(n):
-    """Return rows anywhere in the travel of the mill."""
     return np.random.default_rng(3).uniform([10, 10, -290], [490, 390, -10], (n, 3))
 
 

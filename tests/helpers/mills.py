@@ -11,11 +11,8 @@ def build_mill(
 
     sides : the axes that move the workpiece, those that move the tool, base to both
     """
-    axes = tuple(
-        LinearAxis(name, low_mm, low_mm + length)
-        for name, length in zip("XYZ", travel_mm, strict=True)
-    )
-    targets = tuple(
-        Target(f"T{k}", "tool", offset) for k, offset in enumerate(offsets_mm, 1)
-    )
-    return Machine("m", tuple(sides[0]), tuple(sides[1]), axes, targets, TrackerNoise())
+    travels = zip("XYZ", travel_mm, strict=True)
+    axes = tuple(LinearAxis(name, low_mm, low_mm + length) for name, length in travels)
+    named = enumerate(offsets_mm, 1)
+    targets = tuple(Target(f"T{k}", "tool", offset) for k, offset in named)
+    return Machine("m", *map(tuple, sides), axes, targets, TrackerNoise())

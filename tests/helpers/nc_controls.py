@@ -60,10 +60,9 @@ class Control:
         turned = None
         if arc:
             plane, centre, positive, turns = arc
-            away = [
-                complex(*(at[name] - c for name, c in zip(plane, centre, strict=True)))
-                for at in (begin, self.place)
-            ]
+            zero = dict(zip(plane, centre, strict=True))
+            ends = begin, self.place
+            away = [complex(*(at[n] - zero[n] for n in plane)) for at in ends]
             if abs(abs(away[0]) - abs(away[1])) > 0.005:
                 raise Alarm("the end is not on the circle")
             turn = math.atan2((away[1] / away[0]).imag, (away[1] / away[0]).real)
@@ -74,19 +73,16 @@ class Control:
         self.moves.append(Move(dict(self.place), self.feed, 0.0, turned, "", stops))
 
     def wait(self, seconds):
-        """Dwell where the axes stand."""
         if self.moves:
             self.moves[-1].dwell_s += seconds
 
     def halt(self):
-        """Wait for the operator, under the last message."""
         if self.moves:
             self.moves[-1].halted = self.said
         else:
             self.first_words = self.said
 
     def approach(self):
-        """Motions before the operator starts the recording."""
         return self.moves[: self._recorded()]
 
     def recorded(self, axes="XYZ"):
@@ -105,17 +101,13 @@ class Control:
                 rows.pop()
             rows.append(move)
         rows[0].arc = None
-        arcs = tuple(
-            m.arc and Arc(tuple(COLUMNS.index(n) for n in m.arc[0]), m.arc[1], m.arc[2])
-            for m in rows
-        )
-        return Program(
-            np.array([[move.end[name] for name in axes] for move in rows]),
-            np.array([move.feed / 60.0 for move in rows]),
-            np.array([move.dwell_s for move in rows]),
-            (),
-            arcs if any(arcs) else (),
-        )
+        arcs = [
+            m.arc and Arc(tuple(map(COLUMNS.index, m.arc[0])), *m.arc[1:]) for m in rows
+        ]
+        position = np.array([[move.end[name] for name in axes] for move in rows])
+        feed = np.array([move.feed / 60.0 for move in rows])
+        dwell_s = np.array([move.dwell_s for move in rows])
+        return Program(position, feed, dwell_s, (), tuple(arcs) if any(arcs) else ())
 
     def _recorded(self):
         asked = [n for n, m in enumerate(self.moves) if "START THE REC" in m.halted]

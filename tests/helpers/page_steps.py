@@ -29,7 +29,6 @@ NO_EVENTS = STREAM % 'setTimeout(() => this.dispatchEvent(new Event("close")));'
 
 
 def follow(page: Page, label: str) -> None:
-    """Press the one button that leads on, by its name."""
     page.locator(NEXT, has_text=label).click()
 
 
@@ -41,17 +40,14 @@ def prepare(page: Page) -> str:
 
 
 def job_of(page: Page) -> str:
-    """The job that the address names."""
     return page.url.rsplit("/", 1)[1]
 
 
 def go(page: Page, where: str) -> None:
-    """Turn to another view without loading the page anew."""
     page.goto(page.url.split("#")[0] + where)
 
 
 def choose(page: Page, *names: str) -> None:
-    """Choose units, appearance or language in the settings."""
     page.locator("#open-settings").click()
     for name in names:
         page.locator("#settings").get_by_role("button", name=name).click()
@@ -62,7 +58,6 @@ def choose(page: Page, *names: str) -> None:
 
 
 def expect_texts(place: Locator, *texts: str) -> None:
-    """Wait until all of these are in the text of an element."""
     for text in texts:
         expect(place).to_contain_text(text)
 
@@ -84,9 +79,8 @@ def held(page: Page, button: Locator) -> Iterator[None]:
 
 def assert_fits(page: Page) -> None:
     """Nothing is wider than the panel, once pictures have its size."""
-    page.wait_for_function(
-        "() => document.documentElement.scrollWidth <= window.innerWidth"
-    )
+    fits = "() => document.documentElement.scrollWidth <= window.innerWidth"
+    page.wait_for_function(fits)
 
 
 def small_targets(page: Page, where: str, least_px: int) -> list[str]:

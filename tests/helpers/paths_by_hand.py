@@ -15,6 +15,11 @@ def path_of(*rows, feed=6000.0, dwell_s=0.0, axes=XYZ, target=(), arc=()) -> Pat
     return Path(tuple(axes), position, feeds, dwells_s, target, arc=arc)
 
 
+ENDS = (20, 20, 20), (480, 380, 20), (20, 380, 280), (480, 20, 280), (20, 20, 20)
+ACROSS = path_of(*ENDS, feed=12_000.0, dwell_s=1.0)
+"""In the travel of the demonstration machine."""
+
+
 def two_turns(x, y, radius_mm, z=0.0, **given) -> Path:
     """From beside a circle a little more than twice round it, and back."""
     end = np.radians(12.0)

@@ -40,11 +40,10 @@ def simulated_service(folder, rate_hz=100, **settings):
 
 @contextmanager
 def service_of(settings):
-    with (
-        open_service(settings) as service,
-        TestClient(create_application(service), base_url="http://localhost") as client,
-    ):
-        yield service, client
+    with open_service(settings) as service:
+        app = create_application(service)
+        with TestClient(app, base_url="http://localhost") as client:
+            yield service, client
 
 
 def environment_of(motion, tracker, machine_file):

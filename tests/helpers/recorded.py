@@ -17,11 +17,18 @@ from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
+_made = {}
+
 
 def record_run(content, program, seed=3, mode="otf", setting=None):
     """Return the Run of a recording, and the recording, which knows the truth."""
     made = synthetic.record(content, program, seed, mode, setting)
     return _run(made), made
+
+
+def nominal_error_mm(seen):
+    """How far cells lie from their nominal place, in the workpiece frame."""
+    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
 
 
 def stream(run, sizes=(50,)):
@@ -50,9 +57,6 @@ def load_small(name, share=0.4):
     return content
 
 
-_made = {}
-
-
 def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
     """Return the Run of a small machine, and its truth.
 
@@ -69,23 +73,18 @@ def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
 
 def record_path(content, path, seed=3, mode="otf", setting=None):
     """Return the Run of a planned path, arcs included, and its recording."""
-    arcs = tuple(
-        arc
-        and Arc(
-            tuple(map("XYZ".index, arc.axes)),
-            arc.centre_mm,
-            float(np.radians(arc.turn_deg)),
-        )
-        for arc in path.arc
-    )
+    arcs = list(path.arc)
+    for k, arc in enumerate(arcs):
+        if arc:
+            about = tuple(map("XYZ".index, arc.axes)), arc.centre_mm
+            arcs[k] = Arc(*about, float(np.radians(arc.turn_deg)))
     feed_mm_s = path.feed_mm_min / 60.0
-    program = Program(path.position, feed_mm_s, path.dwell_s, path.target, arcs)
+    program = Program(path.position, feed_mm_s, path.dwell_s, path.target, tuple(arcs))
     run, made = record_run(content, program, seed, mode, setting)
     return replace(run, commanded=path), made
 
 
 def with_samples(run, **columns):
-    """Return a Run whose tracker has sent other positions, status or times."""
     return replace(run, tracker=replace(run.tracker, **columns))
 
 

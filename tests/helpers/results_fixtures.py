@@ -35,22 +35,15 @@ THREE_TARGETS = (
     Target("aside", "tool", (120.0, -40.0, -150.0)),
 )
 LINES, CELLS = 12, 240
+TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
 
 
 def of_a_run(residuals):
-    return RunEstimate(
-        NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4),
-        RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
-        1e-6 * np.eye(6),
-        np.array([50.0, 200.0, 0.0]),
-        TrackerNoise(),
-        1_100.0,
-        residuals,
-        CELLS,
-        9_000,
-        10_000,
-        frozenset(range(1, LINES + 1)),
-    )
+    noise = NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4)
+    pose = RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0]))
+    about = 1e-6 * np.eye(6), np.array([50.0, 200.0, 0.0]), TrackerNoise(), 1_100.0
+    samples, rows = (CELLS, 9_000, 10_000), frozenset(range(1, LINES + 1))
+    return RunEstimate(noise, pose, *about, residuals, *samples, rows)
 
 
 def build_model_of(targets):
@@ -75,23 +68,16 @@ def construct():
         place = rng.uniform(*TRAVEL, (CELLS, 3))
         rms = float(np.sqrt(np.mean(residual**2)))
         residuals = Residuals(residual, across, line, place, rms, 1e-3)
-        return Estimate(
-            model,
-            size * rng.standard_normal(model.size),
-            1e-4 * spread @ spread.T,
-            {"EXX": 2.5},
-            Observability(model.size + 20, model.size, merged),
-            "none",
-            False,
-            (of_a_run(residuals),),
-            full_travel(model.machine),
-        )
+        theta = size * rng.standard_normal(model.size)
+        told = Observability(model.size + 20, model.size, merged), "none", False
+        known = model, theta, 1e-4 * spread @ spread.T, {"EXX": 2.5}
+        runs = (of_a_run(residuals),)
+        return Estimate(*known, *told, runs, full_travel(model.machine))
 
     return made
 
 
 def change_run(estimate, **changed):
-    """Return an estimate of one Run of which something is otherwise."""
     return replace(estimate, runs=(replace(estimate.runs[0], **changed),))
 
 
@@ -135,11 +121,7 @@ def across_only(construct):
     return change_run(plain, noise=noise)
 
 
-TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
-
-
 def load_small():
-    """The content of the machine that they are of."""
     content = load_machine("demo")
     for axis in content["axes"].values():
         axis["max_mm"] = TRAVEL_MM

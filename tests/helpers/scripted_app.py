@@ -204,6 +204,11 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
         kept.append(data.certificate(job_id, len(kept) + 1, order["language"]))
         return kept[-1]
 
+    @app.post(f"{API}/jobs/{{job_id}}/certificates/preview")
+    async def preview(job_id: str, request: Request) -> Any:
+        order = await service.note(request)
+        return {"html": f"<h1>PREVIEW</h1>{order['identity']['operator']}"}
+
     @app.get(f"{API}/jobs/{{job_id}}/result/volumetric-error")
     def size(job_id: str, tolerance_um: float | None = None) -> Any:
         service.looks.append(("volumetric-error", tolerance_um))

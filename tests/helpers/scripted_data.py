@@ -420,6 +420,7 @@ def verification(result_id, conformity="within"):
             "row": list(range(30)),
             "position": [[16.0 * i, 13.0 * i, -10.0 * i] for i in range(30)],
             "standstill": [i < 29 for i in range(30)],
+            "conformity": [conformity] * 2 + ["within"] * 28,
             "measured_um": [[1.5, -2.0, 0.0]] * 30,
             "measured_uncertainty_um": [[0.2, 0.2, 0.2]] * 30,
         },

@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import re
 from textwrap import dedent
 
 from truepath.answers.plan import plan_document
@@ -10,13 +9,9 @@ from truepath.estimation.problem import confounding_advice, observability
 from truepath.kinematics import identifiable
 
 _NAMES = "EXZ, EYZ"
-ENGLISH = frozenset(
-    re.findall(
-        r"\w+",
-        "the a an of to and or not with it its is are be by on from this that cannot "
-        "does tool target targets lines points shows show them other further second",
-    )
-)
+_WORDS = """the a an of to and or not with it its is are be by on from this that cannot
+does tool target targets lines points shows show them other further second"""
+ENGLISH = frozenset(_WORDS.split())
 
 
 def list_unobservable():
@@ -26,11 +21,8 @@ def list_unobservable():
     for said in (merged, f"{head} does not move the target"):
         for cure in confounding_advice._TRIALS:
             for length in ("", " at least 140 mm"):
-                yield from _fill(
-                    confounding_advice._statement,
-                    said,
-                    f"a second {cure.format(length)}",
-                )
+                asked = f"a second {cure.format(length)}"
+                yield from _fill(confounding_advice._statement, said, asked)
     yield from _fill(identifiable.Confounded.__str__, head, "")
     yield from _fill(plan_document._list_unobservable, "B, C", "")
     yield from _fill(observability._blind_shapes, _NAMES, "")

@@ -121,20 +121,24 @@ def reader():
 
 
 @pytest.fixture
+def tasks(science, explorer, follower, verifier, planner, estimates):
+    """What the jobs compute with."""
+
+    def live_estimation(order, show):
+        estimates.append(scripted_cell.ScriptedLive(order, show))
+        return estimates[-1]
+
+    others = {"follower": follower, "verifier": verifier, "planner": planner}
+    return {
+        "science": science,
+        "discoverer": explorer,
+        "live": live_estimation,
+    } | others
+
+
+@pytest.fixture
 def service(
-    make_cell,
-    board,
-    science,
-    explorer,
-    follower,
-    verifier,
-    planner,
-    has_machine,
-    catalogue_url,
-    tmp_path,
-    estimates,
-    reader,
-    monkeypatch,
+    make_cell, board, tasks, has_machine, catalogue_url, tmp_path, reader, monkeypatch
 ):
     """Everything behind the routes; machines that are added have scripted cells too."""
     make_added = scripted_cell.CellMaker()
@@ -148,25 +152,16 @@ def service(
     results = tmp_path / "results"
     results.mkdir()
 
-    def live_estimation(order, show):
-        estimates.append(scripted_cell.ScriptedLive(order, show))
-        return estimates[-1]
-
     registry = MachineRegistry(database)
     context = JobContext(
         store=Store(database, publish),
         runs=RunCatalogue(database, tmp_path / "runs", reader),
         results=results,
         executor=scripted_cell.Inline(),
-        science=science,
         machines=machines,
-        live=live_estimation,
-        planner=planner,
-        discoverer=explorer,
-        follower=follower,
-        verifier=verifier,
         registry=registry,
         read_loaded_files=lambda machine_id: setup.read_loaded_files(machine_id),
+        **tasks,
     )
     dispatcher = Dispatcher(context, event_bus)
     if cell is not None:
@@ -179,9 +174,8 @@ def service(
     setup.machines = machines
     for one in machines.list_all():
         content = machine_to_json(one.machine)
-        setup.registry.record_configuration(
-            one.id, "settings", content, {"simulated": True}
-        )
+        devices = {"simulated": True}
+        registry.record_configuration(one.id, "settings", content, devices)
     access = Access(database, AccessRules())
     yield Service(
         version="1.2.3",
@@ -313,13 +307,11 @@ def bundle():
     """A small measurement bundle, zipped; members can be replaced or left out."""
 
     def make(**members):
-        path = (
-            "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n10,10,10,1000,1\n400,300,200,1000,1\n"
-        )
+        path = "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n10,10,10,1000,1\n"
         samples = "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100))
         content = {
             "machine.json": json.dumps(load_machine("demo")),
-            "path.csv": path,
+            "path.csv": f"{path}400,300,200,1000,1\n",
             "tracker.csv": f"t_s,x_mm,y_mm,z_mm\n{samples}",
         }
         content |= {name.replace("_", "."): text for name, text in members.items()}

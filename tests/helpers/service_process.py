@@ -16,6 +16,7 @@ from unittest import mock
 import httpx2
 import psutil
 
+from api_builders import rows_at
 from arming import arm_over_http
 from serving import serve_forked
 
@@ -27,10 +28,7 @@ ENDS = {"succeeded", "failed", "faulted", "aborted", "cancelled", "interrupted"}
 _PLACES = [(20, 20, 20), (480, 370, 280), (20, 200, 280), (450, 30, 150)]
 _PLACES += [(100, 380, 30), (480, 200, 270), (30, 60, 100), (300, 380, 280)]
 _PLACES += [(470, 30, 20), (20, 350, 200)]
-ROWS = [
-    {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000, "dwell_s": 0.6}
-    for x, y, z in _PLACES
-]
+ROWS = rows_at(*_PLACES, feed_mm_min=9000, dwell_s=0.6)
 
 
 @contextmanager
@@ -133,14 +131,11 @@ def acknowledge(client, job_id):
 
 
 def moving(client, job_id):
-    wait_for(
-        lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
-        "samples",
-    )
+    address = f"/api/v1/jobs/{job_id}"
+    wait_for(lambda: client.get(address).json()["health"]["samples"] > 500, "samples")
 
 
 def begin_moving(client, rows=ROWS):
-    """Measure a path; return the job once samples have come."""
     job = create(client, path=rows)
     arm(client, job)
     moving(client, job["id"])

@@ -39,7 +39,6 @@ def connect(client):
 
 
 def set_in_motion(client: httpx2.Client, rig: Rig) -> str:
-    """Drive a long slow path; return its job."""
     job = create(client, path=LONG_PATH)
     arm(client, job)
     wait_for(lambda: is_on_path(rig), "motion on the path")

@@ -4,16 +4,10 @@ import time
 
 import numpy as np
 
+from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.tracker.streaming import measurements, message_codec
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import (
-    RawSamples,
-    encode_measurements,
-)
-from truepath_drivers.tracker.streaming.message_codec import (
-    encode_message,
-    parse_message,
-)
 from truepath_simulators.machine.tracker_head import to_spherical
 from wires import Peer
 
@@ -25,13 +19,24 @@ def raw_samples(measured, number, clock_us, position_mm, status=0, signal=200):
     n, polar = len(position_mm), (METRES * to_spherical(position_mm)).T
     number, clock_us = np.asarray(number), np.asarray(clock_us).astype(np.uint64)
     told = np.full(n, status), np.broadcast_to(signal, n)
-    return RawSamples(measured, number, clock_us, *polar, *told)
+    return measurements.RawSamples(measured, number, clock_us, *polar, *told)
 
 
 def one_sample(measured, number, clock_us, polar, status, signal):
     """A single sample: range in m, azimuth, elevation."""
     columns = map(np.atleast_1d, (np.uint64(clock_us), *polar, status, signal))
-    return RawSamples(measured, np.array([number]), *columns)
+    return measurements.RawSamples(measured, np.array([number]), *columns)
+
+
+def read_samples(tracker, least, pause_s=0.0):
+    """Return so many samples at least; ten seconds without any are too long."""
+    blocks, last_s = [], time.monotonic()
+    while sum(map(len, blocks)) < least:
+        blocks.append(tracker.read(0.5))
+        last_s = time.monotonic() if len(blocks[-1]) else last_s
+        assert time.monotonic() < last_s + 10.0
+        time.sleep(pause_s)
+    return TrackerSamples.join(blocks)
 
 
 class AnsweringPeer(Peer):
@@ -99,16 +104,16 @@ class LoopbackTracker(Peer):
         return self._stream.rate_hz if self._stream else None
 
     def step(self, data):
-        for command in map(parse_message, self._frames.feed(data)):
+        for command in map(message_codec.parse_message, self._frames.feed(data)):
             if command is None:
                 continue
             self.commands.append(command)
             if type(command) not in self.deaf_to and not self.silent:
-                self.wire.write(encode_message(self._reply(command)))
+                self.wire.write(message_codec.encode_message(self._reply(command)))
         self._emit()
 
     def send(self, message):
-        self.wire.write(encode_message(message))
+        self.wire.write(message_codec.encode_message(message))
 
     def _reply(self, command):
         kind = gst.Type[type(command).__name__.upper()]
@@ -137,7 +142,9 @@ class LoopbackTracker(Peer):
         number = np.arange(self.sent, until)
         if len(number):
             self.sent = until
-            frames = encode_measurements(self.samples(number, self._stream.format))
+            frames = measurements.encode_measurements(
+                self.samples(number, self._stream.format)
+            )
             self.wire.write(self.damage(frames))
 
     def _clock_us(self, number):

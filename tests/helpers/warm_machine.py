@@ -11,9 +11,8 @@ load_slow_tracker = partial(load_small, share=1.0)
 
 def stretch(truth, name, strain):
     """Return the machine with a linear axis longer by a strain, from its zero on."""
-    column, axis = next(
-        (k, a) for k, a in enumerate(truth.machine.linear_axes) if a.name == name
-    )
+    axes = truth.machine.linear_axes
+    column, axis = next((k, a) for k, a in enumerate(axes) if a.name == name)
     joint = truth.joints[name]
     motions = list(joint.translation)
     motions[column] = motions[column].shift(strain * (axis.low - axis.zero_mm), strain)

@@ -34,13 +34,9 @@ ROTARY_ORDERS = {
     for order in ("linuxcnc", "siemens", "isg-csv", "isg-csv-followed", "json")
 } | {"siemens-lec": ("siemens-lec", {})}
 STRAIGHT = {"type": "linear", "min_mm": 0.0, "max_mm": 200.0}
-CONTENT = {
-    "schema": "machine/1",
-    "name": "round numbers",
-    "kinematic_chain": "w-b-X-Y-Z-t",
-    "axes": dict.fromkeys("XYZ", STRAIGHT),
-    "tool_offset_mm": [0.0, 0.0, -100.0],
-}
+CONTENT = {"schema": "machine/1", "name": "round numbers"}
+CONTENT |= {"kinematic_chain": "w-b-X-Y-Z-t", "tool_offset_mm": [0.0, 0.0, -100.0]}
+CONTENT |= {"axes": dict.fromkeys("XYZ", STRAIGHT)}
 MACHINE = machine_from_json(dict(CONTENT), file="machine.json")
 TURN = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0}
 TILT = {"type": "rotary", "min_deg": -90.0, "max_deg": 90.0}
@@ -103,15 +99,11 @@ def make_turn_table(axis, error_deg, half_deg, across_mm):
 def make_rotary_content(*turns):
     """Return the content of files: straight axes without errors, rotary ones off."""
     at, none = np.array([0.0, 200.0]), np.zeros((2, 3))
-    tables = tuple(
-        AxisTable(axis, at, 0, none, none, none, none) for axis in TRUNNION.linear_axes
-    )
-    places = tuple(
-        RotaryAxisLocation(axis, PLACES[axis.name]) for axis in TRUNNION.rotary_axes
-    )
-    return CompensationTables(
-        "round", TRUNNION, tables, ("by hand",), rotary=turns, places=places
-    )
+    tables = tuple(AxisTable(one, at, 0, *[none] * 4) for one in TRUNNION.linear_axes)
+    axes = TRUNNION.rotary_axes
+    places = tuple(RotaryAxisLocation(one, PLACES[one.name]) for one in axes)
+    turned = {"rotary": turns, "places": places}
+    return CompensationTables("round", TRUNNION, tables, ("by hand",), **turned)
 
 
 def round_turns():

@@ -52,7 +52,6 @@ def bodies(import_code):
 
 @pytest.fixture
 def root_log():
-    """Put the log back afterwards, its files closed."""
     root = logging.getLogger()
     handlers, level = root.handlers, root.level
     yield
@@ -65,7 +64,6 @@ def root_log():
 
 @pytest.fixture
 def service_log(monkeypatch, root_log):
-    """The service's log at level info, as JSON lines."""
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     configure_log("info", "json")
@@ -153,7 +151,7 @@ def test_no_line_is_lost_as_processes_fill_file_after_file(bodies, tmp_path, roo
         assert sorted(found) == sorted(f"line {n}" for n in range(200))
 
 
-def test_only_so_many_log_files_are_kept(tmp_path, root_log):
+def test_few_log_files_are_kept_and_one_without_a_place_is_named(tmp_path, root_log):
     file = LogFile(tmp_path / "service.log", max_bytes=500, count=2)
     configure_log("info", "json", file)
     for number in range(50):
@@ -161,9 +159,6 @@ def test_only_so_many_log_files_are_kept(tmp_path, root_log):
     names = {one.name for one in tmp_path.iterdir()}
     assert names == {"service.log", "service.log.1", "service.log.2"}
     assert "line 49" in file.list_files()[0].read_text()
-
-
-def test_a_log_file_that_cannot_be_written_is_named(tmp_path, root_log):
     (tmp_path / "file").write_text("")
     file = LogFile(tmp_path / "file" / "service.log", max_bytes=500, count=2)
     with pytest.raises(BadInput, match=r"setting log_file: .*service\.log"):

@@ -145,7 +145,7 @@ def _describe_trials(trials: Result) -> str:
         return f"{count} did not settle: the linear uncertainty is not validated"
     return (
         f"{count} (JCGM 101) validate the linear uncertainty of {trials['agreeing']} "
-        f"of {trials['numbers']} numbers; u differs by "
+        f"of {trials['numbers']} numbers; U differs by "
         f"{100.0 * trials['largest_disagreement']:.1f} % at most"
     )
 

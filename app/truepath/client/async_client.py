@@ -228,6 +228,10 @@ class AsyncClient:
         """Issue a certificate of a result; `identity` and the rest as documented."""
         return await self._run(ask(requests.issue_certificate(job_id, order)))
 
+    async def preview_certificate(self, job_id: str, **order: Any) -> Json:
+        """What `issue_certificate` would make, as `html`; keeps nothing."""
+        return await self._run(ask(requests.preview_certificate(job_id, order)))
+
     async def list_certificates(self, job_id: str) -> list[Json]:
         """Certificates of a result, the oldest first."""
         return await self._run(ask(requests.list_certificates(job_id)))

@@ -220,6 +220,12 @@ def issue_certificate(job_id: str, body: Json) -> Request[Json]:
     return Request("POST", path, read_json, body=body, may_repeat=False)
 
 
+def preview_certificate(job_id: str, body: Json) -> Request[Json]:
+    """Keeps nothing."""
+    path = f"{PREFIX}/jobs/{job_id}/certificates/preview"
+    return Request("POST", path, read_json, body=body)
+
+
 def list_certificates(job_id: str) -> Request[list[Json]]:
     """Certificates of a result, the oldest first."""
     return cast(Request[list[Json]], get(f"/jobs/{job_id}/certificates", read_items))

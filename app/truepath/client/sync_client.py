@@ -223,6 +223,10 @@ class Client:
         """Issue a certificate of a result; `identity` and the rest as documented."""
         return self._run(ask(requests.issue_certificate(job_id, order)))
 
+    def preview_certificate(self, job_id: str, **order: Any) -> Json:
+        """What `issue_certificate` would make, as `html`; keeps nothing."""
+        return self._run(ask(requests.preview_certificate(job_id, order)))
+
     def list_certificates(self, job_id: str) -> list[Json]:
         """Certificates of a result, the oldest first."""
         return self._run(ask(requests.list_certificates(job_id)))

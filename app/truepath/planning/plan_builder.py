@@ -131,7 +131,8 @@ def _plan_for_target(
     for number in range(1, _TRIES):
         reached_um = planned.uncertainty_um
         on_progress(
-            number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)"
+            number / _TRIES,
+            f"{budget_s:.0f} s reach {2.0 * reached_um:.2f} µm (k = 2)",
         )
         # What is random falls with the square root of time, slower where much is known.
         random_um2 = (1e3 * planned.outcome.random_mm) ** 2

@@ -32,9 +32,8 @@ def file(found, tmp_path_factory):
 
 @pytest.mark.parametrize(("width", "scheme"), [(420, "light"), (1180, "dark")])
 def test_the_report_fits_the_screen_and_asks_for_nothing(browser, file, scheme, width):
-    page = browser.new_page(
-        viewport={"width": width, "height": 900}, color_scheme=scheme
-    )
+    screen = {"width": width, "height": 900}
+    page = browser.new_page(viewport=screen, color_scheme=scheme)
     said, asked = [], []
     page.on("console", lambda message: said.append(message.text))
     page.on("request", lambda request: asked.append(request.url))
@@ -42,10 +41,9 @@ def test_the_report_fits_the_screen_and_asks_for_nothing(browser, file, scheme, 
     assert said == []
     assert asked == [file.as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    ink = page.evaluate("getComputedStyle(document.querySelector('svg text')).fill")
-    paper = page.evaluate(
-        "getComputedStyle(document.querySelector('section')).backgroundColor"
-    )
+    style = "getComputedStyle(document.querySelector('{}')).{}".format
+    ink = page.evaluate(style("svg text", "fill"))
+    paper = page.evaluate(style("section", "backgroundColor"))
     assert contrast(ink, paper) > 4.5
 
 

@@ -37,12 +37,9 @@ def test_peak_memory_is_that_of_the_call_and_not_of_the_parent(measure_module):
     assert 200 < large.peak_mib - small.peak_mib < 500
 
 
-def test_an_error_of_the_function_comes_back(measure_module):
+def test_an_error_comes_back_and_a_process_that_dies_is_reported(measure_module):
     with pytest.raises(FileNotFoundError):
         measure_module.measure(os.listdir, "/no/such/folder")
-
-
-def test_a_process_that_dies_is_reported(measure_module):
     with pytest.raises(RuntimeError, match="_exit ended with 3"):
         measure_module.measure(os._exit, 3)
 

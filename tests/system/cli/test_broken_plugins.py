@@ -14,7 +14,6 @@ from truepath.planning.lines.default_path import default_path
 from truepath.service.page.pages import catalogue
 
 pytestmark = pytest.mark.fault_row(49)
-
 BROKEN = 'raise RuntimeError("the licence has run out")'
 LEAVING = 'import sys; sys.exit("this computer is not known")'
 FORMATS = """

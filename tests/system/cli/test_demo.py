@@ -10,6 +10,7 @@ import pytest
 from truepath.files.bundle.bundle import read_bundle
 from truepath.motion.motion_times import travel_time_s
 
+SILENT = pytest.param("tracker:silence", "no reply to HELLO", marks=pytest.mark.long)
 FAST = ("--speed", "8", "--feed", "15000")
 
 
@@ -53,10 +54,7 @@ def test_the_circle_leaves_what_is_stated_of_the_machine(command, tmp_path):
 
 @pytest.mark.parametrize(
     ("fault", "line"),
-    [
-        pytest.param("tracker:silence", "no reply to HELLO", marks=pytest.mark.long),
-        ("cnc:alarm@row1", "the controller is in alarm"),
-    ],
+    [SILENT, ("cnc:alarm@row1", "the controller is in alarm")],
 )
 def test_a_device_that_fails_is_one_line_and_a_one(fault, line, command, tmp_path):
     order = ["demo", *FAST, "-o", tmp_path / "out", "--fault", fault]

@@ -79,8 +79,7 @@ def test_words_in_the_wrong_order_are_refused_by_name(ask, value):
 
 
 def test_an_address_beside_is_shown_where_that_of_the_settings_holds_nothing(ask):
-    said = ask([0, 205, 0], scale=0.1)
-    shown = line_of(said, "X_degC")
+    shown = line_of(ask([0, 205, 0], scale=0.1), "X_degC")
     assert shown.startswith("warning")
     assert "0.0 with address = 10 (as set)" in shown
     assert "20.5 with address = 11 (likely)" in shown

@@ -26,9 +26,7 @@ SEED = 4
 
 @pytest.fixture(scope="module")
 def lines():
-    """Commands of the page, in order."""
-    text = PAGE.read_text()
-    body = "".join(FENCE.findall(text)).replace("\\\n", " ")
+    body = "".join(FENCE.findall(PAGE.read_text())).replace("\\\n", " ")
     return [shlex.split(line) for line in body.splitlines() if line.strip()]
 
 

@@ -36,7 +36,6 @@ def bench():
 
 @pytest.fixture
 def files(bench, tmp_path, monkeypatch):
-    """What an operator has: machine file, path, its program, settings."""
     machine = machine_from_json(bench.machine)
     path = default_path(machine, 15_000.0, lines=8)
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))

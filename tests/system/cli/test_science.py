@@ -18,8 +18,6 @@ from truepath.numerics import adaptive_trials
 
 @pytest.fixture
 def bundles(record, tmp_path):
-    """Write recordings side by side: bundles(name=run, …)."""
-
     def write(**runs):
         for name, one in runs.items():
             write_bundle(one, tmp_path / name)
@@ -32,8 +30,7 @@ def test_a_zip_says_the_same_as_its_folder_in_all(command, record, result, tmp_p
     archive, out = tmp_path / "run.zip", tmp_path / "out"
     archive.write_bytes(zip_bundle(record(1, rows=24)[0]))
     said = command.json("analyse", archive, "-o", out)
-    assert said["schema"] == "summary/1"
-    assert said["mode"] == "otf"
+    assert (said["schema"], said["mode"]) == ("summary/1", "otf")
     assert said["residual_rms_um"] > 0
     assert said["observability"]["rank"] < said["observability"]["parameters"]
     names = {"result.json", "error_tables.csv", "report.html"}
@@ -111,11 +108,9 @@ def test_predict_adds_error_with_uncertainty(command, analysed, points, tmp_path
     assert [row["x_mm"] for row in rows] == ["0", "250", "500"]
     for row in rows:
         assert all(float(row[name]) > 0 for name in ("ux_um", "uy_um", "uz_um"))
-    assert said["points"] == 3
-    assert said["files"] == [str(out)]
+    assert (said["points"], said["files"]) == (3, [str(out)])
     points.write_text("x_mm,y_mm,z_mm\n600,0,0\n")
-    noted = "note: 1 of 1 points lie beyond the travel"
-    assert noted in command.run(*order).err
+    assert "note: 1 of 1 points lie beyond the travel" in command.run(*order).err
 
 
 def test_a_run_file_is_analysed_as_its_bundle_is(command, record, result, tmp_path):

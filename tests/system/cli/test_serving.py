@@ -10,11 +10,10 @@ import sys
 from pathlib import Path
 from unittest.mock import Mock
 
-import httpx2
 import pytest
 
+from answers_in_turn import Script, answer
 from truepath.cli import calibration
-from truepath.cli.calibration import calibrate, follow_to_the_end, measure_on_the_fly
 from truepath.client import Client
 from truepath.errors import MeasurementFailed
 
@@ -88,8 +87,7 @@ def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
                 (job,) = client.list_jobs()
         finally:
             service.send_signal(signal.SIGTERM)
-    assert service.returncode == 0
-    assert job["state"] == "succeeded"
+    assert (service.returncode, job["state"]) == (0, "succeeded")
     assert job["health"]["samples"] > 40_000
     assert job["health"]["lost_samples"] == 0
     shown = [line for line in said if " lost" in line]
@@ -103,74 +101,56 @@ def job(state, **more):
     return {**known, "health": {"samples": 10, "lost_samples": 0}, **more}
 
 
-class Script:
-    """A service that answers by path, with the states of its job one after another."""
+def in_turn(*told):
+    return Script(*[answer(200, one) for one in told])
 
-    def __init__(self, *states, **refused):
-        self.asked = []
-        self._states = list(states)
-        self._answers = {
-            "machines/current:connect": {},
-            "machines": {"items": [{"id": "mill-1"}, {"id": "mill-2"}]},
-            "jobs": job("queued"),
-            "jobs/7/arming": {"token": "once"},
-            "jobs/7/arm": job("running"),
-        }
-        self._refused = refused
 
-    def __call__(self, request):
-        path = request.url.path.removeprefix("/api/v1/")
-        body = json.loads(request.content or b"{}")
-        self.asked.append((request.method, path, body, request.headers.get("If-Match")))
-        if self._refused:
-            return httpx2.Response(409, json=self._refused)
-        is_asked = path == "jobs/7"
-        content = self._states.pop(0) if is_asked else self._answers[path]
-        return httpx2.Response(200, json=content)
-
-    def open(self, address="http://mill"):
-        return Client(address, transport=httpx2.MockTransport(self))
+def measured(*states):
+    """The answers to an order of the first machine, whose job has these states."""
+    machines = {"items": [{"id": "mill-1"}, {"id": "mill-2"}]}
+    armed = {"token": "once"}, job("armed")
+    return in_turn({}, machines, job("queued"), *states, *armed)
 
 
 def test_the_first_machine_is_measured_by_arming_the_version_that_was_ready():
-    script = Script(job("preparing"), job("ready", version=5))
+    script = measured(job("preparing"), job("ready", version=5))
     with script.open() as client:
-        assert measure_on_the_fly(client) == "7"
-    order = {"kind": "measure-otf", "machine": "mill-1"}
-    assert script.asked[2] == ("POST", "jobs", order, None)
-    assert script.asked[-1] == ("POST", "jobs/7/arm", {"token": "once"}, '"5"')
+        assert calibration.measure_on_the_fly(client) == "7"
+    *_, order, _, _, _, arm = script.requests
+    assert (order.method, order.url.path) == ("POST", "/api/v1/jobs")
+    assert json.loads(order.content) == {"kind": "measure-otf", "machine": "mill-1"}
+    assert (arm.method, arm.url.path) == ("POST", "/api/v1/jobs/7/arm")
+    assert (arm.content, arm.headers["If-Match"]) == (b'{"token":"once"}', '"5"')
 
 
 def test_a_job_that_fails_before_it_is_ready_is_never_armed():
     problem = {"title": "Device", "detail": "the CNC is off", "action": "switch it on"}
-    script = Script(job("failed", error=problem))
+    script = measured(job("failed", error=problem))
     said = "failed: the CNC is off; switch it on"
     with script.open() as client, pytest.raises(MeasurementFailed, match=said):
-        measure_on_the_fly(client)
-    assert not [path for _, path, _, _ in script.asked if path.endswith("/arm")]
+        calibration.measure_on_the_fly(client)
+    assert len(script.requests) == 4, "nothing after its state"
 
 
 def test_progress_is_told_until_the_end():
-    nothing = {"done": 0, "total": 0}
-    script = Script(job("running"), job("running", progress=nothing), job("succeeded"))
-    told = Mock()
-    with script.open() as client:
-        follow_to_the_end(client, "7", told)
+    nothing, told = {"done": 0, "total": 0}, Mock()
+    states = job("running"), job("running", progress=nothing), job("succeeded")
+    with in_turn(*states).open() as client:
+        calibration.follow_to_the_end(client, "7", told)
     first, second, _ = (call.args for call in told.call_args_list)
     assert first == (0.25, "measuring", "10 samples, 0 lost")
     assert second[0] == 0.0
 
 
 def test_a_job_that_ends_badly_says_why():
-    said = "7 is faulted: no reason was given"
-    faulted = Script(job("faulted"))
+    said, faulted = "7 is faulted: no reason was given", in_turn(job("faulted"))
     with faulted.open() as client, pytest.raises(MeasurementFailed, match=said):
-        follow_to_the_end(client, "7", lambda *words: None)
+        calibration.follow_to_the_end(client, "7", lambda *words: None)
 
 
 def test_a_refusal_is_told_in_the_words_of_its_problem(monkeypatch, capsys):
-    refusing = Script(detail="the machine is in use", action="wait for it")
-    monkeypatch.setattr(calibration, "Client", refusing.open)
-    calibrate("http://mill")
+    refused = {"detail": "the machine is in use", "action": "wait for it"}
+    monkeypatch.setattr(calibration, "Client", Script(answer(409, refused)).open)
+    calibration.calibrate("http://mill")
     said = capsys.readouterr().err
     assert said == "the main job ended early: the machine is in use; wait for it\n"

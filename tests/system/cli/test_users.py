@@ -13,6 +13,7 @@ from truepath.users.roles import Actor, Role
 
 PASSWORD = "a long sentence is easy"
 pytestmark = pytest.mark.usefixtures("plain_log")  # migrating writes to the log
+LOG_IN = {"LOG_IN": "always"}
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def add(call, name, role):
     return call(*words, says=f"{PASSWORD}\n")
 
 
-def test_the_first_user_is_added_before_the_service_was_ever_started(call, catalogue):
+def test_users_are_added_before_any_start_change_and_go(call, catalogue):
     assert add(call, "anna", "administrator") == (0, "anna is administrator\n")
     access = Access(catalogue, AccessRules(log_in_required=True))
     assert access.log_in("anna", PASSWORD, "")[1] == Actor("anna", Role.ADMINISTRATOR)
@@ -46,6 +47,13 @@ def test_the_first_user_is_added_before_the_service_was_ever_started(call, catal
     _, listed = call("users", "list", "--json")
     (user,) = json.loads(listed)["users"]
     assert (user["name"], user["role"]) == ("anna", "administrator")
+    add(call, "ben", "viewer")
+    assert call("users", "set-role", "ben", "--role", "operator")[0] == 0
+    words = ("users", "set-password", "ben", "--password-stdin")
+    assert call(*words, says="quite another sentence\n")[0] == 0
+    assert "operator" in call("users", "list")[1]
+    assert call("users", "remove", "ben")[0] == 0
+    assert "ben" not in call("users", "list")[1]
 
 
 @pytest.mark.parametrize(
@@ -61,17 +69,6 @@ def test_what_cannot_be_is_one_line(call, words, said):
     assert status != 0
     assert said in line
     assert line.count("\n") == 1
-
-
-def test_users_change_and_go(call):
-    add(call, "anna", "administrator")
-    add(call, "ben", "viewer")
-    assert call("users", "set-role", "ben", "--role", "operator")[0] == 0
-    words = ("users", "set-password", "ben", "--password-stdin")
-    assert call(*words, says="quite another sentence\n")[0] == 0
-    assert "operator" in call("users", "list")[1]
-    assert call("users", "remove", "ben")[0] == 0
-    assert "ben" not in call("users", "list")[1]
 
 
 def test_a_key_is_printed_once_and_revoked(call, catalogue):
@@ -110,9 +107,6 @@ def test_a_certificate_is_made_with_its_settings(call, tmp_path):
     assert status == 0
     both = [f'tls_{kind} = "{tmp_path}/tls/{kind}.pem"' for kind in ("cert", "key")]
     assert said.splitlines() == both
-
-
-LOG_IN = {"LOG_IN": "always"}
 
 
 @pytest.mark.parametrize(

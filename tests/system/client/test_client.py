@@ -17,25 +17,15 @@ import httpx2
 import pytest
 from playwright.sync_api import sync_playwright
 
+from answers_in_turn import Script, answer
+from described_answers import read_document
 from service_process import process
-from truepath.client import (
-    AsyncClient,
-    Busy,
-    Client,
-    DeviceProblem,
-    JobEnded,
-    JobNotReached,
-    NotLoggedIn,
-    Problem,
-    Refused,
-    StaleVersion,
-    Unreachable,
-    bodies,
-    steps,
-)
+from truepath import client as api
+from truepath.client import AsyncClient, Client, Problem, Refused, Unreachable, bodies
 from truepath.client.problems import BadInput, ServiceProblem, make_problem
 
 ROOT = Path(__file__).parents[3]
+LOST = httpx2.ReadError("gone")
 
 
 def job(state, version=3, **more):
@@ -44,32 +34,7 @@ def job(state, version=3, **more):
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(steps, "REPEATS_S", (0.0, 0.0, 0.0))
-
-
-class Script:
-    """Answers requests in turn; an exception in place of an answer is a lost one."""
-
-    def __init__(self, *answers):
-        self.answers, self.requests = list(answers), []
-
-    def __call__(self, request):
-        self.requests.append(request)
-        answer = self.answers.pop(0)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    def open(self):
-        return Client("http://mill", transport=httpx2.MockTransport(self))
-
-
-DOCUMENT = json.loads((ROOT / "docs" / "openapi.json").read_text("utf-8"))
-LOST = httpx2.ReadError("gone")
-
-
-def answer(status, content, **headers):
-    return httpx2.Response(status, json=content, headers=headers)
+    monkeypatch.setattr(api.steps, "REPEATS_S", (0.0, 0.0, 0.0))
 
 
 def stream(*events):
@@ -135,19 +100,17 @@ def test_an_abort_is_sent_again_until_nobody_is_found_at_the_address():
 @pytest.mark.parametrize(
     ("status", "code", "family", "more"),
     [
-        (409, "busy", Busy, {"current_job": "/api/v1/jobs/8"}),
+        (409, "busy", api.Busy, {"current_job": "/api/v1/jobs/8"}),
         (409, "illegal-transition", Refused, {}),
-        (412, "stale-version", StaleVersion, {"current_version": 9}),
-        (401, "not-logged-in", NotLoggedIn, {}),
+        (412, "stale-version", api.StaleVersion, {"current_version": 9}),
+        (401, "not-logged-in", api.NotLoggedIn, {}),
         (422, "bundle", BadInput, {"errors": [{"type": "a"}]}),
-        (502, "device", DeviceProblem, {}),
+        (502, "device", api.DeviceProblem, {}),
         (500, "internal-error", ServiceProblem, {}),
         (418, "odd", Refused, {}),
     ],
 )
-def test_a_refusal_is_an_exception_of_its_kind_with_what_belongs_to_it(
-    status, code, family, more
-):
+def test_a_refusal_is_an_exception_with_what_belongs_to_it(status, code, family, more):
     content = {"code": code, "detail": "no", "action": "go on", "request_id": "r1"}
     content |= {"file": "path.csv", "row": 3, "column": "x_mm"} | more
     script = Script(answer(status, content, **{"Retry-After": "3"}))
@@ -165,12 +128,11 @@ def test_a_refusal_is_an_exception_of_its_kind_with_what_belongs_to_it(
 def test_waiting_ends_in_the_state_or_says_why_not():
     off = {"error": {"detail": "the CNC is off"}}
     told = job("preparing"), job("ready"), job("failed", **off), job("preparing")
-    script = Script(*[answer(200, one) for one in told])
-    with script.open() as client:
+    with Script(*[answer(200, one) for one in told]).open() as client:
         assert client.wait_for("7", "ready", period_s=0.0)["state"] == "ready"
-        with pytest.raises(JobEnded, match="failed: the CNC is off"):
+        with pytest.raises(api.JobEnded, match="failed: the CNC is off"):
             client.wait_for("7", "ready")
-        with pytest.raises(JobNotReached, match="preparing, not ready, after -1 s"):
+        with pytest.raises(api.JobNotReached, match="preparing, not ready, after -1 s"):
             client.wait_for("7", "ready", timeout_s=-1.0)
 
 
@@ -218,46 +180,31 @@ def test_a_token_goes_with_every_request_after_the_log_in():
     assert sent == [None, "Bearer secret", "Bearer secret"]
 
 
-SCHEMA_OF = {
-    bodies.Job: "JobOut",
-    bodies.JobLinks: "JobLinks",
-    bodies.ResultLinks: "ResultLinks",
-    bodies.Progress: "JobProgress",
-    bodies.Health: "JobHealth",
-    bodies.Run: "RunOut",
-    bodies.Plan: "PlanResource",
-    bodies.ErrorTables: "ErrorTablesOut",
-    bodies.ErrorTable: "ErrorTableOut",
-    bodies.Squareness: "SquarenessOut",
-    bodies.Verdict: "VerdictOut",
-    bodies.Estimate: "EstimateOut",
-    bodies.Condition: "ConditionOut",
-    bodies.System: "SystemOut",
-    bodies.Machine: "MachineEntry",
-    bodies.MachineRecord: "MachineDetail",
-    bodies.Problem: "Problem",
-}
+OUT = "Job Run ErrorTables ErrorTable Squareness Verdict Estimate Condition System"
+SCHEMA_OF = {name: name for name in ("JobLinks", "ResultLinks", "Problem")}
+SCHEMA_OF |= {name: f"{name}Out" for name in OUT.split()}
+SCHEMA_OF |= {"Progress": "JobProgress", "Health": "JobHealth", "Plan": "PlanResource"}
+SCHEMA_OF |= {"Machine": "MachineEntry", "MachineRecord": "MachineDetail"}
 
 
 @pytest.mark.parametrize("body", SCHEMA_OF)
 def test_the_types_of_the_client_are_those_of_the_interface(body):
-    described = DOCUMENT["components"]["schemas"][SCHEMA_OF[body]]["properties"]
-    assert set(get_type_hints(body)) <= set(described)
+    described = read_document()["components"]["schemas"][SCHEMA_OF[body]]["properties"]
+    assert set(get_type_hints(getattr(bodies, body))) <= set(described)
 
 
 JOB = {"id": "7", "version": 3, "state": "succeeded", "token": "once", "ended": "now"}
 PAGE = {**JOB, "items": [JOB], "next": None}
+OF_ALL = "log_out get_system connect get_machine stop list_conditions list_machines"
 OF_A_JOB = """
 get_job prepare_arming pause cancel abort acknowledge take_control delete_job
 get_verification list_certificates get_job_plan get_estimate get_result
-get_error_tables get_discovery get_trend get_reanalysis wait_for events
+get_error_tables get_discovery get_trend get_reanalysis wait_for events get_plan get_run
 """
 CALLS = {
     **dict.fromkeys(OF_A_JOB.split(), ("7",)),
-    **dict.fromkeys(("get_plan", "get_run"), ("7",)),
     **dict.fromkeys(("get_machine_record", "get_machine_standing"), ("mill",)),
-    **dict.fromkeys(("log_out", "get_system", "connect", "get_machine", "stop"), ()),
-    **dict.fromkeys(("list_conditions", "list_machines"), ()),
+    **dict.fromkeys(OF_ALL.split(), ()),
     **dict.fromkeys(("arm", "resume"), (JOB,)),
     "log_in": ("anna", "a long sentence"),
     "create_job": {"kind": "measure-otf"},
@@ -273,7 +220,9 @@ CALLS = {
     "get_machine_changes": ("mill", "7"),
     "get_machine_temperature": ("mill", {"sensor": ["X", "Y"]}),
     "compare_machines": {"machine": ["mill", "lathe"]},
-    "issue_certificate": ("7", {"language": "de"}),
+    **dict.fromkeys(
+        ("issue_certificate", "preview_certificate"), ("7", {"language": "de"})
+    ),
     "download": ("/api/v1/jobs/7/result/report.html",),
     "create_plan": {"mode": "otf"},
     "upload_bundle": (Path(__file__),),
@@ -281,8 +230,6 @@ CALLS = {
     "list_jobs": {"state": ["succeeded"]},
     "list_runs": {"machine": "mill"},
 }
-
-
 TLS = ssl.create_default_context()
 
 
@@ -290,8 +237,7 @@ TLS = ssl.create_default_context()
 def one_tls_context(monkeypatch):
     """One for all clients: each takes a twentieth of a second."""
     for face in ("sync_client", "async_client"):
-        made = f"truepath.client.{face}.make_tls_context"
-        monkeypatch.setattr(made, lambda _: TLS)
+        monkeypatch.setattr(f"truepath.client.{face}.make_tls_context", lambda _: TLS)
 
 
 def list_methods(face):
@@ -303,8 +249,6 @@ def test_no_method_is_left_out():
 
 
 class Service:
-    """Answers everything, and keeps what was asked."""
-
     def __init__(self):
         self.asked = []
 
@@ -360,14 +304,13 @@ def test_it_asks_what_is_described_and_returns_what_came(name, call):
     elif name == "download":
         assert json.loads(answer) == PAGE
     else:
-        listed = name.startswith("list_")
-        assert answer in ((JOB, [JOB]) if listed else (PAGE,))
+        assert answer in ((JOB, [JOB]) if name.startswith("list_") else (PAGE,))
 
 
 def find_operation(method, path):
     fitting = [
         operations[method.lower()]
-        for template, operations in DOCUMENT["paths"].items()
+        for template, operations in read_document()["paths"].items()
         if re.fullmatch(re.sub(r"\{\w+\}", "[^/:]+", template), path)
         and method.lower() in operations
     ]
@@ -386,7 +329,7 @@ def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
     assert done.stdout == written.read_text("utf-8")
 
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "clients.md").read_text("utf-8")
+GUIDE = (ROOT / "docs" / "clients.md").read_text("utf-8")
 ADDRESS = "http://127.0.0.1:8411"
 
 
@@ -406,9 +349,8 @@ def read_example(language):
 def test_the_python_example_calibrates_a_machine(address):
     program = read_example("python").replace(ADDRESS, address)
     assert len(program.splitlines()) <= 22
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=200
-    )
+    run = [sys.executable, "-c", program]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     *progress, verdict, table = done.stdout.splitlines()
     assert progress[0].startswith("measuring")

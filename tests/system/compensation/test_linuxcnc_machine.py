@@ -1,18 +1,25 @@
 """A real controller, not ours, drives our program and corrects by our tables."""
 
+import os
+import threading
+import time
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 
-from linuxcnc_machine import TRAVEL, run_program
 from mills import build_mill
+from processes import until
 from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import map_errors
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.motion.nc_programs.programs import write_program
+from truepath_drivers.cnc.linuxcnc.rsh import RshLink
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators.linuxcnc.rig import explain_absence
+from truepath_drivers.transport.tcp_port import TcpPort
+from truepath_simulators.linuxcnc.files import LinuxCncMachine
+from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
 
 ABSENT = explain_absence()
 NEEDED = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")
@@ -22,12 +29,67 @@ pytestmark = [pytest.mark.long, NEEDED]
 ROWS = [(10, 10, -10), (60, 10, -10), (110, 10, -10)]
 ROWS += [(110, 60, -60), (10.1234, 10, -10), (60, 10, -10)]
 FEED = [6000.0, 6000.0, 3000.0, 6000.0, 6000.0, 6000.0]
+TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 DWELL_S = [0.5, 0.0, 0.3, 0.0, 0.2, 0.4]
+
+
+def run_program(program, tables):
+    """Run a program on a headless LinuxCNC with three ideal axes, sampled at 1 kHz.
+
+    Return commanded and motor positions (n, 3), each millisecond of the program.
+
+    tables : compensation table of each axis, type 0
+    """
+    machine = LinuxCncMachine(TRAVEL, tables)
+    with LinuxCncRig(machine, watchdog=False, samples=True) as rig:
+        samples = _Samples(rig.positions)
+        rsh = RshLink(TcpPort(*rig.address()), "EMC", "EMCTOO", 5.0)
+        rsh.open()
+        file = FilePath(rig.motion_options["program_folder"]) / "program.ngc"
+        file.write_text(program)
+        for wish in ("estop off", "machine on", "mode manual", "home -1"):
+            until(lambda wish=wish: rsh.order(wish), 20.0)
+        until(lambda: rsh.read("joint_homed").startswith("YES YES YES"), 20.0)
+        begin = len(samples.rows)
+        for wish in ("mode auto", f"open {file}", "run"):
+            until(lambda wish=wish: rsh.order(wish), 20.0)
+        until(lambda: _has_ended(rsh), 60.0)
+        time.sleep(0.3)
+        assert rsh.take_errors() == []
+        rsh.close()
+    rows = np.array(samples.end()[begin:])
+    assert (np.diff(rows[:, 0]) == 1).all()
+    return rows[:, 4:], rows[:, 1:4]
+
+
+class _Samples:
+    def __init__(self, descriptor):
+        self.rows = []
+        self._descriptor = os.dup(descriptor)
+        self._thread = threading.Thread(target=self._take)
+        self._thread.start()
+
+    def _take(self):
+        with os.fdopen(self._descriptor) as lines:
+            for line in lines:
+                row = line.split()
+                if len(row) == 7 and line.endswith("\n"):  # the last one may be cut
+                    self.rows.append([float(word) for word in row])
+
+    def end(self):
+        self._thread.join()
+        return self.rows
+
+
+def _has_ended(rsh):
+    status = rsh.read("program_status").upper()
+    if status == "PAUSED":
+        rsh.order("resume")
+    return status == "IDLE"
 
 
 @pytest.fixture(scope="module")
 def source(loaded):
-    """A result whose machine has 8 µm of lost motion in X."""
     axis = loaded.machine.linear_axes[0]
     half_um = {"X": (np.array([axis.low, axis.high]), np.full(2, 4.0))}
     return map_errors(replace(loaded, half_difference_um=half_um))
@@ -35,7 +97,6 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def driven(source):
-    """Commanded and motor positions of one program with tables."""
     axes = tuple(LinearAxis(name, *travel) for name, travel in TRAVEL.items())
     machine = replace(build_mill((0.0, 0.0, -100.0)), axes=axes)
     columns = (np.array(one, float) for one in (ROWS, FEED, DWELL_S))
@@ -45,13 +106,9 @@ def driven(source):
     return (*run_program(write_program(path, machine, "linuxcnc"), tables), tables)
 
 
-def speed_mm_s(position_mm):
-    return 1e3 * np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
-
-
 def test_the_controller_comes_to_a_stand_on_every_row_at_the_feed_and_dwells(driven):
     commanded, _, _ = driven
-    speed = speed_mm_s(commanded)
+    speed = 1e3 * np.linalg.norm(np.diff(commanded, axis=0), axis=1)  # mm/s
     begin = 0
     for row, feed in zip(ROWS, FEED, strict=True):
         away = np.linalg.norm(commanded[begin:-1] - row, axis=1)

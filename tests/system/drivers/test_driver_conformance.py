@@ -1,6 +1,7 @@
 """Every registered driver keeps what the interfaces promise."""
 
 import time
+from functools import partial
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -13,10 +14,9 @@ from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
 from truepath_simulators.bench.bench import Bench
 
-TRACKERS, CONTROLLERS = (
-    {point.name: point for point in entry_points(group=f"truepath.{devices}")}
-    for devices in ("trackers", "motion_controllers")
-)
+TRACKERS = {one.name: one for one in entry_points(group="truepath.trackers")}
+MOTION = "truepath.motion_controllers"
+CONTROLLERS = {one.name: one for one in entry_points(group=MOTION)}
 POLLED = {"geocom": "pty", "t2sa": "tcp"}  # each has simulated instruments of its own
 # Where drivers of ours find a device; a new one needs a word here.
 HERE = {"streaming", "modbus", *POLLED}
@@ -56,8 +56,7 @@ def test_every_registered_driver_of_ours_has_a_peer():
 
 @pytest.mark.parametrize("check", tracker.TRACKER_CHECKS)
 def test_the_streaming_tracker_conforms(tracker_bench, check):
-    factory = TRACKERS["streaming"].load()
-    check(lambda: factory(**tracker_bench.tracker_options))
+    check(partial(TRACKERS["streaming"].load(), **tracker_bench.tracker_options))
 
 
 @pytest.fixture(scope="module", params=POLLED)
@@ -71,8 +70,7 @@ def polled_bench(request):
 @pytest.mark.parametrize("check", POLLED_CHECKS)
 def test_polled_trackers_conform(polled_bench, check):
     name, bench = polled_bench
-    factory = TRACKERS[name].load()
-    check(lambda: factory(**bench.tracker_options))
+    check(partial(TRACKERS[name].load(), **bench.tracker_options))
 
 
 @pytest.mark.long
@@ -90,8 +88,7 @@ def test_a_plan_gives_the_place_of_the_points_beside_it(polled_bench):
 @pytest.mark.parametrize("wire", ["motion_options", "motion_options_rtu"])
 @pytest.mark.parametrize("check", motion.MOTION_CHECKS)
 def test_the_modbus_controller_conforms(motion_bench, wire, check):
-    factory = CONTROLLERS["modbus"].load()
-    check(lambda: factory(**getattr(motion_bench, wire)))
+    check(partial(CONTROLLERS["modbus"].load(), **getattr(motion_bench, wire)))
 
 
 # What brings each trouble about on the bench; lost replies are in faults/.
@@ -107,11 +104,8 @@ TROUBLES = {
 @pytest.mark.parametrize("check", TROUBLES)
 def test_modbus_keeps_in_trouble_what_it_promises(check):
     with Bench(speed=5.0, rtu=False) as bench:
-        factory = CONTROLLERS["modbus"].load()
-        check(
-            lambda: factory(**bench.motion_options),
-            lambda: bench.inject(TROUBLES[check]),
-        )
+        make = partial(CONTROLLERS["modbus"].load(), **bench.motion_options)
+        check(make, partial(bench.inject, TROUBLES[check]))
 
 
 @pytest.mark.parametrize("name", ABSENT)
@@ -121,15 +115,11 @@ def test_absent_devices_are_device_errors(name):
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 5000.0])
-def test_the_rate_is_a_term_of_the_checks_and_none_of_5_khz_is_lost(
-    tracker_bench, rate_hz
-):
-    factory = TRACKERS["streaming"].load()
+def test_the_rate_is_a_term_and_none_of_5_khz_is_lost(tracker_bench, rate_hz):
+    make = partial(TRACKERS["streaming"].load(), **tracker_bench.tracker_options)
     with on_terms(rate_hz=rate_hz, patience_s=2.0):
-        tracker.times_are_those_of_the_samples(
-            lambda: factory(**tracker_bench.tracker_options)
-        )
-    with factory(**tracker_bench.tracker_options) as connected:
+        tracker.times_are_those_of_the_samples(make)
+    with make() as connected:
         connected.start(rate_hz)
         first = connected.read(2.0)
         assert len(first) > 0

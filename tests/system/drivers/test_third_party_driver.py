@@ -6,25 +6,26 @@ import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from driven_cell import CALM
 from measuring import Measuring
-from paths_by_hand import path_of
+from paths_by_hand import ACROSS
+from tracker_peers import read_samples
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.time_limits import StreamTimeouts
 from truepath.plugins import load
 from truepath.settings import load_settings
 from truepath_drivers.conformance import device
 from truepath_drivers.conformance.checking import on_terms
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.replay.recorded_run import read_recorded_run
@@ -33,9 +34,6 @@ from truepath_simulators.scenario import load_machine
 pytestmark = pytest.mark.long
 EXAMPLE = Path(__file__).parents[3] / "docs" / "example-driver"
 NAME = "othermake-lt50"
-CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
-ENDS = (20, 20, 20), (480, 380, 20), (20, 380, 280), (480, 20, 280), (20, 20, 20)
-CORNERS = path_of(*ENDS, feed=12_000.0, dwell_s=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +61,8 @@ def rig():
 @contextmanager
 def imitate(rig, share=0.0):
     """Start an instrument that looks at the rig's machine; yield where it listens."""
-    command = [
-        sys.executable,
-        EXAMPLE / "imitate_othermake.py",
-        rig.control,
-        str(share),
-    ]
+    script = EXAMPLE / "imitate_othermake.py"
+    command = [sys.executable, script, rig.control, str(share)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield {"host": "127.0.0.1", "port": int(process.stdout.readline())}
         process.kill()
@@ -89,9 +83,8 @@ def test_it_conforms(options, check):
 
 def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):
     make = load("truepath.trackers", NAME)
-    device.a_device_that_is_not_there_is_a_device_error(
-        lambda: make("127.0.0.1", free_port)
-    )
+    away = partial(make, "127.0.0.1", free_port)
+    device.a_device_that_is_not_there_is_a_device_error(away)
     with make(**options) as tracker, pytest.raises(Refused, match="rate_hz in machine"):
         tracker.start(500.0)
 
@@ -100,11 +93,9 @@ def test_damaged_lines_are_counted_and_never_samples(rig):
     make = load("truepath.trackers", NAME)
     with imitate(rig, share=0.2) as worn, make(**worn) as tracker:
         tracker.start(50.0)
-        blocks = []
-        while sum(map(len, blocks)) < 300:
-            blocks.append(tracker.read(2.0))
+        read = read_samples(tracker, 300)
         health = tracker.health
-    read = TrackerSamples.join(blocks)
+
     assert health.crc_errors > 20
     assert read.lost > 20
     assert np.ptp(read.position_mm, axis=0).max() < 0.1
@@ -129,7 +120,7 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
     motion = settings.motion_driver, settings.motion_options
     config = CellConfig(*tracker, *motion, CALM)
     machine = machine_from_json(content)
-    order = MeasurementOrder("theirs", str(run_file), machine, CORNERS, rate_hz=50.0)
+    order = MeasurementOrder("theirs", str(run_file), machine, ACROSS, rate_hz=50.0)
     with Measuring(config, order) as measuring:
         closed = measuring.until_closed()
     assert measuring.faults == set()

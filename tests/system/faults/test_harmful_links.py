@@ -44,8 +44,7 @@ def require_true(read, truth):
     np.testing.assert_array_equal(truth.device_time_s[index], read.device_time_s)
     np.testing.assert_array_equal(truth.position_mm[index], read.position_mm)
     np.testing.assert_array_equal(truth.status[index], read.status)
-    lost = (np.diff(read.sequence) - 1).sum()
-    assert lost == (np.diff(index) - 1).sum()
+    assert (np.diff(read.sequence) - 1).sum() == (np.diff(index) - 1).sum()
 
 
 @pytest.mark.parametrize(

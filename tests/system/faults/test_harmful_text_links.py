@@ -79,10 +79,8 @@ def test_lines_that_come_late_or_in_pieces_are_the_same(relay, harm):
     scope="module", params=["geocom", pytest.param("t2sa", marks=pytest.mark.long)]
 )
 def polled(request):
-    link = "pty" if request.param == "geocom" else "tcp"
-    with Bench(
-        protocol=request.param, tracker=link, speed=20.0, rtu=False, seed=3
-    ) as bench:
+    how = {"tracker": "pty" if request.param == "geocom" else "tcp", "speed": 20.0}
+    with Bench(protocol=request.param, rtu=False, seed=3, **how) as bench:
         yield request.param, bench
 
 
@@ -153,8 +151,7 @@ def require_places(pairs):
 def test_points_over_a_slow_link_are_those_of_now(polled, harm):
     with linked(polled, 9) as (bench, proxy, tracker):
         pairs, errors = measure_by(tracker, bench, harm, proxy)
-    assert errors == 0
-    assert len(pairs) == 6
+    assert (errors, len(pairs)) == (0, 6)
     require_places(pairs)
 
 

@@ -58,12 +58,7 @@ def test_a_second_service_is_refused_until_the_first_has_ended(make_database):
             hold_catalogue(second, patience_s=0.0).__enter__()
         assert is_free(elsewhere), "another catalogue of the same server"
     wait_until(lambda: is_free(second), "the lock is free")
-
-
-@pytest.mark.long
-def test_a_lock_that_a_restart_has_lost_is_taken_again(make_database):
-    name, first = make_database()
-    _, second = make_database(name)
+    # One that a restart of the server has lost is taken again.
     with hold_catalogue(first, look_every_s=0.1):
         before = find_holder(second)
         end_sessions(second)

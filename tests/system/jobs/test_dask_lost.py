@@ -17,7 +17,6 @@ from truepath.jobs.workers.workers import Workers, open_workers
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.long, pytest.mark.timeout(120)]
-
 PATIENCE_S = 5.0
 BOUND_S = 45.0
 TASKS = """
@@ -46,17 +45,13 @@ def tasks(import_code):
 def cluster(tasks, free_tcp_port):
     """A scheduler and two workers, processes of their own; the scheduler is first."""
     address = f"tcp://127.0.0.1:{free_tcp_port}"
-    here = os.path.dirname(tasks.__file__)
-    environment = os.environ | {"PYTHONPATH": here}
+    environment = os.environ | {"PYTHONPATH": os.path.dirname(tasks.__file__)}
 
     def start(program, options):
-        return subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{program}", *options.split()],
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        words = [sys.executable, "-m", f"distributed.cli.{program}", *options.split()]
+        quiet = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+        how = {"env": environment, "start_new_session": True, **quiet}
+        return subprocess.Popen(words, **how)
 
     at = f"--host 127.0.0.1 --port {free_tcp_port}"
     running = [start("dask_scheduler", f"{at} --no-dashboard --no-show")]
@@ -131,8 +126,6 @@ def test_the_same_bits_come_whoever_dies(tasks, cluster, tmp_path, harm, measure
 @pytest.mark.fault_row(38)
 def test_a_block_that_ends_every_worker_is_given_up_by_name(tasks, cluster):
     workers = Workers("dask", scheduler=cluster[0], patience_s=20.0)
-    with (
-        open_workers(workers) as mapper,
-        pytest.raises(WorkerDied, match="block 2 ended every worker"),
-    ):
+    said = "block 2 ended every worker"
+    with open_workers(workers) as mapper, pytest.raises(WorkerDied, match=said):
         list(mapper(partial(tasks.crash, os.getpid()), range(4)))

@@ -1,26 +1,25 @@
-"""Tables while the machine moves: in time, never in anybody's way, and planned by."""
+"""Real services that measure: tables in time and planned by, two machines at once."""
 
 import json
 import os
 import signal
 import time
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from api_builders import rows_at
 from arming import arm_at_once
+from job_builders import OTF
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
 from truepath.cli.demo import compare_with_truth
 from truepath.jobs.kinds.job_creation import RequestedJob
-from truepath.jobs.running.live_estimation import (
-    PERIOD_S,
-    WAITING_BLOCKS,
-    LiveEstimation,
-)
+from truepath.jobs.running import live_estimation
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run
@@ -43,7 +42,8 @@ def shown():
 
 @pytest.fixture
 def live(run, shown):
-    live = LiveEstimation(LiveEstimateOrder(run.machine, run.commanded), shown.append)
+    order = LiveEstimateOrder(run.machine, run.commanded)
+    live = live_estimation.LiveEstimation(order, shown.append)
     yield live
     live.close()
     live.close()
@@ -51,7 +51,7 @@ def live(run, shown):
 
 def feed(live, run, until=lambda: False):
     for begin in range(0, len(run.tracker), 200):
-        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
+        wait_until(lambda: live._queue.qsize() < live_estimation.WAITING_BLOCKS)
         live.offer(run.tracker.select(slice(begin, begin + 200)))
         if until():
             return
@@ -93,18 +93,17 @@ def test_an_estimate_is_told_with_its_age_until_its_process_dies(run, live, show
     told = [body for body in shown if body["done"] == shown[-1]["done"]]
     ages = [body["age_s"] for body in told]
     assert ages == sorted(ages)
-    assert len(told) >= 1.0 / (2 * PERIOD_S)
+    assert len(told) >= 1.0 / (2 * live_estimation.PERIOD_S)
     assert len({body["volumetric_uncertainty_um"] for body in told}) == 1
     live._process.kill()
     live.finish()
     count = len(shown)
-    time.sleep(3 * PERIOD_S)  # silence can only be waited for
+    time.sleep(3 * live_estimation.PERIOD_S)  # silence can only be waited for
     assert len(shown) == count
     assert not shown[-1]["is_last"]
 
 
 def links_to(bench, folder):
-    """Settings of a service that drives the machine of a bench."""
     file = folder / "machine.json"
     file.write_text(json.dumps(bench.machine), encoding="utf-8")
     options = bench.tracker_options, bench.motion_options
@@ -238,3 +237,49 @@ def test_standstills_are_chosen_one_by_one(tmp_path):
     assert len(run.commanded) == len(done.first["position"]) + len(parts)
     predicted = [part["predicted_um"] for part in parts]
     assert predicted[-1] < predicted[0] or len(parts) == 1
+
+
+CORNERS = ((10, 10, 10), (400, 10, 10), (400, 300, 10), (10, 300, 200), (10, 10, 10))
+
+
+def begin_on_bench(service, machine):
+    rows = rows_at(*CORNERS, feed_mm_min=9000.0, dwell_s=1.0)
+    job, _ = service.dispatcher.create(replace(OTF, machine=machine, rows=rows))
+    wait_until(lambda: service.store.get(job.id).state == "ready", f"{machine} ready")
+    arm_at_once(service.dispatcher, job.id, service.store.get(job.id).version)
+
+    def streams():
+        now = service.dispatcher.show(service.store.get(job.id))
+        assert not now.is_final, now.failure
+        return now.state == "running" and now.health.samples > 0
+
+    wait_until(streams, f"{machine} to stream")
+    return job
+
+
+@pytest.mark.long
+@pytest.mark.timeout(180)
+def test_two_benches_measure_at_once_and_the_death_of_a_cell_leaves_the_other(tmp_path):
+    simulated = {"simulated": True, "simulated_machines": 2}
+    settings = load_settings(data_dir=tmp_path / "data", port=0, **simulated)
+    with open_service(settings) as service:
+        first, second = service.machines.list_all()
+        assert (first.id, second.id) == ("default", "bench-2")
+        tried = service.setup.try_devices(second.id)
+        assert tried.samples > 100
+        assert tried.lost_samples == 0
+        assert tried.distance_mm is not None
+        killed = begin_on_bench(service, second.id)
+        surviving = begin_on_bench(service, first.id)
+        second.cell.kill()
+        wait_until(lambda: service.store.get(killed.id).is_final, "the killed job")
+        dead, alive = (service.store.get(j.id) for j in (killed, surviving))
+        assert dead.state == "faulted"
+        assert not alive.is_final
+        assert first.cell.status.restarts == 0
+        wait_until(lambda: service.runs.find([surviving.id]), "the other's Run")
+        run = service.runs.get(surviving.id)
+        assert (run.complete, run.lost_samples) == (True, 0)
+        provenance = open_run(service.runs.file(run.id)).provenance
+        assert provenance["machine_id"] == "default"
+        assert provenance["machine_version"] == "1"

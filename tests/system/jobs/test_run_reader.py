@@ -21,7 +21,6 @@ LARGEST_BYTES = 1 << 30
 HEADER = b"t_s,x_mm,y_mm,z_mm\n"
 PATH = b"x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n10,10,10,1000,1\n400,300,200,1000,1\n"
 COLUMNS = ("t_s", "x_mm", "y_mm", "z_mm")
-
 pytestmark = pytest.mark.fault_row(36)
 
 
@@ -55,26 +54,15 @@ BEYOND = "cannot be read within 64 MiB of memory"
 PARQUET, CSV, MACHINE = "tracker.parquet", "tracker.csv", "machine.json"
 MANY = np.zeros(3_000_000)
 DEEP = b'{"a":' * 980 + b'"\\u0041"' + b"}" * 980  # as can just be read
-LINE = "is longer than 64 KiB"
+WIDE = b",".join(b"c%d" % n for n in range(501)) + b"\n"
+LINE, RAISE = "is longer than 64 KiB", f"{BEYOND}; send less, or raise upload_memory_mb"
 HOSTILE = [
     (lambda: encode(np.zeros(2_200_000)), PARQUET, "packs so well"),
     (lambda: encode(pa.array(["0" * 100_000] * 700)), PARQUET, "long texts"),
-    (
-        lambda: encode(MANY, t_s=np.arange(3_000_000) / 500),
-        PARQUET,
-        f"{BEYOND}; send less, or raise upload_memory_mb",
-    ),
-    (
-        lambda: HEADER + b"1" * 6_000_000,
-        f"{CSV}, row 2",
-        f"{LINE}; end every row with a line break",
-    ),
+    (lambda: encode(MANY, t_s=np.arange(3_000_000) / 500), PARQUET, RAISE),
+    (lambda: HEADER + b"1" * 6_000_000, f"{CSV}, row 2", f"{LINE}; end every row with"),
     (lambda: HEADER[:-1] + b"," * 6_000_000, f"{CSV}, row 1", LINE),
-    (
-        lambda: b",".join(b"c%d" % n for n in range(501)) + b"\n",
-        f"{CSV}, row 1",
-        "has 501 columns, more than 500",
-    ),
+    (lambda: WIDE, f"{CSV}, row 1", "has 501 columns, more than 500"),
     (lambda: b"a\rb,c\n", f"{CSV}, row 1", "cannot be read as CSV"),
     (lambda: bytes(100 << 20), CSV, BEYOND),
     (lambda: b"[" * 2_000_000, MACHINE, "nested too deeply"),
@@ -121,8 +109,8 @@ def signal_reader(small_reader, tmp_path):
 @pytest.mark.parametrize(
     ("number", "patience_s", "text"),
     [
-        (signal.SIGKILL, 30.0, f"bundle: {BEYOND}"),
-        (signal.SIGSTOP, 0.2, "bundle: cannot be read within 0.2 s"),
+        (signal.SIGKILL, 30.0, BEYOND),
+        (signal.SIGSTOP, 0.2, "cannot be read within 0.2"),
     ],
 )
 def test_a_reader_that_dies_or_hangs_is_replaced(
@@ -132,7 +120,7 @@ def test_a_reader_that_dies_or_hangs_is_replaced(
     limits = ReadingLimits(memory_mb=64, patience_s=patience_s)
     with monkeypatch.context() as patient:
         patient.setattr(small_reader, "_limits", limits)
-        with pytest.raises(BundleError, match=text):
+        with pytest.raises(BundleError, match=f"bundle: {text}"):
             small_reader.read_facts(good, LARGEST_BYTES)
     assert small_reader.read_facts(good, LARGEST_BYTES).samples == 100
 

@@ -9,14 +9,16 @@ import threading
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import psutil
 import pytest
 
-from driven_cell import Driven, config_of, measured_by_another
+from driven_cell import CALM, Driven, config_of, measured_by_another
 from measurement_fixtures import standing_at
 from processes import until
+from recorded import nominal_error_mm
 from truepath.alignment.align import align
 from truepath.errors import MeasurementFailed, OutOfTravel, TruepathError
 from truepath.files.bundle.machine_file import machine_from_json
@@ -36,8 +38,7 @@ from truepath_simulators.bench.bench import Bench
 SPEED = 10.0
 RATE_HZ = 100.0  # a fifth of the usual one: less work for the same motion
 HELD_S = 3.0  # by then a watchdog of one second holds, on a busy computer too
-# A computer that is busy with other things is no silent tracker.
-CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+
 PATIENT = StreamTimeouts(search_s=0.0)
 """The patience of the service, which asks for no search."""
 
@@ -83,12 +84,9 @@ def watchful(start):
 def orders(bench):
     """Orders of paths by their number of lines: planning takes longer than starting."""
     machine = machine_from_json(bench.machine)
-    return {
-        lines: messages.MeasurementOrder(
-            "bench", "", machine, default_path(machine, lines=lines), RATE_HZ
-        )
-        for lines in (4, 7)
-    }
+    paths = {lines: default_path(machine, lines=lines) for lines in (4, 7)}
+    order = partial(messages.MeasurementOrder, "bench", "", machine)
+    return {lines: order(path, RATE_HZ) for lines, path in paths.items()}
 
 
 @pytest.fixture
@@ -104,7 +102,7 @@ def long_order(orders, tmp_path):
 
 @pytest.fixture
 def machine_state(bench):
-    """Looks at the CNC as somebody else would."""
+
     with ModbusController(**bench.motion_options) as controller:
         yield controller.status
 
@@ -117,19 +115,16 @@ def moves(run):
 
 
 def test_over_rtu_a_cell_reads_sensors_tries_trackers_and_measures(bench, start, order):
-    driven = start(
-        motion_options=bench.motion_options_rtu,
-        thermometer_driver="modbus-registers",
-        thermometer_options=bench.thermometer_options,
-    )
+    sensors = {"thermometer_driver": "modbus-registers"}
+    sensors["thermometer_options"] = bench.thermometer_options
+    driven = start(motion_options=bench.motion_options_rtu, **sensors)
     driven.until(lambda: bool(driven.of(messages.TemperaturesRead)))
     readings = driven.of(messages.TemperaturesRead)[0].readings
     assert readings
     assert all(10.0 < value < 40.0 for value in readings.values()), readings
     driven.until(lambda: bool(driven.of(messages.ControllerRead)))
     read = driven.of(messages.ControllerRead)[0]
-    assert len(read.status.position) == len(read.axes)
-    assert read.axes == ("X", "Y", "Z")
+    assert (len(read.status.position), read.axes) == (len(read.axes), ("X", "Y", "Z"))
     trial = messages.TrackerTrial(500.0, 0.2, streams_only=True)
     tried = driven.cell.try_tracker(trial)
     assert tried.rate_hz == pytest.approx(500.0, rel=0.01)
@@ -164,8 +159,7 @@ def test_a_cell_measures_points_again_until_enough_is_known(connected, order, tm
     closed = connected.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
     run = open_run(order.run_file)
-    assert run.mode == "standstill"
-    assert moves(run) == 2
+    assert (run.mode, moves(run)) == ("standstill", 2)
     assert connected.of(messages.MeasurementProgress)[-1].done == 3
     connected.events.clear()
     points = standing_at(quick, corners[:4], 8.0)
@@ -199,7 +193,7 @@ def test_a_cell_says_who_answers_and_takes_no_order_that_cannot_be_driven(start,
         driven.cell.begin(replace(order, commanded=far))
 
 
-def test_pause_resume_and_abort_reach_the_machine_and_a_second_order_does_not(
+def test_verbs_reach_the_machine_and_a_second_order_does_not(
     connected, long_order, machine_state, tmp_path
 ):
     connected.begin(long_order, line=1)
@@ -219,8 +213,7 @@ def test_pause_resume_and_abort_reach_the_machine_and_a_second_order_does_not(
     assert machine_state().state == "aborted"
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
-    assert run.provenance["outcome"] == "aborted"
-    assert connected.faults == ["busy"]
+    assert (run.provenance["outcome"], connected.faults) == ("aborted", ["busy"])
     assert not (tmp_path / "other.sqlite").exists()
 
 
@@ -261,8 +254,7 @@ def assert_held(status):
 def test_an_orphaned_cell_holds_and_ends(bench, long_order, tmp_path, machine_state):
     given = tmp_path, config_of(bench), long_order
     with measured_by_another(*given) as (parent, cell, told):
-        while next(told) < 1:
-            pass
+        next(done for done in told if done)
         parent.kill()
         cell.wait(25.0)
     assert_held(machine_state())
@@ -285,39 +277,27 @@ def test_an_ended_cell_holds_the_feed(connected, long_order, machine_state, is_c
     assert open_run(long_order.run_file).provenance["outcome"] == "aborted"
 
 
+SILENCE = f"tracker:silence+{1.2 * SPEED}s"
+FLIPS = f"tracker:bit-flip+{0.5 * SPEED}s*0.95"
+HOLD, STOP = f"cnc:feed-hold+{SPEED}s", f"cnc:override+{13 * SPEED}s*0"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "code"),
     [
-        pytest.param(
-            f"tracker:silence+{1.2 * SPEED}s",
-            "tracker-silent",
-            marks=pytest.mark.fault_row(5),
-        ),
-        pytest.param(
-            f"tracker:bit-flip+{0.5 * SPEED}s*0.95",
-            "stream-damaged",
-            marks=pytest.mark.fault_row(1),
-        ),
+        pytest.param(SILENCE, "tracker-silent", marks=pytest.mark.fault_row(5)),
+        pytest.param(FLIPS, "stream-damaged", marks=pytest.mark.fault_row(1)),
         pytest.param("cnc:disconnect", "", marks=pytest.mark.fault_row(16)),
-        pytest.param(
-            f"cnc:feed-hold+{SPEED}s",
-            "held-at-machine",
-            marks=pytest.mark.fault_row(20),
-        ),
-        pytest.param(
-            f"cnc:override+{13 * SPEED}s*0",
-            "feed-override",
-            marks=pytest.mark.fault_row(20),
-        ),
+        pytest.param(HOLD, "held-at-machine", marks=pytest.mark.fault_row(20)),
+        pytest.param(STOP, "feed-override", marks=pytest.mark.fault_row(20)),
     ],
 )
 def test_faults_that_pass_are_borne(bench, watchful, long_order, fault, code, measured):
     watchful.begin(long_order, line=1)
     bench.inject(fault)
     closed = watchful.until_closed()
-    assert closed.outcome == "finished"
-    assert set(watchful.faults) == {code} - {""}
+    assert (closed.outcome, set(watchful.faults)) == ("finished", {code} - {""})
     if fault.startswith("tracker"):
         least_s = 0.5 if code == "tracker-silent" else 0.3
         assert closed.lost_samples > least_s * SPEED * RATE_HZ
@@ -356,19 +336,12 @@ def suspended(*process_ids):
             os.kill(process_id, signal.SIGCONT)
 
 
-@pytest.mark.parametrize(
-    ("who", "for_s"),
-    [
-        ("tracker cnc cell", 1.4),
-        pytest.param("tracker", 0.6, marks=pytest.mark.long),
-        pytest.param("cnc", 1.4, marks=pytest.mark.long),
-        pytest.param("tracker", 2.0, marks=pytest.mark.long),
-        pytest.param("cnc", 0.6, marks=pytest.mark.long),
-        pytest.param("tracker cnc", 0.6, marks=pytest.mark.long),
-        pytest.param("tracker cnc", 1.4, marks=pytest.mark.long),
-        pytest.param("cell", 0.7, marks=pytest.mark.long),
-    ],
-)
+SHORT = ("tracker", 0.6), ("cnc", 0.6), ("tracker cnc", 0.6), ("cell", 0.7)
+LONGER = ("cnc", 1.4), ("tracker cnc", 1.4), ("tracker", 2.0)
+OTHERS = [pytest.param(*given, marks=pytest.mark.long) for given in SHORT + LONGER]
+
+
+@pytest.mark.parametrize(("who", "for_s"), [("tracker cnc cell", 1.4), *OTHERS])
 @pytest.mark.fault_row(30)
 def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     bench, watchful, long_order, who, for_s, measured
@@ -378,8 +351,7 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     with suspended(*(ids[name] for name in who.split())):
         time.sleep(for_s)  # what is tested is that time passes
     closed = watchful.until_closed()
-    assert closed.outcome == "finished"
-    assert closed.lost_samples == 0
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
     assert set(watchful.faults) <= {"tracker-silent", "control-late"}
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
@@ -421,8 +393,7 @@ def test_a_target_that_only_a_search_finds_needs_nobody(bench, start, order):
     assert (run.tracker.status != 0).any()
     assert len(run.commanded) > len(order.commanded)
     seen = align(run)
-    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
-    assert np.abs(off).max() < 0.4
+    assert np.abs(nominal_error_mm(seen)).max() < 0.4
     missing = set(range(1, len(run.commanded))) - set(seen.row.tolist())
     assert len(missing) <= 1  # the line that the beam was lost on
 

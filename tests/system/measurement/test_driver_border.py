@@ -42,15 +42,11 @@ def drive(tmp_path):
             options = {"tracker": {}, "motion": {}, "thermometer": {}}
             options[device] = {"verb": verb, "fault": fault, **given}
             options["motion"]["diary"] = str(tmp_path / "diary")
-            config = messages.CellConfig(
-                "hostile",
-                options["tracker"],
-                "hostile",
-                options["motion"],
-                allow_no_watchdog=True,
-                thermometer_driver="hostile" if device == "thermometer" else "",
-                thermometer_options=options["thermometer"],
-            )
+            devices = "hostile", options["tracker"], "hostile", options["motion"]
+            name = "hostile" if device == "thermometer" else ""
+            sensors = {"thermometer_driver": name}
+            sensors["thermometer_options"] = options["thermometer"]
+            config = messages.CellConfig(*devices, **sensors, allow_no_watchdog=True)
             driven = stack.enter_context(Driven(config, beats=True))
             stack.callback(driven.cell.kill)
             return driven
@@ -119,11 +115,9 @@ def test_a_driver_that_lets_nothing_else_run_is_ended_and_named(measuring):
 @pytest.mark.parametrize("way", ["killed", "ends"])
 def test_no_cell_outlives_its_parent_though_a_driver_hangs(site, tmp_path, order, way):
     options = {"verb": "status", "fault": "hang", "at": str(tmp_path / "now")}
-    config, paths = (
-        messages.CellConfig("hostile", {}, "hostile", options),
-        (site, ROOT / "tests" / "helpers"),
-    )
-    with measured_by_another(tmp_path, config, order, *paths) as (parent, cell, told):
+    config = messages.CellConfig("hostile", {}, "hostile", options)
+    given = tmp_path, config, order, site, ROOT / "tests" / "helpers"
+    with measured_by_another(*given) as (parent, cell, told):
         for _ in range(8):
             next(told)
         (tmp_path / "now").touch()

@@ -70,33 +70,24 @@ class OnLinuxCnc:
 
     def drive_on(self, **options):
         driven = self.begin(**options)
-        told = driven.of
-        driven.until(
-            lambda: any(
-                p.position and p.position[0] > 15.0
-                for p in told(messages.MeasurementProgress)
-            )
-        )
+
+        def is_on_its_way():
+            return any(p.position and p.position[0] > 15.0 for p in driven.progress)
+
+        driven.until(is_on_its_way)
 
     def find(self, name):
         return self.driven.cell.process_id if name == "cell" else self.inside[name]
 
     def motor_x(self):
         """Return where HAL sends the motor, past all that may be dead."""
-        environment = {
-            "RTAPI_UID": "65534",
-            "RTAPI_FIFO_PATH": str(self.linuxcnc.folder / "run" / "fifo"),
-            "PATH": os.environ["PATH"],
-        }
+        environment = {"RTAPI_UID": "65534", "PATH": os.environ["PATH"]}
+        environment["RTAPI_FIFO_PATH"] = str(self.linuxcnc.folder / "run" / "fifo")
         first = str(self.inside["halsampler"])
         enter = ["nsenter", "-t", first, "-n", "-i", "-m", "-p"]
-        said = subprocess.run(
-            [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        command = [*enter, "halcmd", "-s", "getp", "joint.0.motor-pos-cmd"]
+        how = {"env": environment, "capture_output": True, "text": True}
+        said = subprocess.run(command, check=False, **how)
         return None if said.returncode else float(said.stdout.split()[-1])
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from driven_cell import measure_undisturbed
 from paths_by_hand import path_of, two_turns
+from recorded import nominal_error_mm
 from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.files.bundle.bundle import read_bundle, write_bundle
@@ -26,18 +27,17 @@ def measure(content, commanded, folder, **given):
 
 
 def find_farthest_mm(seen):
-    """How far cells lie from their nominal place, at most."""
-    return np.abs(seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm).max()
+
+    return np.abs(nominal_error_mm(seen)).max()
 
 
 @pytest.mark.long
 def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
     content = load_machine("demo")
     offset_mm = content.pop("tool_offset_mm")
-    content["targets"] = {
-        "T1": {"on": "tool", "offset_mm": offset_mm},
-        "T2": {"on": "tool", "offset_mm": [offset_mm[0] + 150.0, *offset_mm[1:]]},
-    }
+    beside_mm = [offset_mm[0] + 150.0, *offset_mm[1:]]
+    places = {"T1": offset_mm, "T2": beside_mm}.items()
+    content["targets"] = {n: {"on": "tool", "offset_mm": at} for n, at in places}
     machine = machine_from_json(content)
     low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
     share = np.random.default_rng(2).uniform(0.2, 0.8, (12, 3))
@@ -52,13 +52,9 @@ def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
 def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp_path):
     content = load_machine("head-table")
     program = turning_path(parse_machine(content), 6, 12, 20_000.0)
-    path = path_of(
-        *program.position,
-        feed=60.0 * program.feed_mm_s,
-        dwell_s=program.dwell_s,
-        axes=machine_from_json(content).axis_names,
-        target=program.target,
-    )
+    given = {"dwell_s": program.dwell_s, "target": program.target}
+    given["axes"] = machine_from_json(content).axis_names
+    path = path_of(*program.position, feed=60.0 * program.feed_mm_s, **given)
     run, seen, _ = measure(content, path, tmp_path)
     length = compute_nominal_path(run.machine, run.commanded).length_mm
     found = [p.row for p in seen.passes]

@@ -5,13 +5,13 @@ import sqlite3
 import numpy as np
 import pytest
 
-from driven_cell import Driven, config_of
-from paths_by_hand import path_of
+from driven_cell import CALM, Driven, config_of
+from paths_by_hand import ACROSS as PATH
+from paths_by_hand import ENDS, path_of
 from truepath.alignment.align import align
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import FaultReported, MeasurementOrder, RunClosed
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.time_limits import StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
@@ -22,13 +22,7 @@ from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.replay.replay import Replay
 from truepath_simulators.scenario import load_machine
 
-AXES = ("X", "Y", "Z")
-CORNERS = np.array(
-    [[20, 20, 20], [480, 380, 20], [20, 380, 280], [480, 20, 280], [20, 20, 20]], float
-)
-PATH = path_of(*CORNERS, feed=12_000.0, dwell_s=1.0)
-POINTS = Configurations(AXES, CORNERS[:4], np.full(4, 2.0))
-CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+POINTS = Configurations(PATH.axes, PATH.position[:4], np.full(4, 2.0))
 SPEED = 10.0
 FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@2500n"]
 
@@ -84,9 +78,8 @@ def test_a_replay_is_recorded_as_the_same_samples(make_run, tmp_path, commanded,
 def test_a_replay_holds_what_the_run_holds_and_answers_as_its_device(make_run):
     run = read_recorded_run(make_run(PATH))
     assert run.is_exact
-    assert run.samples == len(open_run(make_run(PATH)).tracker)
-    assert len(run.moves) == 1
-    assert run.moves[0].goal == pytest.approx(CORNERS[-1])
+    assert (run.samples, len(run.moves)) == (len(open_run(make_run(PATH)).tracker), 1)
+    assert run.moves[0].goal == pytest.approx(ENDS[-1])
     with (
         Replay(make_run(PATH), tracker="tcp") as replay,
         StreamingTracker(**replay.tracker_options) as tracker,
@@ -122,9 +115,7 @@ def test_an_unrepeatable_run_is_a_clear_line(make_run, tmp_path, order, said, ca
 @pytest.mark.long
 def test_a_motion_that_a_recording_lacks_ends_where_it_does(make_run, tmp_path):
     further = (400.0, 300.0, 200.0)
-    longer = path_of(*CORNERS, further, feed=12_000.0, dwell_s=1.0)
-    with (
-        Replay(make_run(PATH)) as replay,
-        pytest.raises(AssertionError, match="ended-early"),
-    ):
+    longer = path_of(*ENDS, further, feed=12_000.0, dwell_s=1.0)
+    ended = pytest.raises(AssertionError, match="ended-early")
+    with Replay(make_run(PATH)) as replay, ended:
         record(replay, tmp_path / "again.sqlite", longer)

@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
-from driven_cell import Driven, config_of
+from driven_cell import CALM, Driven, config_of
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.hidden.warming import ThermalGrowth
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(240)]
 
-CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+
 WARM = ThermalGrowth("X", 11.0, 4.0, 60.0, 3.0)
 
 
@@ -32,15 +31,11 @@ def driven(bench):
     """A connected cell with sensors that are asked ten times a second."""
     rows = bench.thermometer_options["registers"]
     quick = [{**row, "period_s": 0.1} for row in rows]
-    config = config_of(
-        bench,
-        timeouts=CALM,
-        thermometer_driver="modbus-registers",
-        thermometer_options={**bench.thermometer_options, "registers": quick},
-    )
+    options = {**bench.thermometer_options, "registers": quick}
+    given = {"thermometer_driver": "modbus-registers", "thermometer_options": options}
+    config = config_of(bench, timeouts=CALM, **given)
     with Driven(config) as started:
-        devices = started.cell.connect()
-        assert devices["thermometers"].model == "Modbus registers"
+        assert started.cell.connect()["thermometers"].model == "Modbus registers"
         yield started
 
 

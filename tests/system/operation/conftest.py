@@ -7,20 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 
+from job_builders import begin_run, make_samples
+from scripted_cell import ReaderHere
 from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
-from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.run_file.run_file import RunHeader
+from truepath.files.bundle.machine_file import machine_from_json
 from truepath.operation.backup import Kept, make_backup
 from truepath.settings import load_settings
-from truepath_drivers.interfaces.records import Path as DrivenPath
-from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.scenario import load_machine
 
 DATA = Path(__file__).parent / "data"
 ANALYSED = "01a220f2-f399-7474-b15c-e45c29842872"
@@ -35,7 +35,6 @@ class Backups(NamedTuple):
 
 
 def unpack(place: Path, revision: str = "0014") -> Path:
-    """Fill a data folder with Runs, jobs, a result and a user; return it."""
     with zipfile.ZipFile(DATA / f"data_folder_v{revision}.zip") as archive:
         archive.extractall(place)
     return place
@@ -49,10 +48,6 @@ def logged_plainly(plain_log):
 @contextmanager
 def measuring(data: Path, machine) -> Iterator[str]:
     """Hold a data folder as the service does that measures into it; give the job."""
-    rows = np.array([[10.0, 10.0, -10.0], [400.0, 10.0, -10.0]])
-    path = DrivenPath(machine.axis_names, rows, np.full(2, 6000.0), np.zeros(2))
-    counter = np.arange(50)
-    block = TrackerSamples(counter, 0.002 * counter, np.ones((50, 3)), 0 * counter)
     with (
         hold_folder(data),
         closing(Database(f"sqlite:///{data / 'catalogue.sqlite'}")) as database,
@@ -61,20 +56,20 @@ def measuring(data: Path, machine) -> Iterator[str]:
         job, _ = store.create(Job(JobKind.MEASURE_OTF))
         for state in (State.PREPARING, State.READY, State.RUNNING):
             store.change(job.id, lambda j, state=state: replace(j, state=state))
-        header = RunHeader("r", machine, path, 500.0, {}, path.axes, job_id=job.id)
-        file = data / "runs" / f"{job.id}.sqlite"
-        recorder = Recorder(file, header, reserve_bytes=0)
-        recorder.put_tracker(block)
+        runs = RunCatalogue(database, data / "runs", ReaderHere())
+        recorder = begin_run(runs, machine, job.id, job.id)
+        recorder.put_tracker(make_samples(range(50)))
         yield job.id
         recorder.close("aborted")
 
 
 @pytest.fixture(scope="session")
-def backups(tmp_path_factory, mill) -> Backups:
+def backups(tmp_path_factory) -> Backups:
     folder = tmp_path_factory.mktemp("backup")
     data = unpack(folder / "data")
     settings = load_settings(data_dir=data, port=0)
-    with measuring(data, mill) as job_id:
+    machine = machine_from_json(load_machine("demo"))
+    with measuring(data, machine) as job_id:
         kept = make_backup(settings, folder / "folder")
         make_backup(settings, folder / "one.zip")
     return Backups(folder, kept, job_id)

@@ -20,10 +20,7 @@ from truepath.catalogue.store import database as database_module
 from truepath.catalogue.store.database import Database
 from truepath.cli.command import run
 from truepath.errors import BadInput
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
 from truepath.operation.archive import check_name
 from truepath.operation.backup import make_backup, restore_backup
 from truepath.settings import load_settings
@@ -38,9 +35,7 @@ def list_bytes(folder):
     }
 
 
-def test_what_was_kept_under_a_running_measurement_comes_back_whole(
-    backups, tmp_path, capsys
-):
+def test_what_was_kept_in_motion_comes_back_whole(backups, tmp_path, capsys):
     folder, kept, measuring = backups
     assert list(kept.left_out) == [f"runs/{measuring}.sqlite"]
     result = folder / "data" / "results" / ANALYSED
@@ -69,10 +64,9 @@ def copy(backups, tmp_path):
 
 def test_a_flipped_byte_or_a_missing_file_is_refused_by_its_name(copy, tmp_path):
     target = tmp_path / "elsewhere"
-    for file in [file for file in sorted(copy.rglob("*")) if file.is_file()]:
+    files = [f for f in sorted(copy.rglob("*")) if f.is_file() and f.stat().st_size]
+    for file in files:
         whole = file.read_bytes()
-        if not whole:
-            continue
         damaged = bytearray(whole)
         damaged[len(whole) // 2] ^= 1
         file.write_bytes(damaged)
@@ -129,9 +123,7 @@ def test_a_name_that_leads_out_of_the_data_folder_is_refused(name):
         check_name(name, ("runs", "results"))
 
 
-def test_what_cannot_be_kept_or_restored_is_refused_in_one_line(
-    tmp_path, backups, capsys
-):
+def test_what_cannot_be_kept_or_restored_is_one_line(tmp_path, backups, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text").write_text("no zip")
     none, data = str(tmp_path / "data"), str(backups.folder / "data")
@@ -152,9 +144,8 @@ def test_what_cannot_be_kept_or_restored_is_refused_in_one_line(
 @pytest.mark.long
 @pytest.mark.timeout(240)
 def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_path):
-    settings = load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=4.0, port=0
-    )
+    simulated = {"simulated": True, "simulated_speed": 4.0}
+    settings = load_settings(data_dir=tmp_path / "data", port=0, **simulated)
     with service_of(settings) as (_, client):
         client.post("/api/v1/machines/current:connect")
         job = create(client, path=ROWS)
@@ -184,15 +175,13 @@ def test_a_measurement_under_way_is_counted_and_does_not_hinder_a_backup(tmp_pat
     assert found["truepath_cell_connected"] == 1
 
 
-def test_a_backup_is_restored_to_an_empty_database_of_postgresql(
-    backups, postgres_server, tmp_path
-):
+def test_a_backup_is_restored_to_postgresql(backups, postgres_server, tmp_path):
     name = postgres_server.make_database()
     url, target = postgres_server.url(name), tmp_path / "elsewhere"
     settings = load_settings(data_dir=target, database_url=url)
     kept = restore_backup(settings, backups.folder / "folder")
     with closing(Database(url)) as database:
-        found = check_against_disk(database, target / "runs")
+        found = rebuilding.check_against_disk(database, target / "runs")
         assert (found["jobs"], found["rows_without_file"]) == (kept.rows["jobs"], [])
     other = load_settings(data_dir=tmp_path / "third", database_url=url)
     with pytest.raises(BadInput, match="not empty"):
@@ -257,15 +246,11 @@ def read_revision(file):
 
 
 def require_all(folder):
-    """Read everything that the folder holds over REST."""
     with service_of(load_settings(data_dir=folder, port=0)) as (service, client):
         items = client.get("/api/v1/jobs").json()["items"]
         jobs = {job["kind"]: job for job in items}
-        ends = {
-            "analyse": "succeeded",
-            "measure-standstill": "aborted",
-            "plan": "failed",
-        }
+        ends = {"analyse": "succeeded", "measure-standstill": "aborted"}
+        ends["plan"] = "failed"
         assert {kind: job["state"] for kind, job in jobs.items()} == ends
         assert jobs["plan"]["error"]["detail"] == "no time"
         result = client.get(jobs["analyse"]["result"]["result"]).json()
@@ -321,30 +306,30 @@ def test_a_folder_of_an_older_schema_is_refused_and_left_as_it_is(tmp_path):
         "one, which brings it to 0014, then with this one"
     )
     # Nor is it made anew from what is on disk.
-    with (
-        closing(Database(f"sqlite:///{file}")) as database,
-        pytest.raises(SchemaTooOld),
-    ):
-        rebuild_catalogue(database, old_folder / "runs", old_folder / "results")
+    folders = old_folder / "runs", old_folder / "results"
+    with closing(Database(f"sqlite:///{file}")) as old, pytest.raises(SchemaTooOld):
+        rebuilding.rebuild_catalogue(old, *folders)
     assert list_bytes(old_folder) == before
 
 
-def test_schema_0014_is_read_by_this_version_and_migrated_by_the_next_with_a_copy(
-    folder, next_version
-):
+def test_schema_0014_is_migrated_and_restored_later(folder, next_version, tmp_path):
     require_all(folder)
     assert list(folder.glob("catalogue.before-*")) == []
     before = dump(folder / "catalogue.sqlite")
+    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
     next_version()
     require_all(folder)
     assert read_revision(folder / "catalogue.sqlite") == "9999"
     (copy,) = folder.glob("catalogue.before-0014-*.sqlite")
     assert dump(copy) == before
+    target = tmp_path / "elsewhere"
+    kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
+    assert kept.revision == "0014"
+    assert read_revision(target / "catalogue.sqlite") == "9999"
+    require_all(target)
 
 
-def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
-    folder, next_version, monkeypatch
-):
+def test_a_migration_that_fails_leaves_the_old_file(folder, next_version, monkeypatch):
     before = dump(folder / "catalogue.sqlite")
     own = database_module._MIGRATIONS
     next_version('raise RuntimeError("midway")')
@@ -354,18 +339,6 @@ def test_a_migration_that_fails_midway_leaves_the_old_file_as_it_was(
     assert read_revision(folder / "catalogue.sqlite") == "0014"
     monkeypatch.setattr(database_module, "_MIGRATIONS", own)
     require_all(folder)
-
-
-def test_a_backup_of_schema_0014_is_restored_by_the_next_version(
-    folder, next_version, tmp_path
-):
-    make_backup(load_settings(data_dir=folder, port=0), tmp_path / "kept")
-    next_version()
-    target = tmp_path / "elsewhere"
-    kept = restore_backup(load_settings(data_dir=target), tmp_path / "kept")
-    assert kept.revision == "0014"
-    assert read_revision(target / "catalogue.sqlite") == "9999"
-    require_all(target)
 
 
 def test_a_backup_of_an_older_schema_is_refused_and_nothing_changed(folder, tmp_path):

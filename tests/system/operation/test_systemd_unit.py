@@ -25,8 +25,7 @@ def test_the_unit_says_what_keeps_the_machine_safe(unit):
     parser.optionxform = str
     parser.read_string(unit)
     service = parser["Service"]
-    assert service["Type"] == "notify"
-    assert service["Restart"] == "on-failure"
+    assert (service["Type"], service["Restart"]) == ("notify", "on-failure")
     assert service["KillMode"] == "mixed", "the cell is not killed with the service"
     assert float(service["WatchdogSec"]) >= 10
     assert service["ProtectSystem"] == "strict"
@@ -42,14 +41,9 @@ def test_the_unit_says_what_keeps_the_machine_safe(unit):
 def test_systemd_finds_nothing_wrong(unit, tmp_path):
     file = tmp_path / "truepath.service"
     file.write_text(unit)
-    found = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(file)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    ours = [line for line in found.stderr.splitlines() if "truepath" in line]
-    assert not ours
+    words = ["systemd-analyze", "verify", "--man=no", str(file)]
+    found = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert not [line for line in found.stderr.splitlines() if "truepath" in line]
     assert found.returncode == 0, found.stderr
 
 

@@ -1,5 +1,6 @@
 """A page in a real browser over a service that a test steps through."""
 
+import json
 import os
 import shutil
 import socket
@@ -55,6 +56,12 @@ _STRANGERS = """(own) => performance.getEntriesByType("resource")
     .map((one) => new URL(one.name))
     .filter((url) => !["data:", "blob:"].includes(url.protocol) && url.hostname !== own)
     .map((url) => url.href)"""
+# What a tap opens is open: most tests look inside.
+_FOLDS = ("method", "place", "details", "blind", "run", "grade", "program")
+_ALL_OPEN = json.dumps(dict.fromkeys(_FOLDS, True))
+_UNFOLDED = (
+    f"try {{ sessionStorage.setItem('truepath.folds', '{_ALL_OPEN}') }} catch {{}};"
+)
 _NO_GRAPHICS = _GRAPHICS % "null"
 _GRAPHICS_CARD = (
     _GRAPHICS % '{ getExtension: () => null, getParameter: () => "ANGLE (a card)" }'
@@ -239,6 +246,7 @@ class Panel:
         card: bool = False,
         clock: bool = False,
         motion: bool = False,
+        unfolded: bool = True,
     ) -> Page:
         """Open the page; `before` is a script that runs before those of the page.
 
@@ -257,6 +265,7 @@ class Panel:
             reduced_motion="no-preference" if motion else "reduce",
         )
         graphics = _GRAPHICS_CARD if card else _NO_GRAPHICS
+        before = (_UNFOLDED if unfolded else "") + before
         script = page.add_init_script(_ALL_FILES + graphics + before)
         self.taken.append((kind, page, script))
         self.witness.watch(page)

@@ -10,8 +10,10 @@ from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
 
 from page_steps import NO_EVENTS, PHONE, choose, go, prepare, small_targets
-from scripted_data import EXAMPLES
+from scripted_data import EXAMPLES, made_plan
+from truepath.machines.conditions.conditions import ConditionType
 
+CONDITIONS = EXAMPLES["list_conditions"]["items"]
 SIZES = [(390, 844), (800, 1280), (1280, 800), (1920, 1080)]  # the narrowest first
 STALE_S = 2.5
 TOUCH_PX = 56
@@ -28,6 +30,61 @@ LOOK = """() => {
   const look = getComputedStyle(document.querySelector(".readout output"));
   return look.color && [look.color, look.opacity];
 }"""
+
+
+# How far the last of the view is under the button that leads on, px.
+TOO_LOW = """() => Math.max(...[...document.querySelectorAll("main > *")]
+    .map((e) => e.getBoundingClientRect().bottom))
+    - document.querySelector(".next-bar").getBoundingClientRect().top"""
+SINCE = "2026-03-14T08:00:00.000Z"
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_plan_and_check_fit_one_screen_with_a_line_for_each_condition(
+    panel, service, language
+):
+    service.connected = True
+    service.planned = made_plan()
+    service.plan["tracker_mm"] = [700, -900, 50]
+    well = {"level": "true", "reason": "", "message": "", "since": SINCE}
+    well |= {"is_required": True, "temperatures": []}
+    (warm,) = [one for one in CONDITIONS if one["type"] == "temperature-steady"]
+    types = [str(one) for one in ConditionType]
+    service.conditions = [
+        warm if one == warm["type"] else {"type": one, **well} for one in types
+    ]
+    page = panel.open("#/plan", language=language, unfolded=False)
+    page.locator(".curve-space[data-drawn=plan-1]").wait_for()
+    expect(page.locator(".conditions li")).to_have_count(1)
+    assert page.evaluate(TOO_LOW) <= 0
+    go(page, f"#/check/{service.ready()}")
+    page.locator(".path-view[data-drawn]").wait_for()
+    expect(page.locator(".conditions li")).to_have_count(len(types))
+    expect(page.locator(".is-check [role=status] .pairs")).to_be_visible()
+    assert page.evaluate(TOO_LOW) <= 0
+    row = page.locator(".conditions [data-level=told]")
+    expect(row.locator("p").first).to_be_hidden()
+    row.locator("summary").click()
+    expect(row.locator("p").first).to_be_visible()
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_word_of_the_field_opens_the_one_glossary_at_its_entry(
+    panel, service, language
+):
+    service.connected = True
+    page = panel.open("#/plan", language=language)
+    page.locator("[data-term=grade]").click()
+    entries = page.locator("#detail .glossary > div")
+    expect(entries.locator("dd:empty")).to_have_count(0)
+    here = page.locator("#detail [aria-current]")
+    expect(here).to_contain_text("0.25" if language == "en" else "0,25")
+    page.keyboard.press("Escape")
+    expect(here).to_be_hidden()
+    go(page, f"#/result/{service.measured()}")
+    page.locator("[data-term=squareness]").click()
+    expect(here).to_contain_text("90°")
+    expect(entries).to_have_count(11)
 
 
 def test_data_older_than_2_5_s_are_stamped_stale_until_some_come_again(

@@ -208,7 +208,7 @@ def test_events_round_the_answer_do_not_lead_a_discarded_check_elsewhere(
 def test_the_check_says_what_will_move_and_how_well(panel, service, tmp_path: Path):
     service.ready()
     page = panel.open()
-    card = page.locator(".card", has_text="Grade of the set-up")
+    card = page.locator("[data-fold=grade]")
     expect_texts(
         card, "1.47: poor", "22.6 µm", "add a line along Y at the high end of X", "0.84"
     )

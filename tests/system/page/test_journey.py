@@ -153,6 +153,18 @@ def test_another_certificate_waits_for_the_verification_that_came_since(panel, s
     assert service.requests[-1][2]["verification_job"] == proof
 
 
+def test_a_certificate_is_looked_at_before_it_is_issued(panel, service):
+    page = panel.open(f"#/certificate/{service.measured()}")
+    page.locator("#state-operator").fill("A. Weiß")
+    page.get_by_role("button", name="Preview").click()
+    shown = page.frame_locator("iframe.preview").locator("body")
+    expect(shown).to_contain_text("PREVIEW")
+    expect(shown).to_contain_text("A. Weiß")
+    expect(page.locator(".preview-card a")).to_have_count(0)  # there is no file
+    expect(page.locator(".kept-list")).to_have_count(0)
+    expect(page.locator(NEXT)).to_have_text("Issue the certificate")
+
+
 def test_files_with_what_a_discovery_found_are_verified_and_certified(panel, service):
     result = service.measured()
     found = service.done("discover", run_id=service.jobs[result]["run_id"])

@@ -52,7 +52,8 @@ def test_the_order_carries_what_was_chosen_and_nothing_without_a_wish(page, serv
     with ordered(page, service) as (_, order):
         assert order["on_notice"] == "pause"
     page.locator("[data-kind=measure-adaptive]").click()
-    expect(page.locator("[data-card=curve]")).to_be_hidden()
+    expect(page.locator(".curve-chart")).to_be_hidden()
+    expect(page.locator(".curve-space")).to_be_visible()  # what is kept clear
     page.get_by_label("Plan lines or points for at most").fill("8")
     with ordered(page, service) as (_, order):
         assert order["kind"] == "measure-adaptive"
@@ -177,7 +178,7 @@ def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
     page.locator("#feed").fill("4000")
     page.locator("#height").fill("-100")
     service.planned = made_plan()
-    expect(page.locator(".curve-tiles")).to_be_visible()
+    expect(page.locator(".handle")).to_be_visible()
     prepare(page)
     right = {"min_mm": [1000, 0, -100], "max_mm": [3000, 400, -100]}
     front = {"min_mm": [-2500, -2500, -100], "max_mm": [3000, -500, -100]}
@@ -248,7 +249,7 @@ KEPT = f"localStorage.setItem('truepath.keep_out', '{json.dumps({'default': [VIC
 
 def fill_box(page: Page, box: dict) -> None:
     card = page.locator("[data-card=keep-out]")
-    card.get_by_role("button", name="Add a box").click()
+    card.locator("button").last.click()
     card.get_by_label("Name").last.fill(box["name"])
     for axis, low, high in zip("XYZ", box["min_mm"], box["max_mm"], strict=True):
         card.locator(f"[data-end='{axis} min_mm']").last.fill(str(low))
@@ -280,7 +281,7 @@ def test_a_box_is_planned_around_and_outlasts_a_reload(panel, service):
         expect(page.locator(NEXT)).to_be_enabled()
     page.locator("[data-place=chosen]").click()
     service.planned = made_plan()
-    expect(page.locator(".curve-tiles")).to_be_visible()
+    expect(page.locator(".handle")).to_be_visible()
     prepare(page)
     order = service.orders("/plans")[-1]
     assert order["workspace"]["keep_out"] == [VICE]
@@ -313,7 +314,7 @@ def test_a_box_in_inch_is_sent_in_mm_and_not_once_it_is_removed(panel, service):
     choose(page, "inch")
     fill_box(page, {"name": "vice", "min_mm": [1, 2, -4], "max_mm": [3, 4, -2]})
     service.planned = made_plan()
-    expect(page.locator(".curve-tiles")).to_be_visible()
+    expect(page.locator(".handle")).to_be_visible()
     job = prepare(page)
     (box,) = service.orders("/plans")[-1]["workspace"]["keep_out"]
     assert box["min_mm"] == pytest.approx([25.4, 50.8, -101.6])
@@ -338,6 +339,7 @@ def test_a_box_of_the_measurement_holds_until_somebody_says_that_it_is_gone(
         other: {},
         "Only these": {"keep_out": stated, "keep_out_replaces": True},
     }
+    service.connected = True  # read as the page opens
     page = panel.open("#/records", before=KEPT if stated else "")
     card = page.locator("[data-card=keep-out]")
     pressed = card.locator("[aria-pressed=true]")
@@ -479,26 +481,72 @@ def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
     service.change(job, state="aborted")
     go(page, "#/plan")
     page.reload()
-    expect(page.locator("#minutes")).to_have_value("2")  # computed as the page opens
+    expect(page.locator("#minutes")).to_have_value("1")
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "3")
     prepare(page)
-    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[-1]["row"]}
+    assert driven(service) == {"plan_id": "plan-1", "plan_rows": POINTS[2]["row"]}
+    assert plans(service) == [3]
 
 
-def test_a_curve_that_is_not_driven_says_so(panel, service):
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_reload_keeps_choices_and_curve_and_plans_nothing_again(
+    panel, service, language
+):
+    page, card = show(panel, service, language=language)
+    with page.expect_response("**/curve"):
+        page.get_by_role("checkbox").click()
+    card.locator(".handle").press("Home")
+    page.reload()
+    expect(card.locator(".handle")).to_have_attribute("aria-valuenow", "1")
+    expect(page.get_by_role("checkbox")).to_have_attribute("aria-checked", "true")
+    expect(card.locator(".notice")).to_be_hidden()
+    space = card.locator(".curve-space")
+    expect(space).to_have_attribute("data-drawn", "plan-1")
+    assert plans(service) == [3, 3]
+
+
+def test_a_curve_that_is_not_driven_says_so_and_a_longer_time_has_its_own(
+    panel, service
+):
     page, card = show(panel, service)
     notice = card.locator(".notice")
     expect(notice).to_be_hidden()
-    plan = plans(service)
-    for minutes, more in (("", []), ("12", [12])):
-        page.locator("#minutes").fill(minutes)
-        expect(notice).to_contain_text("a plan for other choices")
-        job = prepare(page)
-        plan += more
-        assert plans(service) == plan
-        assert "plan_rows" not in driven(service)
-        service.change(job, state="aborted")
-        expect(page.locator("#state")).to_have_text("Aborted")
-        go(page, "#/plan")
+    page.locator("#minutes").fill("")
+    expect(notice).to_contain_text("a plan for other choices")
+    job = prepare(page)
+    assert plans(service) == [3]
+    assert "plan_rows" not in driven(service)
+    service.change(job, state="aborted")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    go(page, "#/plan")
+    with page.expect_response("**/curve"):
+        page.locator("#minutes").fill("12")
+    expect(notice).to_be_hidden()
+    assert plans(service) == [3, 12]
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_box_is_in_the_picture_as_it_is_typed_and_one_plan_follows(
+    panel, service, language
+):
+    page, card = show(panel, service, language=language)
+    vice = {**VICE, "max_mm": [220, 180, -200]}
+    boxes = card.locator('.curve-space [data-trace="6"]')
+    edges = boxes.locator("path")
+    expect(edges).to_have_count(0)
+    with page.expect_response("**/curve"):
+        fill_box(page, vice)
+        expect(boxes.locator("text")).to_have_text("vice")
+        assert edges.get_attribute("d").count("M") == 12
+    assert plans(service) == [3, 3]
+    assert service.orders("/plans")[-1]["workspace"] == {"keep_out": [vice]}
+    page.locator("#box-0-name").fill("")
+    expect(boxes.locator("text")).to_have_text(re.compile("^(Box|Bereich) 1$"))
+    page.locator("[data-end='Z max_mm']").fill("")
+    expect(edges).to_have_count(0)  # not whole
+    with page.expect_response("**/curve"):
+        card.locator("[data-box] button").click()
+    assert "workspace" not in service.orders("/plans")[-1]
 
 
 def test_each_choice_has_its_curve_without_a_tap(panel, service):
@@ -515,6 +563,13 @@ def test_each_choice_has_its_curve_without_a_tap(panel, service):
     assert len(plans(service)) == 4
 
 
+# As where the pointer is on the last vertex of a line.
+POINT_AT_AN_END = """() => {
+  const { glplot } = document.querySelector(".curve-space")._fullLayout.scene._scene;
+  const end = { object: {}, dataCoordinate: undefined, dataPosition: [0, 0, 0] };
+  Object.assign(glplot.selection, end);
+  glplot.redraw();
+}"""
 VERTICES = {
     True: "document.querySelector('.curve-space').data[2].x.length",
     False: "document.querySelector('.curve-space [data-trace=\"2\"] path')"
@@ -530,20 +585,24 @@ def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
 ):
     page, card = show(panel, service, card=has_card)
     expect(card.locator(".curve-space")).to_have_attribute(
-        "data-drawn", "", timeout=SLOW_MS
+        "data-drawn", "plan-1", timeout=SLOW_MS
     )
     chosen = VERTICES[has_card]
     page.wait_for_function(f"() => {chosen} === {POINTS[-1]['row']}")
     card.locator(".handle").press("Home")
     page.wait_for_function(f"() => {chosen} === {POINTS[0]['row']}")
+    if has_card:
+        page.evaluate(POINT_AT_AN_END)
 
 
 def test_the_check_shows_tracker_and_beams_of_the_plan(panel, service):
+    service.plan["tracker_mm"] = [700, -900, 50]
     page, _ = show(panel, service)
     service.change(prepare(page), state="ready")
-    picture = page.locator(".path-view[role=img]")
-    expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
-    expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
-    expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
-    beams = picture.locator("[data-trace='5'] path").get_attribute("d")
-    assert beams.count("M") == len(planned_path()["position"])
+    for picture in (page.locator(".path-view[role=img]"),) * 2:
+        expect(picture).to_have_attribute("data-drawn", "", timeout=SLOW_MS)
+        expect(page.locator(".path-legend")).to_contain_text("Tracker and beams")
+        expect(picture.locator("[data-trace='6'] polygon")).to_have_count(1)
+        beams = picture.locator("[data-trace='5'] path").get_attribute("d")
+        assert beams.count("M") == len(planned_path()["position"])
+        page.reload()

@@ -47,7 +47,6 @@ def test_a_result_says_beside_its_tables_what_they_rest_on(panel, service):
     card = page.locator(".card", has_text="Grade of the set-up")
     expect(card.locator(".grade")).to_have_text("1.47: poor")
     expect(card).to_contain_text("volumetric uncertainty U = 22.6 µm (k = 2)")
-    expect(card).to_contain_text("up to 0.25 good, up to 1.00 usable")
     expect(card).to_contain_text("ECX, Tilt of X about Z")
     expect(card).to_contain_text("add a line along Y at the high end of X")
     rows = page.locator("[data-card=budget] tbody tr")  # the largest first
@@ -324,3 +323,30 @@ def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
     expect(card).to_contain_text("An earlier version computed this circle")
     expect(card.locator("[data-figure=G] td").first).to_have_text("13.6 ± 1.8")
     expect(card.locator("svg.circle-plot, .notice")).to_have_count(0)
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        ("en", ("27 within the tolerance", "1 undecided", "2 outside")),
+        ("de", ("27 innerhalb der Toleranz", "1 nicht entscheidbar", "2 außerhalb")),
+    ],
+)
+def test_each_measured_place_is_in_the_volume_by_colour_and_shape(
+    panel, service, language, said
+):
+    content = verification(service.measured(), "outside")
+    content["places"]["conformity"][2] = "undecided"
+    proof = service.verified(content)
+    page = panel.open(f"#/verify/{proof}", language=language)
+    picture = page.locator(".path-view[data-drawn]")
+    for trace, shape, count in (
+        (1, "circle:not([fill=none])", 27),
+        (2, "circle[fill=none]", 1),
+        (3, "polygon", 2),
+    ):
+        places = picture.locator(f"[data-trace='{trace}'] {shape}")
+        expect(places).to_have_count(count)
+    expect_texts(page.locator(".places-key"), *said)
+    go(page, "#/records")  # the picture is taken away without an error
+    expect(page.locator("#to-records[aria-current=page]")).to_be_visible()

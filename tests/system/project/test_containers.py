@@ -44,9 +44,7 @@ def test_the_dockerfile_passes_hadolint(root):
     assert linted.returncode == 0, linted.stdout + linted.stderr
 
 
-def test_what_is_copied_is_in_the_build_context_and_all_that_the_distribution_needs(
-    dockerfile, root
-):
+def test_all_that_is_needed_is_copied_from_the_build_context(dockerfile, root):
     ignored = (root / "docker" / "Dockerfile.dockerignore").read_text().split()
     copied = [line.split() for line in instructions(dockerfile, "COPY")]
     sources = [w for words in copied if "--from" not in words[0] for w in words[:-1]]
@@ -64,9 +62,7 @@ def environment_of(dockerfile):
     return dict(word.split("=", 1) for word in words)
 
 
-def test_ports_and_data_folder_are_those_of_the_service_which_does_not_run_as_root(
-    dockerfile, compose
-):
+def test_ports_data_folder_and_user_are_those_of_the_service(dockerfile, compose):
     assert instructions(dockerfile, "USER")[-1] == "10001:10001"
     port = str(Settings.model_fields["port"].default)
     assert instructions(dockerfile, "EXPOSE") == [port]
@@ -91,9 +87,7 @@ def test_the_compose_file_is_valid_and_a_mistake_in_it_would_be_seen(compose):
         schema.validate(wrong)
 
 
-def test_the_environment_of_each_service_is_of_settings_and_makes_good_ones(
-    dockerfile, compose, monkeypatch, tmp_path
-):
+def test_environments_make_good_settings(dockerfile, compose, monkeypatch, tmp_path):
     secret = tmp_path / "database_password"
     secret.write_text("pass/word\n")
     for service in compose["services"].values():
@@ -111,9 +105,8 @@ def test_the_environment_of_each_service_is_of_settings_and_makes_good_ones(
             settings = load_settings()
         assert settings.host == "0.0.0.0"
         if settings.database_url:
-            assert settings.database == (
-                "postgresql+psycopg://truepath:pass%2Fword@postgres/truepath"
-            )
+            place = "truepath:pass%2Fword@postgres/truepath"
+            assert settings.database == f"postgresql+psycopg://{place}"
 
 
 def test_the_bench_listens_where_the_service_looks_for_it(compose, root):
@@ -129,17 +122,12 @@ def test_the_bench_listens_where_the_service_looks_for_it(compose, root):
     assert read_machine(machine).name == "demo"
 
 
-def test_secrets_come_from_files_that_git_does_not_keep(compose, root):
+def test_services_share_profiles_and_keep_secrets_in_files(compose, root):
     for secret in compose["secrets"].values():
         path = Path("docker") / secret["file"]
         ignored = subprocess.run(["git", "check-ignore", "-q", path], cwd=root)
         assert ignored.returncode == 0, f"{path} could be committed"
     assert "PASSWORD:" not in (root / "docker" / "compose.yaml").read_text()
-
-
-def test_services_share_the_profile_of_what_they_need_and_are_of_this_version(
-    compose, root
-):
     services = compose["services"]
     for name, service in services.items():
         for other in service.get("depends_on", {}):
@@ -147,5 +135,5 @@ def test_services_share_the_profile_of_what_they_need_and_are_of_this_version(
             assert not theirs or theirs & set(service.get("profiles", [])), name
     pyproject = tomllib.loads((root / "pyproject.toml").read_text())
     version = pyproject["project"]["version"]
-    ours = [s for s in services.values() if "build" in s]
-    assert {service["image"] for service in ours} == {f"truepath:{version}"}
+    images = {service["image"] for service in services.values() if "build" in service}
+    assert images == {f"truepath:{version}"}

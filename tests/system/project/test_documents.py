@@ -20,11 +20,8 @@ OF_DEVICES = (*range(1, 24), 30, 31)  # rows of reliability.md
 
 @pytest.fixture(scope="module")
 def documents(project_files, root):
-    return [
-        path
-        for path in project_files
-        if path.suffix == ".md" and path.relative_to(root).parts[0] in PARTS
-    ]
+    texts = (path for path in project_files if path.suffix == ".md")
+    return [path for path in texts if path.relative_to(root).parts[0] in PARTS]
 
 
 def anchor(heading):
@@ -36,8 +33,7 @@ def anchor(heading):
 def test_every_link_leads_to_a_file_and_a_heading(documents, root):
     broken = []
     for document in documents:
-        text = FENCE.sub("", document.read_text())
-        for link in LINK.findall(text):
+        for link in LINK.findall(FENCE.sub("", document.read_text())):
             if re.match(r"[a-z]+:", link):
                 continue
             name, _, heading = link.partition("#")
@@ -62,9 +58,8 @@ def test_every_document_can_be_reached_from_the_index(documents, root):
     assert set(documents) <= reached
 
 
-PLACE = re.compile(
-    r"`((?:app|drivers|simulators|tests|validation|benchmarks|docker|docs)/[\w./-]*\w)/?`"
-)
+ROOMS = "app|drivers|simulators|tests|validation|benchmarks|docker|docs"
+PLACE = re.compile(rf"`((?:{ROOMS})/[\w./-]*\w)/?`")
 
 
 def test_every_file_and_folder_that_documents_name_exists(documents, root):
@@ -104,8 +99,7 @@ def test_the_tree_of_rooms_is_the_one_on_disk(root):
     named, ahead = set(), {}
     for line in tree.splitlines():
         indent = len(line) - len(line.lstrip())
-        names = re.split(r" {2,}", line.strip())[0].split(" ")
-        for name in names:
+        for name in re.split(r" {2,}", line.strip())[0].split(" "):
             place = ahead.get(indent - 2, root) / name
             assert place.exists(), f"not there: {line}"
             named.add(place)
@@ -113,8 +107,7 @@ def test_the_tree_of_rooms_is_the_one_on_disk(root):
     rooms = root / "app" / "truepath"
     packages = [*rooms.glob("*/__init__.py"), *rooms.glob("*/*/__init__.py")]
     there = {p.parent for p in packages if p.parent.parent.name != "cli"}
-    left_out = sorted(str(place.relative_to(root)) for place in there - named)
-    assert not left_out, f"left out: {left_out}"
+    assert not there - named, "left out"
 
 
 def test_the_new_import_names_of_the_changelog_are_there(root):
@@ -122,8 +115,7 @@ def test_the_new_import_names_of_the_changelog_are_there(root):
     table = text.partition("| for | before | now |")[2].partition("\n\n")[0]
     names = re.findall(r"\| `(truepath[\w.]+)`[^|]*\|$", table, re.MULTILINE)
     assert len(names) > 20
-    missing = [name for name in names if find_spec(name) is None]
-    assert not missing
+    assert not [name for name in names if find_spec(name) is None]
 
 
 def commands(documents):
@@ -137,15 +129,12 @@ def commands(documents):
                         yield document, words
 
 
-def test_every_make_target_of_the_documents_exists(documents, root):
+def test_every_make_target_and_command_of_the_documents_exists(documents, root):
     text = (root / "Makefile").read_text()
     targets = set(re.findall(r"^([\w-]+):(?!=)", text, re.MULTILINE))
     asked = {w[1] for _, w in commands(documents) if w[0] == "make" and len(w) > 1}
     assert asked
     assert asked <= targets
-
-
-def test_every_truepath_command_of_the_documents_exists(documents, root):
     helps = {}
 
     def help_of(*name):
@@ -175,8 +164,7 @@ def test_every_route_of_the_documents_exists_and_none_is_left_out(root):
     text = (root / "docs" / "rest-api.md").read_text()
     named = set(re.findall(r"`(GET|POST|DELETE|PUT|PATCH) (/[^` ]*)`", text))
     assert named <= routes, f"not there: {sorted(named - routes)}"
-    left_out = routes - named
-    assert not left_out
+    assert not routes - named
 
 
 @pytest.mark.parametrize("name", ["addresses", "commands", "faults"])

@@ -19,9 +19,7 @@ FORBIDDEN = re.compile(
 TO_DO = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|HA" r"CK)\b")
 
 
-def test_no_file_names_a_registry_or_a_path_of_one_machine_nor_code_what_is_to_do(
-    project_files, root
-):
+def test_no_file_names_a_registry_a_local_path_or_what_is_to_do(project_files, root):
     found = [
         f"{path.relative_to(root)}:{number}: {line.strip()[:80]}"
         for path in project_files
@@ -86,9 +84,7 @@ def test_everything_public_says_what_it_is(code, root):
     assert not silent, "\n".join(silent)
 
 
-def test_packages_export_nothing_but_their_theory_and_are_called_after_something(
-    code, root
-):
+def test_packages_export_nothing_and_are_called_after_something(code, root):
     empty = {"utils", "common", "helpers", "manager"}
     places = [path.relative_to(root).with_suffix("") for path in code]
     assert not [str(place) for place in places if empty & set(place.parts)]

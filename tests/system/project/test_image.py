@@ -21,7 +21,6 @@ from processes import until
 from service_process import arm, create, follow
 
 pytestmark = pytest.mark.long
-
 LARGEST_MB = 700
 JOB_S = 240.0
 
@@ -56,8 +55,6 @@ def volume(tmp_path):
 
 @pytest.fixture
 def serve(image, compose, volume, tmp_path, free_port):
-    """Run the service of a compose entry; yield a client of it."""
-
     @contextmanager
     def start(name, *words, volumes=(), **environment):
         entry = compose[name]["environment"]
@@ -67,9 +64,8 @@ def serve(image, compose, volume, tmp_path, free_port):
         log = tmp_path / f"{name}.log"
         with image.running(command, given, mounts, log) as running:
             address = f"http://127.0.0.1:{free_port}"
-            line = (
-                f"import urllib.request as r; r.urlopen('{address}/healthz', None, 4)"
-            )
+            ask = f"r.urlopen('{address}/healthz', None, 4)"
+            line = f"import urllib.request as r; {ask}"
             running.wait_until_healthy(["python", "-c", line])
             with httpx2.Client(base_url=address, timeout=30.0) as client:
                 yield client
@@ -78,13 +74,11 @@ def serve(image, compose, volume, tmp_path, free_port):
 
 
 def end_first_job(client):
-    """Return the job that the service takes on by itself, once it has succeeded."""
     first = until(lambda: client.get("/api/v1/jobs").json()["items"], JOB_S)[0]
     return follow(client, first["id"], "succeeded", patience_s=JOB_S)
 
 
 def check_tables(job, client):
-    """Error tables stand, the report opens, and the Run comes as a bundle."""
     result = f"/api/v1/jobs/{job['id']}/result"
     assert "EXX" in client.get(f"{result}/error-tables.json").text
     assert "EXX" in client.get(f"{result}/report.html").text
@@ -111,15 +105,11 @@ def test_the_main_job_runs_in_the_image(serve):
         check_tables(end_first_job(client), client)
 
 
-def test_the_service_measures_simulators_of_another_container(
-    serve, image, compose, root, tmp_path
-):
+def test_another_container_is_measured(serve, image, compose, root, tmp_path):
     entry = compose["simulators"]
     bench = compose["truepath-bench"]["environment"]
-    local = {
-        name: value.replace('"simulators"', '"127.0.0.1"')
-        for name, value in bench.items()
-    }
+    here = '"simulators"', '"127.0.0.1"'
+    local = {name: value.replace(*here) for name, value in bench.items()}
     machine = root / "simulators/truepath_simulators/scenarios" / "demo.json"
     copy = tmp_path / "machine.json"
     shutil.copy(machine, copy)
@@ -143,10 +133,8 @@ def test_the_service_keeps_its_catalogue_in_postgresql(serve, tmp_path, request)
     secret = tmp_path / "database_password"
     secret.write_text(postgres_server.password)
     secret.chmod(0o444)
-    environment = {
-        "TRUEPATH_DATABASE_URL": postgres_server.url(),
-        "TRUEPATH_SIMULATED_SPEED": "10",
-    }
+    environment = {"TRUEPATH_SIMULATED_SPEED": "10"}
+    environment["TRUEPATH_DATABASE_URL"] = postgres_server.url()
     mounts = {secret: "/run/secrets/database_password"}
     options = ("--simulated", "--measure")
     with serve("truepath-postgres", *options, volumes=mounts, **environment) as client:

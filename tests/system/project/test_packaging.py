@@ -4,11 +4,7 @@ import ast
 import re
 import sys
 import zipfile
-from importlib.metadata import (
-    PackageNotFoundError,
-    distribution,
-    packages_distributions,
-)
+from importlib import metadata
 from itertools import takewhile
 
 import pytest
@@ -37,7 +33,7 @@ def required(name, extras):
         if (name, wanted) in seen:
             continue
         seen.add((name, wanted))
-        for text in distribution(name).requires or []:
+        for text in metadata.distribution(name).requires or []:
             need = Requirement(text)
             marks = [{"extra": extra} for extra in (*wanted, "")]
             if need.marker and not any(need.marker.evaluate(m) for m in marks):
@@ -53,16 +49,15 @@ def test_constraints_pin_everything_that_is_needed_as_it_is_installed(pins):
 
     def installed(name):
         try:
-            return distribution(name).version
-        except PackageNotFoundError:
+            return metadata.distribution(name).version
+        except metadata.PackageNotFoundError:
             return "not installed"
 
-    differing = {n: (v, installed(n)) for n, v in pins.items() if installed(n) != v}
-    assert not differing
+    assert not {n: (v, installed(n)) for n, v in pins.items() if installed(n) != v}
 
 
 def licence_of(name):
-    about = distribution(name).metadata
+    about = metadata.distribution(name).metadata
     kinds = [line for line in about.get_all("Classifier", []) if "License ::" in line]
     stated = about.get("License-Expression") or about.get("License") or ""
     return about.get("License-Expression") or " ".join(kinds) or stated
@@ -70,7 +65,7 @@ def licence_of(name):
 
 def test_what_runs_imports_only_what_is_installed_with_it(root):
     given = required("truepath", set())
-    owners = packages_distributions()
+    owners = metadata.packages_distributions()
     strange = set()
     for file in (f for room in SOURCES for f in (root / room).rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -86,8 +81,7 @@ def test_what_runs_imports_only_what_is_installed_with_it(root):
 
 def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
     plain = required("truepath", {"pg", "dask", "pdf"}) - {"truepath"}
-    unknown = {name for name in plain if not licence_of(name)}
-    assert not unknown
+    assert not {name for name in plain if not licence_of(name)}
     bound = {n for n in plain if re.search("GPL|GNU|MPL|EUPL|CDDL", licence_of(n))}
     assert bound == {"psycopg", "psycopg-binary", "pyphen"}
     assert not bound & required("truepath", ())
@@ -97,16 +91,13 @@ def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
 
 @pytest.fixture(scope="module")
 def packed(wheel):
-    """The members of the wheel."""
     with zipfile.ZipFile(wheel) as archive:
-        return {
-            name: archive.read(name).decode("latin-1") for name in archive.namelist()
-        }
+        names = archive.namelist()
+        return {name: archive.read(name).decode("latin-1") for name in names}
 
 
 def test_hooks_before_a_commit_run_what_make_check_runs(root):
-    text = (root / "Makefile").read_text().partition("\ncheck: ")[2]
-    lines = text.splitlines()[1:]
+    lines = (root / "Makefile").read_text().partition("\ncheck: ")[2].splitlines()[1:]
     checks = [line.strip() for line in takewhile(lambda line: line, lines)]
     (local,) = yaml.safe_load((root / ".pre-commit-config.yaml").read_text())["repos"]
     assert local["repo"] == "local"
@@ -114,9 +105,7 @@ def test_hooks_before_a_commit_run_what_make_check_runs(root):
     assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
-def test_the_wheel_holds_the_licence_and_every_file_of_the_rooms_and_no_other_names(
-    packed, project_files, root
-):
+def test_the_wheel_holds_the_rooms_and_their_plug_ins(packed, project_files, root):
     texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
     assert texts == [(root / "LICENSE").read_text()]
     places = [path.relative_to(root).parts for path in project_files]
@@ -125,9 +114,6 @@ def test_the_wheel_holds_the_licence_and_every_file_of_the_rooms_and_no_other_na
     first = {name.split("/")[0] for name in packed}
     rooms = {"truepath", "truepath_drivers", "truepath_simulators"}
     assert {name for name in first if not name.endswith(".dist-info")} == rooms
-
-
-def test_the_wheel_registers_the_command_and_the_plug_ins(packed):
     (points,) = (text for n, text in packed.items() if n.endswith("entry_points.txt"))
     groups = set(re.findall(r"^\[(.+)\]$", points, re.MULTILINE))
     kinds = ("trackers", "motion_controllers", "simulators")
@@ -135,7 +121,7 @@ def test_the_wheel_registers_the_command_and_the_plug_ins(packed):
 
 
 def test_every_entry_point_loads():
-    groups = distribution("truepath").entry_points
+    groups = metadata.distribution("truepath").entry_points
     assert groups
     for point in groups:
         loaded = point.load()

@@ -27,9 +27,8 @@ def running(command, address, folder, **environment):
     foreign = ("TRUEPATH_", "COVERAGE_")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     with (folder / "log").open("w+") as log:
-        service = subprocess.Popen(
-            command, env=kept | environment, cwd=folder, stdout=log, stderr=log
-        )
+        how = {"env": kept | environment, "cwd": folder, "stdout": log, "stderr": log}
+        service = subprocess.Popen(command, **how)
         with service:
             try:
                 wait_until_healthy(service, address, folder / "log")
@@ -84,9 +83,7 @@ def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
         assert b"swagger-ui" in fetched(f"{address}/docs")
 
 
-def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
-    root, tmp_path, free_port
-):
+def test_the_lines_of_the_container_start_the_service(root, tmp_path, free_port):
     text = re.sub(r"\\\n\s*", " ", (root / "docker" / "Dockerfile").read_text())
 
     def instruction(name):
@@ -107,8 +104,7 @@ def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
     check = [word.replace(":8411/", f":{free_port}/") for word in check]
     check[0] = sys.executable
     assert subprocess.run(check, capture_output=True).returncode != 0
-    address = f"http://127.0.0.1:{free_port}"
-    with running(words, address, tmp_path, **environment):
+    with running(words, f"http://127.0.0.1:{free_port}", tmp_path, **environment):
         assert subprocess.run(check, capture_output=True).returncode == 0
 
 

@@ -32,7 +32,6 @@ NAME, TITLE = "bending-beam", "Bending beam of X under Y toward Z"
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    """The module that the page shows."""
     (source, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
     file = tmp_path_factory.mktemp("third-party") / "bending_beam.py"
     file.write_text(source, encoding="utf-8")
@@ -46,7 +45,6 @@ def example(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(example):
-    """Install the example by entry point, in place of all others."""
     point = EntryPoint(NAME, "bending_beam:BendingBeamFamily", "truepath.effects")
     found = plugins.entry_points
 
@@ -74,9 +72,7 @@ def test_the_example_of_the_page_conforms(check, example):
     check(example.BendingBeamFamily(), example_conditions())
 
 
-def test_it_is_discovered_with_its_own_keys_and_words_and_the_page_has_these(
-    discovered, installed
-):
+def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):
     (effect,) = discovered.content["effects"]
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS

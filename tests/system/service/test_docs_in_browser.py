@@ -12,10 +12,8 @@ pytestmark = pytest.mark.ui
 @pytest.fixture
 def page():
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=os.environ.get("CHROMIUM") or shutil.which("chromium"),
-            headless=True,
-        )
+        found = os.environ.get("CHROMIUM") or shutil.which("chromium")
+        browser = playwright.chromium.launch(executable_path=found)
         page = browser.new_page()
         yield page
         browser.close()

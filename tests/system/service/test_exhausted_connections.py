@@ -16,6 +16,7 @@ from truepath.service.api.security import connections
 from truepath.users.certificates import create_certificate
 
 STOP = b"POST /api/v1/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
+EVENTS = b"GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 UNFINISHED = {
     "nothing": b"",
     "head": b"GET /api/v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Never",
@@ -60,9 +61,7 @@ def test_a_stop_succeeds_however_many_connections_are_unfinished(tmp_path):
 @pytest.mark.long
 @pytest.mark.fault_row(45)
 @pytest.mark.timeout(300)
-def test_a_machine_that_moves_is_stopped_among_1400_connections_and_1024_descriptors(
-    tmp_path,
-):
+def test_a_machine_is_stopped_among_1400_connections(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
     with process(tmp_path, 1024) as (_, client), ExitStack() as stack:
@@ -102,9 +101,7 @@ def is_ended(link, data, within_s):
     return False
 
 
-def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_coming(
-    service, hasty
-):
+def test_a_client_has_a_deadline_but_while_its_body_keeps_coming(service, hasty):
     with serving(service) as place:
         with socket.create_connection(place) as link:
             assert is_ended(link, UNFINISHED["head"] + b"x" * 10_000, 8.0)
@@ -123,9 +120,7 @@ def test_a_client_has_a_deadline_however_it_dawdles_but_while_a_body_keeps_comin
                 link.sendall((b"X-More: " + b"x" * 4000 + b"\r\n") * 5000)
 
 
-def test_a_handshake_of_tls_has_a_deadline_and_keeps_nobody_out(
-    service, hasty, tmp_path
-):
+def test_a_handshake_of_tls_keeps_nobody_out(service, hasty, tmp_path):
     files = create_certificate(["127.0.0.1"], tmp_path, 2)
     with serving(service, tls=files) as place, ExitStack() as stack:
         held = [hold(stack, place, b"") for _ in range(40)]
@@ -154,9 +149,7 @@ def test_one_address_leaves_half_of_the_places_to_others(service, hasty, monkeyp
 
 def test_a_stream_outlives_those_who_do_not_get_on(service, hasty):
     with serving(service) as place, ExitStack() as stack:
-        stream = hold(
-            stack, place, b"GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-        )
+        stream = hold(stack, place, EVENTS)
         assert b" 200 " in stream.recv(4000)
         for _ in range(60):
             hold(stack, place, UNFINISHED["head"])

@@ -23,19 +23,18 @@ from scripted_cell import wait_until
 SEED = 36
 RUNS = "/api/v1/runs"
 PATHS = read_document()["paths"]
-STREAMS = ("/events", "/stop")
+STREAMS, NO_BODY = ("/events", "/stop"), {"content": ()}
 ROUTES = sorted(
     (method, path)
     for path, methods in PATHS.items()
     for method in methods
     if not path.endswith(STREAMS)
 )
-BODIES = sorted(
+BODIES = [
     (method, path)
     for method, path in ROUTES
-    if "application/json"
-    in PATHS[path][method].get("requestBody", {}).get("content", ())
-)
+    if "application/json" in PATHS[path][method].get("requestBody", NO_BODY)["content"]
+]
 ODD = "%00 a%00b %ED%A0%80 %FF%FE %F0%9F%98%80 %0D%0ASet-Cookie:a=b ..%5C..%5Cetc"
 NAMES = (*ODD.split(), "%2e%2e%2f", "'%20OR%201=1--", "%25s%25n", "x" * 4000, "9" * 400)
 TEXTS = (
@@ -76,6 +75,7 @@ BODY = st.fixed_dictionaries(
     {"kind": KINDS_OF_JOBS | VALUES},
     optional=dict.fromkeys(KEYS, VALUES) | dict.fromkeys(("path", "points"), ROWS),
 )
+ONE_SERVICE = HealthCheck.function_scoped_fixture
 HEADER = st.text(st.characters(min_codepoint=0x21, max_codepoint=0x7E), max_size=40)
 
 
@@ -94,13 +94,11 @@ def fill(path, name):
 
 
 def list_queries(path, method):
-    """Return the names that a request may have in its query, by its description."""
     parameters = PATHS[path][method].get("parameters", ())
     return [one["name"] for one in parameters if one["in"] == "query"]
 
 
 def list_properties(path, method):
-    """Return the names of the keys of a request's body, by its description."""
     schema = PATHS[path][method]["requestBody"]["content"]["application/json"]["schema"]
     return sorted(resolve(schema)["properties"])
 
@@ -151,16 +149,10 @@ def test_hostile_bodies_are_problems(client, sound, method, path, measured):
     measured(f"{method} {path}: {len(sent)} bodies, no 5xx")
 
 
-@settings(
-    max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=60, deadline=None, suppress_health_check=[ONE_SERVICE])
 @given(body=BODY, tag=HEADER, key=HEADER)
 @pytest.mark.fault_row(35)
-def test_any_order_of_a_job_with_any_headers_is_a_problem_or_an_answer(
-    client, sound, body, tag, key
-):
+def test_any_order_with_any_headers_is_sound(client, sound, body, tag, key):
     headers = {"if-match": tag, "idempotency-key": key, "last-event-id": tag}
     text = json.dumps(body)  # with NaN and Infinity, as careless clients write them
     kind = {"content-type": "application/json"}
@@ -176,11 +168,8 @@ def encode_stream():
 
 
 def pack_again(bundle, method=zipfile.ZIP_DEFLATED, **added):
-    sink = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(bundle)) as old,
-        zipfile.ZipFile(sink, "w", method) as new,
-    ):
+    old, sink = zipfile.ZipFile(io.BytesIO(bundle)), io.BytesIO()
+    with old, zipfile.ZipFile(sink, "w", method) as new:
         for name in old.namelist():
             if name not in added:
                 new.writestr(name, old.read(name))
@@ -238,8 +227,7 @@ def test_a_page_of_parquet_that_has_changed_is_refused(client, is_problem, bundl
     stream = bytearray(encode_stream())
     stream[200] ^= 1
     sent = pack_again(bundle(tracker_csv=None), **{"tracker.parquet": bytes(stream)})
-    problem = is_problem(send(client, sent), 422, "bundle")
-    assert problem["file"] == "tracker.parquet"
+    assert is_problem(send(client, sent), 422, "bundle")["file"] == "tracker.parquet"
 
 
 def send(client, content):
@@ -247,9 +235,7 @@ def send(client, content):
 
 
 @pytest.mark.fault_row(36)
-def test_the_service_answers_while_what_was_uploaded_is_read(
-    live, service, bundle, run_reader, measured
-):
+def test_uploads_being_read_hinder_nobody(live, service, bundle, run_reader, measured):
     assert send(live, bundle()).status_code == 201  # the reader is up
     uploads, folder = 45, service.runs._folder  # more than there are request threads
     process_id = run_reader._process._process.process_id

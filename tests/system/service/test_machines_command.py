@@ -10,8 +10,6 @@ from truepath_simulators.scenario import load_machine
 
 @pytest.fixture
 def machines(live, capsys):
-    """The command at the service: exit status, what it printed, what it said."""
-
     def call(verb, *words):
         status = run(["machines", verb, *words, "--address", str(live.base_url)])
         printed, said = capsys.readouterr()
@@ -22,8 +20,6 @@ def machines(live, capsys):
 
 @pytest.fixture
 def printed_of(machines):
-    """What the command has printed where it succeeds."""
-
     def call(*words):
         status, printed, _ = machines(*words)
         assert status == 0
@@ -32,9 +28,7 @@ def printed_of(machines):
     return call
 
 
-def test_list_history_and_comparison_state_calibrations_and_standing(
-    printed_of, calibrated
-):
+def test_lists_and_histories_state_calibrations(printed_of, calibrated):
     (one,) = json.loads(printed_of("list", "--json"))["machines"]
     newest = one["calibration"]
     assert (one["id"], newest["job_id"]) == ("default", calibrated[-1])
@@ -61,8 +55,7 @@ def test_a_machine_is_added_shown_and_changed(printed_of, tmp_path, service):
     stated = ("--state", "serial_number=4711", "--state", "place=hall 3")
     printed_of("add", "mill-3", str(machine), *stated)
     shown = printed_of("show", "mill-3")
-    assert "4711" in shown
-    assert "never" in shown
+    assert all(word in shown for word in ("4711", "never"))
     taken = ("--state", "place=", "--state", "tolerance_um=12.5", "--json")
     printed = printed_of("change", "mill-3", *taken, "--devices", str(devices))
     service.machines.get("mill-3").close()

@@ -2,10 +2,7 @@
 
 import pytest
 
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
 
 
 @pytest.fixture
@@ -13,20 +10,17 @@ def database_kind():
     return "postgresql"
 
 
-def test_a_measurement_ends_with_its_run_in_the_catalogue_and_is_found_again_without(
-    client, finished, service, make_catalogue_url
-):
+def test_a_measurement_and_a_rebuild(client, finished, service, make_catalogue_url):
     assert service.database.engine.dialect.name == "postgresql"
-    run = client.get(f"/api/v1/runs/{finished['run_id']}").json()
-    assert run["samples"] > 0
+    assert client.get(f"/api/v1/runs/{finished['run_id']}").json()["samples"] > 0
     assert client.get("/api/v1/jobs").json()["items"][0]["id"] == finished["id"]
     for method, address in (("POST", "jobs/%00/abort"), ("GET", "runs/%00")):
         assert client.request(method, f"/api/v1/{address}").status_code == 400
     database = type(service.database)(make_catalogue_url("postgresql"))
     folder = service.results.parent / "runs"
-    lost = check_against_disk(database, folder)["runs_without_row"]
+    lost = rebuilding.check_against_disk(database, folder)["runs_without_row"]
     assert lost == [finished["run_id"]]
-    recovered = rebuild_catalogue(database, folder, service.results)
+    recovered = rebuilding.rebuild_catalogue(database, folder, service.results)
     assert (recovered.runs, recovered.aside) == (1, None)
-    assert check_against_disk(database, folder)["runs_without_row"] == []
+    assert rebuilding.check_against_disk(database, folder)["runs_without_row"] == []
     database.close()

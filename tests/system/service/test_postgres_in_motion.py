@@ -9,7 +9,6 @@ from real_services import process
 from service_process import ENDS, ROWS, begin_moving, wait_for
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
-
 FROZEN_S = 10.0
 
 
@@ -34,9 +33,7 @@ def job(service):
 
 @pytest.mark.fault_row(37)
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
-def test_a_measurement_goes_on_over_a_restart_of_the_database(
-    server, service, job, mode
-):
+def test_a_measurement_outlives_a_restart_of_the_database(server, service, job, mode):
     before = service.get(f"/api/v1/jobs/{job}").json()
     server.stop(mode)
     server.start()
@@ -49,9 +46,7 @@ def test_a_measurement_goes_on_over_a_restart_of_the_database(
 
 
 @pytest.mark.fault_row(37)
-def test_a_frozen_database_bounds_every_answer_and_stop_works(
-    server, service, job, measured
-):
+def test_a_frozen_database_bounds_answers_and_stops(server, service, job, measured):
     server.freeze()
     try:
         end = time.monotonic() + FROZEN_S

@@ -31,9 +31,8 @@ ONE_EACH = ("feed_mm_min", "dwell_s")
 
 @pytest.fixture
 def settings(tmp_path):
-    return load_settings(
-        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
-    )
+    simulated = {"simulated": True, "simulated_speed": SPEED}
+    return load_settings(data_dir=tmp_path / "data", port=0, **simulated)
 
 
 def check_now_and_then():
@@ -108,8 +107,7 @@ def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
         assert "service has stood still" in json.dumps(paused)
         client.post("/api/v1/stop")
         run_id = follow(client, job, "aborted")["run_id"]
-    file = tmp_path / "data" / "runs" / f"{run_id}.sqlite"
-    axes = open_run(file).axis_samples
+    axes = open_run(tmp_path / "data" / "runs" / f"{run_id}.sqlite").axis_samples
     time_s = axes.host_time_s
     is_meanwhile = (time_s > frozen_s + 3.0) & (time_s < frozen_s + FROZEN_S)
     meanwhile = axes.position_mm[is_meanwhile]
@@ -121,9 +119,7 @@ def test_a_frozen_service_leaves_a_machine_that_stands(tmp_path):
     "how", ["terminated", pytest.param("Ctrl+C", marks=pytest.mark.long)]
 )
 @pytest.mark.fault_row(40)
-def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(
-    tmp_path, how, measured
-):
+def test_the_end_in_motion_stops_the_machine_first_in_time(tmp_path, how, measured):
     with process(tmp_path) as (running, client):
         begin_moving(client, LONG)
         with client.stream("GET", "/api/v1/events") as stream:

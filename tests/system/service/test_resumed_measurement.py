@@ -10,17 +10,10 @@ import random
 import numpy as np
 import pytest
 
+import service_process
+from api_builders import rows_at
 from real_services import drive, environment_of
-from service_process import (
-    acknowledge,
-    arm,
-    create,
-    follow,
-    kill,
-    process,
-    wait_for,
-    wait_until_done,
-)
+from service_process import acknowledge, arm, create, follow, wait_for, wait_until_done
 from truepath.cli.demo import compare_with_truth
 from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import digest_run
@@ -29,28 +22,24 @@ from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
-
 SPEED = 12.0
 DONE = 6  # of the lines, when the service is killed
 KNOCK_MM = 0.05
 RNG = random.Random(1)
 ENDS_MM = (490, 390, 290)
 PLACES = [[round(RNG.uniform(10, end), 1) for end in ENDS_MM] for _ in range(24)]
-ROWS = [{"x_mm": x, "y_mm": y, "z_mm": z, "dwell_s": 0.6} for x, y, z in PLACES]
+ROWS = rows_at(*PLACES, dwell_s=0.6)
 AREAS = [
     {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
     {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
 ]
-
 TOOLS = {
     "T1": {"on": "tool", "offset_mm": [20.0, 30.0, -150.0]},
     "T2": {"on": "tool", "offset_mm": [60.0, -20.0, -90.0]},
 }
 # The change of the target repeats the row where the machine stands.
-TWO_TOOLS = [
-    *({**row, "target": "T1"} for row in ROWS[:12]),
-    *({**row, "target": "T2"} for row in ROWS[11:]),
-]
+TWO_TOOLS = [{**row, "target": "T1"} for row in ROWS[:12]]
+TWO_TOOLS += [{**row, "target": "T2"} for row in ROWS[11:]]
 
 
 @pytest.fixture
@@ -73,9 +62,8 @@ def rig(machine):
 
 @pytest.fixture
 def start(tmp_path, rig, machine):
-    """Starts the service on the devices of the rig, again and again on one folder."""
     environment = environment_of(rig.motion_options, rig.tracker_options, machine)
-    return lambda: process(tmp_path, **environment)
+    return lambda: service_process.process(tmp_path, **environment)
 
 
 def kill_in_motion(service, client, done=DONE, **order):
@@ -83,7 +71,7 @@ def kill_in_motion(service, client, done=DONE, **order):
     job = create(client, **order)
     arm(client, job)
     wait_until_done(client, job["id"], done, order.get("kind", "measure-otf"))
-    kill(service)
+    service_process.kill(service)
     return job["id"]
 
 
@@ -95,8 +83,7 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
     with start() as opened:
         job_id = kill_in_motion(*opened, **{"kind": kind, rows: ROWS})
     with start() as (_, client):
-        job = client.get(f"/api/v1/jobs/{job_id}").json()
-        assert job["state"] == "interrupted"
+        assert client.get(f"/api/v1/jobs/{job_id}").json()["state"] == "interrupted"
         ended, first_row = go_on(client, rig, job_id)
         assert DONE - 1 <= first_row <= DONE + 4
         runs = [client.get(f"/api/v1/runs/{i}").json() for i in ended["run_ids"]]
@@ -110,9 +97,7 @@ def test_a_measurement_whose_service_was_killed_goes_on_where_it_was(start, rig,
 
 @pytest.mark.fault_row(11)
 @pytest.mark.fault_row(25)
-def test_a_reflector_knocked_while_the_service_was_dead_is_refused_with_its_size(
-    start, rig
-):
+def test_a_reflector_knocked_meanwhile_is_refused_with_its_size(start, rig):
     with start() as opened:
         job_id = kill_in_motion(*opened, path=ROWS)
     rig.inject(f"tracker:knock@0s*{KNOCK_MM}")
@@ -161,9 +146,7 @@ def compare_with_places(found, rig):
 
 
 @pytest.mark.fault_row(25)
-def test_a_verification_whose_service_was_killed_counts_each_place_once_and_is_right(
-    start, rig, tmp_path
-):
+def test_a_killed_verification_counts_each_place_once(start, rig, tmp_path):
     verify = {"kind": "verify", "what": ["random-points"], "seed": 5}
     with start() as (service, client):
         result_id = drive(client, path=ROWS)["id"]
@@ -218,9 +201,7 @@ def set_down(rig, job, number):
 
 
 @pytest.mark.fault_row(25)
-def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
-    start, rig
-):
+def test_two_stations_that_were_killed_go_on_and_agree_with_truth(start, rig):
     with start() as (service, client):
         order, places_mm = plan_stations(client)
         job = create(client, **order)
@@ -228,7 +209,7 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
         set_down(rig, job, 1)
         arm(client, job)
         wait_until_done(client, job["id"], 4)
-        kill(service)
+        service_process.kill(service)
     with start() as (_, client):
         ready = acknowledge(client, job["id"])
         assert ready["station"]["number"] == 1
@@ -263,9 +244,7 @@ def test_two_stations_whose_service_was_killed_go_on_and_agree_with_the_truth(
 @pytest.mark.fault_row(25)
 @pytest.mark.parametrize("machine", [TOOLS], indirect=True)
 @pytest.mark.parametrize("done", [DONE, 15], ids=["first-tool", "second-tool"])
-def test_two_tools_whose_service_was_killed_go_on_and_agree_with_the_truth(
-    start, rig, done
-):
+def test_two_tools_that_were_killed_go_on_and_agree_with_truth(start, rig, done):
     with start() as opened:
         job_id = kill_in_motion(*opened, done, path=TWO_TOOLS)
     with start() as (_, client):

@@ -20,7 +20,6 @@ WATCHDOG_S = 1.5
 
 @pytest.fixture
 def notices(tmp_path):
-    """What came to a notify socket, and when."""
     received = []
 
     def read():
@@ -40,9 +39,7 @@ def count(notices, text):
     return sum(text in message for _, message in notices)
 
 
-def test_a_frozen_event_loop_gives_no_sign_of_life_and_one_that_runs_does(
-    tmp_path, notices
-):
+def test_a_frozen_event_loop_gives_no_sign_of_life(tmp_path, notices):
     watched = {
         "TRUEPATH_SIMULATED": "0",
         "NOTIFY_SOCKET": str(tmp_path / "notify"),

@@ -195,10 +195,8 @@ def test_a_pulled_cable_is_noticed_and_the_port_comes_back(plain):
 
 @pytest.mark.long
 def test_a_port_in_use_is_named():
-    with (
-        socket.create_server(("127.0.0.1", 0)) as taken,
-        pytest.raises(SimulatorError, match="in use"),
-    ):
+    refused = pytest.raises(SimulatorError, match="in use")
+    with socket.create_server(("127.0.0.1", 0)) as taken, refused:
         Bench(seed=1, modbus_port=taken.getsockname()[1]).start()
 
 

@@ -142,5 +142,4 @@ def test_other_suites_use_a_rig_that_runs(rig, request, monkeypatch):
     """Their fixture, with the option `--truepath-control`."""
     control = rig._socket.getpeername()
     monkeypatch.setattr(request.config.option, "truepath_control", control)
-    theirs = request.getfixturevalue("truepath_bench")
-    assert theirs.links == rig.links
+    assert request.getfixturevalue("truepath_bench").links == rig.links

@@ -61,8 +61,7 @@ def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tra
     assert np.linalg.norm(second - first) == pytest.approx(APART_MM, abs=1.0)
     with pytest.raises(Refused, match="knows T1, T2"):
         tracker.select_target("T9")
-    after = read_valid(tracker).mean(axis=0)
-    assert np.linalg.norm(after - second) < 0.1
+    assert np.linalg.norm(read_valid(tracker).mean(axis=0) - second) < 0.1
     tracker.push_air(Air(21.5, 990.0, 40.0))
     assert tracker.read_air() == Air(21.5, 990.0, 40.0)
 

@@ -10,10 +10,8 @@ from truepath.motion.paths.verification_points import make_verification_points
 from truepath_simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence()
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none"),
-]
+NEEDED = pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")
+pytestmark = [pytest.mark.long, NEEDED]
 
 
 @pytest.fixture
@@ -33,7 +31,6 @@ def test_linuxcnc_drives_and_the_error_is_found(live, tmp_path, case, lines):
 
 
 def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
-    """Calibrate, export, load, measure points that the calibration has not seen."""
     case, seed = replace(live.THREE_AXES, lines=24), 11
     content = live.load_machine(case.name)
     with live.live_rig(content, seed, case) as rig:
@@ -45,9 +42,8 @@ def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
     files = {axis: tmp_path / f"comp-{axis}.tbl" for axis in content["axes"]}
     tables = {axis: file.read_text() for axis, file in files.items()}
     with live.live_rig(content, seed, case, tables) as rig:
-        points = make_verification_points(
-            order.machine, [VerificationKind.RANDOM_POINTS], 12
-        )
+        kinds = [VerificationKind.RANDOM_POINTS]
+        points = make_verification_points(order.machine, kinds, 12)
         file = str(tmp_path / "left.sqlite")
         driven = replace(order, run_name="left", run_file=file, commanded=points)
         closed = live.measure(rig, driven, 600.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recorded import record_run
+from recorded import nominal_error_mm, record_run
 from recorded import stream as follow
 from truepath.alignment.align import align
 from truepath.alignment.closure import find_committed
@@ -18,11 +18,6 @@ from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
-
-
-def nominal_error_mm(seen):
-    """How far cells lie from their nominal place, in the workpiece frame."""
-    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
 
 
 def with_stream(run, keep=slice(None), **changes):
@@ -117,6 +112,14 @@ def commanded(change):
     return changed
 
 
+def lost(run):
+    return with_stream(run, status=np.ones(len(run.tracker), np.int64))
+
+
+def stamped_in_ms(run):
+    return with_stream(run, device_time_s=run.tracker.device_time_s * 1e3)
+
+
 def on_one_line(position):
     return np.outer(50.0 + 100.0 * (np.arange(len(position)) % 4), [1.0, 0.0, 0.0])
 
@@ -131,14 +134,8 @@ def on_one_line(position):
         (commanded(lambda rows: rows[::-1]), "has its order"),
         (commanded(np.random.default_rng(1).permutation), "has its order"),
         (commanded(on_one_line), "off the line"),
-        (
-            lambda run: with_stream(run, status=np.ones(len(run.tracker), np.int64)),
-            "0 valid samples",
-        ),
-        (
-            lambda run: with_stream(run, device_time_s=run.tracker.device_time_s * 1e3),
-            r"steps by 2 at rate_hz 500.*ms",
-        ),
+        (lost, "0 valid samples"),
+        (stamped_in_ms, r"steps by 2 at rate_hz 500.*ms"),
     ],
 )
 def test_what_cannot_be_aligned_is_refused_with_its_cause(usual, change, said):

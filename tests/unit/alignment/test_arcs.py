@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorded import record_run, stream
+from recorded import nominal_error_mm, record_run, stream
 from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.errors import AlignmentError
@@ -36,11 +36,6 @@ def rows_of(*rows, target="W1", feed_s=30.0, dwell_s=0.4):
     return Program(np.array(rows, float), feeds, dwells, (target,) * n)
 
 
-def off_mm(seen):
-    """How far cells lie from their nominal place, where the tracker stands."""
-    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
-
-
 def commanded_at(made, time_s):
     columns = [np.interp(time_s, made.time_s, c) for c in made.commanded_mm.T]
     return np.stack(columns, axis=1)
@@ -54,7 +49,7 @@ def test_cells_of_a_perfect_machine_lie_on_their_arcs(name, stands_on):
     seen = align(run)
     assert len(seen.passes) > 10
     # Without the curve taken off before the mean it would be tens of micrometres.
-    assert np.abs(off_mm(seen)).max() < 1e-4
+    assert np.abs(nominal_error_mm(seen)).max() < 1e-4
     place = commanded_at(made, seen.at.time_s)
     moving = seen.at.line >= 0
     # Interpolation between samples of the simulator leaves this much.
@@ -67,7 +62,7 @@ def test_every_line_that_moves_its_target_is_found_once(name):
     seen = align(run)
     length = compute_nominal_path(run.machine, run.commanded).length_mm
     assert [p.row for p in seen.passes] == np.flatnonzero(length > 1.0).tolist()
-    assert np.abs(off_mm(seen)).max() < 0.3
+    assert np.abs(nominal_error_mm(seen)).max() < 0.3
     # Samples scatter as the tracker states, on arcs too.
     assert seen.scatter == pytest.approx(np.sqrt(0.96) * np.ones(2), abs=0.02)
 
@@ -119,7 +114,7 @@ def test_turns_that_the_target_does_not_see_cost_only_themselves():
     run, _ = record_run(load_machine("head-table"), program)
     seen = align(run)
     assert [p.row for p in seen.passes] == list(range(2, len(rows), 2))
-    assert np.abs(off_mm(seen)).max() < 0.3
+    assert np.abs(nominal_error_mm(seen)).max() < 0.3
 
 
 def test_lines_whose_corner_is_lost_are_told_by_place():
@@ -145,7 +140,7 @@ def test_lines_with_the_rotary_axes_held_in_any_pose_are_straight():
     assert set(nominal.bends) == {3}
     seen = align(run)
     assert [p.row for p in seen.passes] == [1, 2, 3, 4, 5]
-    assert np.abs(off_mm(seen)).max() < 1e-4
+    assert np.abs(nominal_error_mm(seen)).max() < 1e-4
 
 
 def test_a_line_that_is_late_shifts_its_cells_along_the_arc():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorded import load_small, record_run, stream
+from recorded import load_small, nominal_error_mm, record_run, stream
 from truepath.alignment.align import align
 from truepath.errors import AlignmentError
 from truepath_simulators.machine_file import parse_machine
@@ -51,7 +51,7 @@ def stated(run):
 def test_no_row_of_a_target_that_sits_three_millimetres_off_is_lost(run, stated):
     seen = align(replace(run, machine=move_targets(run.machine, OFF)))
     assert set(seen.row) == set(stated.row)
-    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+    off = nominal_error_mm(seen)
     # Of the first target, which the volumetric error is stated for, nothing is taken.
     first = np.abs(seen.at.offset_mm - seen.at.machine.targets[0].offset_mm).max(axis=1)
     assert np.linalg.norm(off[first > 0.0], axis=1).max() < 4.0
@@ -97,11 +97,9 @@ def test_a_target_that_is_another_or_elsewhere_is_refused(mode, shown, away, sai
 def test_rows_of_a_target_that_the_tracker_did_not_see_are_said(run, stated):
     names = np.array(run.commanded.target)
     rows = np.flatnonzero(names == "W2")
-    time_s = stated.at.time_s[np.isin(stated.row, rows)]
-    samples = run.tracker
-    hidden = (samples.device_time_s > time_s[0] - 1.0) & (
-        samples.device_time_s < time_s[-1] + 1.0
-    )
+    seen_s = stated.at.time_s[np.isin(stated.row, rows)]
+    samples, time_s = run.tracker, run.tracker.device_time_s
+    hidden = (time_s > seen_s[0] - 1.0) & (time_s < seen_s[-1] + 1.0)
     status = np.where(hidden, 1, samples.status)
     seen = align(replace(run, tracker=replace(samples, status=status)))
     lost = {each.row for each in seen.left_out if each.cause in ("no-pass", "no-stop")}

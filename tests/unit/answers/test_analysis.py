@@ -27,6 +27,7 @@ from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.bundle_files import write_bundle_files
 
 TRAVEL_MM = 150.0
+pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +52,7 @@ def folder(analysis, tmp_path):
     return tmp_path / "new" / "result"
 
 
-def test_progress_never_goes_back_and_three_files_are_written_and_replaced_by_the_next(
-    analysis, stages, folder
-):
+def test_progress_only_grows_and_three_files_are_replaced(analysis, stages, folder):
     shares = [share for share, _ in stages]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 0.9)  # the files are left to write
@@ -87,10 +86,9 @@ def test_the_written_file_predicts_what_the_analysis_does_and_removes_the_error(
     assert told.warnings == ()
     with answered.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    predicted, sigma = (
-        np.array([[float(row[f"{what}{k}_um"]) for k in "xyz"] for row in rows])
-        for what in "du"
-    )
+    names = [[f"{what}{axis}_um" for axis in "xyz"] for what in "du"]
+    told = [[[float(row[one]) for one in three] for row in rows] for three in names]
+    predicted, sigma = np.array(told)
     before = rigid_free(q, 1e3 * truth.deviation_mm(q))
     left = before - rigid_free(q, predicted)
     size, whole = (np.linalg.norm(each, axis=1).mean() for each in (left, before))
@@ -116,14 +114,8 @@ def runs(record):
     return replace(moving, name="on <the> fly"), replace(standing, name="points")
 
 
-@pytest.fixture(scope="module")
-def of_both(runs):
-    return render_analysis(analyse(*runs))
-
-
-def test_every_run_has_its_part_of_result_and_report_and_the_longest_gives_the_mode(
-    of_both, runs
-):
+def test_every_run_has_its_part_and_the_longest_gives_the_mode(runs):
+    of_both = render_analysis(analyse(*runs))
     result = json.loads(json.dumps(of_both.result, allow_nan=False))
     used = {run["mode"]: run["used_samples"] for run in result["runs"]}
     assert set(used) == {"otf", "standstill"}
@@ -167,15 +159,12 @@ def test_runs_that_do_not_belong_together_are_refused_by_name(runs, record):
     with pytest.raises(AlignmentError, match=r"^points: "):
         analyse(moving, replace(standing, commanded=other.commanded))
     machine = replace(standing.machine, workpiece_side=("X",), tool_side=("Y", "Z"))
-    with pytest.raises(
-        BundleError, match=r"points/machine\.json: kinematic_chain is w-X-b-Y-Z-t, but"
-    ):
+    words = r"points/machine\.json: kinematic_chain is w-X-b-Y-Z-t, but"
+    with pytest.raises(BundleError, match=words):
         analyse(moving, replace(standing, machine=machine))
 
 
-def test_targets_without_a_name_take_that_of_their_run_and_runs_of_one_name_a_number(
-    runs,
-):
+def test_targets_without_a_name_take_that_of_their_run(runs):
     moving, standing = runs
     # What is said of the offset is wrong here; only how it is named counts.
     target = Target("", "tool", (20.0, 30.0, -250.0))
@@ -184,9 +173,6 @@ def test_targets_without_a_name_take_that_of_their_run_and_runs_of_one_name_a_nu
     assert set(result["machine"]["targets"]) == {"on <the> fly", "points"}
     assert number_names(["a", "b"]) == ["a", "b"]
     assert number_names(["run", "run"]) == ["run (1)", "run (2)"]
-
-
-pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(

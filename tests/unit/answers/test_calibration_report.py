@@ -28,6 +28,11 @@ from truepath.results.result_json import result_json
 from truepath.results.result_summary import group_residuals, state_findings, state_noise
 
 VOID = {"input", "meta", "br", "img", "link", "hr", "path", "use"}
+LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
+BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
+STATION_MM = np.array([900.0, 100.0, -200.0])
+MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
+WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
 
 
 class Outline(HTMLParser):
@@ -67,9 +72,7 @@ def outline(page):
     return Outline(page)
 
 
-def test_the_page_needs_nothing_but_itself_and_its_figures_take_its_colours(
-    found, page, outline
-):
+def test_the_page_needs_only_itself_and_figures_take_its_colours(found, page, outline):
     assert {"script", "link", "img", "iframe"}.isdisjoint(outline.tags)
     assert outline.addresses == []
     assert "url(http" not in page
@@ -98,9 +101,7 @@ def test_errors_figures_and_provenance_stand_in_it(found, outline):
             assert stated in outline.text
 
 
-def test_what_cannot_be_told_is_said_in_words_and_where_all_is_told_that_is_said(
-    estimate, outline, construct, provenance
-):
+def test_what_cannot_be_told_is_said_in_words(estimate, outline, construct, provenance):
     assert estimate.observability.unobservable
     for statement in estimate.observability.unobservable:
         assert statement in outline.text
@@ -139,9 +140,7 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
     assert "timing" not in render_section("documentation", at_rest)
 
 
-def test_one_feed_is_one_number_and_what_lies_across_the_travel_alone_is_named(
-    estimate, provenance, across_only
-):
+def test_one_feed_is_one_number_and_across_is_named(estimate, provenance, across_only):
     run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
     found = state_findings(estimate, replace(provenance, runs=(run,)))
     assert "on the fly at 2,500 mm/min" in render_section("machine", found)
@@ -202,15 +201,9 @@ def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
         (3.0, 0.0, "3.0 ± 0.0"),
     ],
 )
-def test_an_uncertainty_has_two_digits_and_the_value_as_many_places(
-    value, standard, text
-):
+def test_an_uncertainty_has_two_digits_and_the_value_its_places(value, standard, text):
     assert format_expanded(value, standard) == text
     assert format_number(-0.0004, 2) == "0.00"
-
-
-LEFT_OUT = Reason("spikes-left-out", "usable", {"samples": 3, "distance_um": 90.0})
-BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
 
 
 def judged(found, *reasons):
@@ -233,14 +226,8 @@ def test_a_result_that_is_not_to_be_used_begins_with_that(found, page):
     assert evil not in judged(found, Reason("stated", "doubtful", {"text": evil}))
 
 
-STATION_MM = np.array([900.0, 100.0, -200.0])
-MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
-WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
-
-
 @pytest.fixture(scope="module")
 def partly(estimate):
-    """The estimate, had only a part of the travel been measured."""
     seen = replace(estimate.observability, poorly_observable=(WEAK,))
     return replace(estimate, measured=MEASURED, observability=seen)
 
@@ -276,9 +263,7 @@ def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(gr
     assert not build_error_tables(loaded, {}).table("EYX").extrapolated.any()
 
 
-def test_the_report_states_grade_remedy_weak_shapes_and_extrapolated_ends(
-    graded, found
-):
+def test_the_report_states_grade_remedy_weak_shapes_and_extrapolation(graded, found):
     assert result_json(graded)["observability"]["weak"] == [WEAK]
     page = render_calibration_report(graded)
     assert f"Grade of the set-up: <strong>{graded.grade.number:.2f}" in page

@@ -43,10 +43,48 @@ VERIFICATION |= {"places": {"row": list(range(30))}, "map_scale": None}
 VERIFICATION |= {"conformity": {"measured": MEASURED}, "agreement": AGREEMENT}
 GERMAN, BRITISH = load_language("de"), load_language("en")
 WRONG_SIGN = "Die Steuerung addiert die Kompensation mit falschem Vorzeichen"
+U = ("", "_uncertainty")
+LENGTHS = [f"{name}{u}" for name in ("mean", "p95", "largest") for u in U]
+NUMBERS = {
+    "agreement": AGREEMENT | {"chi_square": 110.04, "freedom": 84},
+    "volumetric_error_um": {"measured": dict.fromkeys(LENGTHS, 0.5)},
+}
+FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
+ANGLE = np.radians(list_sector_angles())
+RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
+SENSES = ("counterclockwise", "clockwise")
+CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
+CIRCLE |= {
+    "angle_deg": list_sector_angles().tolist(),
+    "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
+    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
+    "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
+    "figures_um": FIGURES_UM,
+    "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
+    "predicted_um": FIGURES_UM,
+    "predicted_uncertainty_um": dict.fromkeys(FIGURES_UM, 0.2),
+}
+CIRCLES = {"circles_in_motion": [CIRCLE], "circles_missing": [9]}
+LINE = {"axes": "X", "standard": "iso-230-2", "runs": 5}
+LINE |= {
+    "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
+    "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
+    "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
+}
+STANDING = {"plane": "YZ", "radius_mm": 153.6}
+STANDING |= {
+    "figures_um": {"G": 12.5, "F_max": 13.2, "F_min": -0.5},
+    "uncertainty_um": {"G": 4.0, "F_max": 2.5, "F_min": 2.5},
+    "predicted_um": {"G": 11.5, "F_max": 10.2, "F_min": -1.3},
+}
+MERGED = (
+    "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; a "
+    "second target at least 180 mm to the side, in X or Y, separates them (to 3.4 "
+    "µrad, k = 2, on the same path)"
+)
 
 
 def describe(*more):
-    """What a certificate has of a verification, of which nothing else is asked."""
     content = functools.reduce(operator.or_, more, VERIFICATION)
     source = Source("v.json", content, "0" * 64)
     found = SimpleNamespace(input_sha256="")
@@ -55,7 +93,6 @@ def describe(*more):
 
 
 def german(**more):
-    """The findings of the verification, with other content, in German."""
     return word_findings(VERIFICATION | more, GERMAN)
 
 
@@ -95,7 +132,7 @@ def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     judged, runs = verdict_json(Verdict((air,))), [{"length_scale_ppm": 270.0}] * 2
     _, uncorrected, _, scale = german(run_verdict=judged, runs=runs)
     assert uncorrected.startswith("Die Strecken des Trackers sind nicht um die Luft")
-    assert "270,00 ppm" in scale
+    assert "540,00 ppm (k = 2)" in scale
     figure = {"value_um": 5.0, "uncertainty_um": 0.2}
     spread = dict.fromkeys(("mean", "p95", "largest"), figure)
     known = KnownLengthsFile(count=3, off_ppm=-61.5, uncertainty_ppm=0.7)
@@ -107,14 +144,6 @@ def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     assert "um −61,50 ppm zu lang, mit U = 1,40 ppm" in note
 
 
-U = ("", "_uncertainty")
-LENGTHS = [f"{name}{u}" for name in ("mean", "p95", "largest") for u in U]
-NUMBERS = {
-    "agreement": AGREEMENT | {"chi_square": 110.04, "freedom": 84},
-    "volumetric_error_um": {"measured": dict.fromkeys(LENGTHS, 0.5)},
-}
-
-
 def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted():
     view = describe(NUMBERS)
     assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
@@ -124,10 +153,8 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
     assert rows["Übereinstimmung, χ²"].startswith("110,0 bei 84 Freiheitsgraden")
     texts = {**GERMAN.own, **GERMAN.shared}
     assert not [key for key, text in texts.items() if re.search(r"\bLinien?\b", text)]
-    assert (
-        GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
-        == "um −493,4 µm, am 2026-11-25"
-    )
+    said = GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
+    assert said == "um −493,4 µm, am 2026-11-25"
     quoted = ["The machine fails."]
     assert word_findings(VERIFICATION, BRITISH) == quoted
     assert german(conformity={"measured": {"k": 2}}) == quoted
@@ -135,29 +162,11 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
 
 @pytest.mark.parametrize("decision", ["within", "outside", "undecided"])
 def test_a_decision_says_whether_the_compensation_was_active(decision):
-    measured = {"measured": MEASURED | {"conformity": decision}}
+    more = {"conformity": {"measured": MEASURED | {"conformity": decision}}}
     for language, words in ((BRITISH, "compensation active"), (GERMAN, "aktiver Komp")):
         for active in (True, False):
-            more = {"conformity": measured, "compensated": active}
-            assert (words in describe_decision(VERIFICATION | more, language)) == active
-
-
-FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
-ANGLE = np.radians(list_sector_angles())
-RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
-SENSES = ("counterclockwise", "clockwise")
-CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
-CIRCLE |= {
-    "angle_deg": list_sector_angles().tolist(),
-    "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
-    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
-    "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
-    "figures_um": FIGURES_UM,
-    "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
-    "predicted_um": FIGURES_UM,
-    "predicted_uncertainty_um": dict.fromkeys(FIGURES_UM, 0.2),
-}
-CIRCLES = {"circles_in_motion": [CIRCLE], "circles_missing": [9]}
+            content = VERIFICATION | more | {"compensated": active}
+            assert (words in describe_decision(content, language)) == active
 
 
 def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():
@@ -170,7 +179,6 @@ def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():
     assert view["missing"].endswith(": 10.")
     for text in ("+Z", "+X", "H 3,2 ± 1,8 µm", "Ringabstand 2 µm", "F min −6,0"):
         assert text in view["figure"]
-    # Those of an earlier version are stated without a figure.
     earlier = {key: value for key, value in CIRCLE.items() if key != "centre_um"}
     view = describe(NUMBERS, {"circles_in_motion": [earlier]})["circles"]
     assert view["figure"] == ""
@@ -191,21 +199,6 @@ def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers()
     assert np.allclose(out, expected, atol=0.02)
 
 
-LINE = {"axes": "X", "standard": "iso-230-2", "runs": 5}
-LINE |= {
-    "figures_um": {"A": 13.4, "E": 12.9, "R": 6.8, "B": 4.2, "M": 9.0},
-    "uncertainty_um": {"A": 3.4, "E": 0.7, "R": 3.3, "B": 0.6, "M": 0.5},
-    "predicted_um": {"E": 11.9, "B": 2.7, "M": 9.1},
-}
-STANDING = {
-    "plane": "YZ",
-    "radius_mm": 153.6,
-    "figures_um": {"G": 12.5, "F_max": 13.2, "F_min": -0.5},
-    "uncertainty_um": {"G": 4.0, "F_max": 2.5, "F_min": 2.5},
-    "predicted_um": {"G": 11.5, "F_max": 10.2, "F_min": -1.3},
-}
-
-
 def test_a_certificate_states_the_figures_that_a_verification_ran_for():
     driven = describe_iso_figures({"lines": [LINE], "circles": [STANDING]}, GERMAN)
     measured, predicted = driven["lines"]
@@ -218,15 +211,7 @@ def test_a_certificate_states_the_figures_that_a_verification_ran_for():
     assert scattered["lines"] == scattered["circles"] == []
 
 
-MERGED = (
-    "ECZ (roll of Z) is not distinguishable from EXZ and EYZ with one tool length; a "
-    "second target at least 180 mm to the side, in X or Y, separates them (to 3.4 "
-    "µrad, k = 2, on the same path)"
-)
-
-
 def list_poor():
-    """Yield statements of every form of a shape, as the code that names it has them."""
     source = inspect.getsource(observability.describe_form)
     shapes = set(re.findall(r"\ban? (?:slope|bow|wave)\b|\ban S\b", source))
     assert len(shapes) == 4
@@ -264,4 +249,7 @@ def test_numbers_of_a_statement_stand_in_its_german_words():
     said = describe_poorly_observable(poor, GERMAN)
     assert "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung" in said
     assert "73 % dessen" in said
-    assert "2,4 µm (k = 1)" in said
+    assert "4,8 µm (k = 2)" in said
+    earlier = poor.replace("4.8 µm at the tool (k = 2)", "2.4 µm at the tool (k = 1)")
+    assert describe_poorly_observable(earlier, GERMAN) == said
+    assert describe_poorly_observable(earlier, BRITISH) == poor

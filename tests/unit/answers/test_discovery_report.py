@@ -30,9 +30,7 @@ def text_of(page: str) -> str:
     return html.unescape(re.sub(r"<[^>]+>", " ", page.split("</style>")[1]))
 
 
-def test_a_finding_comes_with_numbers_cause_and_remedy_and_unusual_noise_is_said(
-    knocked,
-):
+def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocked):
     page = render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
     (finding,) = knocked.found.findings
     words, step = finding.family.words["en"], finding.parameters["step_um[x]"]
@@ -73,9 +71,7 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_p
     assert "Left out: setup-step" in describe_use(earlier, repeats_model=False)
 
 
-def test_lines_to_drive_next_come_with_programs_until_nothing_is_asked(
-    knocked, record, tmp_path
-):
+def test_lines_to_drive_next_come_with_programs(knocked, record, tmp_path):
     path = record(11, rows=5, travel_mm=150.0)[0].commanded
     question = Question("backlash", "a lag", (1, 1), np.zeros)
     asked = DiscriminationDesign((question,), path, (9.0,))

@@ -50,7 +50,6 @@ def taken(content) -> PriorModel:
 
 
 def model_of(family, run, keys, value=0.0, variance=1.0) -> PriorModel:
-    """Return a model of an effect; it knows no number of it unless one is given."""
     model = MachineModel(run.machine, (restore_effect(family, run.machine, keys, {}),))
     loaded = CalibrationResult(model, np.array([value]), np.array([[variance]]))
     return PriorModel(loaded, "named.json", "abc")
@@ -63,8 +62,6 @@ def only_named(run, hidden):
 
 @pytest.fixture(scope="module")
 def told(record):
-    """Measure a machine twice: analysed without and with what another Run has told."""
-
     @cache
     def make(hidden, machine):
         how = DRIVEN | {"setting": Setting(machine_seed=machine, hidden=(hidden,))}
@@ -79,16 +76,13 @@ def told(record):
 
 @pytest.fixture(scope="module")
 def judged(volume, rigid_free):
-    """Tell a map's errors in µm, and its standard uncertainties."""
-
     def judge(one, result, hidden):
         at = volume(one.run.machine)
         true = one.truth.deviation_mm(at)
         if hidden is SAG:
-            u, v = (
-                (at[:, k] - axis.low) / (axis.high - axis.low)
-                for k, axis in enumerate(one.run.machine.linear_axes[:2])
-            )
+            ends = [(a.low, a.high) for a in one.run.machine.linear_axes[:2]]
+            low, high = np.transpose(ends)
+            u, v = ((at[:, :2] - low) / (high - low)).T
             true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v
         said = predict(result_from_json(result), at)
         off = rigid_free(at, said.error_um) - 1e3 * rigid_free(at, true)
@@ -105,9 +99,7 @@ def judged(volume, rigid_free):
         pytest.param(LAG, MACHINES, id="servo-mismatch", marks=pytest.mark.long),
     ],
 )
-def test_the_map_is_truer_with_what_another_run_has_told(
-    told, judged, hidden, machines
-):
+def test_the_map_is_truer_by_what_another_run_has_told(told, judged, hidden, machines):
     def over_machines(which):
         ones = [told(hidden, machine) for machine in machines]
         pairs = [judged(one, getattr(one, which), hidden) for one in ones]
@@ -139,15 +131,12 @@ def test_the_result_states_the_effect_before_and_with_the_run(told):
 
 @pytest.mark.long
 def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
-    """A guide whose sag is hardly known leaves Z along X less certain."""
     one = told(SAG)
     known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
     vague = stated(one.run, model=replace(one.earlier, result=loose))
-    sure, open_ = (
-        np.array(r["error_tables"]["EZX"]["uncertainty_um"]).max()
-        for r in (one.beside, vague)
-    )
+    tables = (result["error_tables"]["EZX"] for result in (one.beside, vague))
+    sure, open_ = (max(table["uncertainty_um"]) for table in tables)
     assert sure < open_
 
 
@@ -166,7 +155,6 @@ def test_a_machine_that_has_changed_since_is_told(told):
 
 
 def test_no_run_counts_twice(told):
-    """A model is made from a Run; on that Run it only names its effects."""
     one = told(LAG)
     again = stated(one.run, model=taken(one.beside))
     alone = stated(one.run, model=only_named(one.run, LAG))
@@ -185,9 +173,8 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     found = estimate(seen, known=known, keep_fit=True)
     last = found.model.slices[found.model.catalogue_effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
-    drawn = sample_outputs(
-        prepare_trials(found.fit, outputs, TrialPlan(seed=1)), 0, 1500
-    )
+    trials = prepare_trials(found.fit, outputs, TrialPlan(seed=1))
+    drawn = sample_outputs(trials, 0, 1500)
     linear = np.sqrt(np.diag(outputs @ found.covariance @ outputs.T))
     assert drawn.std(axis=1) == pytest.approx(linear, rel=0.1)
 
@@ -206,8 +193,6 @@ def test_lost_motion_of_a_model_stands_among_both_directions(record):
 @pytest.mark.long
 @pytest.mark.parametrize("hidden", [LAG, SAG], ids=lambda effect: effect.name)
 def test_what_discovery_finds_in_one_run_serves_the_next(hidden, record, told, judged):
-    """As much as a model that names the right effect from the start."""
-
     found, without, beside = [], [], []
     for machine in MACHINES:
         drift = TableDrift((0.02, 0.0, 0.01))

@@ -33,8 +33,6 @@ def draw_specification(seed):
 
 
 class World:
-    """A machine, its result by a tracker, and verifying measurements from elsewhere."""
-
     def __init__(self, seed, specification=None):
         stated = draw_specification(seed) if specification is None else specification
         self.seed, self.content = seed, load_erring(stated)
@@ -67,7 +65,6 @@ class World:
 
 
 def count_held(found, truth):
-    """Return the share of components whose true value is within U as stated."""
     places, N = found.places, found.places.nuisance
     true = places.project(truth.deviation_mm(places.cells.position_mm))
     true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))
@@ -114,9 +111,7 @@ def test_nor_is_a_machine_that_is_compensated_perfectly(worlds, mode):
     assert np.mean(held) >= 0.9
 
 
-def test_circles_of_an_exact_machine_are_exact_within_what_is_stated_for_the_tracker(
-    worlds,
-):
+def test_circles_of_an_exact_machine_are_exact_within_what_is_stated(worlds):
     held: list[bool] = []
     for world in worlds:
         run = world.drive_circles(world.compensated)
@@ -124,7 +119,6 @@ def test_circles_of_an_exact_machine_are_exact_within_what_is_stated_for_the_tra
             value, sigma = one.measured.value_um, one.measured.uncertainty_um
             held += [abs(value[name]) <= 2.0 * sigma[name] for name in value]
     assert np.mean(held) >= 0.9
-    # A perfect tracker knows radii better.
     world = worlds[0]
     run = world.drive_circles(world.compensated)
     perfect = replace(run.machine.tracker, specification=PERFECT)

@@ -25,12 +25,7 @@ def test_every_installed_driver_is_listed_with_its_options(command):
     [
         ("tracker", "streaming", {"prot": "x"}, "'prot' is unknown; did you mean port"),
         ("tracker", "text-line", {"port": "x"}, "'rate_hz' is missing; give it (float"),
-        (
-            "tracker",
-            "streaming",
-            {"port": "x", "baudrate": "no"},
-            "baudrate is 'no'",
-        ),
+        ("tracker", "streaming", {"port": "x", "baudrate": "no"}, "baudrate is 'no'"),
         ("motion", "modbus", {"host": "h", "port": [502]}, "port is [502]"),
         ("motion", "no-such", {}, "no motion_controllers called 'no-such'"),
         ("thermometer", "modbus-registers", {"registers": 3}, "registers is 3"),

@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -102,9 +103,7 @@ def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp
     assert told.celsius.ravel().tolist() == [21.25, 21.25]
 
 
-def test_a_recording_keeps_when_it_began_where_its_date_is_sure(
-    bring, truth, written, tmp_path
-):
+def test_a_recording_keeps_when_it_began(bring, truth, written, tmp_path):
     read, _ = bring(of_stream(leica, truth.tracker)[0])
     assert read.provenance["started"] == "2026-03-01T23:59:40+00:00"
     shutil.rmtree(tmp_path / "bundle")
@@ -142,6 +141,7 @@ def beside(data, head, cell):
     return b"\n".join([first + b"," + head, *(row + b"," + cell for row in rows)])
 
 
+about_midnight = partial(clock, begin="23:59:55")
 AMBIGUOUS = {
     "an unusual unit": (lambda w: w(0.1, head="t_s,x,y,z", d=6), "--unit", "--unit cm"),
     "metres": (lambda w: w(head="t_s,x_m,y_m,z_m"), "they look like mm", "--unit mm"),
@@ -153,9 +153,7 @@ AMBIGUOUS = {
     "x twice": (lambda w: beside(w(), b"x m", b"4.0"), "'x m' (5)", "--column x=2"),
     "left-handed": (lambda w: w((1, -1, 1)), "--axes", "--axes x,-y,z"),
     "midnight": (
-        lambda w: w(
-            head="Time,X[mm],Y[mm],Z[mm]", stamp=lambda t: clock(t, begin="23:59:55")
-        ),
+        lambda w: w(head="Time,X[mm],Y[mm],Z[mm]", stamp=about_midnight),
         "--across-midnight",
         "--across-midnight",
     ),
@@ -183,13 +181,6 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_read_is_refused(case, refuse, written):
     assert "export.txt" in refuse(REFUSED[case](written))
-
-
-def test_a_row_that_came_twice_is_one_sample(bring, written, truth):
-    lines = written().split(b"\n")
-    read, said = bring(b"\n".join([*lines[:300], *lines[299:]]))
-    assert "1 rows that repeat" in said.err
-    assert len(read.tracker) == len(truth.tracker)
 
 
 def test_a_dry_run_shows_all_and_writes_nothing(command, words, truth, tmp_path):
@@ -250,8 +241,11 @@ def test_all_that_is_wrong_is_told_to_all_at_once(command, words, written, tmp_p
     assert not (tmp_path / "bundle").exists()
 
 
-def test_a_program_recorded_twice_is_said_with_what_is_used(bring, written, truth):
+def test_a_row_that_came_twice_is_one_sample_a_program_is_said(bring, written, truth):
     once = written().split(b"\n")
+    read, said = bring(b"\n".join([*once[:300], *once[299:]]))
+    assert "1 rows that repeat" in said.err
+    assert len(read.tracker) == len(truth.tracker)
     time_s = truth.tracker.device_time_s
     later = time_s[-1] - time_s[0] + 0.01
     again = written(stamp=lambda t: f"{t + later:.6f}").split(b"\n")[1:]
@@ -277,7 +271,6 @@ def shots(record, tmp_path):
 
 
 def list_shots(seen, rows, names=None):
-    """Write shots as SpatialAnalyzer does, its names or none."""
     head = "// Points\n// AXES = CARTESIAN: X,  Y,  Z (mm)\n//\n"
     lines = []
     for k, row in enumerate(rows):
@@ -316,7 +309,7 @@ def test_points_of_an_nc_program_are_its_stops(bring, shots, tmp_path):
 
 
 def test_names_of_columns_and_the_rate_may_stand_in_comments(bring, written, truth):
-    rows = written().split(b"\n")[1:]
+    _, *rows = written().split(b"\n")
     body = b"\n".join(row.partition(b",")[2] for row in rows)
     head = b"# Tracker log\n# Rate: 100 Hz\n# x [mm], y [mm], z [mm]\n"
     read, _ = bring(head + body)
@@ -368,8 +361,7 @@ def test_a_name_in_points_csv_is_the_whole_name(bring, shots):
 
 def test_a_rotary_axis_that_is_counted_the_other_way_is_named(command, words, tmp_path):
     content = load_machine("trunnion")
-    program = turning_path(parse_machine(content), 5, 16, 9000.0)
-    run, _ = record_run(content, program)
+    run, _ = record_run(content, turning_path(parse_machine(content), 5, 16, 9000.0))
     position = run.commanded.position.copy()
     position[:, run.commanded.axes.index("C")] *= -1.0
     content["axes"]["C"] |= {"min_deg": -3600.0, "max_deg": 3600.0}
@@ -378,8 +370,7 @@ def test_a_rotary_axis_that_is_counted_the_other_way_is_named(command, words, tm
     write_bundle(run, tmp_path)
     data = plain(run.tracker.device_time_s, run.tracker.position_mm, d=5)
     order = words(data, place=tmp_path, path=tmp_path / "path.csv")
-    said = command.refuse(*order, shows=True)
-    assert "axis C counted the other way" in said
+    assert "axis C counted the other way" in command.refuse(*order, shows=True)
 
 
 def test_what_is_shown_survives_a_terminal_of_ascii(words, written, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 from truepath.files.bundle.machine_file import read_machine
 
 DOCS = Path(__file__).parents[3] / "docs"
+PLAIN = ["--chain", "w-b-X-Y-Z-t", "--target", "1,2,3"]
 MILL = ["--travel", "X=0,500", "--travel", "Y=0,400", "--travel", "Z=-300,0"]
 
 
@@ -39,8 +40,7 @@ def test_options_make_a_machine_without_a_question(command, file, answer):
         (0.0, 500.0), (0.0, 400.0), (-300.0, 0.0)
     ]  # fmt: skip
     assert made.target().offset_mm == (20.0, 30.0, -150.0)
-    assert made.tracker.stands_on == "base"
-    assert made.motion.max_feed_mm_min == 12000.0
+    assert (made.tracker.stands_on, made.motion.max_feed_mm_min) == ("base", 12000.0)
     assert made.motion.assumed == ("jerk_mm_s3",)
 
 
@@ -60,8 +60,7 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
     assert [(t.name, t.on) for t in made.targets] == [
         ("T1", "tool"), ("T2", "tool"), ("W1", "workpiece")
     ]  # fmt: skip
-    assert made.tracker.stands_on == "workpiece"
-    assert made.name == "mill"
+    assert (made.tracker.stands_on, made.name) == ("workpiece", "mill")
 
 
 @pytest.mark.parametrize(
@@ -69,30 +68,17 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
     [
         ([], "nobody answers; state all by options"),
         (MILL, "add --chain, as w-X-b-Y-Z-t"),
-        ([*MILL, "--chain", "w-b-X-Y-Z-t"], "add --target, as 20,30,-150"),
+        ([*MILL, *PLAIN[:2]], "add --target, as 20,30,-150"),
         (["--travel", "X=0"], "--chain"),
         (["--travel", "X=0", "--chain", "w", "--target", "1,2,3"], "write 2 numbers"),
-        (
-            [
-                *MILL,
-                "--chain",
-                "w-b-X-Y-Z-t",
-                "--target",
-                "1,2,3",
-                "--origin",
-                "C=1,2,3",
-            ],
-            "--travel states no rotary axis 'C'",
-        ),
+        ([*MILL, *PLAIN, "--origin", "C=1,2,3"], "--travel states no rotary axis 'C'"),
         (
             [*MILL[:4], "--chain", "w-b-X-Y-t", "--target", "1,2,3"],
             'axes.Z is missing; add it, as "Z": {"type": "linear", "min_mm"',
         ),
     ],
 )
-def test_what_is_missing_is_named_with_how_to_state_it(
-    command, file, answer, words, said
-):
+def test_what_is_missing_is_named_with_a_remedy(command, file, answer, words, said):
     answer()
     assert said in command.refuse("machine", "new", "-o", file, *words)
     assert not file.exists()

@@ -1,4 +1,4 @@
-"""`truepath plan`: a path or points, NC programs, and what is to be expected."""
+"""`plan`: a path or points, programs, what is to be expected; `grade`: of any path."""
 
 import json
 
@@ -16,8 +16,8 @@ STAND = {"position_mm": [200.0, -1200.0, 0.0]}
 BLIND = {"direction": [0, 0, 0], "half_angle_deg": 30}
 BOX = {"min_mm": [150, 120, 90], "max_mm": [500, 400, 300]}
 FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
-
 pytestmark = pytest.mark.usefixtures("little_search")
+VERIFY = ("--verify", "diagonals", "--verify", "random-points")
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +28,8 @@ def machine(machine_file):
 @pytest.fixture(scope="module")
 def planned(little_search, machine_file, tmp_path_factory):
     folder = tmp_path_factory.mktemp("planned")
-    content = {"keep_out": [BOX], "tracker": STAND}
     workspace = folder / "workspace.json"
-    workspace.write_text(json.dumps(content))
+    workspace.write_text(json.dumps({"keep_out": [BOX], "tracker": STAND}))
     options = ["-o", str(folder / "out"), "--minutes", "1", "--seed", "5"]
     options += ["--workspace", str(workspace)]
     assert run(["plan", str(machine_file), *options]) == 0
@@ -62,8 +61,7 @@ def document(planned):
 
 
 def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, machine):
-    assert document["schema"] == "plan/1"
-    assert document["mode"] == "otf"
+    assert (document["schema"], document["mode"]) == ("plan/1", "otf")
     assert document["rows"] == len(read_rows(planned / "path.csv", machine)) > 5
     assert 45.0 < document["duration_s"] <= 60.0
     names = {file.name for file in planned.iterdir() if file.is_file()}
@@ -72,9 +70,8 @@ def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, mach
     expanded = predicted["expanded_volumetric_uncertainty_um"]
     assert expanded == pytest.approx(2.0 * predicted["volumetric_uncertainty_um"])
     assert 0.1 < expanded < 50.0
-    assert predicted["errors"]["EXX"]["uncertainty_um"] > 0.0
-    assert predicted["errors"]["EAX"]["uncertainty_urad"] > 0.0
-    assert predicted["errors"]["C0Y"]["uncertainty_urad"] > 0.0
+    for symbol, unit in (("EXX", "um"), ("EAX", "urad"), ("C0Y", "urad")):
+        assert predicted["errors"][symbol][f"uncertainty_{unit}"] > 0.0
     assert {text[:3] for text in document["unobservable"]} >= {"EAZ", "EBZ", "ECZ"}
     told = [place["expanded_volumetric_uncertainty_um"] for place in document["curve"]]
     assert (np.diff(told) <= 0.0).all()
@@ -108,20 +105,16 @@ def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_
 
 def test_a_target_is_reached_in_no_more_time_than_it_takes(plan):
     document, _ = plan("--target-um", "5", "--minutes", "0.6", "--feed", "6000")
-    target = document["target"]
-    assert target.pop("reached")
     name = "volumetric_uncertainty_um"
-    assert target == {name: 5.0, f"expanded_{name}": 10.0}
+    assert document["target"] == {name: 5.0, f"expanded_{name}": 10.0, "reached": True}
     assert document["predicted"]["volumetric_uncertainty_um"] <= 5.0
     assert document["duration_s"] < 30.0
 
 
-def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_is_said(
-    plan,
-):
+def test_several_feeds_tell_the_lags_and_a_target_out_of_reach_is_said(plan):
     feeds = ("--feed", "3000", "--feed", "9000", "--minutes", "1")
     document, said = plan("--target-um", "0.25", *feeds)
-    assert "the target of 0.25 µm (k = 1) is out of reach" in said
+    assert "the target of 0.5 µm (k = 2) is out of reach" in said
     lags = document["predicted"]["servo_mismatch"]
     assert set(lags) == {"X", "Y", "Z"}
     assert all(0.0 < lag["uncertainty_ms"] < 0.3 for lag in lags.values())
@@ -180,8 +173,7 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert tracker["chosen"]
     assert not tracker["assumed"]
     place = np.array(tracker["position_mm"])
-    assert (place >= FLOOR["min_mm"]).all()
-    assert (place <= FLOOR["max_mm"]).all()
+    assert ((place >= FLOOR["min_mm"]) & (place <= FLOOR["max_mm"])).all()
     assert stations["best"]["position_mm"] == tracker["position_mm"]
     assert [option["count"] for option in stations["options"]] == [1, 2, 3]
     predicted_um = document["predicted"]["volumetric_uncertainty_um"]
@@ -190,8 +182,7 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(plan, tmp_pa
     assert random_um < predicted_um < 1.2 * random_um
     assert stations["recommended"] == 1
     assert all(f"tracker: {one}" in said for one in stations["statement"])
-    page = (tmp_path / "out" / "plan.html").read_text()
-    assert "one station is enough" in page
+    assert "one station is enough" in (tmp_path / "out" / "plan.html").read_text()
 
 
 def test_a_plan_says_what_the_tracker_may_be_off_by_and_the_remedy(plan, keep):
@@ -215,9 +206,6 @@ def test_several_stations_have_a_folder_each(plan, machine, tmp_path):
         assert f"station-{number}: tracker at (" in said
 
 
-VERIFY = ("--verify", "diagonals", "--verify", "random-points")
-
-
 def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp_path):
     order = ["plan", machine_file, "-o", tmp_path / "out", *VERIFY]
     said = command.json(*order)
@@ -232,9 +220,7 @@ def test_verifying_has_a_program_per_control(command, machine_file, machine, tmp
     assert {(tmp_path / name).parent.name for name in named} == {"out", "linuxcnc"}
 
 
-def test_circles_in_motion_have_a_program_where_the_control_drives_circles(
-    command, machine_file, machine, tmp_path
-):
+def test_circles_have_programs_for_arcs(command, machine_file, machine, tmp_path):
     words = ["plan", machine_file, "--verify", "circles-in-motion", "-o"]
     said = command.json(*words, tmp_path / "out")
     path = read_rows(tmp_path / "out" / "path.csv", machine)
@@ -248,3 +234,32 @@ def test_circles_in_motion_have_a_program_where_the_control_drives_circles(
     refused = command.refuse(*words, tmp_path / "no", *LINUXCNC)
     assert "the path has arcs" in refused
     assert "plan circles in place" in refused
+
+
+@pytest.fixture
+def files(recorded):
+    return recorded / "machine.json", recorded / "path.csv"
+
+
+def test_paths_and_points_are_graded_in_numbers_and_words(command, files, tmp_path):
+    order = ["grade", *files, "--tracker=-900,0,200"]
+    said = command.json(*order)
+    assert said["schema"] == "grade/1"
+    assert said["verdict"] in ("good", "usable", "poor")
+    assert said["tracker"]["position_mm"] == [-900.0, 0.0, 200.0]
+    assert said["tracker"]["assumed"] is False
+    assert all(s[0] == "E" for s in said["unobservable"])
+    assert command.json(*order, "--perpendicular-only")["number"] > said["number"]
+    said = command.run("grade", *files).out
+    assert said.startswith("grade of the set-up: 0.")
+    assert "worst of four usual places" in said
+    assert "cannot be seen: EBZ (turn of Z about Y) is not distinguishable from" in said
+    points = tmp_path / "points.csv"
+    points.write_text("x_mm,y_mm,z_mm,dwell_s\n10,10,10,1\n400,300,200,1\n")
+    assert command.json("grade", files[0], points)["verdict"] == "poor"
+
+
+@pytest.mark.parametrize("place", ["1500,0", "here", "1,2,nan", "1,2,3,4"])
+def test_half_a_place_is_refused(command, files, place):
+    said = command.refuse("grade", *files, f"--tracker={place}")
+    assert f"--tracker {place}: not a place; write X,Y,Z in mm" in said

@@ -12,9 +12,9 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 
 pytestmark = pytest.mark.fault_row(43)
-
 WRONG_ORDER = -2.4e-41
 HENE = {"wavelength_nm": 633, "is_group": False, "assumed_index": 1.0}
+WORDS = "environment.csv", "row 2", "pressure_hPa", "746", "120 m", "mmHg"
 
 
 @pytest.fixture
@@ -129,21 +129,15 @@ def test_units_are_taken_by_the_names_of_columns_one_for_each_sensor(surround):
         read_bundle(surround(X_degC=noisy(20.0), X_degF=noisy(68.0)))
 
 
-@pytest.mark.parametrize("wrong", [{"altitude_m": "high"}, {"altitude_m": 1e5}])
-def test_what_is_no_altitude_is_refused(surround, wrong):
-    asked = surround({"site": wrong}, X_degC=noisy(20.0))
-    with pytest.raises(BundleError, match=r"site\.altitude_m"):
-        read_bundle(asked)
-
-
-def test_a_pressure_that_does_not_fit_the_site_is_refused(surround):
-    site = {"site": {"altitude_m": 120}}
+@pytest.mark.parametrize(
+    ("altitude_m", "words"),
+    [("high", ["site.altitude_m"]), (1e5, ["site.altitude_m"]), (120, WORDS)],
+)
+def test_no_altitude_and_a_pressure_of_another_are_refused(surround, altitude_m, words):
     columns = {"air_degC": noisy(20.0), "pressure_hPa": noisy(746.0)}
     with pytest.raises(BundleError) as refused:
-        read_bundle(surround(site, **columns))
-    said = str(refused.value)
-    for word in ("environment.csv", "row 2", "pressure_hPa", "746", "120 m", "mmHg"):
-        assert word in said
+        read_bundle(surround({"site": {"altitude_m": altitude_m}}, **columns))
+    assert [word for word in words if word in str(refused.value)] == [*words]
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,6 @@ def words(tmp_path):
 
 @pytest.fixture
 def read(tmp_path):
-    """The files of the control and their account."""
-
     def made():
         folder = tmp_path / "tables"
         account = json.loads((folder / "comp.json").read_text())
@@ -53,9 +51,7 @@ def read(tmp_path):
     return made
 
 
-def test_a_result_that_is_not_to_be_used_is_exported_only_if_that_is_accepted(
-    few_places, command, words, judged, read, tmp_path
-):
+def test_bad_results_need_consent(few_places, command, words, judged, read, tmp_path):
     file = judged("not-usable")
     line = command.refuse(*words(file))
     assert not (tmp_path / "tables").exists()
@@ -96,8 +92,7 @@ def test_a_comparison_says_it_of_the_result(command, judged, tmp_path):
     assert command.json(*order)["verdict"]["state"] == "not-usable"
     content = json.loads((out / "comparison.json").read_text())
     assert content["verdict"] == verdict_json(VERDICTS["not-usable"])
-    page = (out / "comparison.html").read_text()
-    assert "<strong>Not to be used</strong>" in page
+    assert "<strong>Not to be used</strong>" in (out / "comparison.html").read_text()
 
 
 @pytest.mark.parametrize("state", VERDICTS)
@@ -140,26 +135,30 @@ def test_what_rests_on_a_doubtful_model_is_so_too(command, judged, recorded, tmp
     asked = ["--minutes", "0.3", "--feed", "9000", "--control", "linuxcnc"]
     given = [recorded / "machine.json", "--model", model, "-o", out]
     assert f"warning: the plan is {said}" in command.run("plan", *given, *asked).err
-    page = (out / "plan.html").read_text()
-    assert 'class="verdict doubtful"' in page
-
-
-def test_a_bad_model_of_the_same_run_is_taken(command, judged, recorded, tmp_path):
-    model, out = judged("not-usable"), tmp_path / "out"
-    command.run("analyse", recorded, "--model", model, "-o", out)
+    assert 'class="verdict doubtful"' in (out / "plan.html").read_text()
+    # A bad one of the same Run is taken.
+    command.run("analyse", recorded, "--model", judged("not-usable"), "-o", out)
     content = json.loads((out / "result.json").read_text())
     assert content["verdict"]["state"] == "usable"
 
 
-def test_the_terminal_begins_with_the_worst_hiding_no_table(result, tmp_path, capsys):
-    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
-    lines = capsys.readouterr().out.splitlines()
+def test_the_terminal_shows_the_worst_first_and_the_next_step(result, tmp_path, capsys):
+    def show(verdict):
+        print_result(result | {"verdict": verdict_json(verdict)}, tmp_path)
+        return capsys.readouterr().out.splitlines()
+
+    verdict, before, after, following = show(VERDICTS["doubtful"])[-4:]
+    assert verdict == "verdict: doubtful"
+    mean = result["volumetric_error"]["before"]["mean"]["value_um"]
+    assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
+    assert after.startswith("after compensation: mean ")
+    assert after.endswith(" µm (k = 2)")
+    assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
+    lines = show(VERDICTS["not-usable"])
+    assert "next: " not in "\n".join(lines)
     assert lines[0] == "*** NOT TO BE USED ***"
-    worst_first = [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
-    assert lines[1:4] == worst_first
-    many = Verdict((LEFT_OUT,) * 40)
-    print_result(result | {"verdict": verdict_json(many)}, tmp_path)
-    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:4] == [f"- {one} {one.remedy}" for one in (BEYOND, OPEN, LEFT_OUT)]
+    lines = show(Verdict((LEFT_OUT,) * 40))
     assert sum(line.startswith("- ") for line in lines) == 13
     assert "- and 28 more" in lines
 
@@ -174,16 +173,3 @@ def test_analyse_warns_on_stderr_and_succeeds(command, recorded, tmp_path, monke
     assert said.out.startswith("*** NOT TO BE USED ***\n")
     verdict = command.json(*order)["verdict"]
     assert verdict == verdict_json(VERDICTS["not-usable"])
-
-
-def test_the_last_lines_state_error_rest_and_next_step(result, tmp_path, capsys):
-    print_result(result | {"verdict": verdict_json(VERDICTS["doubtful"])}, tmp_path)
-    verdict, before, after, following = capsys.readouterr().out.splitlines()[-4:]
-    assert verdict == "verdict: doubtful"
-    mean = result["volumetric_error"]["before"]["mean"]["value_um"]
-    assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
-    assert after.startswith("after compensation: mean ")
-    assert after.endswith(" µm (k = 2)")
-    assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
-    print_result(result | {"verdict": verdict_json(VERDICTS["not-usable"])}, tmp_path)
-    assert "next: " not in capsys.readouterr().out

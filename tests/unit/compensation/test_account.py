@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from known_machines import along, tabulate
+from known_machines import along, find_ends, tabulate
 from truepath.compensation.account.residual_error import (
     compute_residual_error,
     remove_rigid_motion,
@@ -44,6 +44,15 @@ from truepath.results.error_tables import compute_half_differences
 from truepath_simulators.scenario import load_machine
 
 FORMATS = ("isg-csv", "linuxcnc")
+HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])
+DEMO = machine_from_json(load_machine("demo"), file="machine.json")
+SAG = {"axis": "X", "by": "Y", "direction": "Z"}
+EFFECTS = (
+    (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
+    (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
+    (ElasticSagFamily(), SAG, {}, [0.02]),
+    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +62,11 @@ def source(loaded):
 
 @pytest.fixture(scope="module")
 def half_measured(source):
-    """The same result, X measured up to 50 of its 300 mm."""
     measured = {"X": (-200.0, 50.0), "Y": (10.0, 400.0), "Z": (0.0, 310.0)}
     return replace(source, result=replace(source.result, measured=measured))
 
 
 def read_back(errors, name, unmeasured=Unmeasured.HOLD):
-    """What a control makes of files; they come without the account."""
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
     made = replace(tabulate(errors, name, 10.0), measured=measured)
     return made.read_back(errors)
@@ -67,12 +74,11 @@ def read_back(errors, name, unmeasured=Unmeasured.HOLD):
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
-    """Machines drawn from the covariance of the result, at places of the test's own."""
     export = export_result(source, name, "comp")
     stated = export.account["volumetric_error_um"]["after"]
     correction = load_format(name).read(export.files, source.machine)
     rng = np.random.default_rng(77)
-    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    low, high = find_ends(source)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
     place = np.vstack([rng.uniform(low, high, (900, 3)), corners])
     jacobian = source.volumetric_map.jacobian(make_standstill(source.machine, place))
@@ -89,20 +95,18 @@ def test_the_truth_lies_within_what_is_stated_to_be_left(source, name):
 
 
 def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(source):
-    """By positions of the test's own, to a small part of what U states."""
     correction = read_back(source, "linuxcnc")
-    low, high = ([getattr(a, end) for a in source.axes] for end in ("low", "high"))
+    low, high = find_ends(source)
     unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
-    place = np.array(low) + unit * (np.array(high) - np.array(low))
+    place = low + unit * (high - low)
     error = source.error_mm(place, 1.0)
     measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
         stated = compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
         of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
-        after = stated.summarise()
         off_um = stated.summarise_map()["mean"] - 1e3 * of_travel
-        assert abs(off_um) < 0.2 * after["mean_uncertainty"]
+        assert abs(off_um) < 0.2 * stated.summarise()["mean_uncertainty"]
 
 
 def test_what_is_left_comes_by_its_reasons(source):
@@ -126,9 +130,7 @@ def test_what_is_left_comes_by_its_reasons(source):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_beyond_the_measured_range_the_last_value_holds_or_fades_to_nothing(
-    half_measured, source, name
-):
+def test_beyond_the_measured_range_values_hold_or_fade(half_measured, source, name):
     faded = read_back(half_measured, name, unmeasured=Unmeasured.FADE)
     held, free = read_back(half_measured, name), read_back(source, name)
     at = along(half_measured, "X", np.array([50.0, 175.0, 300.0]))
@@ -141,9 +143,7 @@ def test_beyond_the_measured_range_the_last_value_holds_or_fades_to_nothing(
     assert abs(part[2] - whole[2]) > 1e-3
 
 
-def test_a_result_without_measured_range_or_direction_says_so_in_account_and_file(
-    source,
-):
+def test_a_result_without_range_or_direction_says_so_in_account_and_file(source):
     result = replace(source.result, measured={}, states_direction=False)
     silent = replace(source, result=result)
     export = export_result(silent, "siemens-lec", "c")
@@ -158,9 +158,7 @@ def test_a_result_without_measured_range_or_direction_says_so_in_account_and_fil
 
 
 @pytest.mark.parametrize("choice", [Unmeasured.HOLD, Unmeasured.FADE])
-def test_unmeasured_ranges_are_said_in_account_and_file_or_the_file_is_refused(
-    half_measured, choice
-):
+def test_unmeasured_ranges_are_said_or_the_file_is_refused(half_measured, choice):
     export = export_result(half_measured, "isg-csv", "c", unmeasured=choice)
     (said,) = export.account["unmeasured"]
     assert said.startswith("X not measured from 50 to 300 mm")
@@ -175,14 +173,11 @@ def test_unmeasured_ranges_are_said_in_account_and_file_or_the_file_is_refused(
 
 
 def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(source):
-    """Siemens tables hold their last value: only beyond the measured part they err."""
     middle = {"X": (-100.0, 200.0), "Y": (80.0, 330.0), "Z": (60.0, 250.0)}
     whole = {axis.name: (axis.low, axis.high) for axis in source.axes}
     results = (replace(source.result, measured=one) for one in (middle, whole))
-    part, every = (
-        export_result(replace(source, result=result), "siemens", "c").account
-        for result in results
-    )
+    sources = (replace(source, result=result) for result in results)
+    part, every = (export_result(x, "siemens", "c").account for x in sources)
     left = part["volumetric_error_um"]
     after = every["volumetric_error_um"]["after"]
     assert left["after"]["mean"] > 4.0 * left["after_where_measured"]["mean"]
@@ -192,7 +187,6 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
 
 
 def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    """Lost motion of 8 µm: an axis that is referenced upwards stands right there."""
     half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
     result = replace(source.result, half_difference_um={"X": half_um})
     errors = replace(source, result=result)
@@ -219,18 +213,16 @@ def test_lengths_are_of_the_scales_if_sensed_and_steel_is_off_by_kelvins():
     assert find_measured_degc({}) is None
     for ends in ((20.0, 20.0), (19.0, 21.0), (20.4, 20.9)):
         assert warn_of_lengths(ends) is None
-    assert "+4.0 K off 20 °C" in (warn_of_lengths((21.0, 24.0)) or "")
-    assert "46 µm/m" in (warn_of_lengths((21.0, 24.0)) or "")
-    assert "-2.0 K off" in (warn_of_lengths((18.0, 20.0)) or "")
-    assert "not known" in (warn_of_lengths(None) or "")
+    assert "+4.0 K off 20 °C" in warn_of_lengths((21.0, 24.0))
+    assert "46 µm/m" in warn_of_lengths((21.0, 24.0))
+    assert "-2.0 K off" in warn_of_lengths((18.0, 20.0))
+    assert "not known" in warn_of_lengths(None)
 
 
 def test_account_and_comments_say_it_and_no_number_changes(loaded):
     provenance = {"temperature_degC": {"X": [23.0, 23.4]}}
-    exports = [
-        export_result(map_errors(replace(loaded, provenance=one)), "csv", "c")
-        for one in (provenance, {})
-    ]
+    results = (replace(loaded, provenance=one) for one in (provenance, {}))
+    exports = [export_result(map_errors(result), "csv", "c") for result in results]
     for export in exports:
         said = f"# {export.account['lengths']['text']}"
         assert said in export.files["c.csv"].splitlines()
@@ -241,9 +233,6 @@ def test_account_and_comments_say_it_and_no_number_changes(loaded):
     assert "+3.4 K" in lengths["warning"]
     assert "unknown temperature" in unknown["lengths"]["text"]
     assert warm["volumetric_error_um"] == unknown["volumetric_error_um"]
-
-
-HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])
 
 
 def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
@@ -266,9 +255,7 @@ def test_no_table_has_a_straightness_that_depends_on_direction(loaded, source, n
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "csv"])
-def test_a_straightness_that_depends_on_direction_is_stated_to_stay(
-    loaded, source, name
-):
+def test_straightness_that_depends_on_direction_is_stated_to_stay(loaded, source, name):
     without = export_result(source, name, "comp", spacing_mm=60.0).account
     lost = export(lose_across(loaded, "EYX", HALF_UM), name).account
     assert lost["volumetric_error_um"]["after"]["mean"] >= 5.9
@@ -276,27 +263,21 @@ def test_a_straightness_that_depends_on_direction_is_stated_to_stay(
     assert squares[0] - squares[1] == pytest.approx(HALF_UM**2, rel=1e-6)
 
 
-def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_its_uncertainty(
-    loaded,
-):
-    """EAX turns about X what is beyond the axis: Y and Z, with the tool's offset."""
+def test_an_angle_that_depends_on_direction_acts_by_its_arm_and_has_u(loaded):
     errors = map_errors(lose_across(loaded, "EAX", 20.0))
     at = np.array([[0.0, 100.0, 200.0]])
     half_mm = 0.5 * (errors.error_mm(at, 1.0) - errors.error_mm(at, -1.0))
     arm_mm = np.array([0.0, 100.0 + 30.0, 200.0 - 150.0])
     expected_mm = np.cross([20e-6, 0.0, 0.0], arm_mm)
     assert half_mm[0] == pytest.approx(expected_mm, abs=1e-12)
-    sure, doubtful = (
-        export(lose_across(loaded, "EYX", HALF_UM, sigma), "csv").account
-        for sigma in (0.0, 0.5)
-    )
-    before, after = (one["volumetric_error_um"]["after"] for one in (sure, doubtful))
+    lost = (lose_across(loaded, "EYX", HALF_UM, sigma) for sigma in (0.0, 0.5))
+    accounts = (export(one, "csv").account for one in lost)
+    before, after = (one["volumetric_error_um"]["after"] for one in accounts)
     added = after["mean_uncertainty"] ** 2 - before["mean_uncertainty"] ** 2
     assert np.sqrt(added) == pytest.approx(0.5, rel=0.2)
 
 
 def test_a_model_states_it_as_an_effect_that_no_table_has(loaded):
-    """Of a model file that has the effect alone, and no table of it."""
     keys, numbers = {"axis": "X", "motion": "EYX"}, {"turnover_mm": 0.02}
     effect = restore_effect(LateralBacklashFamily(), loaded.machine, keys, numbers)
     theta = np.append(loaded.theta, 1e-3 * HALF_UM)
@@ -332,26 +313,13 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
     assert result.half_turn_u_urad == {}
 
 
-DEMO = machine_from_json(load_machine("demo"), file="machine.json")
-SAG = {"axis": "X", "by": "Y", "direction": "Z"}
-EFFECTS = (
-    (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
-    (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
-    (ElasticSagFamily(), SAG, {}, [0.02]),
-    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
-)
-
-
 def have_effects(*described):
-    """Make files of a machine that has these effects and no other errors."""
     effects = (restore_effect(f, DEMO, keys, n) for f, keys, n, _ in described)
     model = MachineModel(DEMO, tuple(effects))
     theta = np.concatenate([values for *_, values in described])
     covariance = 1e-12 * np.eye(len(theta))
-    half = {
-        one.symbol[2]: (one.position_mm, one.value)
-        for one in compute_half_differences(EstimatedModel(model, theta, covariance))
-    }
+    lost = compute_half_differences(EstimatedModel(model, theta, covariance))
+    half = {one.symbol[2]: (one.position_mm, one.value) for one in lost}
     result = CalibrationResult(model, theta, covariance, half_difference_um=half)
     return partial(export_result, map_errors(result), stem="comp")
 
@@ -366,9 +334,7 @@ def find_left(account):
     return {e["name"]: (e["rms_um"]["before"], e["rms_um"]["after"]) for e in effects}
 
 
-def test_a_table_of_the_mean_leaves_lost_motion_and_those_of_both_directions_sag(
-    catalogued,
-):
+def test_what_tables_of_one_or_both_directions_leave_is_stated(catalogued):
     account = catalogued("linuxcnc").account
     found = find_left(account)
     lost, wave, sag = (found[n] for n in ("backlash", "screw-cyclic", "elastic-sag"))

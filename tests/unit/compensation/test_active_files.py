@@ -17,10 +17,10 @@ from truepath.kinematics.conditions import Conditions
 from written_tables import MACHINE, write_files
 
 DIFFERENCE = {"backlash_reading": "difference"}
+ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
 
 
 def store(folder, files, names=None):
-    """Write files, under other names where these are given; return their places."""
     written = []
     for name, text in files.items():
         place = folder / (names or {}).get(name, name)
@@ -30,16 +30,13 @@ def store(folder, files, names=None):
 
 
 def moments(position_mm, direction):
-    """Standstills that every axis comes to in one direction."""
     n, none = len(position_mm), np.zeros_like(position_mm)
-    at = (np.zeros(n), np.full(n, -1), np.zeros(n))
+    at = np.zeros(n), np.full(n, -1), np.zeros(n)
     return Conditions(MACHINE, position_mm, none, *at, none, none + direction)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_the_choices_of_the_account_beside_the_files_are_those_they_are_read_by(
-    tmp_path, direction
-):
+def test_files_are_read_by_the_choices_of_the_account_beside_them(tmp_path, direction):
     texts = write_files("heidenhain-difference")
     digests = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in texts.items()}
     account = {"format": "heidenhain", "files_sha256": digests, "choices": DIFFERENCE}
@@ -80,20 +77,14 @@ def test_siemens_files_under_the_names_of_the_control_are_the_same(tmp_path, dir
         ("csv", lambda f: f.update({"b.csv": ""}), "cannot be read as files of csv"),
     ],
 )
-def test_files_that_are_missing_or_of_no_use_are_never_a_compensation_of_nothing(
-    tmp_path, order, change, words
-):
+def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
     files = write_files(order)
     change(files)
     with pytest.raises(BadInput, match=words):
         read_active_files(store(tmp_path, files), order, MACHINE)
 
 
-ROUNDING_UM = {"fanuc": 3.0, "heidenhain": 0.2}  # of three files; 0.1 of the others
-
-
 def make_errors(loaded, size, lost_um):
-    """A machine whose errors are so many times those of the result."""
     half = {"X": (np.array([-200.0, 300.0]), np.array(lost_um))}
     theta = size * loaded.theta
     return map_errors(replace(loaded, theta=theta, half_difference_um=half))

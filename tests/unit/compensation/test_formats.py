@@ -29,11 +29,37 @@ every_format = pytest.mark.parametrize("name", OURS)
 
 
 PROVENANCE = {"run": "morning", "created": "2026-11-26", "input_sha256": "f00d" * 16}
+LEADSCREW = """%_N_AX_EEC_INI
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+"""
+ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
+CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
+X,+,0,0,0,0,0,0,0
+X,+,100,10,20,0,0,0,100
+"""
+LEC, ETALON = "siemens-lec", "etalon-exchange"
+FILE = {"linuxcnc": "c-X.tbl", LEC: "x.ini", ETALON: "c.txt"}
+TWO_SYSTEMS = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
+GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
+BROKEN = """
+    import math
+    from truepath.compensation.formats.generic import GenericCsv
+
+    class Broken(GenericCsv):
+        def {verb}(self, *given):
+            return {answer}
+"""
+TEXTS = "for name, text in super().write(*given).items()"
 
 
 @pytest.fixture(scope="module")
 def source(loaded):
-    """The result with Run, date, hash and measured ranges."""
     whole = {axis.name: (axis.low, axis.high) for axis in loaded.machine.linear_axes}
     return map_errors(replace(loaded, provenance=PROVENANCE, measured=whole))
 
@@ -54,8 +80,6 @@ def with_backlash(source):
 
 @pytest.fixture(scope="module")
 def losing(source):
-    """Make the same machine of other travels, 8 µm of lost motion in each axis."""
-
     def make(length_mm, middle_mm=0.0):
         low, high = middle_mm - length_mm / 2, middle_mm + length_mm / 2
         axes = tuple(replace(x, low=low, high=high) for x in source.machine.linear_axes)
@@ -94,9 +118,7 @@ def test_what_is_left_is_stated_and_less_than_before(export, source, name):
 
 
 @every_format
-def test_files_are_ascii_and_they_or_the_account_say_where_they_come_from(
-    export, source, name
-):
+def test_files_are_ascii_and_say_where_they_come_from(export, source, name):
     files, account = export(name).files, export(name).account
     machine, lengths = source.machine, account["lengths"]["text"]
     assert all(text.isascii() and text.endswith("\n") for text in files.values())
@@ -109,23 +131,15 @@ def test_files_are_ascii_and_they_or_the_account_say_where_they_come_from(
         assert f"{units}{load_format(name).directions}" in text
         assert "mm" in account["units"]
     stamp = "\n".join(account["stamp"])
-    for said in (
-        f"machine {machine.name}, chain {machine.chain}",
-        "for the tool at target offset",
-        "run morning, analysed 2026-11-26",
-        "input f00df00df00df00d",
-        "measured at ",
-        *(f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes),
-        units,
-        "sign (",
-        lengths,
-    ):
+    travels = (f"{axis.name} {axis.low:g} to {axis.high:g} mm" for axis in source.axes)
+    whose = f"machine {machine.name}, chain {machine.chain}"
+    run = "run morning, analysed 2026-11-26", "input f00df00df00df00d", "measured at "
+    others = "for the tool at target offset", units, "sign (", lengths
+    for said in (whose, *run, *travels, *others):
         assert said in stamp
 
 
-def test_products_of_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(
-    export, source
-):
+def test_cross_tables_correct_the_whole_volume_as_far_as_there_is_room(export, source):
     left = {}
     for control in ("840d-sl", "828d"):
         choices = {"control": control, "measuring_system": "2"}
@@ -185,9 +199,7 @@ def test_only_formats_with_all_motions_correct_the_whole_volume(export):
 
 
 @pytest.mark.parametrize("name", ["fanuc", "heidenhain", "linuxcnc", "siemens-lec"])
-def test_positioning_along_the_middle_is_gone_between_the_rows_too(
-    export, source, name
-):
+def test_positioning_along_the_middle_is_gone_between_rows_too(export, source, name):
     correction = load_format(name).read(export(name).files, source.machine)
     for own, travel in enumerate(source.axes):
         place = along(source, travel.name, np.linspace(travel.low, travel.high, 333))
@@ -207,13 +219,10 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name):
     travel = with_backlash.axes[0]
     at = np.linspace(travel.low + 1, travel.high - 1, 101)
     place = along(with_backlash, "X", at)
-    up, down = (
-        with_backlash.error_mm(place, d)[:, 0] + correction(place, d)[:, 0]
-        for d in (1.0, -1.0)
-    )
+    lost = np.array([with_backlash.error_mm(place, d)[:, 0] for d in (1.0, -1.0)])
+    up, down = lost + [correction(place, d)[:, 0] for d in (1.0, -1.0)]
     np.testing.assert_allclose(up, down, atol=3e-5)
-    lost = with_backlash.error_mm(place, 1.0) - with_backlash.error_mm(place, -1.0)
-    np.testing.assert_allclose(lost[:, 0], 0.008, atol=1e-9)
+    np.testing.assert_allclose(lost[0] - lost[1], 0.008, atol=1e-9)
 
 
 @every_format
@@ -223,28 +232,6 @@ def test_rows_fit_into_the_controller(source, name):
     most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
     for table in content.tables:
         assert len(table.position_mm) <= most.get(name, 1000)
-
-
-LEADSCREW = """%_N_AX_EEC_INI
-$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
-$AA_ENC_COMP[0,1,X1]=0.01
-$AA_ENC_COMP[0,2,X1]=0.02
-$AA_ENC_COMP_STEP[0,X1]=100.0
-$AA_ENC_COMP_MIN[0,X1]=-100.0
-$AA_ENC_COMP_MAX[0,X1]=100.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-"""
-ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
-CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
-X,+,0,0,0,0,0,0,0
-X,+,100,10,20,0,0,0,100
-"""
-
-
-LEC, ETALON = "siemens-lec", "etalon-exchange"
-FILE = {"linuxcnc": "c-X.tbl", LEC: "x.ini", ETALON: "c.txt"}
-TWO_SYSTEMS = "$AA_ENC_COMP[0,0,X1]=0.0\n$AA_ENC_COMP[1,1,X1]=0.01\n"
-GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
 
 
 @pytest.mark.parametrize(
@@ -265,9 +252,7 @@ GRID = "[EXX]\nGridpoints = {\n0 0\nROW\n}\n"
         ("csv", CSV, "the columns are to be axis, direction"),
     ],
 )
-def test_a_file_that_the_control_cannot_read_or_ignores_is_refused(
-    source, name, text, said
-):
+def test_a_file_that_the_control_cannot_read_is_refused(source, name, text, said):
     with pytest.raises(BadInput, match=said):
         load_format(name).read({FILE.get(name, "c.csv"): text}, source.machine)
 
@@ -308,9 +293,7 @@ def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(export, source):
     assert after["after"]["mean"] < after["before"]["mean"]
 
 
-def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
-    with_backlash,
-):
+def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_travel(with_backlash):
     files = tabulate(with_backlash, "fanuc", 10.0).write(with_backlash)
     correction = Fanuc().read(files, with_backlash.machine)
     place = along(with_backlash, "X", np.linspace(-200.0, 300.0, 51))
@@ -324,7 +307,6 @@ def test_fanuc_tables_of_both_directions_stand_on_both_ends_of_the_travel(
 
 
 def read_fanuc(files):
-    """Points with their increments, and what each parameter is for each axis."""
     data = re.findall(r"N1(\d{4})P(-?\d+)", files["c-pitch.txt"])
     words = files["c-parameters.txt"].split()[1:-1]
     values = (map(float, re.findall(r"A\dP([\d.-]+)", word)) for word in words)
@@ -336,9 +318,7 @@ def read_fanuc(files):
     ("directions", "length_mm", "spacing_mm"),
     [("both", 4000.0, 10.0), ("mean", 500.0, 0.1)],
 )
-def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
-    losing, directions, length_mm, spacing_mm
-):
+def test_fanuc_axes_share_points_0_to_1023(losing, directions, length_mm, spacing_mm):
     errors = losing(length_mm)
     made = tabulate(errors, "fanuc", spacing_mm, directions=directions)
     files = made.write(errors)
@@ -355,9 +335,7 @@ def test_all_axes_of_a_fanuc_control_share_the_points_0_to_1023(
 
 
 @pytest.mark.parametrize("middle_mm", [430.0, -430.0])
-def test_fanuc_points_count_from_machine_position_0_out_of_the_travel(
-    losing, middle_mm
-):
+def test_fanuc_points_count_from_machine_position_0_out_of_travel(losing, middle_mm):
     errors = losing(400.0, middle_mm)
     files = tabulate(errors, "fanuc", 10.0).write(errors)
     data, words = read_fanuc(files)
@@ -383,9 +361,7 @@ def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
     Fanuc("mean").write(content)
 
 
-def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(
-    with_backlash, tmp_path
-):
+def test_heidenhain_tables_are_read_by_a_parser_of_others(with_backlash, tmp_path):
     source = with_backlash
     files = tabulate(source, "heidenhain", 10.0).write(source)
     for name, text in files.items():
@@ -411,17 +387,6 @@ def test_heidenhain_tables_act_only_when_activated(export, source):
     cut = {**files, "config.cma": "NR ACTIVE\n"}
     with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
         Heidenhain().read(cut, source.machine)
-
-
-BROKEN = """
-    import math
-    from truepath.compensation.formats.generic import GenericCsv
-
-    class Broken(GenericCsv):
-        def {verb}(self, *given):
-            return {answer}
-"""
-TEXTS = "for name, text in super().write(*given).items()"
 
 
 def export_broken(folder, loaded):

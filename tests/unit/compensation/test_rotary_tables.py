@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from known_machines import (
     build_model,
     displace,
+    find_ends,
     map_known,
     measure_left,
     spread,
@@ -38,23 +39,22 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
 # A trunnion carries the workpiece; a head turns the tool.
-MACHINES = ("trunnion", "head-table")
+MACHINES, TURNS = ("trunnion", "head-table"), ("EAA", "EBB", "ECC")
+SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
+FREEDOM = 50.0  # values by which the size of what is not known is known
+HALF_URAD, HALF_U_URAD = 12.0, 1.0
+FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 
 @pytest.fixture(scope="module", params=MACHINES)
 def turning(request):
-    """A machine that does nothing but turn too far or too little."""
     model, rng = build_model(load_machine(request.param)), np.random.default_rng(3)
-    turns = {
-        motion.name: 5e-5 * rng.standard_normal(len(motion.parameters))
-        for motion in model.identifiable_motions
-        if motion.symbol[1:] in ("AA", "BB", "CC")
-    }
+    motions = (m for m in model.identifiable_motions if m.symbol in TURNS)
+    turns = {m.name: 5e-5 * rng.standard_normal(len(m.parameters)) for m in motions}
     return request.param, map_known(model, turns)
 
 
 def make_truth(machine, errors):
-    """The exact machine with the positioning of the result, and nothing else."""
     truth = perfect(parse_machine(load_machine(machine)))
     joints = dict(truth.joints)
     for axis in truth.machine.rotary_axes:
@@ -69,7 +69,7 @@ def make_truth(machine, errors):
 def test_the_tool_stands_where_it_should_once_a_control_has_the_tables(turning, name):
     machine, errors = turning
     truth = make_truth(machine, errors)
-    position = spread(errors.machine.axes, 200)
+    position = spread(errors.machine, 200)
     before, after = measure_left(truth, tabulate(errors, name).write(errors), position)
     assert before.mean() > 0.003
     assert after.mean() < 0.03 * before.mean()
@@ -80,7 +80,7 @@ def test_a_wrapped_axis_that_counts_on_is_corrected_in_its_next_turn(turning, tu
     machine, errors = turning
     files = tabulate(errors, "linuxcnc").write(errors)
     control = LoadedTables(files).correct(parse_machine(load_machine(machine)))
-    low, high = np.array([(a.low, a.high) for a in errors.machine.axes]).T
+    low, high = find_ends(errors.machine)
     position = np.linspace(low, high, 90)[5:-5]
     here = control.added(position, np.ones_like(position))
     turns_fully = [getattr(one, "turns_fully", False) for one in errors.machine.axes]
@@ -115,7 +115,6 @@ def test_the_account_states_the_angle_and_what_it_does_at_the_tool(turning):
 
 @pytest.fixture(scope="module", params=MACHINES)
 def erring(request):
-    """A machine with errors of every kind."""
     model = build_model(load_machine(request.param))
     size = np.array([5e-3 if p.unit == "mm" else 2e-5 for p in model.parameters])
     theta = size * np.random.default_rng(8).standard_normal(model.size)
@@ -123,7 +122,6 @@ def erring(request):
 
 
 def find_left(errors, position, added):
-    """The error once the straight axes have moved as the control adds."""
     machine = errors.machine
     error = errors.error_mm(position)
     moved = make_standstill(machine, position + added).chain.point_mm
@@ -136,11 +134,10 @@ def test_an_isg_volume_brings_the_tool_where_it_should_be_at_any_angle(erring, c
     name, errors = erring
     made = tabulate(errors, "isg-csv", 5.0, tool_length=choice)
     files = made.write(errors)
-    position = spread(errors.machine.axes, 250)
+    position = spread(errors.machine, 250)
     tool = abs(errors.machine.target().offset_mm[2])
-    control = LoadedTables(files, Rules(tool_length_mm=tool)).correct(
-        parse_machine(load_machine(name))
-    )
+    simulated, rules = parse_machine(load_machine(name)), Rules(tool_length_mm=tool)
+    control = LoadedTables(files, rules).correct(simulated)
     added = control.added(position, np.ones_like(position))
     ours = made.kind.read(files, errors.machine)(position, 1.0)
     before = np.linalg.norm(errors.error_mm(position), axis=1)
@@ -166,12 +163,8 @@ def test_the_account_states_the_error_over_all_axes(erring):
             assert bool(one["not_in_files"]) == is_turned
 
 
-SHIFT_MM = {"XOC": 0.012, "YOC": -0.02, "ZOT": 0.03, "ACROSS": -0.015}
-
-
 @pytest.fixture(scope="module", params=["A", "B"])
 def shifted(request):
-    """A trunnion, its tilting axis A or B, whose axes are off their place alone."""
     tilting = request.param
     text = json.dumps(load_machine("trunnion")).replace('"A"', f'"{tilting}"')
     content = json.loads(text.replace("w-C-A", f"w-C-{tilting}"))
@@ -185,17 +178,14 @@ def test_pins_of_the_kinematics_bring_the_tool_where_it_should_be(shifted):
     files = tabulate(errors, "linuxcnc").write(errors)
     pins = {name: text for name, text in files.items() if name.endswith(".hal")}
     truth = displace(content, find_locations(errors))
-    before, after = measure_left(truth, pins, spread(errors.machine.axes, 300))
+    before, after = measure_left(truth, pins, spread(errors.machine, 300))
     assert before.max() > 0.02
     assert after.max() < 2e-5
-    # With the tables of the joints in one order as well.
     assert LoadedTables(files).correct(truth.machine) is not None
 
 
 @pytest.mark.parametrize("name", ["linuxcnc", "json"])
-def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
-    shifted, name
-):
+def test_locations_are_read_back_and_the_account_says_what_they_leave(shifted, name):
     _, errors = shifted
     files, kind = tabulate(errors, name).write(errors), load_format(name)
     located = kind.read_locations(files, errors.machine)
@@ -214,9 +204,7 @@ def test_what_is_read_back_is_the_location_and_the_account_says_what_it_leaves(
     assert kept["after"] == kept["before"]
 
 
-def test_pins_that_are_not_of_the_machine_are_refused_and_no_trunnion_gets_none(
-    shifted,
-):
+def test_pins_not_of_the_machine_are_refused_and_no_trunnion_gets_none(shifted):
     content, errors = shifted
     machine = errors.machine
     text = "setp maxkins.pivot-length 100\n"
@@ -252,15 +240,10 @@ def test_a_place_is_corrected_once_where_an_axis_never_comes_to_its_zero(machine
     if name == "json":  # which no control reads: software places the axes by it
         return
     truth = displace(content, find_locations(errors))
-    position = spread(errors.machine.axes, 200)
+    position = spread(errors.machine, 200)
     before, after = measure_left(truth, written.files, position)
     assert before.max() > 0.04
     assert after.max() < 0.02 * before.max()
-
-
-FREEDOM = 50.0  # values by which the size of what is not known is known
-HALF_URAD, HALF_U_URAD = 12.0, 1.0
-FORMATS = ("isg-csv", "linuxcnc", "siemens")
 
 
 class KnownMachine(NamedTuple):
@@ -273,7 +256,6 @@ class KnownMachine(NamedTuple):
 
 
 def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
-    """Return a random machine; `unknown` is the share of its errors in the result."""
     rng = np.random.default_rng(seed)
     model = build_model(load_machine(name), intervals=4)
     machine = model.machine
@@ -292,9 +274,8 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
 
 
 def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> float:
-    """Mean length of the true error by a simulated control, elsewhere than stated."""
     machine = known.truth.machine
-    low, high = np.array([(a.low, a.high) for a in machine.axes]).T
+    low, high = find_ends(machine)
     unit = qmc.Sobol(len(low), rng=np.random.default_rng(77)).random(2048)
     position = low + unit * (high - low)
     point = make_standstill(machine, position).chain.point_mm
@@ -315,26 +296,21 @@ def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> flo
 
 
 def find_misfit(nominal, actual):
-    """Lengths that are left once both sets of points lie on each other best."""
     a, b = nominal - nominal.mean(axis=0), actual - actual.mean(axis=0)
     rotation, _ = Rotation.align_vectors(a, b)
     return np.linalg.norm(rotation.apply(b) - a, axis=1)
 
 
 def find_offs(known: KnownMachine) -> np.ndarray:
-    """What is stated before and after less the truth, in standard uncertainties.
-
-    A row for each format.
-    """
+    """What each format states less the truth, in standard uncertainties."""
     true_before, offs = measure_true_um(known, None), []
     for name in FORMATS:
         written = write(known.found, name, 20.0)
         over = written.over
         before = over["before"] - true_before
         after = over["after_expected"] - measure_true_um(known, written.files)
-        one = before / over["before_expanded_uncertainty"]
-        other = after / over["after_expanded_uncertainty"]
-        offs.append([over["coverage_factor"] * each for each in (one, other)])
+        u = [over[f"{one}_expanded_uncertainty"] for one in ("before", "after")]
+        offs.append(over["coverage_factor"] * np.divide([before, after], u))
     return np.array(offs)
 
 

@@ -20,6 +20,7 @@ from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.scenario import load_machine
 
 FORMAT = load_format("siemens")
+RIGHT_HANDED = "v2 is not the direction of C, which turns right-handed"
 ORIGINS = {"A": [260.0, 220, -120], "B": [15.0, -8, 90], "C": [250.0, 225, -170]}
 CHAINS = {
     "w-C-A-b-X-Y-Z-t": ("P", "A C"),
@@ -42,12 +43,10 @@ def describe(chain):
 
 
 def draw_place(axis, rng):
-    """Return a place of an axis that is off in each way it can be."""
-    off = {
-        one: (0.02 if one[0] in "XYZ" else 6e-5) * rng.choice([-1.0, 0.7, 1.2])
-        for one in list_locations(axis.name)
-    }
-    return RotaryAxisLocation(axis, off)
+    names = list_locations(axis.name)
+    sizes = (0.02 if one[0] in "XYZ" else 6e-5 for one in names)
+    off = [size * rng.choice([-1.0, 0.7, 1.2]) for size in sizes]
+    return RotaryAxisLocation(axis, dict(zip(names, off, strict=True)))
 
 
 def draw_machine(chain):
@@ -76,7 +75,7 @@ def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
 def test_the_tool_stands_where_it_should_once_the_control_has_the_vectors(displaced):
     chain, content, tables = displaced
     truth = displace(content, tables.places)
-    position = spread(tables.machine.axes, 300)
+    position = spread(tables.machine, 300)
     before, after = measure_left(truth, FORMAT.write(tables), position)
     assert before.max() > 0.02
     assert after.max() < 2e-4  # products of two small turns and shifts
@@ -92,7 +91,6 @@ def test_a_machine_that_no_data_set_describes_gets_none(chain):
 
 
 def write_trunnion():
-    """A trunnion, its file, and what it stands for."""
     content, tables = draw_machine("w-C-A-b-X-Y-Z-t")
     text = FORMAT.write(tables)[f"c{SWIVEL}"]
     stated = FORMAT.read_locations({"c.mpf": text}, tables.machine)
@@ -129,9 +127,7 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
         "row 1: .*is no": "$TC_CARR4[1]=left",
         "row 1: 'G70' is no": f"G70\n{text}",
         "wants .TC_CARR 4, 5": "$TC_CARR4[1]=0.0",
-        "v2 is not the direction of C, which turns right-handed about 0, 0, 1": (
-            set_vector(text, 10, "0.0", "0.0", "-1.0")
-        ),
+        f"{RIGHT_HANDED} about 0, 0, 1": set_vector(text, 10, "0.0", "0.0", "-1.0"),
         "v1 is not the direction of A": set_vector(text, 7, "0.0", "0.0", "0.0"),
         "states a value twice": f"$TC_CARR4[1]=1.0\n{text}",
         "or is of another data set than 3": f"$TC_CARR44[3]=1.0\n{text}",
@@ -156,9 +152,8 @@ def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
     place = RotaryAxisLocation(axis, {"XOB": 0.01, "ZOB": 0.02})
     lines = list(write_swivel(machine, (place,)))
     assert "; not told by the measurement: AOB, COB" in lines
-    assert [line for line in lines if line.endswith("]=0.000000000")][-3:] == [
-        f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)
-    ]
+    zeros = [line for line in lines if line.endswith("]=0.000000000")]
+    assert zeros[-3:] == [f"$TC_CARR{k}[1]=0.000000000" for k in (10, 11, 12)]
     machine = machine_from_json(describe("w-C-A-b-X-Y-Z-t"), file="machine.json")
     a, c = machine.rotary_axes
     told = RotaryAxisLocation(a, {"YOA": 0.01})
@@ -171,13 +166,10 @@ def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():
 
 @pytest.mark.parametrize("name", ["linuxcnc", "siemens", "isg-csv", "json", "fanuc"])
 def test_a_format_states_the_places_that_its_files_have(displaced, name):
-    """What the files lack is in the tables: else it is corrected twice or never."""
     _, _, tables = displaced
     kind = load_format(name)
-    stated, files = (
-        kind.list_written_locations(tables.machine, tables.places),
-        kind.write(tables),
-    )
+    stated = kind.list_written_locations(tables.machine, tables.places)
+    files = kind.write(tables)
     read = kind.read_locations(files, tables.machine)
     assert {symbol for symbol, value in read.items() if value} == set(stated)
     if name == "siemens":  # beside both files of tables

@@ -9,9 +9,7 @@ import pytest
 
 from temperature_world import DEGC, World
 from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import (
-    study_temperature,
-)
+from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
 from truepath.compensation.tables.error_map import map_errors
@@ -39,15 +37,12 @@ def model_file(study, tmp_path):
 
 
 def read_gradient(text, celsius):
-    """What a PLC writes for X: straight between the temperatures of the list."""
     rows = re.findall(r"^; +([\d.]+) degC +SD43910 = (\S+)$", text, re.M)
     at, gradient = np.array(rows, float).T
     return float(np.interp(celsius, at, gradient))
 
 
-def test_siemens_gets_the_growth_of_an_axis_as_its_own_compensation(
-    study, model_file, tmp_path
-):
+def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp_path):
     out = tmp_path / "out.ini"
     export_files(model_file, "siemens", out, at_temperature_degc=20.0)
     text = (tmp_path / "out-temperature.ini").read_text(encoding="ascii")
@@ -60,19 +55,14 @@ def test_siemens_gets_the_growth_of_an_axis_as_its_own_compensation(
 
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
-    """With the argument less is left at an unseen temperature than without."""
     truth = map_errors(study.model.at(23.5))
     ranges = find_measured_ranges(truth.machine, {}, Unmeasured.HOLD)
 
     def correct(errors):
         return lambda at, side: -errors.error_mm(at, side)
 
-    usual, own = (
-        compute_residual_error(
-            truth, ranges, correct(map_errors(study.model.at(celsius)))
-        )
-        for celsius in (20.0, 23.5)
-    )
+    files = (map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
+    usual, own = (compute_residual_error(truth, ranges, correct(x)) for x in files)
     assert own.rms_um < 0.1 * usual.rms_um
 
 

@@ -25,18 +25,21 @@ from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine_file import parse_machine
 
-SIMULATED, SIMULATED_TRUNNION = (
-    parse_machine(tables.CONTENT),
-    parse_machine(tables.ROTARY_CONTENT),
-)
+SIMULATED = parse_machine(tables.CONTENT)
+SIMULATED_TRUNNION = parse_machine(tables.ROTARY_CONTENT)
 TURNING = ("linuxcnc", "siemens", "siemens-lec")
 COMPOSING = ("isg-csv", "isg-csv-followed")
 RESOLUTION_MM = {"fanuc": 1.1e-3}
 RESOLUTION_DEG = 1.01e-6
+GOLDEN_FOLDERS = {order: (tables.write_files, order) for order in tables.ORDERS} | {
+    f"{order}-rotary": (tables.write_rotary_files, order)
+    for order in tables.ROTARY_ORDERS
+}
+_values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
+_turns = st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=9)
 
 
 def simulate(order, files, position, direction, machine=SIMULATED):
-    """What the simulated controller adds, (n, axes)."""
     reading = "difference" if order == "heidenhain-difference" else "negative-value"
     systems = {"siemens-system-2": 2, "siemens-system-by-axis": "X=2"}
     rules = Rules(reading, tool_length_mm=100.0, measuring_system=systems.get(order, 1))
@@ -45,10 +48,6 @@ def simulate(order, files, position, direction, machine=SIMULATED):
 
 
 simulate_trunnion = partial(simulate, "usual", machine=SIMULATED_TRUNNION)
-GOLDEN_FOLDERS = {order: (tables.write_files, order) for order in tables.ORDERS} | {
-    f"{order}-rotary": (tables.write_rotary_files, order)
-    for order in tables.ROTARY_ORDERS
-}
 
 
 @pytest.mark.parametrize("folder", GOLDEN_FOLDERS)
@@ -58,17 +57,12 @@ def test_files_are_the_golden_ones(folder):
     assert write(order) == {p.name: p.read_text(encoding="ascii") for p in files}
 
 
-_values = st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=6)
-
-
 @pytest.mark.parametrize("order", tables.ORDERS)
 @given(
     own=_values, across=_values, lost=st.floats(0.0, 0.01), turn=st.floats(-1e-4, 1e-4)
 )
 @settings(max_examples=25, deadline=None)
-def test_our_reader_and_the_simulated_controller_read_the_same(
-    order, own, across, lost, turn
-):
+def test_our_reader_and_the_simulated_control_agree(order, own, across, lost, turn):
     if order == "fanuc":  # steps that every control takes
         own = (np.array(own) * 0.1).tolist()
     n = min(len(own), len(across))
@@ -104,16 +98,11 @@ def test_rows_take_the_error_of_the_axis_away_to_the_resolution(order):
         np.testing.assert_allclose(added[:, 0], -wanted[:, 0], atol=bound)
 
 
-_turns = st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=9)
-
-
 def vary(own, half, across):
-    """Content of files: C as it is told, its last row the first, and A half of it."""
     turn, none = np.array([*own, own[0]]), np.zeros(len(own))
     c = tables.make_turn_table("C", turn, np.full(len(turn), half), across * turn)
-    return tables.make_rotary_content(
-        tables.make_turn_table("A", 0.5 * turn[:-1], none, none), c
-    )
+    a = tables.make_turn_table("A", 0.5 * turn[:-1], none, none)
+    return tables.make_rotary_content(a, c)
 
 
 @pytest.mark.parametrize("order", TURNING)
@@ -122,7 +111,7 @@ def vary(own, half, across):
 def test_a_control_adds_to_rotary_axes_what_our_reader_says(order, own, half):
     name, choices = tables.ROTARY_ORDERS[order]
     kind, content = load_format(name, choices), vary(own, half, 0.0)
-    files, position = kind.write(content), spread(tables.TRUNNION.axes, 40)
+    files, position = kind.write(content), spread(tables.TRUNNION, 40)
     added = kind.read_rotary(files, tables.TRUNNION)
     for direction in (1.0, -1.0):
         other = simulate_trunnion(files, position, direction)
@@ -152,7 +141,7 @@ def test_rows_take_the_turn_away_to_the_resolution(order):
 def test_a_control_composes_rotary_axes_as_our_reader_does(order, own, across):
     name, choices = tables.ROTARY_ORDERS[order]
     kind, content = load_format(name, choices), vary(own, 0.0, across)
-    files, position = kind.write(content), spread(tables.TRUNNION.axes, 40)
+    files, position = kind.write(content), spread(tables.TRUNNION, 40)
     ours = kind.read(files, tables.TRUNNION)(position, 1.0)
     other = simulate_trunnion(files, position, 1.0)
     # Our reader leaves out half the square of a turn, 0.011° at half a metre.

@@ -46,8 +46,6 @@ LOW, HIGH = (parse_machine(CONTENT).low_mm, parse_machine(CONTENT).high_mm)
 
 @dataclass(frozen=True)
 class Circle:
-    """What the first Run left open, what was asked, what both Runs say."""
-
     first: Discovery
     asked: DiscriminationDesign
     both: Discovery
@@ -100,7 +98,6 @@ def calibrated(record):
 
 
 def without(known, effect):
-    """Return a model that has left an effect out; all of it for an empty name."""
     kept = tuple(e for e in known.model.effects if e.name != effect)
     number = np.arange(known.model.size)
     columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
@@ -109,16 +106,12 @@ def without(known, effect):
     return EstimatedModel(model, known.theta[columns], covariance)
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        LateralBacklash("Y", "EXY", 5.0, 0.3),
-        pytest.param(None, marks=pytest.mark.long),
-    ],
-    ids=["lateral-backlash", "squareness"],
-)
+SIDEWAYS = LateralBacklash("Y", "EXY", 5.0, 0.3)
+LEAN = pytest.param(None, marks=pytest.mark.long, id="squareness")
+
+
+@pytest.fixture(scope="module", params=[pytest.param(SIDEWAYS, id=SIDEWAYS.name), LEAN])
 def leaning(request, run_of, calibrated):
-    """Lateral backlash of Y, or a squareness that the model has left out."""
     effect = request.param
     name = "squareness" if effect is None else effect.name
     given = without(calibrated, "C0Y" if effect is None else "")
@@ -126,14 +119,10 @@ def leaning(request, run_of, calibrated):
     return name, circle(run_of, two_sides_of_y(), "standstill", hidden, given)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
-        Backlash("X", 8.0),
-        pytest.param(ServoMismatch("X", 0.06), marks=pytest.mark.long),
-    ],
-    ids=lambda e: e.name,
-)
+LAG = pytest.param(ServoMismatch("X", 0.06), marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("effect", [Backlash("X", 8.0), LAG], ids=lambda e: e.name)
 def test_standstills_tell_lost_motion_from_a_lag_at_one_speed(run_of, effect):
     setting = Setting(machine_seed=MACHINE, hidden=(effect,))
     run = run_of(synthetic.record(CONTENT, even_in_x(), 6, "otf", setting))
@@ -196,13 +185,9 @@ def test_the_lines_and_the_reason_are_said_in_file_report_and_order(leaning):
     assert order.path is not None
     driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
     assert driven == done.asked.path.position.tolist()
-    machine = done.first.aligned[0].run.machine
-    written = encode_commanded(done.asked.path)
-    np.testing.assert_array_equal(
-        decode_commanded(written, machine, "path.csv", is_path=True).feed_mm_min,
-        done.asked.path.feed_mm_min,
-    )
-    path = done.asked.path
+    machine, path = done.first.aligned[0].run.machine, done.asked.path
+    read = decode_commanded(encode_commanded(path), machine, "path.csv", is_path=True)
+    np.testing.assert_array_equal(read.feed_mm_min, path.feed_mm_min)
     check_travel(machine, path)
     assert (path.position >= LOW).all()
     assert (path.position <= HIGH).all()
@@ -213,8 +198,7 @@ def test_from_where_the_first_point_was_reached_explains_nothing(run_of, calibra
     points = two_sides_of_y(24, 0.1)
     home = np.vstack([LOW, points.position])
     way = Program(home, np.full(len(home), 100.0), np.full(len(home), 0.8))
-    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
-    setting = Setting(machine_seed=MACHINE, hidden=(hidden,))
+    setting = Setting(machine_seed=MACHINE, hidden=(SIDEWAYS,))
     recording = synthetic.record(CONTENT, way, 7, "standstill", setting)
     run = run_of(replace(recording, program=points))
     (finding,) = discover([run], without(calibrated, "")).findings

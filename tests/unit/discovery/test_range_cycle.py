@@ -19,16 +19,12 @@ def search(record):
     return searched
 
 
-def draw(seed, longest_mm):
-    rng = np.random.default_rng(seed)
-    amplitude_um = rng.uniform(1.5, 4.0)
-    period_mm = np.exp(rng.uniform(np.log(5.0), np.log(longest_mm)))
-    return RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
-
-
 @pytest.mark.parametrize("seed", [2, 4, 6])
 def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
-    hidden = draw(seed, 120.0)
+    rng = np.random.default_rng(seed)
+    amplitude_um = rng.uniform(1.5, 4.0)
+    period_mm = np.exp(rng.uniform(np.log(5.0), np.log(120.0)))
+    hidden = RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
     (found,) = search(seed, hidden).findings
     assert found.candidate.family == "range-cycle"
     for name in ("period_mm", "amplitude_um"):
@@ -37,13 +33,10 @@ def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
         assert said.uncertainty < 0.1 * true
 
 
-def test_a_cycle_longer_than_the_ranges_gets_no_other_cause(search):
+def test_a_longer_cycle_gets_no_other_cause_and_a_vibration_is_still_one(search):
     found = search(1, RangeCycle(245.0, 2.8, 0.9))
     causes = [one for one in found.findings if one.structure is None]
     assert {one.candidate.family for one in causes} <= {"range-cycle"}
-
-
-def test_a_real_vibration_is_still_one(search):
     (found,) = search(1, Vibration("Y", 12.0, 2.0)).findings
     assert found.candidate.label == "vibration Y"
     assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head

@@ -24,17 +24,14 @@ pytestmark = pytest.mark.timeout(180)
 # A small machine whose head turns, with two targets on it.
 LINEAR = {"type": "linear", "min_mm": 0.0, "max_mm": 200.0}
 ROTARY = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0}
-HEAD = {
-    "schema": "machine/1",
-    "name": "small",
-    "kinematic_chain": "w-b-X-Y-Z-C-t",
+OFFSETS_MM = {"T1": [60.0, 0.0, -120.0], "T2": [-20.0, 70.0, -180.0]}
+HEAD = {"schema": "machine/1", "name": "small", "kinematic_chain": "w-b-X-Y-Z-C-t"}
+HEAD |= {
     "axes": {**dict.fromkeys("XYZ", LINEAR), "C": {**ROTARY, "origin_mm": [3, -5, 0]}},
-    "targets": {
-        "T1": {"on": "tool", "offset_mm": [60.0, 0.0, -120.0]},
-        "T2": {"on": "tool", "offset_mm": [-20.0, 70.0, -180.0]},
-    },
+    "targets": {n: {"on": "tool", "offset_mm": at} for n, at in OFFSETS_MM.items()},
     "tracker": {"stands_on": "workpiece", "rate_hz": 100},
 }
+GEAR, SAG = GearCyclic("C", 6.0, 40.0, 1.0), SwivelSag("Y", "C", "Z", 8.0, 0.5)
 
 
 def drive(content, hidden, lines=None, reference=None):
@@ -63,9 +60,6 @@ def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(plain
     found = drive(HEAD, (hidden,), 28, model)
     require_named(found, hidden, "rotary-eccentricity C")
     assert not drive(HEAD, (), 28, model).findings
-
-
-GEAR, SAG = GearCyclic("C", 6.0, 40.0, 1.0), SwivelSag("Y", "C", "Z", 8.0, 0.5)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 
 def measure(errors, *hidden, stated=None):
-    """Return a Run whose tracker errs typically, or as told; stated : if it lies."""
     made, setting = load_erring(errors), Setting(hidden=hidden)
     run, _ = record_run(made, choose_program(made, 12, rows=40), 12, setting=setting)
     if stated is None:

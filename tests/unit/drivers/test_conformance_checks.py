@@ -12,13 +12,7 @@ from truepath_drivers import host_clock
 from truepath_drivers.conformance import device, motion, tracker
 from truepath_drivers.conformance.checking import NotConforming, on_terms
 from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceTimeout,
-    MotionFault,
-    OutOfTravel,
-    Refused,
-)
+from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import (
     UNABLE,
     Identity,
@@ -51,7 +45,7 @@ class GoodTracker(Tracker):
     def start(self, rate_hz: float) -> None:
         self.need_connection()
         if not 0 < rate_hz < 1e6:
-            raise Refused("no")
+            raise errors.Refused("no")
         self.streams = True
 
     def stop(self) -> None:
@@ -74,12 +68,10 @@ class GoodTracker(Tracker):
 
     def need_connection(self) -> None:
         if not self.connected:
-            raise ConnectionLost("connect first")
+            raise errors.ConnectionLost("connect first")
 
 
 class GoodController(FakeMotion):
-    """Keeps everything, in memory."""
-
     watches = counts_lines = ends = True
     feeds = blocked = connected = False  # feeds: piece by piece
     first_line = 0
@@ -100,9 +92,9 @@ class GoodController(FakeMotion):
 
     def status(self) -> MotionStatus:
         if not self.connected:
-            raise ConnectionLost("connect first")
+            raise errors.ConnectionLost("connect first")
         if self.blocked:
-            raise DeviceTimeout("no answer")
+            raise errors.DeviceTimeout("no answer")
         silent_s = host_clock.now_s() - self.fed_s
         if self.feeds and self.ends and silent_s > 1.0:
             self._since_s += silent_s - 1.0  # it stands since
@@ -121,19 +113,19 @@ class GoodController(FakeMotion):
     def load(self, path) -> None:
         self.status()
         if path.axes != self.axes:
-            raise Refused("other axes")
+            raise errors.Refused("other axes")
         self.check(path.position)
         super().load(path)
 
     def check(self, rows) -> None:
         low, high = np.array(self.travel).T
         if not ((rows >= low) & (rows <= high)).all():
-            raise OutOfTravel("beyond")
+            raise errors.OutOfTravel("beyond")
 
     def start(self) -> None:
         self.need_able()
         if self.loaded is None:
-            raise Refused("no path")
+            raise errors.Refused("no path")
         super().start()
 
     def go_on(self) -> None:
@@ -146,13 +138,13 @@ class GoodController(FakeMotion):
 
     def need_able(self) -> None:
         if self.status().state in UNABLE:
-            raise MotionFault(self.alarm)
+            raise errors.MotionFault(self.alarm)
 
     def wait(self, timeout_s) -> MotionStatus:
         end_s = host_clock.now_s() + timeout_s
         while self.status().state is MotionState.RUNNING:
             if host_clock.now_s() > end_s:
-                raise DeviceTimeout("still runs")
+                raise errors.DeviceTimeout("still runs")
             self.send_heartbeat()
             host_clock.sleep_s(0.05)
         self.need_able()
@@ -214,14 +206,11 @@ def does(value=None):
 
 
 STANDS = MotionStatus(MotionState.IDLE, (0.0, 0.0, 0.0), 0)
+TWICE = device.connect_twice_is_one_connection
 TIMES = tracker.times_are_those_of_the_samples
 FAULTY_TRACKERS = [
     (device.connect_tells_who_answers, "connect", does(Identity("", "", "", ""))),
-    (
-        device.connect_twice_is_one_connection,
-        "connect",
-        lambda self: Identity("a", "b", str(next(COUNTER)), "d"),
-    ),
+    (TWICE, "connect", lambda self: Identity("a", "b", str(next(COUNTER)), "d")),
     (tracker.silence_is_an_empty_block_in_time, "streams", always(True)),
     (tracker.samples_have_rising_numbers_and_times, "number", always(0)),
     (tracker.numbers_go_on_after_a_pause, "read", begin_clock_anew),
@@ -337,7 +326,7 @@ def test_a_faulty_tracker_is_caught(clock, check, name, fault):
 
 
 def in_trouble(check, kind):
-    """Run a check on one machine that gets into its trouble."""
+
     make = share_machine(kind)
     check(make, lambda: TROUBLES[check](make()))
 
@@ -374,14 +363,12 @@ def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
     def leave_open(self):
         left.append((tmp_path / "port").open("w"))
 
+    leaves = with_fault(GoodTracker, "connect", leave_open)
     with pytest.raises(NotConforming, match="left a file or a thread behind"):
-        device.close_is_idempotent_and_leaves_nothing(
-            with_fault(GoodTracker, "connect", leave_open)
-        )
+        device.close_is_idempotent_and_leaves_nothing(leaves)
+    opens = with_fault(GoodTracker, "__init__", leave_open)
     with pytest.raises(NotConforming, match="constructor opened something"):
-        device.construction_opens_nothing(
-            with_fault(GoodTracker, "__init__", leave_open)
-        )
+        device.construction_opens_nothing(opens)
     for file in left:
         file.close()
     with pytest.raises(NotConforming, match="not there"):
@@ -389,8 +376,6 @@ def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
 
 
 class GoodThermometers(Thermometers):
-    """Keeps everything, in memory."""
-
     channels = (Channel("X_degC"),)
     period_s = 0.01
     is_open = False
@@ -404,7 +389,7 @@ class GoodThermometers(Thermometers):
 
     def read(self):
         if not self.is_open:
-            raise ConnectionLost("connect first")
+            raise errors.ConnectionLost("connect first")
         return self.show()
 
     def show(self, value=20.0, fault="", name="X_degC", time_s=None):

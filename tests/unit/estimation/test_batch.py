@@ -1,6 +1,7 @@
 """The estimate against known truth that shares no physics with it."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -41,11 +42,10 @@ def test_standstill_points_find_the_map_with_the_same_solver(record):
 
 
 def test_twice_the_noise_is_twice_the_uncertainty(record):
-    once, twice = (
-        judge(*record(24, rows=30, setting=Setting(noise_scale=scale)))[1]
-        for scale in (1.0, 2.0)
-    )
-    (_, first), (_, second) = (e.reduce_to_targets.part("C0Y") for e in (once, twice))
+    loud = (Setting(noise_scale=scale) for scale in (1.0, 2.0))
+    runs = (record(24, rows=30, setting=setting)[0] for setting in loud)
+    both = (estimate(align(run)).reduce_to_targets for run in runs)
+    (_, first), (_, second) = (each.part("C0Y") for each in both)
     assert np.sqrt(second / first).item() == pytest.approx(2.0, rel=0.3)
 
 
@@ -80,13 +80,13 @@ def test_along_path_information_halves_what_corner_paths_leave(record_small):
 def test_progress_grows_and_is_complete_only_after_the_last_work(few, monkeypatch):
     told = []
     works = (batch.widen_by_unknown_precision, batch.assess_observability)
+
+    def recorded(work, *arguments):
+        told.append(work)
+        return work(*arguments)
+
     for work in works:
-
-        def recorded(*arguments, work=work):
-            told.append(work)
-            return work(*arguments)
-
-        monkeypatch.setattr(batch, work.__name__, recorded)
+        monkeypatch.setattr(batch, work.__name__, partial(recorded, work))
     estimate(few[1], on_progress=told.append)
     assert told[-4:] == [0.9, *works, 1.0]
     shares = [share for share in told if isinstance(share, float)]

@@ -20,16 +20,11 @@ def seen(record):
     return align(record(31, rows=40)[0])
 
 
-def pushed(seen, offset_mm):
-    return replace(seen, tracker_mm=seen.tracker_mm + offset_mm @ seen.pose.rotation.T)
-
-
 def with_backlash(seen, shape=lambda y: np.ones_like(y)):
-    """Let Y fall behind by a half width, as seen by the target."""
     y = seen.at.position_mm[:, 1]
     offset = np.zeros((len(seen), 3))
     offset[:, 1] = -HALF_MM * shape(y / 400.0) * seen.at.approach[:, 1]
-    return pushed(seen, offset)
+    return replace(seen, tracker_mm=seen.tracker_mm + offset @ seen.pose.rotation.T)
 
 
 def halves(result):
@@ -49,7 +44,6 @@ def test_a_lost_motion_is_found_with_its_size_axis_and_shape_and_nowhere_else(se
     assert eyy.uncertainty[0] < 0.5
     clear = [s for s, h in found.items() if abs(h.value[0]) > 5 * h.uncertainty[0]]
     assert clear == ["EYY"]
-    # One that changes along the axis asks for tables.
     result = estimate(with_backlash(seen, lambda u: 1.0 + 1.5 * np.sin(5.0 * u)))
     assert result.direction == "tables"
     eyy = halves(result)["EYY"]
@@ -61,10 +55,8 @@ def test_a_lost_motion_is_found_with_its_size_axis_and_shape_and_nowhere_else(se
 
 def test_the_sign_is_that_of_the_last_motion(record):
     run, _ = record(31, rows=40)
-    at = replace(
-        make_standstill(run.machine, np.full((3, 3), 100.0)),
-        approach=np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 0]]),
-    )
+    at = make_standstill(run.machine, np.full((3, 3), 100.0))
+    at = replace(at, approach=np.outer([1.0, -1.0, 0.0], [1.0, 0.0, 0.0]))
     effect = make_half_width("EXX", run.machine.linear_axes[0])
     moved = effect.displacement_mm(at, np.array([0.002]))
     assert moved[:, 0].tolist() == [0.002, -0.002, 0.0]

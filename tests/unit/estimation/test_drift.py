@@ -49,7 +49,6 @@ def basis_of(model, truth, rng):
 
 
 def settle(model, hours, rng, tau_h=1.0, size=1.0):
-    """Return parameters over time that settle, their shapes drawn; and those shapes."""
     B = build_drift_shapes(model)
     amplitude = size * rng.standard_normal(B.shape[1])
     still = B @ rng.standard_normal(B.shape[1])

@@ -2,7 +2,6 @@
 
 import tracemalloc
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -34,10 +33,8 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
     content = load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
-    content["axes"] = {
-        name: {"type": "linear", "min_mm": 0.0, "max_mm": length}
-        for name, length in zip("XYZ", travel_mm, strict=True)
-    }
+    for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
+        axis["min_mm"], axis["max_mm"] = 0.0, length
     machine = parse_machine(content)
     truth = random_machine(machine, 3)
     if step_mm:
@@ -51,13 +48,7 @@ def _record(travel_mm, rows, *, step_mm=0.0, level=None):
     return record_run(content, program, 3, setting=setting)[0], truth
 
 
-@cache
-def _record_pieces():
-    return _record(LONG, 40, step_mm=0.008)
-
-
 def _curves(found, truth, symbol, at):
-    """Estimate, uncertainty and truth of a motion, all without a straight line."""
     motion = next(m for m in found.model.error_motions if m.name == symbol)
     part = found.model.slices[symbol]
     line = np.stack([np.ones(len(at)), at], axis=1)
@@ -66,12 +57,6 @@ def _curves(found, truth, symbol, at):
     true = free @ truth.error_motions()[symbol].at(at)
     variance = np.einsum("np,pq,nq->n", rows, found.covariance[part, part], rows)
     return rows @ found.theta[part], np.sqrt(variance), true
-
-
-def _assert_knots_of_a_rack(model):
-    sizes = {m.name: m.spline.size for m in model.error_motions}
-    assert sizes["EXX"] > 80
-    assert sizes["ECX"] == 33
 
 
 def test_a_gantry_of_six_metres_is_determined():
@@ -86,17 +71,19 @@ def test_a_gantry_of_six_metres_is_determined():
 def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
     at = np.linspace(0.0, LONG[0], 601)
     smooth, _ = _record(LONG, 40)
-    pieces, truth = _record_pieces()
+    pieces, truth = _record(LONG, 40, step_mm=0.008)
     few = estimate(align(smooth)).model
     found = estimate(align(pieces))
     assert {m.spline.size for m in few.error_motions if m.axis.name == "X"} == {33}
-    _assert_knots_of_a_rack(found.model)
     value, sigma, true = _curves(found, truth, "EXX", at)
     assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
     seen = add_surroundings(align(pieces), pieces.commanded)
     models = build_baseline_models(pieces.machine, [seen.at])
-    _assert_knots_of_a_rack(fit_baseline(*models, [seen]).model)
+    for model in (found.model, fit_baseline(*models, [seen]).model):
+        sizes = {m.name: m.spline.size for m in model.error_motions}
+        assert sizes["EXX"] > 80
+        assert sizes["ECX"] == 33
 
 
 def test_what_knots_hide_falls_with_the_cube_of_their_distance():
@@ -134,19 +121,7 @@ def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     assert samples < 2 * seen.count[burst].sum()
 
 
-@pytest.fixture(scope="module")
-def knocked():
-    run, _ = _record(LONG, 24)
-    fit = estimate(align(run), keep_fit=True).fit
-    seen = fit.runs[0].observations
-    late = np.arange(len(seen)) > 0.3 * len(seen)
-    moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
-    part = replace(fit.runs[0], observations=replace(seen, tracker_mm=moved))
-    return replace(fit, runs=(part,))
-
-
 def _examine(fit, cells):
-    """Return what is left of the first cells, and the most memory that it takes."""
     run = fit.runs[0]
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
@@ -157,7 +132,14 @@ def _examine(fit, cells):
         tracemalloc.stop()
 
 
-def test_steps_that_are_tried_are_held_few_times(knocked):
+def test_steps_that_are_tried_are_held_few_times():
+    run, _ = _record(LONG, 24)
+    fit = estimate(align(run), keep_fit=True).fit
+    seen = fit.runs[0].observations
+    late = np.arange(len(seen)) > 0.3 * len(seen)
+    moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
+    part = replace(fit.runs[0], observations=replace(seen, tracker_mm=moved))
+    knocked = replace(fit, runs=(part,))
     ends = [last for _, last in knocked.runs[0].observations.lines]
     half, whole = ends[len(ends) // 2], ends[-1]
     (_, less), (found, more) = (_examine(knocked, cells) for cells in (half, whole))
@@ -167,7 +149,6 @@ def test_steps_that_are_tried_are_held_few_times(knocked):
 
 
 def analyse_with(record, monkeypatch, *hidden):
-    """Return what was added to the variance of error motions, in µm², by symbol."""
     run, _ = record(33, rows=30, setting=Setting(hidden=hidden))
     before = []
 

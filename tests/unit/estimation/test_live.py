@@ -98,13 +98,9 @@ def test_a_knock_after_which_no_row_is_found_is_told_and_where_it_began(run):
     spoilt, knocked_s = spoil(run, 0.35, [1.9, -1.9, 1.3])
     some = slice(0, len(run.tracker) * 3 // 4)
     spoilt = replace(spoilt, tracker=spoilt.tracker.select(some))
-    told = [
-        (now, reason)
-        for now in follow(spoilt).on_the_way
-        for reason in assess_live(now.check, now.done).reasons
-        if reason.kind == "stream-astray"
-    ]
-    assert assess_live(told[0][0].check, 1).state == "doubtful"
+    verdicts = [assess_live(x.check, x.done) for x in follow(spoilt).on_the_way]
+    told = [(v, r) for v in verdicts for r in v.reasons if r.kind == "stream-astray"]
+    assert told[0][0].state == "doubtful"
     values = [reason.values for _, reason in told]
     assert [v["to_s"] for v in values] == sorted({v["to_s"] for v in values})
     assert len(values) > 0.5 * 0.65 * (len(run.commanded) - 1)
@@ -136,16 +132,9 @@ def test_nothing_is_said_before_a_pose_is_known_and_it_goes_on_where_nothing_fit
     assert assess_live(last.check, last.done).state != "usable"
 
 
-@pytest.fixture(scope="module")
-def measured(record):
-    """Two Runs of one machine, each from a place of its own; the first is earlier."""
-    earlier, _ = record(31, rows=16)
+def test_earlier_runs_add_what_they_tell_and_their_minutes_are_off(record):
+    earlier = align_earlier([record(31, rows=16)[0]])
     run, _ = record(32, rows=12, setting=Setting(machine_seed=31))
-    return align_earlier([earlier]), run
-
-
-def test_earlier_runs_add_what_they_tell_and_their_minutes_are_off(measured):
-    earlier, run = measured
     blocks = [run.tracker]
     alone, both = (follow(run, blocks=blocks, earlier=x) for x in ((), earlier))
     sigma_mm = both.last.volumetric_sigma_mm

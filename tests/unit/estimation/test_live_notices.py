@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from following import follow, list_blocks, shift
+from following import follow_lines, shift
 from truepath.estimation.checks.change_detection import KNOCK, LINE, LOST_MOTION, Change
 from truepath.estimation.checks.notices import UNNAMED, revise
 
 ROWS = tuple(range(1, 21))
-
-
-def follow_lines(run):
-    return follow(run, blocks=list_blocks(run, 100), with_notices=True).noticed
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +21,11 @@ def usual(record):
 
 def test_nothing_is_noticed_where_nothing_changes_and_a_drift_is_no_knock(usual):
     run, share = usual
-    told = follow_lines(run)
+    told = follow_lines(run).noticed
     assert len(told) > 25
     assert not any(notices for _, notices in told)
-    told = follow_lines(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
+    drifting = shift(run, np.outer(share, [0.012, 0.012, -0.012]))
+    told = follow_lines(drifting).noticed
     assert [n.kind for n in told[-1][1] if not n.is_over] == ["set-up-drifts"]
     assert KNOCK not in {n.kind for _, notices in told for n in notices}
 
@@ -37,7 +34,7 @@ def test_nothing_is_noticed_where_nothing_changes_and_a_drift_is_no_knock(usual)
 def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual, measured):
     run, share = usual
     late = share > 0.7
-    told = follow_lines(shift(run, late[:, None] * np.array([0.006, -0.006, 0.006])))
+    told = follow_lines(shift(run, np.outer(late, [0.006, -0.006, 0.006]))).noticed
     knocked_s = run.tracker.device_time_s[np.argmax(late)]
     assert not any(notices for now_s, notices in told if now_s < knocked_s)
     first_s, notices = next((now_s, n) for now_s, n in told if n)
@@ -57,8 +54,8 @@ def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual, meas
 
 def test_a_knock_half_way_on_a_line_is_one_change(usual):
     run, share = usual
-    later = (share > 0.56)[:, None]
-    told = follow_lines(shift(run, later * np.array([0.007, -0.007, 0.007])))
+    moved = shift(run, np.outer(share > 0.56, [0.007, -0.007, 0.007]))
+    told = follow_lines(moved).noticed
     shown = [[n.kind for n in notices if not n.is_over] for _, notices in told]
     assert max(map(len, shown)) == 1
     assert shown[-1] == [KNOCK]

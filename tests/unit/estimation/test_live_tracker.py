@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimating import estimate_one, judge_map
-from following import follow, list_blocks
+from following import follow, follow_lines
 from recorded import choose_program, load_erring, record_run, with_samples
 from truepath.alignment.align import align_all
 from truepath.estimation.checks.change_detection import KNOCK, RANGE
@@ -16,10 +16,13 @@ from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
 LOST_S = 0.4
+PLACE_MM = np.array([0.03, -0.02, 0.025])
+TILT_RAD = np.array([3e-5, -4e-5, 1e-5])
+RANGE_MM = -0.06
+LONGER = np.array([RANGE_MM, 0.0, 0.0])
 
 
 def measure(seed, mode="otf", specification=None, rows=24, **setting):
-    """Return the Run of a tracker that errs within its specification, and the truth."""
     content = load_erring(specification)
     program = choose_program(content, seed, mode, rows=rows)
     setting = Setting(**(setting or {"machine_seed": seed}))
@@ -28,7 +31,6 @@ def measure(seed, mode="otf", specification=None, rows=24, **setting):
 
 
 def lose_beam(run, off_mm, share=0.6):
-    """Return a Run whose samples are off by off_mm(their places) after a new lock."""
     tracker = run.tracker
     time_s = tracker.device_time_s
     lost_s = time_s[0] + share * (time_s[-1] - time_s[0])
@@ -42,10 +44,6 @@ def lengthen(by_mm):
     return lambda place: by_mm * place / np.linalg.norm(place, axis=1)[:, None]
 
 
-def follow_lines(run):
-    return follow(run, blocks=list_blocks(run, 100), with_notices=True)
-
-
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
 def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(mode):
     inside = []  # of the live estimate and of the analysis
@@ -56,8 +54,7 @@ def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(m
         stated_mm = float(np.sqrt(np.sum(gram * batch.covariance)))
         last = followed.last
         assert last.volumetric_sigma_mm == pytest.approx(stated_mm, rel=0.1)
-        both = (judge_map(each, truth.deviation_mm).inside for each in (last, batch))
-        inside.append(tuple(both))
+        inside.append([judge_map(x, truth.deviation_mm).inside for x in (last, batch)])
         assert not any(notices for _, notices in followed.noticed)
         assert not last.check.knocks
     assert (np.mean(inside, axis=0) > 0.86).all()
@@ -109,12 +106,6 @@ def test_more_new_locks_than_were_foreseen_leave_the_estimate_as_it_is():
     assert judge_map(last, truth.deviation_mm).inside > 0.8
 
 
-PLACE_MM = np.array([0.03, -0.02, 0.025])
-TILT_RAD = np.array([3e-5, -4e-5, 1e-5])
-RANGE_MM = -0.06
-LONGER = np.array([RANGE_MM, 0.0, 0.0])
-
-
 # What is done, how large it is, and which reason of the verdict says it.
 KINDS = {
     "place": (
@@ -137,7 +128,6 @@ SAID = {said for _, _, said in KINDS.values()}
 
 
 def disturb(run, kind, share, broken_s=0.0):
-    """Return a Run to which something happens, and when; the beam is lost before."""
     first = int(share * len(run.tracker))
     at_s = run.tracker.device_time_s[first]
     late = run.tracker.device_time_s >= at_s + broken_s

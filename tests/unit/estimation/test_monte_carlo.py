@@ -49,9 +49,10 @@ def squareness(fit):
     return outputs, np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
 
 
-def of_noise_alone(trials, noise):
+def spread_of(trials, noise, count):
     silent = tuple(replace(x, root=0.0 * x.root, log_sigma=0.0) for x in trials.prior)
-    return replace(under(trials, noise), prior=silent)
+    alone = replace(under(trials, noise), prior=silent)
+    return sample_outputs(alone, 0, count).std(axis=1)
 
 
 def test_trials_confirm_linear_uncertainty_with_precisions_known_or_not(fit, trials):
@@ -72,10 +73,7 @@ def test_trials_confirm_linear_uncertainty_with_precisions_known_or_not(fit, tri
 def test_more_noise_than_was_weighed_shows_in_the_trials(fit, trials):
     _, linear = squareness(fit)
     loud = NoiseModel((2.0, 2.0), (0.5, 0.5, 0.5), 0.8, 2e-4)
-    quiet, louder = (
-        sample_outputs(of_noise_alone(trials, noise), 0, 500).std(axis=1)
-        for noise in (NOISE, loud)
-    )
+    quiet, louder = (spread_of(trials, noise, 500) for noise in (NOISE, loud))
     assert louder / quiet == pytest.approx(2.0, rel=1e-3)
     told = propagate(partial(run_block, under(trials, loud)), FEW)
     assert (told.sigma > 1.2 * linear).all()
@@ -84,10 +82,7 @@ def test_more_noise_than_was_weighed_shows_in_the_trials(fit, trials):
 def test_slow_noise_remembers_for_as_long_as_it_is_said_to(trials):
     ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25, 0.25), 0.8, 1e-9)
     forgetful = replace(ou, ou_time_s=1e-3)
-    remembered, quick = (
-        sample_outputs(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
-        for noise in (ou, forgetful)
-    )
+    remembered, quick = (spread_of(trials, noise, 4000) for noise in (ou, forgetful))
     assert (quick < 0.96 * remembered).all()
 
 

@@ -39,16 +39,6 @@ def solve(seen):
     return run, prior
 
 
-@pytest.fixture(scope="module", params=["timed", "across", "places"])
-def judged(request, rough, record_small):
-    run, prior = rough
-    noise = NOISE if request.param == "timed" else replace(NOISE, along_sigma_mm=np.inf)
-    if request.param == "places":
-        run, prior = solve(align(record_small(3, "standstill")[0]))
-        noise = replace(noise, place=(0.4, 0.3, 0.5))
-    return evidence_of(run, prior, noise), noise
-
-
 def evidence_of(run, prior, noise=NOISE):
     design = replace(run.linearisation, noise=noise).build(run.observations)
     columns = np.delete(design.rows, design.fixed, axis=2)
@@ -66,8 +56,14 @@ def moved(noise, x):
     return replace(noise, place=tuple(noise.place * more)) if len(more) else noise
 
 
-def test_the_gradient_is_the_slope_of_the_cost_and_the_curvature_leads_downhill(judged):
-    evidence, noise = judged
+@pytest.mark.parametrize("kind", ["timed", "across", "places"])
+def test_gradients_are_slopes_and_curvature_leads_downhill(kind, rough, record_small):
+    run, prior = rough
+    noise = NOISE if kind == "timed" else replace(NOISE, along_sigma_mm=np.inf)
+    if kind == "places":
+        run, prior = solve(align(record_small(3, "standstill")[0]))
+        noise = replace(noise, place=(0.4, 0.3, 0.5))
+    evidence = evidence_of(run, prior, noise)
     found = evidence.evaluate(noise).gradient
     for k, gradient in enumerate(found):
         step = 1e-3 * np.eye(len(found))[k]

@@ -1,7 +1,5 @@
 """Samples on ramps tell what is across the line, whatever acceleration does."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -19,12 +17,11 @@ PEAK_M_S2 = 3.0
 
 def bends(amount_um, frequency_hz=0.0):
     """Every carriage leans in all directions by so much at the tool, at its peak."""
-    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18)
-    most = [amount_um / PEAK_M_S2 / (1.0 if k in "XYZ" else 0.3) for k in "XYZABC"]
-    return tuple(
-        InertialBend(f"E{kind}{axis}", most[k % 6] * sizes[k], frequency_hz, 0.2)
-        for k, (axis, kind) in enumerate(itertools.product("XYZ", "XYZABC"))
-    )
+    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18) * amount_um / PEAK_M_S2
+    sizes /= np.tile(np.repeat([1.0, 0.3], 3), 3)
+    names = [f"E{kind}{axis}" for axis in "XYZ" for kind in "XYZABC"]
+    pairs = zip(names, sizes.tolist(), strict=True)
+    return tuple(InertialBend(*pair, frequency_hz, 0.2) for pair in pairs)
 
 
 @pytest.fixture(scope="module")

@@ -29,20 +29,16 @@ CORNERS = [np.array(c, float) for c in itertools.product([0, 1], repeat=3)]
 CORNER_LINES = list(itertools.combinations(CORNERS, 2))
 MID_LINES = [(0.5 - 0.5 * along, 0.5 + 0.5 * along) for along in np.eye(3)]
 OBLIQUE = [(np.zeros(3), np.array([0.6, 1.0, 0.0]))]
+CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
 
 
-def machine(travel):
-    return build_mill(ONE[0], travel_mm=travel)
-
-
-def every_motion(of):
+def every_motion(travel):
+    of = build_mill(ONE[0], travel_mm=travel)
     motions = []
     for axis in of.linear_axes:
         spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))
-        motions += [
-            ErrorMotion(symbol, axis, spline, np.eye(KNOTS))
-            for symbol in list_error_motions(axis.name)
-        ]
+        for symbol in list_error_motions(axis.name):
+            motions.append(ErrorMotion(symbol, axis, spline, np.eye(KNOTS)))
     return MachineModel(of, tuple(motions))
 
 
@@ -54,7 +50,6 @@ def rank(rows):
 
 
 def on_lines(model, lines, travel, points=60):
-    """Columns at points of the lines, and the same without what lies along them."""
     share = (np.arange(points) + 0.5) / points
     full, across = [], []
     for begin, end in lines:
@@ -72,12 +67,10 @@ def on_lines(model, lines, travel, points=60):
 @pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
 @pytest.mark.fault_row(39)
 def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measured):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
-    rows = [
-        model.jacobian(make_standstill(model.machine, position, np.tile(o, (400, 1))))
-        for o in offsets
-    ]
+    told = ((model.machine, position, np.tile(o, (400, 1))) for o in offsets)
+    rows = [model.jacobian(make_standstill(*one)) for one in told]
     found = rank(np.concatenate(rows))
     assert found == expected
     measured(f"target offsets: {len(offsets)}, rank {found} of 108")
@@ -89,7 +82,7 @@ def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measur
     [(CORNER_LINES, 71), (CORNER_LINES + MID_LINES, 71), (CORNER_LINES + OBLIQUE, 73)],
 )
 def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expected):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     full, across = on_lines(model, lines, travel)
     assert rank(full) == 73
     assert rank(across) == expected
@@ -97,7 +90,7 @@ def test_rank_of_corner_paths_with_or_without_another_line(travel, lines, expect
 
 @pytest.mark.parametrize("travel", TRAVELS)
 def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(travel):
-    model = every_motion(machine(travel))
+    model = every_motion(travel)
     full, across = on_lines(model, CORNER_LINES, travel)
     share = np.arange(KNOTS) / (KNOTS - 1)
     shape = np.zeros(model.size)
@@ -113,18 +106,12 @@ def test_the_blind_shape_is_one_that_all_axes_share_and_lies_along_the_lines(tra
     assert rank(np.concatenate([across, curved])) == 73
 
 
-CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
-
-
 @pytest.mark.parametrize("sides", CHAINS)
 @pytest.mark.parametrize(
     ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 77), (THREE, 18, 87)]
 )
 def test_tool_offsets_say_how_many_motions_are_told_apart(sides, offsets, known, rank):
-    """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion.
-
-    And less the turns of how the targets sit: each sits by itself.
-    """
+    # Ranks 73, 85, 96, less six of the whole volume and the turns of how targets sit.
     last = "XYZ".index("".join(sides)[-1])
     lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
     mill = build_mill(ONE[0], sides=sides, travel_mm=TRAVELS[0])

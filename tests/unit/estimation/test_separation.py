@@ -31,6 +31,9 @@ SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k =
 
 
 FIRST = (30.0, 20.0, -100.0)
+OFFSET = (20.0, 30.0, -100.0)
+MILL = build_mill(OFFSET, travel_mm=(600.0, 500.0, 400.0))
+X = MILL.linear_axes[0]
 
 
 def mill(*offsets):
@@ -97,10 +100,9 @@ def test_statements_name_partners_and_length_or_that_a_target_has_to_move_aside(
 
 def test_longer_tools_are_asked_for_where_less_is_measured():
     machine = mill(FIRST)
-    few, many = (
-        np.prod([float(one) for one in SAID.search(said).groups()])
-        for said in (statements(machine, lines=n)["EBZ"] for n in (14, 40))
-    )
+    said = (statements(machine, lines=n)["EBZ"] for n in (14, 40))
+    numbers = ([float(x) for x in SAID.search(one).groups()] for one in said)
+    few, many = map(np.prod, numbers)
     assert few > 1.3 * many  # length times uncertainty: √2 u of EXZ
 
 
@@ -126,7 +128,6 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
 
 
 def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
-    """What the targets do not tell moves another tool, and the grade counts it."""
     own = mill(FIRST)
     path = default_path(own)
     aside = mill((0.0, 0.0, -400.0), FIRST)
@@ -134,19 +135,7 @@ def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
     assert graded(aside, other).number > 3.0 * graded(own, path).number
 
 
-OFFSET = (20.0, 30.0, -100.0)
-MILL = build_mill(OFFSET, travel_mm=(600.0, 500.0, 400.0))
-X = MILL.linear_axes[0]
-
-
-@pytest.fixture(scope="module")
-def known():
-    model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
-    return model, compute_volumetric_gram(model)
-
-
 def told_but(model, shape, left):
-    """Return information that leaves a share of the usual deviation of one shape."""
     root = np.linalg.cholesky(typical_precision_matrix(model))
     direction = root.T @ shape
     direction /= np.linalg.norm(direction)
@@ -160,8 +149,9 @@ def shape_of(model, symbol):
     return np.eye(model.size)[model.slices[symbol].start]
 
 
-def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
-    model, gram = known
+def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size():
+    model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
+    gram = compute_volumetric_gram(model)
     shape = shape_of(model, "EYY")
     (found,) = find_poorly_observable(told_but(model, shape, 0.8), model, gram)
     assert found.symbols == ("EYY",)
@@ -172,7 +162,6 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
     untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
     assert len(find_poorly_observable(untold, model, gram)) == 1
     assert find_poorly_observable(untold, model, gram, blind=False) == ()
-    # Motions that share a shape are named together.
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
     (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")

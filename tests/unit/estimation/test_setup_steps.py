@@ -11,10 +11,7 @@ from truepath.alignment.align import align, align_all
 from truepath.estimation.checks.run_segments import RunSegment, join_empty, split_at_all
 from truepath.estimation.checks.setup_shifts import Step
 
-
-@pytest.fixture(scope="module")
-def standing(record_small):
-    return record_small(31, "standstill", rows=60)[0]
+POINT = 30
 
 
 @pytest.fixture(scope="module")
@@ -23,14 +20,14 @@ def moving(record):
 
 
 def check(run, shift_mm):
-    """Estimate from a Run whose set-up is shifted as a function of its share done."""
     time_s = run.tracker.device_time_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
     found = estimate_one(*align_all([shift(run, shift_mm(share))], ["run"]))
     return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
 
 
-def test_knocks_are_found_where_they_are_and_told_from_drift(standing):
+def test_knocks_are_found_where_they_are_and_told_from_drift(record_small):
+    standing, _ = record_small(31, "standstill", rows=60)
     moved_mm = np.array([[0.03, -0.02, 0.01], [-0.01, -0.03, 0.03]])
     late = np.array([0.3, 0.65])
     found, time_s = check(standing, lambda share: (share[:, None] > late) @ moved_mm)
@@ -71,9 +68,6 @@ def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
     assert said.begin_s == pytest.approx(time_s[first + 6], abs=0.2)
     assert said.off_mm == pytest.approx(0.1)
     assert before.seen.offered + after.seen.offered == seen.offered  # none is lost
-
-
-POINT = 30
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.conftest import choose_program
 
 from estimating import estimate, judge_map
 from recorded import record_run
@@ -18,7 +19,6 @@ from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
@@ -34,11 +34,7 @@ def content_with(offset_mm=SHORT):
 
 def recorded(seed, mode="otf", rows=24, offset_mm=SHORT, **setting):
     content = content_with(offset_mm)
-    machine = parse_machine(content)
-    if mode == "otf":
-        program = paths.chord_path(machine, seed, rows, 10_000.0)
-    else:
-        program = paths.standstill_points(machine, seed, rows, dwell_s=0.5)
+    program = choose_program(content, seed, mode, rows, 10_000.0, dwell_s=0.5)
     setting = Setting(machine_seed=MACHINE, **setting)
     return record_run(content, program, seed, mode, setting)
 
@@ -62,11 +58,6 @@ def alone(moving):
     return estimate(moving)
 
 
-@pytest.fixture(scope="module")
-def both(moving, standing):
-    return estimate(moving, standing)
-
-
 def judge(result, offset_mm=SHORT):
     truth = random_machine(parse_machine(content_with(offset_mm)), MACHINE)
     targets = result.model.machine.targets
@@ -79,7 +70,8 @@ def volumetric_sigma(result):
     return float(np.sqrt(np.sum(gram * result.covariance)))
 
 
-def test_both_modes_in_any_order_leave_less_than_each(alone, standing, both, moving):
+def test_both_modes_in_any_order_leave_less_than_each(alone, standing, moving):
+    both = estimate(moving, standing)
     left = judge(both)
     assert left.share < min(judge(alone).share, judge(estimate(standing)).share)
     assert 0.85 < left.inside <= 1.0
@@ -121,10 +113,8 @@ def test_a_repeated_run_shrinks_uncertainty_and_halves_variance_of_noise(moving,
     noise, at = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 1e-4), moving.at
     run = RunInput(moving, moving.pose, noise)
     model, _ = build_identifiable_model(at.machine, at.offset_mm, intervals=5)
-    once, twice = (
-        np.diag(np.linalg.inv(combine_runs(collect_information(runs, model)).matrix))
-        for runs in ([run], [run, run])
-    )
+    told = (collect_information(runs, model) for runs in ([run], [run, run]))
+    once, twice = (np.diag(np.linalg.inv(combine_runs(x).matrix)) for x in told)
     assert np.sqrt(twice / once) == pytest.approx(1 / np.sqrt(2), rel=1e-6)
     again = estimate(moving, moving)
     # What the prior bridges between lines, the same lines again do not tell.
@@ -132,7 +122,6 @@ def test_a_repeated_run_shrinks_uncertainty_and_halves_variance_of_noise(moving,
 
 
 def test_tools_of_separate_runs_are_told_apart_as_in_one():
-    """Rank 90 of one Run, less the three turns of how tools sit."""
     offsets = (SHORT, LONG, ASIDE)
     seen = [seen_of(10 + k, offset_mm=offset) for k, offset in enumerate(offsets)]
     result = estimate(*seen)
@@ -157,9 +146,8 @@ def test_two_machines_are_refused_with_run_and_field(moving, standing):
 def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing):
     noise = NoiseModel((1.0, 1.0), (0.0, 0.0, 0.0), 1.0, 0.0)
     runs = [RunInput(seen, seen.pose, noise) for seen in (moving, standing)]
-    model, _ = build_identifiable_model(
-        moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5
-    )
+    offsets_mm = moving.at.offset_mm, standing.at.offset_mm
+    model, _ = build_identifiable_model(moving.at.machine, *offsets_mm, intervals=5)
     shares = collect_information(runs, model)
     own = [len(share.data.vector) - model.size for share in shares]
     stacked = np.zeros((model.size + sum(own), model.size + sum(own)))
@@ -179,25 +167,14 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
     assert combined == pytest.approx(sigma, rel=1e-6)
 
 
-@pytest.fixture(scope="module")
-def longer_and_shorter(record_small):
-    runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
-    seen = [align(run) for run in runs]
-    return estimate(*seen, keep_fit=True)
-
-
-@pytest.fixture(scope="module")
-def at_points(record):
-    return estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
-
-
 def by_source(estimate):
     variance = split_uncertainty(estimate).variance_mm2
     return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
 
 
-def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(longer_and_shorter):
-    found = longer_and_shorter
+def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small):
+    runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
+    found = estimate(*map(align, runs), keep_fit=True)
     parts = by_source(found)
     total = sum(parts.values())
     brought = find_contributions(found, (0, 1))
@@ -211,12 +188,11 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(longer_and_sh
     assert parts["thermal"] == parts["effects"] == 0.0
     without_long, without_short = brought.without_mm
     assert stated < without_short < without_long
-    # Parts of one Run have nothing to be held against.
     assert find_contributions(found, (0, 0)).without_mm == ()
 
 
-def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(at_points):
-    """The gain of the solve, written out over all cells, the pose held."""
+def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):
+    at_points = estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
     fit = at_points.fit
     (run,), size = fit.runs, fit.model.size
     design = run.linearisation.build(run.observations)

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from estimating import estimate, judge_map
-from following import compare_tables, follow
+from following import compare_tables, follow, list_point_blocks
 from recorded import load_small, record_run, with_samples
 from truepath.alignment.align import align
 from truepath.alignment.point_alignment import PointAlignment
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import PointBlock, PointRows
+from truepath.files.bundle.run import PointRows
 from truepath.results.result_assessment import assess_live
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
+
+ROWS = 40
 
 
 @cache
@@ -34,17 +36,14 @@ def judge(run, recording):
 def poll(run, recording):
     away = np.abs(recording.commanded_mm - run.commanded.position[recording.row])
     stands = away.max(axis=1) < 1e-9
-    place, time_s, count, spread = [], [], [], []
-    for row in range(len(run.commanded)):
-        shots = np.flatnonzero(stands & (recording.row == row))[1:-1]
-        place.append(recording.position_mm[shots].mean(axis=0))
-        time_s.append(recording.time_s[shots].mean())
-        count.append(len(shots))
-        spread.append(np.cov(recording.position_mm[shots].T))
-    n = len(place)
-    status = np.zeros(n, np.int64)
-    samples = TrackerSamples(np.arange(n), np.array(time_s), np.array(place), status)
-    points = PointRows(np.arange(n), np.array(count), np.array(spread))
+    n, shots = np.arange(len(run.commanded)), []
+    for row in n:
+        own = np.flatnonzero(stands & (recording.row == row))[1:-1]
+        shots.append((recording.time_s[own], recording.position_mm[own]))
+    time_s, place = (np.array([x[k].mean(axis=0) for x in shots]) for k in (0, 1))
+    spread = np.array([np.cov(place_mm.T) for _, place_mm in shots])
+    points = PointRows(n, np.array([len(one) for one, _ in shots]), spread)
+    samples = TrackerSamples(n, time_s, place, np.zeros_like(n))
     return replace(run, tracker=samples, points=points)
 
 
@@ -80,7 +79,6 @@ def test_points_are_told_by_their_row_each_time_they_are_measured(polled):
     twice = np.insert(np.arange(len(polled.tracker)), 21, 20)
     told = polled.points.row, polled.points.count, polled.points.covariance_mm2
     points = PointRows(*(column[twice] for column in told))
-    # One that is measured twice counts twice.
     samples = polled.tracker.select(twice)
     twice_seen = align(replace(polled, tracker=samples, points=points))
     assert (twice_seen.row == 20).sum() == 2
@@ -91,9 +89,6 @@ def test_metres_are_refused_by_name(polled):
     metres = replace(polled.tracker, position_mm=1e-3 * polled.tracker.position_mm)
     with pytest.raises(AlignmentError, match="look like m; convert them to mm"):
         align(replace(polled, tracker=metres))
-
-
-ROWS = 40
 
 
 @pytest.fixture(scope="module")
@@ -108,17 +103,8 @@ def shots(record):
     return replace(run, tracker=samples, points=points)
 
 
-def list_blocks(run):
-    points, blocks = run.points, []
-    for k in range(len(run.tracker)):
-        one = slice(k, k + 1)
-        told = points.row[one], points.count[one], points.covariance_mm2[one]
-        blocks.append(PointBlock(run.tracker.select(one), PointRows(*told)))
-    return blocks
-
-
 def follow_points(run):
-    followed = follow(run, blocks=list_blocks(run))
+    followed = follow(run, blocks=list_point_blocks(run))
     return followed.on_the_way, followed.last
 
 
@@ -142,22 +128,18 @@ def test_tables_tighten_point_by_point_and_end_where_the_batch_does(shots):
 def test_points_after_a_knock_that_are_at_no_place_of_theirs_are_told(shots):
     run = move(shots, 25, None, [0.0, 3.0, 0.0])
     on_the_way, last = follow_points(run)
-    told = [
-        reason
-        for now in [*on_the_way, last]
-        for reason in assess_live(now.check, now.done).reasons
-        if reason.kind == "stream-astray"
-    ]
+    verdicts = [assess_live(now.check, now.done) for now in [*on_the_way, last]]
+    told = [r for v in verdicts for r in v.reasons if r.kind == "stream-astray"]
     assert len(told) > 0.5 * (len(shots.tracker) - 25)
     assert {reason.values["line"] for reason in told} == {int(run.points.row[25])}
     assert told[-1].values["distance_um"] == pytest.approx(3000.0, abs=100.0)
-    assert assess_live(last.check, last.done).state == "doubtful"
+    assert verdicts[-1].state == "doubtful"
 
 
 def test_points_astray_are_left_out_and_said_the_first_as_well(shots):
     aligned = PointAlignment(shots.machine, shots.commanded)
     parts = []
-    for block in list_blocks(move(shots, 20, 21, [0.0, 30.0, 0.0])):
+    for block in list_point_blocks(move(shots, 20, 21, [0.0, 30.0, 0.0])):
         parts += aligned.add(block)
     rows = shots.points.row
     assert [part.row for part in parts] == [row for row in rows if row != rows[20]]

@@ -17,9 +17,10 @@ from truepath.kinematics.machine.machine import RotaryAxis, Target
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path
 
+OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b")
+
 
 def assert_same(first, second):
-    """Everything that a bundle carries is equal to the last bit."""
     told = {"name": "", "provenance": {}, "stream_file": ""}
     runs = [replace(run, **told) for run in (first, second)]
     np.testing.assert_equal(*map(asdict, runs))
@@ -42,19 +43,14 @@ def standstill(run):
 
 
 def five_axes(run):
-    """The Run of a machine with a table C, an inclined B and two targets."""
     b = RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8))
     c = RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     on_tool = Target("T1", "tool", (20.0, 30.0, -150.0))
-    on_table = Target("T2", "workpiece", (0.0, 100.0, 50.0))
-    machine = replace(
-        run.machine,
-        workpiece_side=("C", "X"),
-        tool_side=("Y", "Z", "B"),
-        axes=(*run.machine.axes, b, c),
-        targets=(on_tool, on_table),
-        tracker=replace(run.machine.tracker, stands_on="base", rate_hz=1000.0),
-    )
+    on_table = Target("T2", "workpiece", (0.0, 100.0, 50.0), seat_sigma_mm=0.002)
+    sides = {"workpiece_side": ("C", "X"), "tool_side": ("Y", "Z", "B")}
+    own = {"axes": (*run.machine.axes, b, c), "targets": (on_tool, on_table)}
+    tracker = replace(run.machine.tracker, stands_on="base", rate_hz=1000.0)
+    machine = replace(run.machine, **sides, **own, tracker=tracker)
     path, angles = run.commanded, np.linspace(0.0, 80.0, 4)
     position = np.column_stack([path.position, angles, 2 * angles])
     given = np.full(4, 3000.1), path.dwell_s, ("T1", "T1", "T2", "T2")
@@ -66,7 +62,12 @@ def five_axes(run):
 def test_reading_what_was_written_gives_the_run_back(run, tmp_path, change):
     wanted = change(run)
     write_bundle(wanted, tmp_path / "out")
-    assert_same(read_bundle(tmp_path / "out"), wanted)
+    read = read_bundle(tmp_path / "out")
+    assert_same(read, wanted)
+    assert read.name == read.provenance["source"] == "out"
+    assert len(read.provenance["tracker.parquet sha256"]) == 64
+    stated = (tmp_path / "out" / "machine.json").read_text()
+    assert stated.count("seat_sigma_mm") == (change is five_axes)  # of one target
     file = tmp_path / "upload.zip"
     file.write_bytes(zip_bundle(wanted))
     assert_same(read_bundle(file), wanted)
@@ -136,13 +137,6 @@ def test_a_frame_that_came_twice_counts_once(bundle, run):
     assert_same(read_bundle(bundle), run)
 
 
-def test_a_bundle_says_where_it_came_from(bundle):
-    read = read_bundle(bundle)
-    assert read.name == "bundle"
-    assert read.provenance["source"] == "bundle"
-    assert len(read.provenance["tracker.parquet sha256"]) == 64
-
-
 def test_writing_twice_replaces_the_files_and_mixes_no_other_bundle_in(run, bundle):
     write_bundle(replace(run, name="again"), bundle)
     assert_same(read_bundle(bundle), run)
@@ -160,9 +154,6 @@ def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatc
     with pytest.raises(OSError, match="No space"):
         write_bundle(run, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
-
-
-OUTSIDE = ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b")
 
 
 @pytest.mark.parametrize(

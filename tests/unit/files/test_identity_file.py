@@ -25,12 +25,9 @@ def test_a_wrong_identity_is_refused_by_its_key(tmp_path, content, place):
         identity_file.read_identity(file)
 
 
-def test_earlier_names_are_read_on():
+def test_earlier_names_are_read_on_and_what_is_of_no_use_is_named(tmp_path):
     stated = identity_file.read_assignments(["machine_serial=1", "tracker_serial=2"])
     assert stated == {"serial_number": "1", "tracker_serial_number": "2"}
-
-
-def test_a_damaged_file_of_earlier_versions_and_a_word_of_nothing_are_named(tmp_path):
     (tmp_path / "identities.json").write_text("{}")
     with pytest.raises(BundleError, match="holds no machines"):
         identity_file.read_stored_identities(tmp_path / "identities.json")

@@ -44,7 +44,6 @@ def test_recordings_that_overlap_are_known_from_either(recorded):
 
 
 def test_a_beginning_that_a_simulated_tracker_repeats_is_no_sign(recorded, rng):
-    """It stands where it stood, and its noise begins as it did."""
     again = place(rng, 0.002)
     again[: N // 10] = recorded[: N // 10]
     one, other = (sketch_samples(stream(each)) for each in (recorded, again))
@@ -54,7 +53,6 @@ def test_a_beginning_that_a_simulated_tracker_repeats_is_no_sign(recorded, rng):
 @pytest.mark.parametrize("step_mm", [0.0, 1e-4, 1e-3])
 @pytest.mark.parametrize("noise_mm", [0.0005, 0.01])
 def test_another_recording_of_the_same_places_has_nothing_of_it(rng, noise_mm, step_mm):
-    """A coarse tracker reads the same once in a while, not often in succession."""
     seen = (place(rng, noise_mm, step_mm) for _ in range(2))
     one, other = (sketch_samples(stream(each)) for each in seen)
     assert not share_samples(one, other)

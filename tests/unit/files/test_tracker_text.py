@@ -9,6 +9,16 @@ from truepath.errors import BundleError
 from truepath.files.imports.options import TextOptions
 from truepath.files.imports.recording import read_recording
 
+MM_HEAD = "t_s,x_mm,y_mm,z_mm"
+UDP = "X,{:.4f},Y,{:.4f},Z,{:.4f},Rx,0.0012,Ry,-0.0301,Rz,1.2"
+SA_HEAD = (
+    "// Points Relative to Coordinate Frame 'A::WORLD'\n"
+    "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
+)
+APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
+TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
+TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
+
 
 @pytest.fixture(scope="module")
 def drive(record):
@@ -17,7 +27,6 @@ def drive(record):
 
 @pytest.fixture(scope="module")
 def spots(record):
-    """Commanded points, and where a tracker that stands turned sees them."""
     commanded = record(2, "standstill", rows=30)[0].commanded
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return commanded, commanded.position @ turn.T + [3000.0, 100.0, -50.0]
@@ -39,14 +48,10 @@ def lines_of(run, form, first=None):
     return "\n".join([first, *rows] if first else rows)
 
 
-MM_HEAD = "t_s,x_mm,y_mm,z_mm"
-
-
 def stamped(run, stamp):
     """Return lines of millimetres; stamp(number, seconds) writes the time."""
-    return lines_of(
-        run, lambda k, t, x, y, z: f"{stamp(k, t):.6f},{x:.4f},{y:.4f},{z:.4f}", MM_HEAD
-    )
+    form = "{:.6f},{:.4f},{:.4f},{:.4f}".format
+    return lines_of(run, lambda k, t, *place: form(stamp(k, t), *place), MM_HEAD)
 
 
 def assert_stream(read, run, mm=6e-4, second=2e-6):
@@ -58,20 +63,10 @@ def assert_stream(read, run, mm=6e-4, second=2e-6):
     assert np.abs(read.samples.device_time_s - time_s).max() < second
 
 
-SA_HEAD = (
-    "// Points Relative to Coordinate Frame 'A::WORLD'\n"
-    "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
-)
-
-
 def spatial(k, t, x, y, z):
-    """Collection, group, number, place, and a date of whole seconds."""
     second = int(t + 0.3)
     clock = f"11/28/2026 02:{second // 60:02d}:{second % 60:02d} AM"
     return f"A, run, {k + 1}, {x:.4f}, {y:.4f}, {z:.4f}, {clock}"
-
-
-APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
 
 
 def join(form, between, *values):
@@ -90,13 +85,7 @@ def trailing(k, t, x, y, z):
 STREAMS = {
     "SpatialAnalyzer": (SA_HEAD, spatial),
     "SpatialAnalyzer, blanks": (SA_HEAD, lambda *p: spatial(*p).replace(", ", "  ")),
-    "UDP": (
-        None,
-        lambda k, t, x, y, z: (
-            f"X,{x:.4f},Y,{y:.4f},Z,{z:.4f},Rx,0.0012,Ry,-0.0301,Rz,1.2,"
-            f"Time(sec),{t:.6f}"
-        ),
-    ),
+    "UDP": (None, lambda k, t, *p: f"{UDP.format(*p)},Time(sec),{t:.6f}"),
     "exponents": (None, lambda k, *p: join("{:.9e}", "  ", *p)),
     "Fortran": (None, lambda k, *p: join("{:.9E}", "  ", *p).replace("E", "D")),
     "trailing commas": (MM_HEAD, trailing),
@@ -124,8 +113,6 @@ STREAMS = {
     ),
     "no units": ("t,x,y,z", trailing),
 }
-TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
-TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
 
 
 @pytest.mark.parametrize("style", STREAMS)
@@ -136,9 +123,8 @@ def test_a_stream_is_read_as_its_software_writes_it(style, drive):
 
 
 def test_a_log_without_times_is_read_at_a_rate_or_refused_naming_it(drive):
-    text = lines_of(
-        drive, lambda k, t, x, y, z: f"Cnt={k + 1} X={x:.4f} Y={y:.4f} Z={z:.4f}"
-    )
+    form = "Cnt={} X={:.4f} Y={:.4f} Z={:.4f}".format
+    text = lines_of(drive, lambda k, t, *place: form(k + 1, *place))
     with pytest.raises(BundleError, match=r"time.*--rate"):
         read(text, drive.commanded)
     assert_stream(read(text, drive.commanded, rate_hz=500.0), drive)
@@ -214,10 +200,9 @@ def gsi(seen, digits, unit, factor):
     blocks = ["410001+" + "0" * (digits - 2) + "17"]
     for k, place in enumerate(seen):
         words = [f"11{k + 1:04d}+" + f"P{k + 1}".rjust(digits, "0")]
-        words += [
-            f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{abs(round(v * factor)):0{digits}d}"
-            for axis, v in enumerate(place)
-        ]
+        for axis, v in enumerate(place):
+            number = f"{abs(round(v * factor)):0{digits}d}"
+            words.append(f"{81 + axis}..1{unit}{'+-'[int(v < 0)]}{number}")
         words.append("87..10+" + "0" * digits)
         blocks.append(" ".join(words) + " ")
     star = "*" if digits == 16 else ""
@@ -235,7 +220,6 @@ def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, 
 
 
 def nine(head, row):
-    """Rows below a head, each with its number in place of K."""
     return head + "\n".join(row.replace("K", str(k)) for k in range(9))
 
 
@@ -269,10 +253,8 @@ def test_names_are_matched_whole(spots):
     head = "Name;x_mm;y_mm;z_mm\n"
 
     def named(*names):
-        return head + "\n".join(
-            f"{name};{x:.4f};{y:.4f};{z:.4f}"
-            for name, (x, y, z) in zip(names, seen, strict=False)
-        )
+        pairs, form = zip(names, seen, strict=False), "{};{:.4f};{:.4f};{:.4f}".format
+        return head + "\n".join(form(name, *place) for name, place in pairs)
 
     for names in (["P12-1", "P12-2", "P12-3"], ["P1", "P2", "Q1"], ["P1", "P2", "P9"]):
         with pytest.raises(BundleError, match=r"export.txt, row \d, column Name: "):

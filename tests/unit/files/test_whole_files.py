@@ -25,7 +25,6 @@ def test_what_was_written_is_read_unless_it_is_larger_than_it_may_be(tmp_path):
 
 
 def test_two_threads_may_write_one_file_at_once(tmp_path, monkeypatch):
-    """The second begins once the first has its draft; both end with a whole file."""
     file, both = tmp_path / "map.json", threading.Barrier(2, timeout=5)
     sync = os.fsync
     waits = threading.local()

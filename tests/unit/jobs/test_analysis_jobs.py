@@ -69,8 +69,7 @@ def test_a_changed_run_is_refused(analysing, context, run, other, science, until
     file = context.runs.file(other.id)
     file.write_bytes(file.read_bytes() + b"changed")
     ended = until(analysing.create(RequestedJob(kind, [run.id, other.id]))[0])
-    assert ended.state == "failed"
-    assert ended.failure.family == "BundleError"
+    assert (ended.state, ended.failure.family) == ("failed", "BundleError")
     said = f"{file.name}: has been changed since it was catalogued"
     assert ended.failure.detail.startswith(said)
     assert "put the file back from a backup" in ended.failure.detail
@@ -195,6 +194,5 @@ def test_the_task_of_a_discovery_writes_what_the_contract_asks(small_run, tmp_pa
     content = json.loads((second / "model.json").read_text())
     assert (content["version"], content["parent"]["source"]) == (3, "one")
     assert len(content["parent"]["sha256"]) == 64
-    changes = read_difference(model, second / "model.json")
-    assert changes == content["difference"]
+    assert read_difference(model, second / "model.json") == content["difference"]
     assert not [p for p in tmp_path.iterdir() if p.suffix == ".part"]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from arming import arm_at_once
 from job_builders import ROWS
 from scripted_cell import wait_until
 from truepath.catalogue import errors
@@ -11,11 +12,7 @@ from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
-from truepath.jobs.running.arming import (
-    hash_commanded,
-    list_commanded,
-    summarise_motion,
-)
+from truepath.jobs.running import arming as what_moves
 from truepath.motion.paths.commanded_rows import command_rows
 
 PURPOSE = ArmingPurpose("job", 3, "anna", "mill", 1, "ab")
@@ -55,8 +52,8 @@ def test_a_token_of_this_plan_moves_the_machine_once(dispatcher, ready, make_cel
     dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
     assert dispatcher.arm(ready.id, ready.version, arming.token).state == "running"
     assert make_cell.cell.begun.wait(5)
-    commanded = make_cell.cell.order.commanded
-    assert hash_commanded([commanded]) == arming.plan_sha256
+    driven = [make_cell.cell.order.commanded]
+    assert what_moves.hash_commanded(driven) == arming.plan_sha256
     with pytest.raises(IllegalTransition, match="running"):
         dispatcher.prepare_arming(ready.id)
     make_cell.cell.end()
@@ -109,8 +106,7 @@ def test_an_old_token_moves_nothing(refused, dispatcher, ready, hand_clock, chan
 def test_only_the_rows_armed_are_driven(dispatcher, ready, changed, until, make_cell):
     """The plan was changed before the summary was asked for, after the job read it."""
     changed()
-    arming = dispatcher.prepare_arming(ready.id)
-    dispatcher.arm(ready.id, ready.version, arming.token)
+    arm_at_once(dispatcher, ready.id, ready.version)
     assert "armed for" in until(ready, "failed").failure.detail
     assert "begin" not in make_cell.cell.heard
 
@@ -128,9 +124,8 @@ def test_a_token_of_another_user_moves_nothing(dispatcher, ready, refused):
 @pytest.mark.fault_row(33)
 def test_a_stale_version_leaves_the_token_good(refused, dispatcher, ready):
     token = dispatcher.prepare_arming(ready.id).token
-    refused(
-        errors.StaleVersion, token, "not the current one", version=ready.version - 1
-    )
+    stale = ready.version - 1
+    refused(errors.StaleVersion, token, "not the current one", version=stale)
     assert dispatcher.arm(ready.id, ready.version, token).state is State.RUNNING
 
 
@@ -147,7 +142,7 @@ def summarise(machine, kind=JobKind.MEASURE_OTF, *here):
         {**ROWS[1], "y_mm": 30.0, "z_mm": 10.0, "dwell_s": 0.5},
     )
     path = command_rows(machine, rows, is_path=True)
-    motion = summarise_motion(machine, kind, [path], *here)
+    motion = what_moves.summarise_motion(machine, kind, [path], *here)
     return motion, [(one.axis, one.low, one.high) for one in motion.envelope]
 
 
@@ -169,5 +164,5 @@ def test_of_several_stations_those_that_are_left_are_commanded():
     rows = {"kind": "points", "axes": ["X"], "dwell_s": [1.0], "target": []}
     one, two = {**rows, "position": [[1.0]]}, {**rows, "position": [[2.0]]}
     plan = {"known_points": one, "stations": [{**one, "measured": True}, two]}
-    parts = list_commanded(plan)
+    parts = what_moves.list_commanded(plan)
     assert [part.position.tolist() for part in parts] == [[[1.0]], [[2.0]]]

@@ -20,10 +20,8 @@ from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.jobs.dispatch.catalogue_rebuild import (
-    check_against_disk,
-    rebuild_catalogue,
-)
+from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
+from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.measurement.run_file.run_file import Batch
 from truepath_simulators.scenario import load_machine
@@ -31,13 +29,8 @@ from truepath_simulators.scenario import load_machine
 VERDICT = {"state": "usable", "reasons": []}
 
 
-@contextmanager
 def open_catalogue(folder):
-    database = Database(f"sqlite:///{folder / 'catalogue.sqlite'}")
-    try:
-        yield database
-    finally:
-        database.close()
+    return closing(Database(f"sqlite:///{folder / 'catalogue.sqlite'}"))
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +234,7 @@ def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(fo
 
     def check(**asked):
         with open_catalogue(folder) as database:
-            return check_against_disk(database, folder / "runs", **asked)
+            return rebuilding.check_against_disk(database, folder / "runs", **asked)
 
     assert check()["runs_without_row"] == []
     assert check(with_hashes=True)["changed_files"] == []
@@ -260,5 +253,4 @@ def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(fo
     file.rename(file.with_name("s3.sqlite"))
     found = check()
     assert (found["jobs"], found["runs"]) == (4, 5)
-    assert found["runs_without_row"] == ["s3"]
-    assert found["rows_without_file"] == ["s2"]
+    assert (found["runs_without_row"], found["rows_without_file"]) == (["s3"], ["s2"])

@@ -1,8 +1,9 @@
-"""What has to be so before the machine moves: levels, since when, and what forbids."""
+"""What has to be so before the machine moves, and what a stream tells of it."""
 
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from job_builders import CONNECTED
@@ -13,18 +14,11 @@ from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.running.arming import assess_approach, assess_path, list_commanded
 from truepath.machines.cell_status import CellStatus, ControllerLevels
-from truepath.machines.conditions.condition_log import (
-    LATE_S,
-    ConditionLog,
-    find_conditions,
-)
-from truepath.machines.conditions.conditions import (
-    REQUIRED,
-    ConditionType,
-    Level,
-    Observed,
-)
+from truepath.machines.conditions import condition_log, conditions, stream_status
+from truepath.machines.conditions.condition_log import ConditionLog, find_conditions
+from truepath.machines.conditions.conditions import ConditionType, Level, Observed
 from truepath.machines.conditions.stream_status import StreamLevels, Temperature
+from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 
@@ -60,8 +54,7 @@ def only_false(seen):
 def test_a_machine_in_order_fulfils_every_condition():
     assert set(levels(GOOD).values()) == {Level.TRUE}
     measuring = CellStatus("running", devices=CONNECTED.devices)
-    old = shown(read_s=NOW_S - 100.0)
-    seen = replace(GOOD, controller=old, cell=measuring)
+    seen = replace(GOOD, controller=shown(read_s=NOW_S - 100.0), cell=measuring)
     assert levels(seen)[SILENT] is Level.TRUE, "who measures reads it"
 
 
@@ -87,6 +80,7 @@ PROGRAM = ConditionType.CONTROLLER_FREE, "end or reset it at the panel"
 OVERRIDE = ConditionType.FEED_OVERRIDE_FULL
 REFERENCE = ConditionType.AXES_REFERENCED, "reference (home) them"
 SILENT = ConditionType.CONTROLLER_ANSWERS
+MUTE = ControllerLevels(None, "10.0.0.9 is mute", NOW_S)
 
 
 @pytest.mark.parametrize(
@@ -99,12 +93,8 @@ SILENT = ConditionType.CONTROLLER_ANSWERS
         (state(override=1.2), OVERRIDE, "120 %"),
         (state(MotionState.IDLE, referenced=False), *REFERENCE),
         (state(MotionState.READY, referenced=False), *REFERENCE),
-        (
-            {"controller": ControllerLevels(None, "10.0.0.9 is mute", NOW_S)},
-            SILENT,
-            "10.0.0.9",
-        ),
-        (state(read_s=NOW_S - LATE_S - 1.0), SILENT, "11 s ago"),
+        ({"controller": MUTE}, SILENT, "10.0.0.9"),
+        (state(read_s=NOW_S - condition_log.LATE_S - 1.0), SILENT, "11 s ago"),
         (
             {"cell": CellStatus("disconnected", "the port is gone")},
             ConditionType.DEVICES_CONNECTED,
@@ -116,7 +106,7 @@ def test_what_is_not_in_order_stands_in_the_way_and_is_said(change, condition, s
     seen = replace(GOOD, **change)
     kind, found = only_false(seen)
     assert kind is condition
-    assert kind in REQUIRED
+    assert kind in conditions.REQUIRED
     assert said in found.message
     if kind is SILENT:
         assert levels(seen)[ConditionType.CONTROLLER_ABLE] is Level.UNKNOWN
@@ -156,8 +146,7 @@ def test_what_the_control_does_not_say_is_unknown_and_no_obstacle(told, kind):
 def test_compensation_hinders_only_who_asks_for_another(told, wants, level, reason):
     seen = replace(GOOD, controller=shown(compensation=told))
     board = ConditionLog(lambda: seen, wants_compensation=wants)
-    asked = ConditionType.COMPENSATION_AS_ASKED
-    found = find(board, asked)
+    found = find(board, ConditionType.COMPENSATION_AS_ASKED)
     assert (found.level, found.reason) == (level, reason)
     assert found.is_obstacle == (level is Level.FALSE)
 
@@ -197,7 +186,7 @@ def test_a_full_disk_stands_in_the_way_and_a_clock_that_was_set_is_told():
     assert "10 MB" in found.message
     kind, found = only_false(replace(GOOD, clock_step_s=-3600.0))
     assert kind is ConditionType.CLOCK_STEADY
-    assert kind not in REQUIRED
+    assert kind not in conditions.REQUIRED
     assert "-3600 s" in found.message
 
 
@@ -219,8 +208,7 @@ def test_what_the_stream_tells_stands_in_the_way_at_rest_only(change, condition,
     assert said in found.message
     assert seen.requires(kind)
     assert not replace(seen, cell=replace(CONNECTED, state="paused")).requires(kind)
-    untold = levels(replace(GOOD, stream=StreamLevels()))
-    assert untold[condition] is Level.UNKNOWN
+    assert levels(replace(GOOD, stream=StreamLevels()))[condition] is Level.UNKNOWN
 
 
 def test_a_drift_is_shown_and_stands_in_the_way_only_beyond_a_stated_limit():
@@ -298,8 +286,7 @@ def test_the_way_to_the_first_row_is_judged_from_where_it_begins(machine, here, 
     """By the names of the controller's axes, in whatever order it has them."""
     axes = machine.axis_names
     place = None if here is None else MotionStatus(MotionState.IDLE, here[::-1], 0)
-    read = ControllerLevels(place, "", NOW_S, axes[::-1])
-    seen = replace(GOOD, controller=read)
+    seen = replace(GOOD, controller=ControllerLevels(place, "", NOW_S, axes[::-1]))
     parts = [points_at(machine, (10, 10), (50, 10))]
     board = ConditionLog(lambda: seen)
     board.path = assess_path(machine, parts, AVOIDS_VICE)
@@ -328,18 +315,125 @@ def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeyp
 
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
-    standing = CalibrationStatus(
-        "mill", "job-2", tolerance, "job-1", True, "EXX has changed."
-    )
+    said = "EXX has changed."
+    standing = CalibrationStatus("mill", "job-2", tolerance, "job-1", True, said)
     found = find_conditions(replace(GOOD, standing=standing), NOW_S)
     over = found[ConditionType.WITHIN_TOLERANCE]
     changed = found[ConditionType.UNCHANGED]
     assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
     assert "12.0 ± 1.0 µm" in over.message
     assert (changed.level, changed.message) == (Level.FALSE, "EXX has changed.")
-    assert not REQUIRED & {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
+    watched = {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
+    assert not watched & conditions.REQUIRED
     text = "changes are not watched: job job-1 is no calibration"
     standing = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
     found = find_conditions(replace(GOOD, standing=standing), NOW_S)
     unusable = found[ConditionType.UNCHANGED]
     assert (unusable.level, unusable.message) == (Level.UNKNOWN, text)
+
+
+@pytest.fixture
+def watch(hand_clock):
+    watch = stream_status.StreamStatus()
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
+    return watch
+
+
+def progress(lost=0, damaged=0):
+    return messages.MeasurementProgress(
+        1, 4, "lines", "measuring", 1.0, 3.0, lost_samples=lost, crc_errors=damaged
+    )
+
+
+def seen(**readings):
+    return messages.LivePoints([[1.0, 2.0, 3.0]], [0.0], 1.0, readings)
+
+
+def test_a_lost_beam_is_told_until_the_machine_moves_and_points_come(watch, hand_clock):
+    watch.follow(seen())
+    assert watch.read().has_beam is True
+    watch.follow(messages.FaultReported("beam-lost", "the beam is lost", "lock it"))
+    watch.follow(messages.StateChanged(messages.CellState.PAUSED))
+    assert watch.read().has_beam is False
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
+    watch.follow(seen())
+    assert watch.read().has_beam is True
+    hand_clock.time_s += 60.0
+    assert watch.read().has_beam is None
+
+
+@pytest.mark.fault_row(31)
+def test_losses_of_the_last_seconds_of_one_measurement_are_counted(watch, hand_clock):
+    for second, lost in enumerate((0, 0, 7, 7, 7, 7, 7, 7, 7, 7)):
+        hand_clock.time_s = 200.0 + second
+        watch.follow(progress(lost, damaged=lost // 7))
+        if second == 3:
+            assert (watch.read().lost_samples, watch.read().crc_errors) == (7, 1)
+    assert (watch.read().lost_samples, watch.read().crc_errors) == (0, 0)
+    hand_clock.time_s += 60.0
+    assert watch.read().lost_samples is None
+    watch.follow(progress(50))
+    hand_clock.time_s += 1.0
+    watch.follow(progress(0))  # of another measurement
+    assert watch.read().lost_samples == 0
+
+
+def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
+    for step in range(20):
+        hand_clock.time_s = 300.0 + 5.0 * step
+        watch.follow(seen(X_degC=20.0 + 0.1 * step, Y_degC=21.0, air_hPa=990.0 + step))
+        known = watch.read()
+        assert (known.drift_degC is None) == (step < 12)
+    assert (known.drift_degC, known.drifting) == (pytest.approx(1.9), "X_degC")
+    hand_clock.time_s += stream_status.COURSE_S + 1.0
+    assert watch.read().drift_degC is None
+
+
+def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
+    return messages.TrackerTried(samples, usable, lost, 1000.0, rate_hz, **told)
+
+
+@pytest.mark.parametrize(
+    ("tried", "aims", "level"),
+    [
+        (heard(), False, {"has_beam": True, "rate_share": 1.0}),
+        (heard(rate_hz=None), False, {"has_beam": True, "rate_share": None}),
+        (heard(rate_hz=250.0), False, {"has_beam": True, "rate_share": 0.5}),
+        (heard(usable=80), False, {"has_beam": True, "usable_share": 0.8}),
+        (heard(usable=0), False, {"has_beam": False}),
+        (heard(usable=0), True, {"has_beam": None}),
+        (heard(samples=0), False, {"failure": "the tracker sends no samples"}),
+        (heard(lost=1), False, {"lost_samples": 0}),
+        (heard(lost=9), False, {"lost_samples": 9}),
+        (heard(samples=0, streams=False), False, {"has_beam": None, "failure": ""}),
+    ],
+)
+def test_a_moment_at_rest_tells_beam_and_samples(hand_clock, tried, aims, level):
+    watch = stream_status.StreamStatus()
+    watch.record_trial(tried, 500.0, aims=aims)
+    assert {name: getattr(watch.read(), name) for name in level} == level
+
+
+def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
+    watch = stream_status.StreamStatus()
+    assert watch.read() == stream_status.StreamLevels()
+    watch.record_failure("it is mute")
+    assert watch.read().failure == "it is mute"
+    hand_clock.time_s += stream_status.HEARD_S + 1.0
+    assert watch.read() == stream_status.StreamLevels()
+    watch.record_trial(heard(), 500.0, aims=False)
+    assert watch.read().has_beam is True
+    watch.follow(messages.StateChanged(messages.CellState.RUNNING))
+    assert watch.read() == stream_status.StreamLevels()
+
+
+def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
+    watch = stream_status.StreamStatus()
+    for n in range(10):
+        readings = {"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}
+        watch.follow(messages.TemperaturesRead(readings))
+        hand_clock.time_s += 10.0
+    (shown,) = watch.read().temperatures
+    assert (shown.channel, shown.over_s) == ("X_degC", 90.0)
+    assert (shown.value_degC, shown.change_degC) == pytest.approx((20.9, 0.9))
+    assert watch.read().drift_degC == pytest.approx(0.9)

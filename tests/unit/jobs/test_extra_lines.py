@@ -15,8 +15,6 @@ ROWS = [
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},
     {"x_mm": 400.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 900.0, "dwell_s": 0.35},
 ]
-
-
 VICE = {"name": "vice", "min_mm": [200, 0, 0], "max_mm": [300, 50, 50]}
 DOOR = {"name": "door", "min_mm": [200, 200, 200], "max_mm": [300, 300, 300]}
 PRESS = {"name": "press", "min_mm": [20, 100, 100], "max_mm": [30, 110, 110]}
@@ -53,10 +51,8 @@ def discover(dispatcher, run, until):
 @pytest.fixture
 def ask(dispatcher, discover):
     def asked(discovery=None, **order):
-        of = (discovery or discover()).id
-        asked = {"discovery_id": of, "plan_request": order}
-        request = RequestedJob(JobKind.MEASURE_EXTRA, **asked)
-        return dispatcher.create(request)[0]
+        asked = {"discovery_id": (discovery or discover()).id, "plan_request": order}
+        return dispatcher.create(RequestedJob(JobKind.MEASURE_EXTRA, **asked))[0]
 
     return asked
 
@@ -82,8 +78,7 @@ def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
     path = cell.order.commanded
     assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
     assert path.feed_mm_min.tolist() == [6000.0, 900.0]
-    assert job.has_discovery
-    assert not job.has_result
+    assert (job.has_discovery, job.has_result) == (True, False)
     assert job.run_ids == (run.id, job.run_id)
     files, _, _ = explorer.calls[-1]
     assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]

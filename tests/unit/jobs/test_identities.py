@@ -9,12 +9,8 @@ from truepath.answers.history.machine_documents import Calibration
 from truepath.catalogue.calibrations import sort_by_time
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry
-from truepath.jobs.dispatch.identities import (
-    describe_identity,
-    find_machine,
-    store_identity,
-    take_over_identities,
-)
+from truepath.jobs.dispatch import identities as kept
+from truepath.jobs.dispatch.identities import describe_identity, find_machine
 
 
 @pytest.fixture
@@ -33,24 +29,16 @@ def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
     content = {"schema": "identities/1", "machines": {"mill": earlier, "lathe": lathe}}
     file.write_text(json.dumps(content))
     registry.change("mill-3", place="Hall 4")
-    take_over_identities(tmp_path, registry)
+    kept.take_over_identities(tmp_path, registry)
     assert describe_identity(registry.get("mill-3")) == {**mill, "place": "Hall 4"}
     assert json.loads(file.read_text())["machines"] == {"lathe": lathe}
     registry.change("mill-3", serial_number="4712")
     registry.record_configuration("lathe", CATALOGUE, {"name": "lathe"}, {})
-    take_over_identities(tmp_path, registry)
+    kept.take_over_identities(tmp_path, registry)
     assert registry.get("mill-3").serial_number == "4712"
     assert registry.get("lathe").stated == lathe
     assert not file.exists()
-    take_over_identities(tmp_path, registry)
-
-
-@pytest.mark.database
-def test_what_the_registry_keeps_under_an_earlier_name_has_the_name_of_today(registry):
-    registry.change("mill-3", stated={"tracker_serial": "7"})
-    assert describe_identity(registry.get("mill-3")) == {"tracker_serial_number": "7"}
-    store_identity(registry.get("mill-3"), {"tracker_serial_number": "8"}, registry)
-    assert registry.get("mill-3").stated == {"tracker_serial_number": "8"}
+    kept.take_over_identities(tmp_path, registry)
 
 
 @pytest.mark.database
@@ -63,11 +51,17 @@ def test_a_result_is_of_its_jobs_machine_or_of_the_one_of_its_name(registry):
 
 
 @pytest.mark.database
-def test_what_is_stated_of_an_unknown_machine_or_one_measurement_is_not_kept(registry):
-    assert store_identity(None, {"operator": "A"}, registry) == {"operator": "A"}
+def test_what_is_stated_of_a_machine_alone_is_kept_by_the_name_of_today(registry):
+    registry.change("mill-3", stated={"tracker_serial": "7"})
+    assert describe_identity(registry.get("mill-3")) == {"tracker_serial_number": "7"}
+    now = {"tracker_serial_number": "8"}
+    kept.store_identity(registry.get("mill-3"), now, registry)
+    assert registry.get("mill-3").stated == now
+    registry.change("mill-3", stated={})
+    assert kept.store_identity(None, {"operator": "A"}, registry) == {"operator": "A"}
     record = registry.get("mill-3")
     now = {"operator": "A", "measured_on": "2026-11-24"}
-    assert store_identity(record, now, registry) == now
+    assert kept.store_identity(record, now, registry) == now
     assert describe_identity(registry.get("mill-3")) == {"operator": "A"}
 
 

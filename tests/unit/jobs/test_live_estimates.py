@@ -74,9 +74,8 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
-    told = live_process.estimate_json(
-        LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
-    )
+    estimate = LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
+    told = live_process.estimate_json(estimate)
     tables, places = told["error_tables"], told["axis_location"]
     for symbol, table in tables.items():
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"
@@ -89,8 +88,7 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     for effect in effects:
         part = model.slices[effect.name]
         value, sigma = theta[part][0], np.sqrt(covariance[part, part][0, 0])
-        is_shift = effect.symbol[0] in "XYZ"
-        unit, scale = ("um", 1e3) if is_shift else ("urad", 1e6)
+        unit, scale = ("um", 1e3) if effect.symbol[0] in "XYZ" else ("urad", 1e6)
         entry = places[effect.symbol]
         assert entry[f"value_{unit}"] == pytest.approx(scale * value, abs=1e-3)
         assert entry[f"uncertainty_{unit}"] == pytest.approx(scale * sigma, abs=1e-3)
@@ -98,8 +96,6 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
 
 @dataclass
 class Followed:
-    """Stands for the job and for the cell that drives it."""
-
     told: list = field(default_factory=list)
     kept: tuple = ()
     asked: list = field(default_factory=list)
@@ -194,9 +190,7 @@ def test_a_pause_first_holds_once_unless_the_job_ends(followed, board, may_move,
     ("policy", "wish", "back_to"),
     [("check", None, 3.0), ("replan", None, 4.0), ("pause", "check", 3.0)],
 )
-def test_lines_are_measured_again_from_before_or_since_the_change_or_if_that_is_asked(
-    followed, board, policy, wish, back_to
-):
+def test_lines_before_a_change_are_driven_again(followed, board, policy, wish, back_to):
     shown, planned = board(OnNotice(policy))
     shown.show([notice()])
     if wish is not None:

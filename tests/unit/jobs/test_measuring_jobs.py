@@ -20,10 +20,7 @@ from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.job_rows import read_job
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
-from truepath.files.bundle.commanded_file import (
-    decode_commanded_json,
-    encode_commanded_json,
-)
+from truepath.files.bundle import commanded_file as files
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.jobs.kinds import workflow
 from truepath.jobs.kinds.job_creation import RequestedJob
@@ -68,12 +65,9 @@ def read_states(context):
 
 
 @pytest.mark.database
-def test_a_measurement_ends_at_its_target_with_its_reason_and_without_one_at_its_end(
-    followed, make_cell, until, context
-):
+def test_a_target_ends_a_measurement_with_a_reason(followed, make_cell, until, context):
     job, live = followed(replace(OTF, target_um=2.0))
-    values = {"lines": "4", "distance_um": 50.0}
-    off = Verdict((Reason("lines-off", "not-usable", values),))
+    off = Verdict((OFF,))
     for sigma_um, verdict in ((0.001, off), (0.001, off), (2.1, None)):
         live.publish(sigma_um, done=4, verdict=verdict)
         make_cell.cell.record(50)
@@ -110,9 +104,7 @@ OFF = Reason("lines-off", "not-usable", {"lines": "4", "distance_um": 50.0})
         ((OFF,), []),
     ],
 )
-def test_only_a_doubt_that_is_in_the_uncertainty_leaves_a_target_reached(
-    reasons, heard
-):
+def test_only_a_doubt_within_the_uncertainty_leaves_a_target_reached(reasons, heard):
     said = []
     verdict = verdict_json(Verdict(reasons))
     newest = {"volumetric_uncertainty_um": 1.9, "verdict": verdict}
@@ -204,9 +196,7 @@ def test_what_moves_again_is_not_wanted_to_stand(paused, cell, until, monkeypatc
     assert cell.heard.count("pause") == heard
 
 
-def test_a_pause_that_came_too_early_is_repeated_and_nothing_said_before_undoes_it(
-    dispatcher, context, running, cell, until
-):
+def test_a_pause_that_came_early_is_repeated(dispatcher, context, running, cell, until):
     context.confirm_s["pausing"] = 8.0
     cell.deaf.add("pause")
     dispatcher.pause(running.id)
@@ -248,14 +238,13 @@ def test_a_refused_resume_stays_paused(dispatcher, paused, cell, until, context)
         cell.fault("not-resumed", "no valid samples", "lock the beam")
         held = until(paused, "paused")
         assert held.desired_state == "paused"
-    failure = held.failure
-    assert (failure.code, failure.action) == ("not-resumed", "lock the beam")
+    assert (held.failure.code, held.failure.action) == ("not-resumed", "lock the beam")
     cell.deaf.clear()
     dispatcher.resume(paused.id, held.version)
-    job = until(paused, "running")
-    wait_until(lambda: context.store.get(job.id).failure is None, "all well again")
+    until(paused, "running")
+    wait_until(lambda: context.store.get(paused.id).failure is None, "all well again")
     cell.end()
-    assert until(job, "succeeded").failure is None
+    assert until(paused, "succeeded").failure is None
 
 
 @pytest.mark.fault_row(34)
@@ -268,9 +257,7 @@ def test_a_cancel_ends_line_and_keeps_run(dispatcher, running, cell, until, scie
 
 
 @pytest.mark.fault_row(34)
-def test_a_line_that_never_ends_after_a_cancel_is_aborted_with_the_reason(
-    clock, dispatcher, running, cell, until, context
-):
+def test_a_cancel_overdue_is_an_abort(clock, dispatcher, running, cell, until, context):
     context.confirm_s["cancelling"] = 0.2
     cell.deaf.add("conclude")
 
@@ -285,8 +272,7 @@ def test_a_line_that_never_ends_after_a_cancel_is_aborted_with_the_reason(
     assert clock.time_s - begun_s >= 0.2 + 2 * 0.3
     assert ended.failure.code == "cancel-overdue"
     assert "the feed was held" in ended.failure.detail
-    assert cell.heard[-1] == "abort"
-    assert ended.run_id == running.id
+    assert (cell.heard[-1], ended.run_id) == ("abort", running.id)
 
 
 @pytest.mark.parametrize(
@@ -409,9 +395,7 @@ def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, cell):
         ("faulted", ("motion-alarm", "servo alarm", "clear it")),
     ],
 )
-def test_a_measurement_that_ends_at_the_machine_ends_the_job_with_the_cells_reason(
-    running, cell, until, context, end, fault
-):
+def test_a_job_ends_with_its_cells_reason(running, cell, until, context, end, fault):
     if fault is not None:
         cell.fault(*fault)
     cell.end(end)
@@ -456,8 +440,7 @@ def test_an_unreadable_run_is_kept_and_fails_an_analysis(running, cell, until, c
     cell.end(spoil=b"no database at all")
     file = context.runs.name_run_file(running.id)
     job = until(running, "failed")
-    assert job.run_id is None
-    assert job.failure.family == "NotFound"
+    assert (job.run_id, job.failure.family) == (None, "NotFound")
     assert file.is_file()
 
 
@@ -486,9 +469,7 @@ def test_a_path_that_cannot_be_driven_is_refused_and_makes_no_job(dispatcher, co
         (RequestedJob(JobKind.MEASURE_STANDSTILL), "points", set()),
     ],
 )
-def test_without_rows_the_default_path_or_points_are_measured(
-    dispatcher, context, until, request_, kind, feeds
-):
+def test_the_default_is_measured(dispatcher, context, until, request_, kind, feeds):
     job, _ = dispatcher.create(request_)
     until(job, "ready")
     plan = context.store.read_plan(job.id)
@@ -515,8 +496,7 @@ def test_after_a_restart_all_is_interrupted(open_dispatcher, running, cell, cont
     after = open_dispatcher()
     after.interrupt_unfinished_jobs()
     job = context.store.get(running.id)
-    assert job.state == "interrupted"
-    assert job.failure.family == "Interrupted"
+    assert (job.state, job.failure.family) == ("interrupted", "Interrupted")
     assert "was running" in job.failure.detail
     assert context.runs.get(job.run_id).samples == 50
     assert cell.heard == heard
@@ -549,7 +529,6 @@ def test_progress_and_views_are_told_not_kept(event_bus, running, cell, context,
 
 @contextmanager
 def locked(store):
-    """Let nobody else write to the catalogue."""
     database = store._database
     with database.engine.connect() as raw:
         connection = raw.execution_options(truepath_writes=True)
@@ -595,8 +574,7 @@ def test_no_lock_stops_a_pause(clock, dispatcher, running, cell, context, until)
 @pytest.fixture
 def full(context):
     """While it is set, the disk of the catalogue has no room left."""
-    database, full = context.store._database, threading.Event()
-    engine = database.engine
+    engine, full = context.store._database.engine, threading.Event()
 
     def refuse(connection, cursor, statement, *_):
         if full.is_set() and not statement.startswith(("SELECT", "BEGIN", "PRAGMA")):
@@ -679,8 +657,7 @@ def test_a_full_disk_is_shown_at_once_and_the_job_ends_when_there_is_room(
     told = [e.body for e in heard if e.type == "job" and e.id is None]
     assert told[-1]["state"] == "failed"
     full.clear()
-    stored = until(running, "failed")
-    assert stored.failure.family == "StorageFull"
+    assert until(running, "failed").failure.family == "StorageFull"
     wait_until(lambda: context.store.get(running.id).run_id)
     forget()
 
@@ -723,10 +700,9 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
     else:
         cell.end(end)
     wait_until(lambda: dispatcher.show(store.get(running.id)).state == end, end)
+    refusals = IllegalTransition, errors.NotResumable, errors.StorageUnavailable
     for verb in random.Random(end).sample([*VERBS] * 2, 2 * len(VERBS)):
-        with suppress(
-            IllegalTransition, errors.NotResumable, errors.StorageUnavailable
-        ):
+        with suppress(*refusals):
             answered = VERBS[verb](dispatcher, running)
             shown = answered[0] if isinstance(answered, tuple) else answered
             assert shown.state == end, verb
@@ -784,11 +760,12 @@ def test_a_full_disk_is_logged_only_once(running, cell, until, full, monkeypatch
             monkeypatch.setattr(module.log, level, lambda text, **_: lines.append(text))
     full.set()
     store_end = active_job.ActiveJob.end
-    monkeypatch.setattr(
-        active_job.ActiveJob,
-        "end",
-        lambda *given: (tries.append(1), store_end(*given))[1],
-    )
+
+    def count(*given):
+        tries.append(1)
+        return store_end(*given)
+
+    monkeypatch.setattr(active_job.ActiveJob, "end", count)
     cell.say_state("paused")
     wait_until(lambda: len(tries) > 20)
     full.clear()
@@ -832,6 +809,7 @@ def test_the_targets_of_rows_are_the_machines(machine):
     rows = [{**ROWS[0], "target": name} for name in offsets]
     path = command_rows(two, rows, is_path=True)
     assert path.target == ("T1", "T2")
-    assert decode_commanded_json(encode_commanded_json(path)).target == ("T1", "T2")
+    again = files.decode_commanded_json(files.encode_commanded_json(path))
+    assert again.target == ("T1", "T2")
     with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
         command_rows(two, [ROWS[0], rows[1]], is_path=True)

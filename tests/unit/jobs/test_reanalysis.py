@@ -25,8 +25,6 @@ def figures(um):
 
 
 class Analyst:
-    """Analyses a Run in no time; some fail, and it can be held."""
-
     def __init__(self):
         self.calls, self.failing, self.defects = [], set(), set()
         self.let = threading.Event()
@@ -140,9 +138,8 @@ def test_a_run_that_cannot_be_aligned_is_an_outcome_and_no_error(tmp_path, monke
         raise AlignmentError("no line is found")
 
     monkeypatch.setattr("truepath.results.analysis.analyse", refuse)
-    monkeypatch.setattr(
-        "truepath.jobs.workers.analysis_tasks.open_recorded", lambda _: None
-    )
+    tasks = "truepath.jobs.workers.analysis_tasks"
+    monkeypatch.setattr(f"{tasks}.open_recorded", lambda _: None)
     order = RunOrder("a", "run a", "a.zip", None, "", str(tmp_path / "a"), "")
     reanalyse_run(order, False, on_progress=lambda *_: None)
     outcome = json.loads((Path(order.folder) / "outcome.json").read_text())

@@ -8,7 +8,6 @@ from unittest.mock import Mock
 import pytest
 
 import job_builders
-from job_builders import OTF
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
@@ -71,7 +70,7 @@ def test_a_run_that_its_job_does_not_name_is_named_at_the_next_start(
 def test_nothing_is_touched_in_motion(context, ended, begin_run, dispatcher, until):
     begin_run(ended.id).close("failed")
     reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
-    job, _ = dispatcher.create(OTF)
+    job, _ = dispatcher.create(job_builders.OTF)
     reconciliation.look()
     assert context.runs.list_page(9) == []
     dispatcher.abort(job.id)
@@ -120,24 +119,16 @@ def test_a_catalogue_that_does_not_answer_ends_nothing_and_a_foreign_run_stands_
     assert context.runs.get("foreign").complete
 
 
-def test_a_file_that_is_no_run_is_told_once_and_tried_ever_more_seldom(
-    context, reconciliation, monkeypatch, hand_clock
-):
+def test_what_is_no_run_is_told_once(context, reconciliation, monkeypatch, hand_clock):
     context.runs.name_run_file("garbage").write_bytes(b"no database at all" * 99)
-    read, told = [], []
-    fail = context.runs.read_measured
-
-    def count(_, run_id):
-        read.append(run_id)
-        return fail(run_id)
-
-    monkeypatch.setattr(type(context.runs), "read_measured", count)
+    told, read = [], Mock(side_effect=context.runs.read_measured)
+    monkeypatch.setattr(type(context.runs), "read_measured", read)
     monkeypatch.setattr(reconciling.log, "warning", lambda text, **_: told.append(text))
     patient = Reconciliation(context, lambda: False, every_s=30.0)
     for hand_clock.time_s in range(0, 3600, 30):
         patient.look()
     assert len(told) == 1
-    assert 4 < len(read) < 12
+    assert 4 < read.call_count < 12
     assert context.runs.name_run_file("garbage").is_file()
 
 
@@ -179,9 +170,7 @@ def leave(context, run_id, state, attempts):
 
 @pytest.mark.database
 @pytest.mark.fault_row(25)
-def test_what_a_killed_service_left_is_done_after_the_restart_and_an_abort_stays_one(
-    context, run_id, restart, science, until
-):
+def test_what_a_kill_left_is_done_at_restart(context, run_id, restart, science, until):
     aborting = leave(context, run_id, State.ABORTING, 1)
     jobs = [leave(context, run_id, State.QUEUED, 0) for _ in range(2)]
     jobs.append(leave(context, run_id, State.RUNNING, 1))
@@ -193,13 +182,10 @@ def test_what_a_killed_service_left_is_done_after_the_restart_and_an_abort_stays
         assert (context.results / job.id / "result.json").is_file()
 
 
-def test_an_analysis_that_was_queued_again_in_order_has_all_its_attempts(
-    context, run_id, restart, science, until
-):
+def test_queued_again_in_order_is_no_attempt(context, run_id, restart, science, until):
     first = restart()
     science.hold = threading.Event()
-    request = RequestedJob(JobKind.ANALYSE, run_ids=[run_id])
-    job, _ = first.create(request)
+    job, _ = first.create(RequestedJob(JobKind.ANALYSE, run_ids=[run_id]))
     for number in range(1, 4):
         wait_until(lambda n=number: len(science.calls) == n)
         first.close()

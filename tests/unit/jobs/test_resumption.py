@@ -28,11 +28,13 @@ PATH = tuple(
     for n in range(12)
 )
 OTF = RequestedJob(JobKind.MEASURE_OTF, rows=PATH)
+TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
+ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
+DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 
 @pytest.fixture
 def lives():
-    """The live estimates, the newest last."""
     return []
 
 
@@ -104,8 +106,7 @@ def test_it_stands_where_it_stood_then_drives_what_is_left_as_further_runs(
     assert ended.run_ids == (job.id, *ended.further_run_ids)
     assert len(ended.run_ids) == 3
     files = [str(context.runs.file(run_id)) for run_id in ended.run_ids]
-    assert science.calls[0][0] == files
-    assert ended.failure is None
+    assert (science.calls[0][0], ended.failure) == (files, None)
 
 
 @pytest.mark.fault_row(11)
@@ -132,12 +133,8 @@ def test_what_tells_no_pose_is_kept_and_the_path_driven_from_its_first_row(
     assert len(cell.order.commanded) == len(PATH)
     cell.end()
     ended = until(job, "succeeded")
-    assert ended.run_ids[0] == job.id
-    assert len(ended.run_ids) == 2
+    assert (ended.run_ids[0], len(ended.run_ids)) == (job.id, 2)
     assert len(science.calls[0][0]) == 1
-
-
-TWO_TARGETS = {"target": ["T1"] * 3 + ["T2"] * 9}
 
 
 @pytest.mark.parametrize(
@@ -156,8 +153,7 @@ def test_what_is_acknowledged_knows_its_rest_and_waits_to_be_armed_anew(
     before = len(cell.heard)
     ready = dispatcher.acknowledge(job.id)
     assert (ready.state, ready.failure, ready.ended) == (State.PREPARING, None, None)
-    now = until(job, "ready")
-    assert dispatcher.acknowledge(job.id) == now
+    assert until(job, "ready") == dispatcher.acknowledge(job.id)
     assert cell.heard[before:] == ["connect"]
     assert known.items() <= context.store.read_plan(job.id)["resumption"].items()
 
@@ -216,9 +212,6 @@ def test_nothing_goes_on_beside_a_job_or_after_an_abort(dispatcher, faulted, unt
         dispatcher.acknowledge(other.id)
 
 
-ADAPTIVE = RequestedJob(JobKind.MEASURE_ADAPTIVE, plan_request={"minutes": 8})
-
-
 def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
     faulted, drive, until, cell, science, resumer, lives, context
 ):
@@ -272,9 +265,7 @@ def note(lives, context):
     return note
 
 
-def test_what_acts_on_notices_goes_on_with_what_is_left_and_keeps_them(
-    faulted, drive, until, cell, resumer, context, note
-):
+def test_notices_are_kept_later(faulted, drive, until, cell, resumer, context, note):
     """Rows that were driven again count: the Run numbers its rows with them."""
 
     def notice():
@@ -307,9 +298,8 @@ def test_no_point_is_gone_back_to_through_a_box(faulted, cell, note):
         wait_until(lambda: len(cell.parts) == 2, "the points that are measured again")
 
     avoids = {"plan_request": {"workspace": {"keep_out": [box]}}, "rows": points}
-    kind = JobKind.MEASURE_STANDSTILL
-    request = RequestedJob(kind, on_notice=OnNotice.CHECK, **avoids)
-    faulted(request, then=notice)
+    kind, policy = JobKind.MEASURE_STANDSTILL, OnNotice.CHECK
+    faulted(RequestedJob(kind, on_notice=policy, **avoids), then=notice)
     again = [tuple(row[:2]) for row in cell.parts[1].position.tolist()]
     assert again == [places[2], places[1], places[2], places[3]]
 
@@ -370,13 +360,9 @@ def test_stations_go_on_until_all_are_measured_and_what_computes_does_not():
     resumability.require_resumable(measuring, {"stations": [done, {}]})
     with pytest.raises(errors.NotResumable, match="analyse its Runs"):
         resumability.require_resumable(measuring, {"stations": [done, done]})
+    computing = Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED)
     with pytest.raises(errors.NotResumable, match=r"only computes.*begin a new job"):
-        resumability.require_resumable(
-            Job(JobKind.ANALYSE, run_id="a", state=State.FAULTED), {}
-        )
-
-
-DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
+        resumability.require_resumable(computing, {})
 
 
 @pytest.mark.parametrize(

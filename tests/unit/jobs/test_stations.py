@@ -30,6 +30,8 @@ CURVE = [
 ]
 GOOD = {"place_mm": (1.0, 2.0, 3.0)}
 BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
+POINTS, LINES = "Configurations", "Path"
+VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
 class Checker:
@@ -48,8 +50,6 @@ def checker():
 
 @pytest.fixture
 def planner(machine):
-    """A plan of as many stations as are asked for, ten lines from each."""
-
     def plan(_, order, *, on_progress):
         path = encode_commanded_json(command_rows(machine, LONG, is_path=True))
         points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]
@@ -120,12 +120,7 @@ def moved(prepare, measure):
     return measure(prepare(), POINTS, LINES)
 
 
-POINTS, LINES = "Configurations", "Path"
-
-
-def test_stations_are_asked_for_one_after_another_and_each_is_armed(
-    prepare, measure, context, checker, science, cell
-):
+def test_each_station_is_asked_for(prepare, measure, context, checker, science, cell):
     job = prepare()
     assert (job.station.number, job.station.total) == (1, 3)
     assert context.store.read_plan(job.id)["place"] == ADVICE
@@ -147,8 +142,7 @@ def test_stations_are_asked_for_one_after_another_and_each_is_armed(
 def test_a_station_that_known_points_contradict_is_asked_again(moved, measure, checker):
     checker.answers = [BAD, GOOD]
     again = measure(moved, POINTS)
-    assert again.station.number == 2
-    assert again.station.checks[-1].problem == "not-moved"
+    assert (again.station.number, again.station.checks[-1].problem) == (2, "not-moved")
     assert again.run_ids == moved.run_ids
     last = measure(again, POINTS, LINES)
     assert [check.problem for check in last.station.checks] == ["", ""]
@@ -162,9 +156,6 @@ def test_known_points_not_seen_are_no_fault_of_the_job(prepare, begin, cell, unt
     assert asked.station.checks[-1].problem == "not-seen"
     assert "beam" in asked.station.checks[-1].text
     assert "abort" in cell.heard
-
-
-VICE = {"name": "vice", "min_mm": [100, 0, 0], "max_mm": [200, 50, 50]}
 
 
 def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, cell):
@@ -207,15 +198,12 @@ def test_a_service_that_ends_meanwhile_loses_nothing_and_another_job_goes_on(
     moved, prepare, measure, restart, until, science, is_killed
 ):
     second = restart(is_killed=is_killed)
-    ended = until(moved, State.INTERRUPTED)
-    assert ended.run_ids == moved.run_ids
+    assert until(moved, State.INTERRUPTED).run_ids == moved.run_ids
     again = prepare(second, continues=moved.id)
-    assert again.station.number == 2
-    assert again.run_ids == moved.run_ids
+    assert (again.station.number, again.run_ids) == (2, moved.run_ids)
     again = measure(again, POINTS, LINES, dispatcher=second)
     last = measure(again, POINTS, LINES, then=State.SUCCEEDED, dispatcher=second)
-    assert last.run_ids[0] == moved.run_ids[0]
-    assert len(science.calls[-1][0]) == 3
+    assert (last.run_ids[0], len(science.calls[-1][0])) == (moved.run_ids[0], 3)
     with pytest.raises(IllegalTransition, match="all stations"):
         prepare(second, continues=last.id)
 
@@ -227,18 +215,17 @@ def test_a_job_that_waits_for_the_tracker_asks_it_again(moved, measure, restart,
     ready = until(moved, State.READY)
     assert ready.station.number == 2
     asked = measure(ready, POINTS, LINES, dispatcher=second)
-    assert asked.station.number == 3
-    assert len(asked.run_ids) == 2
+    assert (asked.station.number, len(asked.run_ids)) == (3, 2)
 
 
 @pytest.fixture
 def cut_short(moved, dispatcher, cell, end_in_motion):
     arm_at_once(dispatcher, moved.id, moved.version)
-    for what in ("the known points", "the lines"):
-        wait_until(cell.begun.is_set, what)
-        cell.begun.clear()
-        if what == "the known points":
-            cell.end()
+    wait_until(cell.begun.is_set, "the known points")
+    cell.begun.clear()
+    cell.end()
+    wait_until(cell.begun.is_set, "the lines")
+    cell.begun.clear()
     return end_in_motion(moved)
 
 
@@ -268,9 +255,7 @@ def test_a_station_that_was_cut_short_goes_on_with_the_rest_of_its_lines(
 
 
 @pytest.mark.parametrize("is_put_back", [True, False])
-def test_a_station_that_was_moved_meanwhile_is_measured_on_as_a_new_one_unless_put_back(
-    go_on, measure, closer, checker, is_put_back
-):
+def test_a_moved_station_is_a_new_one(go_on, measure, closer, checker, is_put_back):
     closer.problem = "the target is 51 µm from where it was"
     elsewhere = measure(go_on(), POINTS)
     before = len(checker.calls)
@@ -298,8 +283,7 @@ def test_a_run_that_tells_nothing_is_left_out(go_on, measure, cell, resumer, sci
     asked = measure(go_on(), POINTS, LINES)
     assert len(cell.order.commanded) == len(LONG)
     last = measure(asked, POINTS, LINES, then=State.SUCCEEDED)
-    assert len(last.run_ids) == 4
-    assert len(science.calls[-1][0]) == 3
+    assert (len(last.run_ids), len(science.calls[-1][0])) == (4, 3)
 
 
 def test_a_continued_job_measures_its_station_whole(cut_short, prepare, measure, cell):

@@ -2,18 +2,8 @@ from contextlib import suppress
 
 import pytest
 
-from truepath.catalogue.transitions import (
-    FINAL,
-    LEFT_BY_ACKNOWLEDGE,
-    TRANSITIONS,
-    VERB_SATISFIED,
-    VERB_TRANSITIONS,
-    State,
-    Verb,
-    apply_verb,
-    check_transition,
-    may_follow,
-)
+from truepath.catalogue import transitions as table
+from truepath.catalogue.transitions import FINAL, TRANSITIONS, State, Verb, apply_verb
 from truepath.errors import IllegalTransition
 
 
@@ -33,12 +23,12 @@ def test_every_state_stands_in_the_table_can_be_reached_and_has_an_end_in_reach(
 
 def test_the_six_ends_are_never_left_and_an_abort_leaves_them_as_they_are():
     ends = {"aborted", "cancelled", "succeeded", "failed", "faulted", "interrupted"}
-    assert {str(state) for state in FINAL} == ends
+    assert set(map(str, FINAL)) == ends
     for state in FINAL:
         assert apply_verb(Verb.ABORT, state) is state
-        for after in set(State) if state not in LEFT_BY_ACKNOWLEDGE else ():
+        for after in set(State) if state not in table.LEFT_BY_ACKNOWLEDGE else ():
             with pytest.raises(IllegalTransition):
-                check_transition(state, after)
+                table.check_transition(state, after)
 
 
 @pytest.mark.parametrize("state", sorted(set(State) - FINAL))
@@ -51,10 +41,11 @@ def test_abort_is_accepted_in_every_state_that_is_not_final(state, measured):
 @pytest.mark.parametrize("verb", sorted(Verb))
 @pytest.mark.fault_row(34)
 def test_a_verb_leads_where_the_table_goes_and_said_twice_is_said_once_or_refused(verb):
-    for state, after in VERB_TRANSITIONS[verb].items():
-        assert may_follow(state, after)
+    leads = table.VERB_TRANSITIONS[verb]
+    for state, after in leads.items():
+        assert table.may_follow(state, after)
     for state in State:
-        if state not in VERB_TRANSITIONS[verb] and state not in VERB_SATISFIED[verb]:
+        if state not in leads and state not in table.VERB_SATISFIED[verb]:
             with pytest.raises(IllegalTransition, match=f"cannot {verb} a job that is"):
                 apply_verb(verb, state)
             continue
@@ -68,10 +59,10 @@ def test_each_state_that_a_person_leaves_is_left_by_these_verbs_alone():
     for state, verbs in (
         (State.READY, [Verb.ABORT, Verb.ARM, Verb.CANCEL]),
         (State.CANCELLING, [Verb.ABORT]),
-        *((state, [Verb.ACKNOWLEDGE]) for state in LEFT_BY_ACKNOWLEDGE),
+        *((state, [Verb.ACKNOWLEDGE]) for state in table.LEFT_BY_ACKNOWLEDGE),
     ):
-        assert sorted(v for v in Verb if state in VERB_TRANSITIONS[v]) == verbs
-    for state in LEFT_BY_ACKNOWLEDGE:
+        assert sorted(v for v in Verb if state in table.VERB_TRANSITIONS[v]) == verbs
+    for state in table.LEFT_BY_ACKNOWLEDGE:
         assert TRANSITIONS[state] == {State.PREPARING}
 
 
@@ -80,7 +71,7 @@ def list_unarmed(state):
 
     It never leaves `ready` for motion, and only a person leaves what is acknowledged.
     """
-    after = set() if state in LEFT_BY_ACKNOWLEDGE else set(TRANSITIONS[state])
+    after = set() if state in table.LEFT_BY_ACKNOWLEDGE else set(TRANSITIONS[state])
     if state in {State.READY, State.QUEUED}:
         after.discard(State.RUNNING)
     for verb in set(Verb) - {Verb.ARM}:

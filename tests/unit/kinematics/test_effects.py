@@ -19,10 +19,7 @@ from truepath.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_d
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.model import MachineModel
 
-OFFSET = (20.0, -30.0, -150.0)
-
-
-MACHINE = build_mill(OFFSET)
+MACHINE = build_mill((20.0, -30.0, -150.0))
 
 
 @pytest.mark.parametrize(
@@ -42,12 +39,9 @@ def test_phase_and_speed_move_along_their_own_line_only_and_not_at_a_standstill(
     law = TimingLaw((0, 1))
     position = rng.uniform(0, 500, (3, 3))
     velocity = [[100.0, 0, 0], [100.0, 0, 0], [0, 0, -50.0]]
-    at = replace(
-        make_standstill(MACHINE, position),
-        line=np.array([0, 0, 1]),
-        line_time_s=np.array([-1.0, 1.0, 0.5]),
-        velocity_mm_s=np.array(velocity),
-    )
+    still, line_time_s = make_standstill(MACHINE, position), np.array([-1.0, 1.0, 0.5])
+    lines = {"line": np.array([0, 0, 1]), "line_time_s": line_time_s}
+    at = replace(still, **lines, velocity_mm_s=np.array(velocity))
     moved = law.displacement_mm(at, np.array([0.1, 0.01, 0.0, 0.2]))
     assert np.allclose(moved, [[0.09, 0, 0], [0.11, 0, 0], [0, 0, -0.1]])
     assert not law.jacobian(make_standstill(MACHINE, position)).any()
@@ -65,8 +59,7 @@ def test_effects_alike_to_the_ninth_digit_are_two_and_two_of_one_name_are_refuse
     axis = MACHINE.linear_axes[0]
     effects = ScrewCyclic(axis, 10.0), ScrewCyclic(axis, 10.00000001)
     model = MachineModel(MACHINE, effects)
-    assert model.size == 8
-    assert [s.start for s in model.slices.values()] == [0, 4]
+    assert (model.size, [s.start for s in model.slices.values()]) == (8, [0, 4])
     assert effects[0] == ScrewCyclic(axis, 10.0) != effects[1]
     assert hash(effects[0]) == hash(ScrewCyclic(axis, 10.0))
     pose = TrackerPose((0.0, 0.0, 0.0))
@@ -93,9 +86,7 @@ def test_a_tilt_moves_points_across_its_axis_and_by_their_distance(seen):
     assert size.max() == pytest.approx(size[0], rel=1e-6)
 
 
-def test_a_turn_by_another_axis_needs_it_and_lost_motion_that_varies_has_two_sides(
-    seen,
-):
+def test_a_turn_by_another_axis_needs_it_and_varying_play_has_two_sides(seen):
     turn = propose(free_form.PlaneTurnFamily(), seen, motion="ECX", by="Y")
     products = turn.shapes(seen)
     share = seen.axis_mm("Y") / 500.0
@@ -142,10 +133,7 @@ class CrookedFamily(ServoMismatchFamily):
     words = {"en": ServoMismatchFamily.words["en"]}  # noqa: RUF012
 
     def propose(self, at):
-        return [
-            self.make_candidate(Crooked(), [1.0]),
-            self.make_candidate(Crooked(), [1.0]),
-        ]
+        return [self.make_candidate(Crooked(), [1.0]) for _ in range(2)]
 
 
 class EarlierFamily(ServoMismatchFamily):
@@ -166,16 +154,12 @@ def test_a_family_of_earlier_versions_conforms_and_is_kept(check, seen):
 def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen):
     slope = conformance.jacobian_is_the_slope_of_the_displacement
     values, words = conformance.effects_are_values, conformance.words_are_there
+    unrecorded = replace(seen, recorded=None)
     for check, family, at, complaint in (
         (slope, CrookedFamily(), seen, "is not the slope"),
         (values, CrookedFamily(), seen, "share names"),
         (words, CrookedFamily(), seen, "no words in de"),
-        (
-            words,
-            ServoMismatchFamily(),
-            replace(seen, recorded=None),
-            "proposes nothing",
-        ),
+        (words, ServoMismatchFamily(), unrecorded, "proposes nothing"),
     ):
         with pytest.raises(conformance.NotConforming, match=complaint):
             check(family, at)

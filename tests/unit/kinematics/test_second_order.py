@@ -27,10 +27,8 @@ def build(workpiece_side, tool_side):
     axes = tuple(AXES[name] for name in (*workpiece_side, *tool_side))
     target = Target("", "tool", (30.0, -20.0, -180.0))
     machine = Machine("m", workpiece_side, tool_side, axes, (target,), TrackerNoise())
-    motions = [
-        make_error_motion(s, a, 3) for a in axes for s in list_error_motions(a.name)
-    ]
-    return MachineModel(machine, tuple(motions))
+    named = [(s, axis) for axis in axes for s in list_error_motions(axis.name)]
+    return MachineModel(machine, tuple(make_error_motion(*one, 3) for one in named))
 
 
 def draw(model, rng, size_mm, size_rad):

@@ -33,9 +33,7 @@ def test_amplitude_and_phase_make_the_same_wave():
     ],
     ids=["well known", "badly known phase"],
 )
-def test_the_uncertainties_are_the_spread_of_what_could_have_been_found(
-    rng, root, within
-):
+def test_the_uncertainties_are_the_spread_of_what_may_be_found(rng, root, within):
     theta = np.array([0.003, 0.004])
     drawn = theta + rng.standard_normal((20_000, 2)) @ root.T
     amplitude, phase = find_amplitude_and_phase(theta, root @ root.T)
@@ -50,16 +48,13 @@ def moving(span_s, count):
     machine = build_mill((0.0, 0.0, -150.0), sides=("X", "YZ"))
     lag_s = ((np.arange(count) + 0.5) / count - 0.5) * SPAN_S
     position = np.array([[210.0, 40.0, 30.0]]) + lag_s[:, None] * RATE_MM_S
-    recorded = RecordedState(
-        np.tile(RATE_MM_S, (count, 1)),
-        np.full(count, span_s),
-        np.full((count, 3), np.inf),
-        np.tile([900.0, 0.0, 0.0], (count, 1)),
-        np.eye(3),
+    rate_mm_s, seen_mm = (
+        np.tile(v, (count, 1)) for v in (RATE_MM_S, [900.0, 0.0, 0.0])
     )
-    return replace(
-        make_standstill(machine, position), time_s=3.7 + lag_s, recorded=recorded
-    )
+    since = np.full(count, span_s), np.full((count, 3), np.inf)
+    recorded = RecordedState(rate_mm_s, *since, seen_mm, np.eye(3))
+    at = make_standstill(machine, position)
+    return replace(at, time_s=3.7 + lag_s, recorded=recorded)
 
 
 @pytest.mark.parametrize(

@@ -39,9 +39,8 @@ def test_a_cyclic_spline_closes_with_value_slope_and_curvature(steps):
     knots = knots_of(steps)
     period = knots[-1] + 1.5
     a, t = values_for(knots), np.linspace(knots[0], knots[0] + period, 101)
-    closed = Reference(
-        np.append(knots, knots[0] + period), np.append(a, a[0]), bc_type="periodic"
-    )
+    ends = np.append(knots, knots[0] + period), np.append(a, a[0])
+    closed = Reference(*ends, bc_type="periodic")
     spline = cyclic_spline(knots, period)
     assert np.allclose(spline.basis(t) @ a, closed(t), atol=1e-9)
     assert np.allclose(spline.basis(t + 3 * period), spline.basis(t), atol=1e-9)

@@ -1,6 +1,7 @@
 """What a tracker within its specification does to points, against its own reading."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,9 +19,8 @@ from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 def seen(mill, rng):
     points = rng.normal(0.0, [2500.0, 2500.0, 600.0], (40, 3))
     position = np.tile([[250.0, 200.0, -150.0]], (40, 1))
-    recorded = RecordedState(
-        np.zeros((40, 3)), np.ones(40), np.ones((40, 3)), points, np.eye(3)
-    )
+    still, span = np.zeros((40, 3)), (np.ones(40), np.ones((40, 3)))
+    recorded = RecordedState(still, *span, points, np.eye(3))
     return replace(make_standstill(mill, position), recorded=recorded)
 
 
@@ -31,9 +31,7 @@ def seen(mill, rng):
         (BeamBending(), lambda polar: 0.5 * polar[:, 0] * np.cos(polar[:, 2])),
     ],
 )
-def test_a_point_moves_as_the_elevation_is_read_too_high(
-    seen, effect, read_too_high_rad
-):
+def test_a_point_moves_as_its_elevation_is_misread(seen, effect, read_too_high_rad):
     points = seen.recorded.tracker_mm
     polar = to_spherical(points)
     size = 1e-9
@@ -88,10 +86,7 @@ BODIES = {
     "eccentricity_urad": (1e6, circle(1)),
     "encoder_urad": (1e6, circle(2)),
     "tilt_urad": (1e6, [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)]),
-    "beam_offset_um": (
-        1e3,
-        [lambda p: aim(p, beside=(SMALL, 0.0)), lambda p: aim(p, beside=(0.0, SMALL))],
-    ),
+    "beam_offset_um": (1e3, [partial(aim, beside=at) for at in SMALL * np.eye(2)]),
     "transit_offset_um": (1e3, [lambda p: aim(p, transit=SMALL)]),
     "range_offset_um": (1e3, [misread(distance=lambda p: np.ones(len(p)))]),
     "scale_ppm": (1e6, [misread(distance=lambda p: p[:, 0])]),
@@ -109,9 +104,7 @@ BODIES = {
 
 @pytest.mark.parametrize("face", [1, 2])
 @pytest.mark.parametrize("name", BODIES)
-def test_each_error_of_a_specification_moves_points_as_axes_and_beams_do(
-    seen, name, face
-):
+def test_each_error_of_a_specification_moves_points_as_bodies_do(seen, name, face):
     unit, causes = BODIES[name]
     none = dict.fromkeys((f.name for f in fields(TrackerSpecification)), 0.0)
     stated = TrackerSpecification(**{**none, name: unit})

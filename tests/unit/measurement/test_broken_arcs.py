@@ -43,11 +43,7 @@ def arc_order(order):
 
 def reach_line(running, line):
     """Wait for the motion along a line, counted from 1."""
-    running.until(
-        lambda: any(
-            p.done == line - 1 for p in running.told(messages.MeasurementProgress)[-1:]
-        )
-    )
+    running.until(lambda: [p.done for p in running.progress[-1:]] == [line - 1])
 
 
 def finish(running, motion):
@@ -65,16 +61,13 @@ def test_a_circle_that_was_held_is_driven_whole_at_the_end(begin, arc_order, mot
     (damaged,) = running.told(messages.LinesDamaged)
     assert damaged.row == ARC_ROW
     assert [arc for arc in run.commanded.arc[rows:] if arc][-1] == HALF
-    assert np.array_equal(
-        run.commanded.position[-2:], arc_order.commanded.position[ARC_ROW - 1 :][:2]
-    )
+    ends = arc_order.commanded.position[ARC_ROW - 1 : ARC_ROW + 1]
+    assert np.array_equal(run.commanded.position[-2:], ends)
     summary = summarize_run(run)
     assert summary.driven_again == (f"circles to rows {ARC_ROW + 1}",)
-    stated = asdict(summary.interruptions)
-    again = list(summary.driven_again)
-    InterruptionsOut.model_validate({**stated, "driven_again": again})
-    assert running.faults == []
-    assert motion.calls.count("start") == 2
+    stated = {**asdict(summary.interruptions), "driven_again": [*summary.driven_again]}
+    InterruptionsOut.model_validate(stated)
+    assert (running.faults, motion.calls.count("start")) == ([], 2)
 
 
 def test_a_circle_with_a_short_loss_is_driven_again(begin, arc_order, motion, tracker):
@@ -114,5 +107,4 @@ def test_a_circle_ever_broken_is_given_up_without_a_fault(begin, arc_order, moti
         reach_line(running, len(driven) - 1)
     running.pause_and_resume()
     finish(running, motion)
-    assert len(running.told(messages.LinesDamaged)) == 3
-    assert running.faults == []
+    assert (len(running.told(messages.LinesDamaged)), running.faults) == (3, [])

@@ -13,14 +13,7 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 from truepath.files.environment.refraction import choose_refraction
 from truepath.measurement.messages import BlockRecorded, FaultReported
-from truepath.measurement.monitors.sensor_plausibility import (
-    BACK,
-    IMPLAUSIBLE,
-    NO_NUMBER,
-    SILENT,
-    STUCK,
-    SensorPlausibility,
-)
+from truepath.measurement.monitors import sensor_plausibility as plausibility
 from truepath.measurement.progress import LiveView
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
@@ -72,7 +65,7 @@ class FakeThermometers(Thermometers):
 
 
 def judged(values, *, step_s=1.0, channel=None):
-    judge = SensorPlausibility(channel or Channel("X_degC"))
+    judge = plausibility.SensorPlausibility(channel or Channel("X_degC"))
     found, told = [], []
     for number, value in enumerate(values):
         fault = value if isinstance(value, str) else ""
@@ -89,18 +82,18 @@ class TestJudge:
     @pytest.mark.parametrize(
         ("wrong", "kind"),
         [
-            (327.67, IMPLAUSIBLE),
-            (-205.0, IMPLAUSIBLE),
-            (293.15, IMPLAUSIBLE),
-            (math.inf, NO_NUMBER),
-            (math.nan, NO_NUMBER),
+            (327.67, plausibility.IMPLAUSIBLE),
+            (-205.0, plausibility.IMPLAUSIBLE),
+            (293.15, plausibility.IMPLAUSIBLE),
+            (math.inf, plausibility.NO_NUMBER),
+            (math.nan, plausibility.NO_NUMBER),
         ],
     )
     def test_a_wrong_number_is_left_out_and_told_at_once(self, wrong, kind):
         found, told = judged([20.0, wrong, *[20.1] * 12])
         assert math.isnan(found[1])
         assert (found[0], found[-1]) == (20.0, 20.1)
-        assert [told[1], *filter(None, told)] == [kind, kind, BACK]
+        assert [told[1], *filter(None, told)] == [kind, kind, plausibility.BACK]
 
     def test_good_readings_a_lost_reply_and_a_coarse_sensor_are_no_fault(self):
         assert judged([20.0, 20.1]) == ([20.0, 20.1], ["", ""])
@@ -110,19 +103,17 @@ class TestJudge:
 
     def test_a_silence_is_told_once_and_at_once_if_it_is_from_the_beginning(self):
         _, told = judged([20.0, *["no reply"] * 20, 20.1])
-        assert told.count(SILENT) == 1
-        assert told[-1] == BACK
-        assert told.index(SILENT) == 6
-        assert judged(["no reply"])[1] == [SILENT]
+        assert (told.count(plausibility.SILENT), told[-1]) == (1, plausibility.BACK)
+        assert told.index(plausibility.SILENT) == 6
+        assert judged(["no reply"])[1] == [plausibility.SILENT]
 
     @pytest.mark.fault_row(12)
     def test_a_stuck_sensor_is_left_out_until_it_changes(self):
         steady = Channel("X_degC", stuck_s=10.0)
         found, told = judged([20.0] * 15 + [20.1], channel=steady)
         assert np.isnan(found[10:15]).all()
-        assert found[-1] == 20.1
-        assert told[10] == STUCK
-        assert told[-1] == BACK
+        assert (found[-1], told[10]) == (20.1, plausibility.STUCK)
+        assert told[-1] == plausibility.BACK
 
 
 def swap_words(value):
@@ -136,22 +127,21 @@ class TestGate:
         draws = np.random.default_rng(0).normal(20.0, 0.02, 1000)
         found, told = judged([swap_words(value) for value in draws])
         assert np.isfinite(found).sum() <= 1  # one that happens to look like one
-        assert IMPLAUSIBLE in told
-        assert BACK not in told
+        assert plausibility.IMPLAUSIBLE in told
+        assert plausibility.BACK not in told
 
     @pytest.mark.parametrize("wrong", [0.0, 2.3e-41, swap_words(20.5), -1e-9])
     def test_nearly_nothing_is_no_temperature_however_long_it_lasts(self, wrong):
         for values in ([wrong] * 60, [20.0, 20.1, *[wrong] * 60]):
             found, told = judged(values)
             assert np.isnan(found[-60:]).all()
-            assert told[-60] == IMPLAUSIBLE
+            assert told[-60] == plausibility.IMPLAUSIBLE
 
     def test_a_channel_stays_out_until_it_has_been_steady_for_a_while(self):
         bad = [20.0, 1e-30, 20.0, 327.0, 20.0, 45.0, 20.0]
         found, told = judged([*[20.0] * 30, *bad, *[20.0] * 30])
         assert np.isnan(found[31:40]).all()
-        assert found[-15:] == [20.0] * 15
-        assert told.count(BACK) == 1
+        assert (found[-15:], told.count(plausibility.BACK)) == ([20.0] * 15, 1)
 
     def test_a_sensor_that_keeps_coming_and_going_stays_out(self):
         swapped = struct.unpack("<f", struct.pack(">f", 20.5))[0]  # bytes, not words
@@ -161,8 +151,7 @@ class TestGate:
 
     def test_a_new_level_is_believed_when_a_machine_can_have_come_there(self):
         found, _ = judged([*[20.0] * 30, *[26.0] * 600])
-        first = int(np.flatnonzero(np.isfinite(found[30:]))[0])
-        assert 100 < first < 400
+        assert 100 < int(np.flatnonzero(np.isfinite(found[30:]))[0]) < 400
 
     def test_the_air_is_colder_than_a_spindle_may_be(self):
         assert math.isnan(judged([60.0], channel=Channel("air_degC"))[0][0])
@@ -272,12 +261,8 @@ class WithStation(AirExchange):
 def test_the_station_of_a_tracker_is_read_where_nothing_else_is(measure, tracker):
     tracker.__class__ = type("Station", (WithStation, type(tracker)), {})
     run = measure(None)
-    assert run.temperature.names == ("air",)
-    assert run.temperature.celsius[0, 0] == 22.0
+    assert (run.temperature.names, run.temperature.celsius[0, 0]) == (("air",), 22.0)
     assert run.air.pressure_hpa[0] == 990.0
-
-
-# Recording
 
 
 @pytest.fixture
@@ -317,9 +302,6 @@ def test_readings_come_on_the_trackers_clock_and_outlive_their_writer(tmp_path, 
     np.testing.assert_allclose(run.temperature.time_s[:4], handed_over_s, atol=0.05)
     assert run.temperature.celsius[-1, 0] == 20.6
     assert np.isnan(run.temperature.celsius[-1, 1])
-
-
-# Refraction
 
 
 def corrected(tmp_path, header, light, name="run"):
@@ -372,8 +354,7 @@ def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, s
     settings = replace(calm, light=HENE)
     run = measure(sensors, replace(order, live=True), settings=settings)
     shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
-    kept_mm = run.tracker.position_mm[0]
-    np.testing.assert_allclose(shown_mm, kept_mm, rtol=10e-6)
+    np.testing.assert_allclose(shown_mm, run.tracker.position_mm[0], rtol=10e-6)
     assert shown_mm[2] < 3.0 * (1.0 - 200e-6)
 
 

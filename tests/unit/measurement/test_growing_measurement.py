@@ -66,8 +66,7 @@ def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
     for times, place in enumerate(ON, 1):
         until_asked(times)
         one.obey(standing_at(order, [place], 0.5).commanded)
-    run = conclude(one, 4)
-    np.testing.assert_array_equal(run.commanded.position[2:], ON)
+    np.testing.assert_array_equal(conclude(one, 4).commanded.position[2:], ON)
     done = [text.split(" until ")[0] for text in one.texts("point")]
     assert done == [f"row {i}" for i in range(1, 6)]
 
@@ -83,8 +82,7 @@ def test_a_part_elsewhere_is_never_loaded(waiting, order, motion, rows, states, 
     waiting.obey(along(order, rows).commanded)
     assert waiting.ended() in states
     assert said in waiting.fault.text
-    assert motion.calls.count("load") == 1
-    assert len(waiting.run.commanded) == 4
+    assert (motion.calls.count("load"), len(waiting.run.commanded)) == (1, 4)
 
 
 def test_a_pause_between_parts_keeps_the_next_waiting(waiting, part, motion, conclude):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -50,11 +51,8 @@ def running(begin, tracker, motion, journal, calm, order):
     tracker.speed = motion.speed = 4.0
     settings = replace(calm, timeouts=replace(calm.timeouts, beam_s=1.0))
     running = begin(order, settings=settings)
-    running.until(
-        lambda: any(
-            p.axes and p.axes[0] > 20.0 for p in journal.of(messages.LivePoints)
-        )
-    )
+    live = partial(journal.of, messages.LivePoints)
+    running.until(lambda: any(p.axes and p.axes[0] > 20.0 for p in live()))
     host_clock.sleep_s(1.2)  # until then it may be the program before
     return running
 
@@ -197,8 +195,7 @@ def test_a_repeated_polled_point_is_not_kept(measure, polled, points, motion, jo
     abort_at_fault(measure, journal)
     polled._rng = type("Calm", (), {"normal": lambda *_: np.zeros(3)})()
     _, run = measure(points)
-    assert run.points.row.tolist() == [0]
-    assert journal.faults == ["tracker-frozen"]
+    assert (run.points.row.tolist(), journal.faults) == ([0], ["tracker-frozen"])
 
 
 @pytest.mark.fault_row(41)
@@ -212,5 +209,4 @@ def test_a_polled_point_of_no_number_is_a_lost_beam(measure, polled, points, jou
     polled.before = spoil
     abort_at_fault(measure, journal)
     _, run = measure(points)
-    assert run.points.row.tolist() == [0]
-    assert journal.faults == ["beam-lost"]
+    assert (run.points.row.tolist(), journal.faults) == ([0], ["beam-lost"])

@@ -28,16 +28,11 @@ from truepath_drivers.interfaces.tracker_records import PointMeasurement
 
 pytestmark = pytest.mark.usefixtures("clock")
 
-TO_TRACKER = RigidTransform(
-    build_rotation(np.array([0.02, -0.03, 1.1])), np.array([1500.0, 600.0, 80.0])
-)
+TURN = build_rotation(np.array([0.02, -0.03, 1.1]))
+TO_TRACKER = RigidTransform(TURN, np.array([1500.0, 600.0, 80.0]))
 ELSEWHERE_MM = np.array([0.0, 300.0, 0.0])
-SETTINGS = EngineSettings(
-    poll_s=0.02,
-    confirm_s=30.0,
-    progress_s=0.0,
-    timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, search_s=30.0),
-)
+WAITS = StreamTimeouts(silent_s=30.0, dead_s=60.0, search_s=30.0)
+SETTINGS = EngineSettings(poll_s=0.02, confirm_s=30.0, progress_s=0.0, timeouts=WAITS)
 
 
 @pytest.fixture(autouse=True)
@@ -147,16 +142,19 @@ def test_a_target_found_again_needs_nobody(moving, tracker, motion, order, measu
     assert suffered.breaks >= 1
 
 
+def lose(running, tracker, *failures):
+    """Lose the target until two faults are told: it is lost, and is not found."""
+    tracker.failures, tracker.beam = list(failures), False
+    running.until(lambda: len(running.faults) == 2)
+
+
 def test_a_target_that_stays_lost_is_told_with_its_tries(moving, tracker, motion):
-    tracker.failures = [BeamLost("nothing there") for _ in range(9)]
-    tracker.beam = False
-    moving.until(lambda: len(moving.faults) == 2)
+    lose(moving, tracker, *[BeamLost("nothing there")] * 9)
     told = moving.fault
     assert told.code == "beam-lost"
     assert "try 3 of 3" in told.text
     assert "Resume" in told.action
-    assert len(tracker.aimed) == 3
-    assert moving.states[-1] == "paused"
+    assert (len(tracker.aimed), moving.states[-1]) == (3, "paused")
     tracker.beam = True
     motion.speed = 5000.0
     until_resumed(moving)
@@ -165,8 +163,7 @@ def test_a_target_that_stays_lost_is_told_with_its_tries(moving, tracker, motion
 @pytest.mark.fault_row(9)
 def test_another_target_is_never_taken_for_the_lost_one(moving, tracker):
     tracker.finds_another = True
-    tracker.beam = False
-    moving.until(lambda: len(moving.faults) == 2)
+    lose(moving, tracker)
     assert "another one, " in moving.fault.text
     moving.pass_until(lambda: not tracker.beam)
     assert moving.states[-1] == "paused"
@@ -176,8 +173,7 @@ def test_another_target_is_never_taken_for_the_lost_one(moving, tracker):
 
 
 def test_a_device_without_the_verb_is_as_any_other(moving, tracker):
-    tracker.failures = [NotOffered("speaks version 1")]
-    tracker.beam = False
+    tracker.failures, tracker.beam = [NotOffered("speaks version 1")], False
     moving.until(lambda: "paused" in moving.states)
     moving.pass_until(lambda: not tracker.failures)
     host_clock.sleep_s(0.1)  # silence can only be waited for
@@ -194,8 +190,7 @@ def test_a_beam_that_comes_back_by_itself_waits_for_somebody(moving, tracker, mo
     tracker.beam = True
     motion.speed = 5000.0
     host_clock.sleep_s(0.5)  # the next try would have been by then
-    assert moving.states[-1] == "paused"
-    assert len(tracker.aimed) == 1
+    assert (moving.states[-1], len(tracker.aimed)) == ("paused", 1)
     until_resumed(moving)
 
 
@@ -203,12 +198,9 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(begin, tracker, orde
     timeouts = replace(SETTINGS.timeouts, search_s=0.1)
     running = begin(order, settings=replace(SETTINGS, timeouts=timeouts))
     running.until_done()
-    tracker.failures = [BeamLost("nothing there")]
-    tracker.beam = False
-    running.until(lambda: len(running.faults) == 2)
+    lose(running, tracker, BeamLost("nothing there"))
     assert "after 1 tries" in running.fault.text
-    assert len(tracker.aimed) == 1
-    assert running.states[-1] == "paused"
+    assert (len(tracker.aimed), running.states[-1]) == (1, "paused")
 
 
 def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motion):
@@ -217,8 +209,7 @@ def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motio
     running = begin(standing_at(order, position, 6.0))
     running.until_done()
     tracker.beam = False
-    assert running.ended() == "finished"
-    assert len(running.texts("found")) == 1
+    assert (running.ended(), len(running.texts("found"))) == ("finished", 1)
     rows = [text for text in running.texts("point") if "until" in text]
     run = running.run
     assert len(rows) == 5
@@ -256,15 +247,12 @@ class FindingPolled(FakePolledTracker, TargetFinder):
 
 def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion, order):
     motion.speed, position = 2000.0, draw_rows(6)
-    running = begin(
-        standing_at(order, position, 0.02),
-        tracker=FindingPolled(motion),
-        settings=replace(SETTINGS, poll_s=0.01, settle_s=0.02),
-    )
+    settings = replace(SETTINGS, poll_s=0.01, settle_s=0.02)
+    points = standing_at(order, position, 0.02)
+    running = begin(points, tracker=FindingPolled(motion), settings=settings)
     assert running.ended() == "finished"
     run = running.run
-    assert run.points.row.tolist() == list(range(6))
-    assert running.faults == ["beam-lost"]
+    assert (run.points.row.tolist(), running.faults) == (list(range(6)), ["beam-lost"])
     places = TO_TRACKER.apply(position)
     np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
     assert summarize_run(run).interruptions.found == 1
@@ -282,8 +270,7 @@ def test_a_tracker_is_homed_before_the_first_line(begin, tracker, motion, order)
     patience = StreamTimeouts(silent_s=15.0, dead_s=18.0, late_s=1000.0)
     running = begin(order, settings=replace(SETTINGS, timeouts=patience))
     running.ended()
-    assert running.states == ["running", "finished"]
-    assert tracker.homed == 1
+    assert (running.states, tracker.homed) == (["running", "finished"], 1)
     assert running.faults == ["tracker-homed"]
     kinds = [event.kind for event in running.run.events]
     assert kinds.index("tracker-homed") < kinds.index("start")
@@ -292,8 +279,7 @@ def test_a_tracker_is_homed_before_the_first_line(begin, tracker, motion, order)
 def test_a_tracker_that_homing_does_not_mend_is_refused(begin, tracker, motion, order):
     tracker.refusal, tracker.is_mended_by_home = NotHomed("not initialised"), False
     motion.speed = 5000.0
-    assert begin(order).ended() == "failed"
-    assert tracker.homed == 1
+    assert (begin(order).ended(), tracker.homed) == ("failed", 1)
     assert "start" not in motion.calls
 
 

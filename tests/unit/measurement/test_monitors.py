@@ -105,11 +105,8 @@ class Bench:
         for before, after in pairwise(range(round(10 * seconds) + 1)):
             self.clock.time_s += (after - before) / 10.0
             self.monitor.check()
-            stands = self.state.wants_hold
-            self.state.observe(
-                MotionState.HELD if stands else MotionState.RUNNING,
-                "command" if stands else "",
-            )
+            held, runs = (MotionState.HELD, "command"), (MotionState.RUNNING, "")
+            self.state.observe(*(held if self.state.wants_hold else runs))
 
 
 @pytest.fixture

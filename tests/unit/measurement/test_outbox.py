@@ -72,12 +72,9 @@ def test_blocks_that_nobody_takes_are_dropped_and_counted_and_nothing_else(reluc
     outbox.close(5.0)
     blocks = [e for e in link.taken if isinstance(e, messages.BlockRecorded)]
     assert [b.block.sequence[0] for b in blocks] == list(range(MAX_BLOCKS))
-    others = [type(e) for e in link.taken if not isinstance(e, messages.BlockRecorded)]
-    assert others == [
-        messages.StateChanged,
-        messages.FaultReported,
-        messages.StateChanged,
-    ]
+    names = [type(event).__name__ for event in link.taken]
+    others = [name for name in names if name != "BlockRecorded"]
+    assert others == ["StateChanged", "FaultReported", "StateChanged"]
 
 
 def test_a_slow_parent_gets_the_latest_and_every_state_however_many_wait(reluctant):
@@ -101,5 +98,4 @@ def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
     until(lambda: len(link.taken) > MAX_BLOCKS)
     outbox.report(block(MAX_BLOCKS))
     outbox.close(5.0)
-    assert outbox.dropped_blocks == 0
-    assert link.taken[-1].block.sequence[0] == MAX_BLOCKS
+    assert (outbox.dropped_blocks, link.taken[-1].block.sequence[0]) == (0, MAX_BLOCKS)

@@ -30,8 +30,7 @@ def test_each_point_is_one_mean_of_its_row_and_goes_to_the_live_estimate(
     moved = []
     polled.before = lambda _: moved.append(motion.status().state == "running")
     state, run = measure(replace(order, live=True))
-    assert state == "finished"
-    assert moved == [False] * 4
+    assert (state, moved) == ("finished", [False] * 4)
     assert run.points.row.tolist() == list(range(4))
     assert (run.points.count >= 3).all()
     off = run.tracker.position_mm - PLACE_MM - order.commanded.position
@@ -94,8 +93,7 @@ def test_what_stays_away_or_never_ends_is_a_fault(measure, polled, journal, erro
     polled.before = fail
     timeouts = StreamTimeouts(point_s=0.3)
     state, run = measure(settings=replace(QUICK, timeouts=timeouts))
-    assert state == "faulted"
-    assert run.points.row.tolist() == [0]
+    assert (state, run.points.row.tolist()) == ("faulted", [0])
     assert error or journal.faults == ["tracker-silent"]
 
 
@@ -108,8 +106,7 @@ def test_a_machine_that_is_moved_meanwhile_is_measured_anew(measure, polled, mot
 
     polled.before = jog
     state, run = measure()
-    assert state == "finished"
-    assert run.points.row.tolist() == list(range(4))
+    assert (state, run.points.row.tolist()) == ("finished", list(range(4)))
     off = run.tracker.position_mm - PLACE_MM - run.commanded.position
     assert np.abs(off).max() < 5 * NOISE_MM
 
@@ -121,8 +118,7 @@ def test_abort_ends_a_point_under_way_and_keeps_the_others(measure, polled):
 
     polled.before = abort
     state, run = measure()
-    assert state == "aborted"
-    assert run.points.row.tolist() == [0, 1, 2]
+    assert (state, run.points.row.tolist()) == ("aborted", [0, 1, 2])
 
 
 def test_a_path_is_refused_before_anything_moves(measure, order, square, motion):
@@ -146,7 +142,6 @@ def test_warnings_of_trackers_are_told_and_recorded(measure, polled, journal, me
 def test_events_of_controllers_are_recorded_and_told(measure, motion):
     motion.events = [TrackerEvent(TrackerEventKind.UNEVEN, "stood within a row")]
     _, run = measure()
-    assert ("motion-uneven", "stood within a row") in [
-        (event.kind, event.text) for event in run.events
-    ]
+    told = [(event.kind, event.text) for event in run.events]
+    assert ("motion-uneven", "stood within a row") in told
     assert summarize_run(run).told == ("stood within a row",)

@@ -21,10 +21,8 @@ from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 PLUGINS = {"tracker": PluginOrigin("t", "ours", "1.2", 1)}
-DEVICES = {
-    "tracker": Identity("Us", "T", "1", "0.1"),
-    "motion": Identity("Us", "C", "2", "0.2"),
-}
+TRACKER, MOTION = Identity("Us", "T", "1", "0.1"), Identity("Us", "C", "2", "0.2")
+DEVICES = {"tracker": TRACKER, "motion": MOTION}
 
 
 @pytest.fixture
@@ -47,13 +45,9 @@ def recorder(file, header):
 
 def block(first, count=50):
     sequence = np.arange(first, first + count, dtype=np.int64)
-    rng = np.random.default_rng(first)
-    return TrackerSamples(
-        sequence,
-        1000.0 + sequence * 0.002,
-        rng.normal(0, 100, (count, 3)),
-        (sequence % 7 == 0).astype(np.int64),
-    )
+    place_mm = np.random.default_rng(first).normal(0, 100, (count, 3))
+    status = (sequence % 7 == 0).astype(np.int64)
+    return TrackerSamples(sequence, 1000.0 + sequence * 0.002, place_mm, status)
 
 
 def fill(recorder, blocks=20):
@@ -72,16 +66,14 @@ def test_one_signed_file_gives_back_everything(recorder, file, header, read_link
     recorder.event("start", "cycle start")
     closed = recorder.close("finished")
     assert [p.name for p in file.parent.iterdir()] == ["monday.sqlite"]
-    assert file.stat().st_mode & 0o777 == 0o444
-    assert closed.sha256 == hash_file(file)
+    assert (file.stat().st_mode & 0o777, closed.sha256) == (0o444, hash_file(file))
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
     run = open_run(file)
     for name in ("sequence", "device_time_s", "position_mm", "status"):
         kept, put = getattr(run.tracker, name), getattr(written, name)
         np.testing.assert_array_equal(kept, put)
     link = b"".join(b"%03d" % i * 20 for i in range(20))
-    assert read_link_bytes(file) == link + b"noise"
-    assert run.name == "monday"
+    assert (read_link_bytes(file), run.name) == (link + b"noise", "monday")
     assert run.machine == header.machine
     np.testing.assert_array_equal(run.commanded.position, header.commanded.position)
     np.testing.assert_array_equal(run.commanded.dwell_s, header.commanded.dwell_s)
@@ -115,10 +107,8 @@ def test_points_are_read_back(file, header, square):
     points = Configurations(square.axes, square.position, square.dwell_s, names)
     Recorder(file, replace(header, commanded=points), reserve_bytes=0).close("failed")
     run = open_run(file)
-    assert run.mode == "standstill"
-    assert run.commanded.target == names
-    assert len(run.tracker) == 0
-    assert run.axis_samples is None
+    assert (run.mode, run.commanded.target) == ("standstill", names)
+    assert (len(run.tracker), run.axis_samples) == (0, None)
 
 
 def test_a_hole_in_the_counter_is_named_and_one_that_goes_back_refused(recorder, file):
@@ -160,9 +150,8 @@ def test_a_display_that_fails_stops_no_recording(file, header, caplog, monkeypat
     closed = recorder.close("finished")
     assert closed.failure == ""
     assert closed.samples == len(open_run(file).tracker) == 1000
-    assert [r.getMessage() for r in caplog.records] == [
-        "recorded samples cannot be shown; recording goes on"
-    ]
+    (record,) = caplog.records
+    assert record.getMessage() == "recorded samples cannot be shown; recording goes on"
 
 
 def test_a_run_that_cannot_begin_says_why_and_a_disk_that_fills_up_is_noticed(
@@ -200,8 +189,7 @@ def test_a_full_disk_loses_nothing_committed(file, header, monkeypatch, measured
     assert "check disk space" in recorder.failure
     with pytest.raises(MeasurementFailed):
         recorder.event("late", "too late")
-    closed = recorder.close("failed")
-    assert "full" in closed.failure
+    assert "full" in recorder.close("failed").failure
     recorded = open_run(file).tracker
     assert len(recorded) >= 200
     measured(f"{len(recorded)} samples, all that were committed")
@@ -228,8 +216,7 @@ def test_a_disk_too_slow_is_an_error_once_the_queue_is_full(file, header, monkey
         recorder.put_tracker(block(250))
     assert recorder.is_strained
     go_on.set()
-    closed = recorder.close("failed")
-    assert "too slow" in closed.failure
+    assert "too slow" in recorder.close("failed").failure
     assert len(open_run(file).tracker) >= 50
 
 
@@ -288,11 +275,9 @@ def test_a_flipped_bit_costs_one_batch_is_named_and_the_run_salvaged(closed_file
     before = closed_file.read_bytes()
     closed = repair_run(closed_file)
     assert "CRC does not match" in closed.failure
-    assert closed.samples == 39 * 50
-    assert closed.lost_samples == 50
+    assert (closed.samples, closed.lost_samples) == (39 * 50, 50)
     torn = closed_file.with_name("monday.sqlite.torn")
-    assert torn.read_bytes() == before
-    assert closed.sha256 == hash_file(closed_file)
+    assert (torn.read_bytes(), closed.sha256) == (before, hash_file(closed_file))
     run = open_run(closed_file)
     assert len(run.tracker) == 39 * 50
     assert [e.kind for e in run.events] == ["start", "gap"]
@@ -314,9 +299,8 @@ def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng, measured):
         except BundleError:
             refused += 1
             continue
-        written = good.tracker.position_mm[
-            [whole[int(s)] for s in run.tracker.sequence]
-        ]
+        kept = [whole[int(s)] for s in run.tracker.sequence]
+        written = good.tracker.position_mm[kept]
         np.testing.assert_array_equal(run.tracker.position_mm, written)
         np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
     measured(f"40 flipped bits: {refused} files refused, 0 wrong samples")

@@ -6,15 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measurement_fixtures import (
-    PLACE_MM,
-    QUICK,
-    FakePolledTracker,
-    FakeTracker,
-    along,
-    draw_rows,
-    standing_at,
-)
+import measurement_fixtures as fixtures
 from truepath.kinematics.machine.machine import Target
 from truepath.measurement import messages
 from truepath_drivers import host_clock
@@ -44,10 +36,10 @@ class Choosing(TargetChoice):
 
     @property
     def seen_mm(self):
-        return PLACE_MM + self.motion.here + OFFSET_MM[self.on]
+        return fixtures.PLACE_MM + self.motion.here + OFFSET_MM[self.on]
 
 
-class ChoosingStream(Choosing, FakeTracker):
+class ChoosingStream(Choosing, fixtures.FakeTracker):
     def select_target(self, name):
         super().select_target(name)
         assert self.motion.status().state != "running" or len(self.asked) == 1
@@ -57,7 +49,7 @@ class ChoosingStream(Choosing, FakeTracker):
         return replace(samples, position_mm=np.tile(self.seen_mm, (len(samples), 1)))
 
 
-class ChoosingTracker(Choosing, FakePolledTracker):
+class ChoosingTracker(Choosing, fixtures.FakePolledTracker):
     def measure(self, dwell_s):
         return PointMeasurement.average(np.array([0.0]), self.seen_mm[None])
 
@@ -70,13 +62,13 @@ def tracker(motion):
 
 @pytest.fixture
 def calm():
-    return QUICK
+    return fixtures.QUICK
 
 
 @pytest.fixture
 def order(order):
     targets = tuple(Target(name, "tool", at) for name, at in OFFSET_MM.items())
-    points = standing_at(order, draw_rows(4), 0.03, TURNS)
+    points = fixtures.standing_at(order, fixtures.draw_rows(4), 0.03, TURNS)
     return replace(points, machine=replace(order.machine, targets=targets))
 
 
@@ -118,10 +110,9 @@ def test_each_point_is_of_its_target_chosen_or_brought_by_hand(
     running = measure(aim_by_hand)
     assert journal.states[-1] == "finished"
     run, offsets = running.run, np.array([OFFSET_MM[name] for name in TURNS])
-    places = PLACE_MM + run.commanded.position + offsets
+    places = fixtures.PLACE_MM + run.commanded.position + offsets
     np.testing.assert_allclose(run.tracker.position_mm, places, atol=1e-6)
-    assert tracker.asked == asked.split()
-    assert journal.faults == faults
+    assert (tracker.asked, journal.faults) == (asked.split(), faults)
 
 
 def test_an_unknown_target_ends_the_measurement(measure, tracker, journal):
@@ -159,11 +150,11 @@ def drive(measure, motion, order):
     names = ("T1", "T1", "T1", "T2", "T2", "T2", "T1", "T1")
     corners = [[10.0, 10, -10], [400, 300, -10], [400, 10, -200]]
     rows = np.array(corners)[[0, 1, 2, 2, 0, 1, 1, 2]]
-    lines = along(order, rows, target=names)
+    lines = fixtures.along(order, rows, target=names)
 
     def driven(tracker, mend=lambda: None):
         motion.speed = 20.0
-        given = {"tracker": tracker, "settings": replace(QUICK, lead_s=0.5)}
+        given = {"tracker": tracker, "settings": replace(fixtures.QUICK, lead_s=0.5)}
         return measure(mend, lines, **given)
 
     return driven
@@ -180,14 +171,12 @@ def test_lines_of_several_targets_need_nobody_one_program_for_each_that_is_chose
     tracker = ChoosingStream(motion)
     tracker.failures = failures
     running = drive(tracker)
-    assert journal.states == ["running", "finished"]
-    assert tracker.asked == asked.split()
+    assert (journal.states, tracker.asked) == (["running", "finished"], asked.split())
     assert journal.faults == []
     assert motion.calls.count("load") == motion.calls.count("start") == programs
     assert len(running.run.commanded) == 8
     done = [(p.done, p.total) for p in journal.of(messages.MeasurementProgress)]
-    assert done[-1] == (7, 7)
-    assert done == sorted(done)
+    assert (done[-1], done) == ((7, 7), sorted(done))
 
 
 def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journal):
@@ -199,7 +188,5 @@ def test_a_wrong_target_at_a_change_holds_before_its_lines(drive, motion, journa
         tracker.goes_to = {}
 
     drive(tracker, mend)
-    assert journal.states[-1] == "finished"
-    assert journal.faults == ["wrong-target"]
-    assert set(begun) == {1}
-    assert tracker.asked == ["T1", "T2", "T2", "T1"]
+    assert (journal.states[-1], journal.faults) == ("finished", ["wrong-target"])
+    assert (set(begun), tracker.asked) == ({1}, ["T1", "T2", "T2", "T1"])

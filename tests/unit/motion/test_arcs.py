@@ -8,12 +8,7 @@ import pytest
 
 from paths_by_hand import path_of
 from truepath.errors import BundleError, OutOfTravel, PlanningError
-from truepath.files.bundle.commanded_file import (
-    decode_commanded,
-    decode_commanded_json,
-    encode_commanded,
-    encode_commanded_json,
-)
+from truepath.files.bundle import commanded_file
 from truepath.motion.configurations import append_part
 from truepath.motion.motion_times import row_times_s
 from truepath.motion.nc_programs.programs import write_program
@@ -58,17 +53,16 @@ def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill):
 
 
 def test_arcs_survive_their_files_unless_they_do_not_lead_to_their_row(mill, circles):
-    data = encode_commanded(circles)
-    for again in (
-        decode_commanded(data, mill, "path.csv", is_path=True),
-        decode_commanded_json(encode_commanded_json(circles)),
-    ):
+    data = commanded_file.encode_commanded(circles)
+    json = commanded_file.encode_commanded_json(circles)
+    rows = commanded_file.decode_commanded(data, mill, "path.csv", is_path=True)
+    for again in (rows, commanded_file.decode_commanded_json(json)):
         assert isinstance(again, Path)
         assert again.arc == circles.arc
         assert np.array_equal(again.position, circles.position)
-    text = encode_commanded(circles).decode().replace(",732.0", ",720.0", 1)
+    text = data.decode().replace(",732.0", ",720.0", 1)
     with pytest.raises(BundleError, match=r"row 4.*from where its arc leads to"):
-        decode_commanded(text.encode(), mill, "path.csv", is_path=True)
+        commanded_file.decode_commanded(text.encode(), mill, "path.csv", is_path=True)
 
 
 def test_a_circle_is_driven_back_and_forth_when_it_is_driven_again_and_again(circles):

@@ -12,17 +12,13 @@ from truepath.kinematics.machine.machine import LinearAxis, MotionLimits, Rotary
 from truepath.measurement.engine.path_steps import cut_by_target
 from truepath.motion.configurations import Configurations, append_part
 from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
+from truepath.motion.paths import verification_points
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.paths.default_points import default_points
 from truepath.motion.paths.driven_again import drive_again
 from truepath.motion.paths.feeds import check_feed
 from truepath.motion.paths.verification_kinds import VerificationKind
-from truepath.motion.paths.verification_points import (
-    RANDOM_POINTS,
-    make_verification_points,
-    make_verification_rows,
-)
 from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.travel import check_travel
 from truepath.motion.workspace.workspace import Workspace
@@ -95,8 +91,7 @@ def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):
     at = rng.uniform(size=(40, 2))
     time_s = np.linalg.norm(at[:, None] - at, axis=2)
     order = find_short_order(time_s)
-    assert order[0] == 0
-    assert sorted(order) == list(range(40))
+    assert (order[0], sorted(order)) == (0, list(range(40)))
     length = time_s[order[:-1], order[1:]].sum()
     assert length < 0.45 * time_s[np.arange(39), np.arange(1, 40)].sum()
     for i in range(1, 40):
@@ -188,21 +183,19 @@ def test_lines_and_points_are_driven_again_as_they_were_around_a_box(square):
 
 def test_verification_points_stay_in_the_travel_and_are_not_mixed_with_circles(mill):
     for kind in VerificationKind:
-        points = make_verification_rows(mill, [kind], 3)
+        points = verification_points.make_verification_rows(mill, [kind], 3)
         check_travel(mill, points)
         minutes = float(row_times_s(points, 10_000.0, mill.motion).sum()) / 60.0
         assert minutes < 8.0
     with pytest.raises(BadInput, match="ask for each by itself"):
-        make_verification_rows(mill, list(VerificationKind), 1)
+        verification_points.make_verification_rows(mill, list(VerificationKind), 1)
 
 
 def make_points(mill, kind, seed=1, *workspace):
-    return make_verification_points(mill, [kind], seed, *workspace)
+    return verification_points.make_verification_points(mill, [kind], seed, *workspace)
 
 
-def test_random_points_are_those_of_their_seed_and_keep_clear_of_boxes_on_their_ways(
-    mill,
-):
+def test_random_points_are_those_of_their_seed_and_keep_clear_of_boxes(mill):
     kind = VerificationKind.RANDOM_POINTS
     first, again, other = (make_points(mill, kind, seed).position for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
@@ -213,7 +206,7 @@ def test_random_points_are_those_of_their_seed_and_keep_clear_of_boxes_on_their_
     workspace = Workspace(keep_out=(vice,))
     for seed in range(5):
         points = make_points(mill, kind, seed, workspace)
-        assert points.position.shape == (RANDOM_POINTS, 3)
+        assert points.position.shape == (verification_points.RANDOM_POINTS, 3)
         workspace.require_allowed(mill, points)
     full = Workspace(keep_out=(Box(tuple(low), tuple(high)),))
     with pytest.raises(PlanningError, match="leaves room for 0 of 30 random points"):

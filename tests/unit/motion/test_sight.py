@@ -34,14 +34,10 @@ def blocked_by_sampling(machine, box, begin, end):
     return False
 
 
-@given(
-    seed=st.integers(0, 10_000), carried_by=st.sampled_from(["", "base", "X", "Y", "Z"])
-)
+@given(st.integers(0, 10_000), st.sampled_from(["", "base", "X", "Y", "Z"]))
 @settings(deadline=None, max_examples=60)
 @pytest.mark.parametrize("chain", ["w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-X-b-Z-t"])
-def test_no_line_is_allowed_that_goes_behind_what_an_axis_carries(
-    chain, seed, carried_by
-):
+def test_no_line_is_allowed_behind_what_an_axis_carries(chain, seed, carried_by):
     content = {**load_machine("demo"), "kinematic_chain": chain}
     machine = machine_from_json(content, file="machine.json")
     rng = np.random.default_rng(seed)

@@ -18,8 +18,6 @@ from truepath.numerics.adaptive_trials import (
 
 
 def blocks(draw, seed=1, interval="symmetric"):
-    """Return a function of block numbers that keeps draws of (o, BLOCK)."""
-
     def made(number):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         return summarise(np.atleast_2d(draw(rng)), interval)
@@ -74,10 +72,8 @@ def test_the_shortest_interval_of_a_skewed_output_begins_at_its_mode():
 @pytest.mark.parametrize("interval", ["symmetric", "shortest"])
 def test_what_is_kept_of_the_blocks_gives_the_interval_of_all_trials(interval):
     drawn = [exponential(np.random.default_rng(i)) for i in range(7)]
-    told = propagate(
-        lambda number: summarise(drawn[number][None], interval),
-        TrialPlan(interval=interval, digits=2, most_blocks=7),
-    )
+    plan = TrialPlan(interval=interval, digits=2, most_blocks=7)
+    told = propagate(lambda number: summarise(drawn[number][None], interval), plan)
     every = np.sort(np.concatenate(drawn))
     q = int(0.95 * len(every) + 0.5)
     spans = every[q:] - every[: len(every) - q]

@@ -36,7 +36,6 @@ def dense(time_s, white, sigma):
 
 
 def summed(built, rows):
-    """Return rowsᵀ V⁻¹ rows."""
     return np.tensordot(rows, built.apply(rows), axes=((0, 1), (0, 1)))
 
 

@@ -10,10 +10,16 @@ from truepath.numerics.design_criteria import IntegratedVariance, find_best_posi
 
 KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
 SPLINE = natural_spline(KNOTS)
+CASES = {
+    "knots": st.lists(st.floats(0.1, 3.0), min_size=2, max_size=12),
+    "seed": st.integers(0, 2**32 - 1),
+    "seen": st.integers(0, 14),
+    "log_variance": st.floats(-6.0, 0.5),
+    "values": st.integers(1, 3),
+}
 
 
 def belief(rng, seen, variance=0.01, spline=SPLINE):
-    """Independent control points, then some measurements at random places."""
     prior = np.diag(rng.uniform(0.1, 2.0, spline.size))
     known = IntegratedVariance(prior, spline.gram())
     for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
@@ -30,7 +36,6 @@ def test_integrated_variance_is_the_integral_of_the_variance_of_the_spline(rng):
 
 
 def a_case(knots, seed, seen, log_variance, values):
-    """A spline over any knots, independent values, some measurements made."""
     spline = natural_spline(np.concatenate([[0.0], np.cumsum(knots)]))
     rng = np.random.default_rng(seed)
     known = belief(rng, seen, 10.0**log_variance, spline)
@@ -44,17 +49,7 @@ def a_case(knots, seed, seen, log_variance, values):
     return known, rows, spline.knots, 10.0**log_variance
 
 
-CASES = {
-    "knots": st.lists(st.floats(0.1, 3.0), min_size=2, max_size=12),
-    "seed": st.integers(0, 2**32 - 1),
-    "seen": st.integers(0, 14),
-    "log_variance": st.floats(-6.0, 0.5),
-    "values": st.integers(1, 3),
-}
-
-
 def search_densely(known, rows, borders, variance, points=10_000):
-    """Return the highest drop of many places, refined about each of the best."""
     at, step = np.linspace(borders[0], borders[-1], points, retstep=True)
     drop = known.compute_drops(rows(at), variance)
     beside = np.pad(drop, 1, constant_values=-np.inf)
@@ -77,18 +72,15 @@ def assert_exact(known, rows, knots, variance):
     assert best.drop == pytest.approx(there, rel=1e-9)
 
 
-@given(**CASES)
-@settings(deadline=None, max_examples=60)
-def test_the_exact_optimum_equals_a_dense_search(**case):
-    assert_exact(*a_case(**case))
-
-
-@pytest.mark.long
 @pytest.mark.timeout(900)
-@given(**CASES)
-@settings(deadline=None, max_examples=500)
-def test_the_exact_optimum_equals_a_dense_search_in_many_cases(**case):
-    assert_exact(*a_case(**case))
+@pytest.mark.parametrize("cases", [60, pytest.param(500, marks=pytest.mark.long)])
+def test_the_exact_optimum_equals_a_dense_search(cases):
+    @given(**CASES)
+    @settings(deadline=None, max_examples=cases)
+    def check(**case):
+        assert_exact(*a_case(**case))
+
+    check()
 
 
 def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):

@@ -28,9 +28,7 @@ def test_a_clock_that_was_never_set_is_wrong():
     assert found.grade is Grade.WRONG
 
 
-def test_memory_threads_and_room_and_rights_of_the_data_folder_are_graded(
-    tmp_path, monkeypatch
-):
+def test_memory_threads_room_and_rights_of_the_folder_are_graded(tmp_path, monkeypatch):
     file = tmp_path / "meminfo"
     for free_kb, grade in ((500_000, "warning"), (4 << 20, "ok")):
         file.write_text(f"MemTotal:       99 kB\nMemAvailable:   {free_kb} kB\n")
@@ -49,9 +47,7 @@ def test_memory_threads_and_room_and_rights_of_the_data_folder_are_graded(
 
 
 @pytest.mark.parametrize("kind", ["nfs4", "cifs", "fuse.sshfs"])
-def test_a_data_folder_on_a_network_share_is_wrong_and_no_service_starts_there(
-    tmp_path, kind
-):
+def test_a_data_folder_on_a_network_share_is_wrong_and_refused(tmp_path, kind):
     mounts, folder = tmp_path / "mounts", tmp_path / "data"
     mounts.write_text(f"/dev/sda1 / ext4 rw 0 0\nserver:/x {folder} {kind} rw 0 0\n")
     found = doctor.check_file_system(folder, mounts)

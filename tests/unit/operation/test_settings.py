@@ -23,6 +23,7 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 ROOT = Path(__file__).parents[3]
 TOGETHER = {"tls_cert": {"tls_key": "/k.pem"}, "tls_key": {"tls_cert": "/c.pem"}}
+PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
 
 
 def test_the_page_is_that_of_the_settings(monkeypatch):
@@ -71,9 +72,6 @@ def test_the_settings_in_effect_are_toml_that_loads_and_hides_secrets(tmp_path, 
     assert in_effect["tracker_options"] == {"host": "h", "password": HIDDEN}
     assert in_effect["database_password_file"] == str(password)
     assert in_effect["port"] == 8411
-
-
-PEM = "-----BEGIN EC PRIVATE KEY-----\nMIplanted\n-----END EC PRIVATE KEY-----"
 
 
 @pytest.mark.parametrize(
@@ -140,9 +138,7 @@ def test_the_defaults_listen_at_home_and_beyond_has_to_be_said(tmp_path):
     assert not load_settings(host="0.0.0.0", allow_plain_http=True).is_loopback
 
 
-def test_the_command_line_beats_the_environment_beats_the_file_and_both_have_options(
-    toml, monkeypatch, tmp_path
-):
+def test_the_command_line_beats_environment_and_file(toml, monkeypatch, tmp_path):
     toml("port = 1001\n", tmp_path / "config" / "truepath" / "truepath.toml")
     assert load_settings().port == 1001  # at its usual place
     monkeypatch.setenv("TRUEPATH_CONFIG", str(toml("port = 1002\n")))
@@ -153,7 +149,6 @@ def test_the_command_line_beats_the_environment_beats_the_file_and_both_have_opt
     settings = load_settings(file, port=3000, simulated=None)
     assert (settings.port, settings.log_level) == (3000, "error")
     assert settings.simulated_seed == 3
-    # Options of drivers are tables in the file and JSON in the environment.
     file = toml('[tracker_options]\nport = "/dev/tracker"\nbaudrate = 921600\n')
     monkeypatch.setenv("TRUEPATH_MOTION_OPTIONS", '{"host": "10.0.0.2", "port": 502}')
     settings = load_settings(file)
@@ -211,11 +206,8 @@ def test_the_password_of_the_catalogue_comes_from_a_file(tmp_path):
 def test_who_computes_is_set_like_everything_else(monkeypatch, tmp_path):
     assert choose_workers(load_settings()) == Workers()
     settings = load_settings(data_dir=tmp_path, executor="dask")
-    with (
-        pytest.raises(BadInput, match="setting dask_scheduler: is empty"),
-        open_service(settings),
-    ):
-        pass
+    with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
+        open_service(settings).__enter__()
     monkeypatch.setenv("TRUEPATH_EXECUTOR", "dask")
     monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.20:8786")
     monkeypatch.setenv("TRUEPATH_EXECUTOR_WORKERS", "6")

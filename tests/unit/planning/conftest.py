@@ -27,7 +27,6 @@ def small_mill(mill):
 
 @cache
 def design_of(machine, kind, perpendicular_only):
-    """What the estimator believes of a machine before the first line or point."""
     if kind == "points":
         drive = Drive.of(machine.axis_names, 1.0)
         return start_design(PointDesignState, machine, STAND_MM, drive, target="")

@@ -22,18 +22,12 @@ from truepath.planning.lines.planner import Planner
 from truepath.planning.lines.target_time_split import share_among_targets
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
-TARGETS = (
-    Target("T1", "tool", (0.0, 0.0, -150.0)),
-    Target("T2", "tool", (60.0, 0.0, -80.0)),
-    Target("W1", "workpiece", (390.0, 225.0, -150.0)),
-)
-SIX_TARGETS = (
-    *TARGETS[:2],
-    Target("T3", "tool", (0.0, 70.0, -110.0)),
-    TARGETS[2],
-    Target("W2", "workpiece", (180.0, 345.0, -90.0)),
-    Target("W3", "workpiece", (190.0, 110.0, -30.0)),
-)
+ON_TOOL = ((0.0, 0.0, -150.0), (60.0, 0.0, -80.0), (0.0, 70.0, -110.0))
+ON_TABLE = ((390.0, 225.0, -150.0), (180.0, 345.0, -90.0), (190.0, 110.0, -30.0))
+SIX_TARGETS = [Target(f"T{k}", "tool", at) for k, at in enumerate(ON_TOOL, 1)]
+SIX_TARGETS += [Target(f"W{k}", "workpiece", at) for k, at in enumerate(ON_TABLE, 1)]
+TARGETS = (*SIX_TARGETS[:2], SIX_TARGETS[3])
+CHANGE_S = 5.0
 
 
 def mill_of(*travel_mm):
@@ -47,23 +41,18 @@ def usual_path():
 
 
 def left_mm(machine, path):
-    """Volumetric uncertainty that a path leaves, by the planner's own criterion."""
     drive, told = Drive.of(machine.axis_names, 0.35), 0.0
     for target in machine.targets:
         order = LineDesignState, machine, STATION_MM, drive
         known = start_design(*order, target=target.name)
-        rows = [r for r in range(1, len(path)) if measures(path, r, target.name)]
-        begin, end = (path.position[np.array(rows) - k] for k in (1, 0))
+        moves = np.any(np.diff(path.position, axis=0), axis=1)
+        own = np.array(path.target[1:] or [target.name] * len(moves)) == target.name
+        rows = 1 + np.flatnonzero(moves & own)
+        begin, end = path.position[rows - 1], path.position[rows]
         found = known.rows(Legs(begin, end, path.feed_mm_min[rows]))
         flat = found.reshape(-1, found.shape[2])
         told = told + flat.T @ flat
     return float(np.sum(inverse(known.precision + told) * known.gram)) ** 0.5
-
-
-def measures(path, row, target):
-    if path.target and path.target[row] != target:
-        return False
-    return bool((path.position[row] != path.position[row - 1]).any())
 
 
 @pytest.mark.parametrize("size", [(500, 400, 300), (120, 80, 60)])
@@ -109,9 +98,8 @@ def test_the_default_path_tells_more_a_second_than_lines_between_corners():
 
 def test_the_same_seed_gives_the_same_path():
     for machine in (mill_of(), trunnion()):
-        first, second, other = (
-            default_path(machine, seed=seed, lines=6).position for seed in (5, 5, 6)
-        )
+        made = (default_path(machine, seed=seed, lines=6) for seed in (5, 5, 6))
+        first, second, other = (path.position for path in made)
         np.testing.assert_array_equal(first, second)
         assert not np.array_equal(first, other)
         np.testing.assert_array_equal(first, np.round(first, 4))
@@ -138,21 +126,17 @@ def path():
     return default_path(trunnion(), 6000.0)
 
 
-def steps(path):
-    step = np.diff(path.position, axis=0)
-    return np.linalg.norm(step[:, :3], axis=1), np.abs(step[:, 3:]).max(axis=1)
-
-
 def test_lines_go_straight_turn_and_do_both_within_the_travel_and_feeds(path):
     check_travel(trunnion(), path)
-    straight, turn = steps(path)
+    step = np.diff(path.position, axis=0)
+    straight = np.linalg.norm(step[:, :3], axis=1)
+    turn = np.abs(step[:, 3:]).max(axis=1)
     assert ((straight > 0) & (turn == 0)).sum() > 8
     assert ((straight == 0) & (turn > 0)).sum() > 8
     assert ((straight > 0) & (turn > 0)).sum() > 5
     assert np.ptp(path.position[:, 3]) > 120.0
     assert np.ptp(path.position[:, 4]) == 360.0
-    length = np.linalg.norm(np.diff(path.position, axis=0)[:, 3:], axis=1)
-    length = np.where(straight > 0, straight, length)
+    length = np.where(straight > 0, straight, np.linalg.norm(step[:, 3:], axis=1))
     moved = length > 0
     minutes = length[moved] / path.feed_mm_min[1:][moved]
     assert (turn[moved] / minutes).max() < 1.001 * FASTEST_DEG_MIN
@@ -165,13 +149,10 @@ def test_the_first_target_is_measured_again_after_all_others_unless_by_one_line(
     assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
     blocks = np.diff([0, *change, len(path)])
     assert abs(blocks[0] - blocks[-1]) <= 1
-    # Its first lines are driven again at the end.
     np.testing.assert_array_equal(path.position[-4:], path.position[:4])
     np.testing.assert_array_equal(path.feed_mm_min[-3:], path.feed_mm_min[1:4])
-    # The machine waits while the target changes.
     assert (path.dwell_s[change] >= 5.0).all()
     assert (path.position[change] == path.position[change - 1]).all()
-    # A single line of the first target is not halved.
     targets = default_path(trunnion(), 6000.0, lines=3).target
     assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
     assert targets[-1] == "W1"
@@ -194,7 +175,7 @@ def test_the_target_moves_on_every_line(path):
 
 
 def test_planned_lines_tell_more_than_random_ones_in_the_same_time(rng):
-    mill = trunnion(SIX_TARGETS)
+    mill = trunnion(tuple(SIX_TARGETS))
     path = default_path(mill, lines=36)
     low, high = np.array([(axis.low, axis.high) for axis in mill.axes]).T
     position = rng.uniform(low, high, path.position.shape)
@@ -219,23 +200,14 @@ def test_a_target_on_the_axis_that_turns_it_is_refused_with_the_remedy():
         default_path(replace(trunnion((centre,)), workpiece_side=("C", "A")), lines=3)
 
 
-CHANGE_S = 5.0
-
-
-@pytest.fixture(scope="module")
-def planners():
+def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one():
     machine, workspace = trunnion(), Workspace()
     station_mm = choose_station(machine, workspace)
     drive = Drive.of_lines(machine, 0.4)
     design = start_design(LineDesignState, machine, station_mm, drive, target="T1")
     first = Planner(machine, design, workspace, (6000.0,))
-    return [
-        replace(first, design=replace(design, target=target))
-        for target in moving_targets(machine)
-    ]
-
-
-def test_targets_share_all_time_but_that_of_turning_and_fewer_a_short_one(planners):
+    designs = (replace(design, target=target) for target in moving_targets(machine))
+    planners = [replace(first, design=one) for one in designs]
     shares = share_among_targets(planners, 240.0, CHANGE_S, 0)
     total = sum(share.budget_s for share in shares)
     assert total == pytest.approx(240.0 - CHANGE_S * len(shares))

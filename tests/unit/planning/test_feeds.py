@@ -43,13 +43,9 @@ def test_a_line_takes_as_long_as_a_jerk_limited_machine_does(length_mm, jerk_mm_
     assert drive.times_s(leg)[0] == pytest.approx(expected[0, :, 0].sum(), rel=1e-9)
 
 
-@pytest.fixture(scope="module")
-def planned(small_mill):
+def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(small_mill):
     machine = moving_at(small_mill, max_feed_mm_min=16_000, acceleration_mm_s2=3000)
-    return make_plan(machine, PlanRequirements(minutes=1.0))
-
-
-def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned):
+    planned = make_plan(machine, PlanRequirements(minutes=1.0))
     feeds = planned.commanded.feed_mm_min[1:]
     document = plan_document(planned)
     assert feeds.max() <= 16_000.0
@@ -57,7 +53,6 @@ def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned)
     assert "16000" in document["feed_choice"]["reason"]
     lines = {f["feed_mm_min"]: f["lines"] for f in document["feed_choice"]["feeds"]}
     assert sum(lines.values()) == len(feeds)
-    # No single feed tells much more a second than those of the plan.
     assert max(planned.feeds_worth.values()) < 1.08
 
 

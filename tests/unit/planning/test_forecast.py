@@ -19,6 +19,9 @@ from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
+IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
+IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
+
 
 def state_variance(made):
     ppm = state_length_ppm(Refraction(), made.model.machine.tracker.range_ppm)
@@ -60,10 +63,8 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
     content = load_small("demo", 1.0)
     content["tracker"]["specification"] = asdict(TrackerSpecification())
     program = paths.chord_path(parse_machine(content), 1, 16, 10_000.0)
-    made = [
-        record_run(content, program, seed, setting=Setting(machine_seed=1))
-        for seed in range(1, 1 + places)
-    ]
+    order = {"setting": Setting(machine_seed=1)}
+    made = [record_run(content, program, 1 + k, **order) for k in range(places)]
     result = estimate(*align_all([run for run, _ in made], ["one", "two"][:places]))
     stated = state_variance(result) ** 0.5
     found = None
@@ -104,22 +105,11 @@ def test_uncertainty_shrinks_from_row_to_row_and_what_is_known_least_is_named(ou
         assert set(step.weakest_mm) < set(foretold.motion_sigmas())
     first, last = (foretold.curve[i].weakest_mm for i in (0, -1))
     assert max(last.values()) < max(first.values())
-    # What one target cannot tell is named as well.
     assert {text[:3] for text in foretold.unobservable} == {"EAZ", "EBZ", "ECZ", "ECY"}
     motions = foretold.motion_sigmas()
     assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14
     assert {"C0Y", "B0Z", "A0Z"} < set(motions)
     assert all(sigma > 0.0 for sigma in motions.values())
-
-
-def merge_points(*places):
-    n = len(places)
-    position_mm = np.array([500.0, 400.0, 300.0]) * places
-    return Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
-
-
-IN_SPACE = ((0.1, 0.1, 0.1), (0.9, 0.7, 0.8), (0.2, 0.9, 0.2), (0.9, 0.1, 0.6))
-IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9))
 
 
 @pytest.mark.parametrize(
@@ -128,7 +118,9 @@ IN_A_PLANE = tuple((0.1 + 0.8 * (k % 2), 0.1 * k, 0.07 * k) for k in range(1, 9)
     ids=["two-lines", "three-lines", "in-a-plane"],
 )
 def test_what_estimates_refuse_is_foretold_as_they_say(record, places, is_determined):
-    run, truth = record(2, program=merge_points(*places))
+    n, position_mm = len(places), np.array([500.0, 400.0, 300.0]) * places
+    program = Program(position_mm, np.full(n, 100.0), np.full(n, 0.6))
+    run, truth = record(2, program=program)
     stand_mm = truth.recording.pose.position_mm
     foretold = predict_undetermined(run.machine, run.commanded, stand_mm)
     refused = ""

@@ -1,11 +1,12 @@
 """The grade of a set-up from its geometry, held against what estimates then achieve."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
+import paths_by_hand
 from estimating import estimate, judge_map
 from truepath.alignment.align import align
 from truepath.errors import PlanningError
@@ -15,7 +16,6 @@ from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Configurations
 from truepath.planning.grade import SetUp, grade, grade_together, verdict
 from truepath.planning.lines.default_path import default_path
-from truepath_drivers.interfaces.records import Path
 
 plan = cache(default_path)
 STATION_MM = np.array([-900.0, 200.0, 100.0])
@@ -26,10 +26,7 @@ def demo(record):
     return record(1)[0].machine
 
 
-def path_of(machine, rows, feed=6000.0):
-    position = np.array(rows, float)
-    n = len(position)
-    return Path(machine.axis_names, position, np.full(n, feed), np.full(n, 0.4))
+path_of = partial(paths_by_hand.path_of, dwell_s=0.4)
 
 
 @pytest.mark.parametrize(("mode", "rows"), [("otf", 16), ("standstill", 60)])
@@ -99,7 +96,7 @@ def test_the_line_asked_for_lowers_the_number_it_promises(demo):
     found = grade(demo, path, station_mm=STATION_MM)
     remedy = found.weakest[0].remedy
     longer = np.vstack([path.position, remedy.begin, remedy.end])
-    again = grade(demo, path_of(demo, longer), station_mm=STATION_MM)
+    again = grade(demo, path_of(*longer), station_mm=STATION_MM)
     assert found.improved < found.number
     assert again.number == pytest.approx(found.improved, rel=0.1)
 
@@ -108,7 +105,7 @@ def test_a_path_in_two_runs_is_worth_hardly_less_and_a_longer_tool_tells_more(de
     path = plan(demo, lines=24)
     half = len(path) // 2
     halves = path.position[: half + 1], path.position[half:]
-    parts = [path_of(demo, rows) for rows in halves]
+    parts = [path_of(*rows) for rows in halves]
     together = grade_together(demo, [SetUp(demo, part, STATION_MM) for part in parts])
     alone = grade(demo, parts[0], station_mm=STATION_MM)
     whole = grade(demo, path, station_mm=STATION_MM)
@@ -127,7 +124,7 @@ def test_a_path_in_two_runs_is_worth_hardly_less_and_a_longer_tool_tells_more(de
     "rows", [[[0, 0, 0], [400, 300, 200]], [[0, 0, 0], [400, 0, 0]]]
 )
 def test_a_set_up_that_tells_little_is_poor_and_one_of_nothing_refused(demo, rows):
-    assert grade(demo, path_of(demo, rows)).number > 5.0
+    assert grade(demo, path_of(*rows)).number > 5.0
     stood = Configurations(demo.axis_names, np.array(rows[:1], float), np.ones(1))
     assert grade(demo, stood).verdict == "poor"
     stood = Configurations(demo.axis_names, np.zeros((1, 3)), np.zeros(1))

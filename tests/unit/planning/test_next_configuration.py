@@ -76,8 +76,6 @@ def motions(machine, symbols):
 
 
 def point_rows(model, direction=None):
-    """Rows of measuring a point's displacement, along one direction or in all."""
-
     def rows(position):
         columns = model.jacobian(make_standstill(model.machine, position))
         return columns if direction is None else np.einsum("nip,i", columns, direction)

@@ -19,14 +19,8 @@ from truepath_drivers.interfaces.records import Path
 
 
 def left_mm(planner, plan):
-    """Volumetric uncertainty that a plan leaves, by the planner's own criterion."""
     design = planner.update(plan).design
     return float(np.sum(inverse(design.precision) * design.gram)) ** 0.5
-
-
-@pytest.fixture(scope="module")
-def lines(planner, mill):
-    return planner(mill).plan(90.0)
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +28,11 @@ def points(planner, mill):
     return planner(mill, "points").plan(60.0)
 
 
-def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(lines, planner, mill):
+def test_a_path_uses_its_budget_in_long_lines_and_ends_elsewhere(planner, mill):
+    made = planner(mill)
+    lines = made.plan(90.0)
     assert 75.0 < row_times_s(lines).sum() <= 90.0
     away = np.linalg.norm(lines.position[-1] - lines.position[0])
-    made = planner(mill)
     assert away >= made.design.drive.shortest_mm(6000.0)
     legs = Stops(lines.position, lines.feed_mm_min).legs
     lost, seconds = made.design.drive.steady(legs)
@@ -76,14 +71,11 @@ def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mi
     assert left_mm(made, planned) <= 0.55 * left_mm(made, corners)
 
 
-def test_several_feeds_have_their_share_of_the_lines(planner, mill):
+def test_several_feeds_share_the_lines_and_tell_lags_better_than_one(planner, mill):
     feeds = (3000.0, 6000.0, 12_000.0)
     path = planner(mill, feeds=feeds).plan(120.0)
     counts = [(path.feed_mm_min[1:] == feed).sum() for feed in feeds]
     assert max(counts) - min(counts) <= 1
-
-
-def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
     drive = Drive.of(mill.axis_names, 0.4)
     station_mm = np.array([250.0, -900.0, 100.0])
     design = start_design(LineDesignState, mill, station_mm, drive, dynamic=True)
@@ -93,7 +85,7 @@ def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
         lags = predict_lag_sigmas_s(made.update(made.plan(120.0)).design)
         return np.mean(list(lags.values()))
 
-    assert known(3000.0, 6000.0, 12_000.0) < 0.95 * known(6000.0)
+    assert known(*feeds) < 0.95 * known(6000.0)
 
 
 def test_after_some_lines_the_rest_is_planned_from_where_the_machine_is(planner, mill):
@@ -124,7 +116,6 @@ def test_points_keep_their_budget_and_tell_more_than_random(points, planner, mil
     low, high = points.position.min(axis=0), points.position.max(axis=0)
     anywhere = replace(points, position=rng.uniform(low, high, points.position.shape))
     assert left_mm(made, points) < 0.8 * left_mm(made, anywhere)
-    # Both sides are approached.
     step = np.sign(np.diff(made.plan(90.0).position, axis=0))
     forward, backward = (step > 0).mean(axis=0), (step < 0).mean(axis=0)
     assert min(forward.min(), backward.min()) > 0.2

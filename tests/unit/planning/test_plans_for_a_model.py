@@ -55,7 +55,6 @@ def plan_it(model, seed=0):
 
 @pytest.fixture(scope="module")
 def planned(model):
-    """Plan a minute with and without the model: planned[True], planned[False]."""
     return {knows: plan_it(model if knows else None) for knows in (True, False)}
 
 

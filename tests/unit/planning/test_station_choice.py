@@ -24,6 +24,12 @@ PERFECT = TrackerSpecification(*[0.0] * 13)
 LARGE = ("index_urad", "eccentricity_urad", "encoder_urad", "beam_offset_um")
 LARGE += ("transit_offset_um", "range_offset_um")
 FAULTY = replace(PERFECT, **dict.fromkeys(LARGE, 40.0), fine_urad=20.0)
+HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
+PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
+THREE_NESTS = tuple(Box(place, place) for place in PLACES)
+WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
+FEEDS, NOT_SQUARE = (6000.0,), {"index_urad": 1000.0, "tilt_urad": 400.0}
+SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 
 
 def nests(*places):
@@ -45,12 +51,8 @@ def plan_of(small_mill):
     return make
 
 
-@pytest.fixture(scope="module")
-def perfect(plan_of):
-    return plan_of(areas=(FLOOR,))
-
-
-def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(perfect):
+def test_the_place_is_allowed_near_and_no_place_or_number_of_them_is_better(plan_of):
+    perfect = plan_of(areas=(FLOOR,))
     advice = perfect.stations
     assert advice.chosen
     assert perfect.order.workspace.stations.allow(perfect.station_mm[None])[0]
@@ -77,7 +79,6 @@ def test_systematic_errors_make_further_stations_pay(plan_of):
 
 @pytest.mark.long
 def test_a_travel_that_no_place_sees_whole_demands_a_second_station(mill):
-    """A wall across the travel; the tracker may stand on either side of it."""
     wall = Box((240.0, -2600.0, -700.0), (260.0, 2000.0, 700.0), "wall")
     areas = StationAreas((FLOOR,), (), 60.0, PERFECT)
     space = Workspace(nearest_mm=200.0, stations=areas, blocks_sight=(wall,))
@@ -115,9 +116,6 @@ def test_nests_are_places_to_choose_from_for_lines_and_points(plan_of, mode):
 def test_areas_out_of_range_are_refused(plan_of):
     with pytest.raises(PlanningError, match="in range and in sight; correct"):
         plan_of(areas=(FLOOR,), farthest_mm=300.0)
-
-
-HERE_MM, ELSEWHERE_MM = np.array([[125.0, -900.0, 0.0], [1100.0, 100.0, 0.0]])
 
 
 def specify(machine, specification, face=1):
@@ -163,10 +161,8 @@ def test_a_second_place_leaves_what_a_forecast_of_both_does(small_mill, lines, j
     first, remedies = judge(TrackerSpecification())
     one = remedies["second-place"]
     machine = specify(small_mill, TrackerSpecification())
-    both, again = (
-        forecast(machine, lines, place, before=first).volumetric_sigma_mm
-        for place in (ELSEWHERE_MM, HERE_MM)
-    )
+    both = forecast(machine, lines, ELSEWHERE_MM, before=first).volumetric_sigma_mm
+    again = forecast(machine, lines, HERE_MM, before=first).volumetric_sigma_mm
     assert one.sigma_mm == pytest.approx(both, rel=0.01)
     assert one.sigma_mm < 0.95 * again
     assert one.added_s == 660.0
@@ -175,18 +171,15 @@ def test_a_second_place_leaves_what_a_forecast_of_both_does(small_mill, lines, j
 def test_each_remedy_takes_away_what_it_changes(judge):
     """A turned base uses other parts of the azimuth circle; the zero of elevation,
     and axes that are not square, change their sign in the other face alone."""
-    left = {}
-    for name, fault in (
-        ("circle", {"eccentricity_urad": 40.0}),
-        ("axes", {"index_urad": 1000.0, "tilt_urad": 400.0}),
-    ):
+
+    def find_left(**fault):
         found, remedies = judge(replace(PERFECT, **fault))
-        left[name] = {
-            change: one.sigma_mm / found.volumetric_sigma_mm
-            for change, one in remedies.items()
-        }
-    assert left["circle"]["turned-base"] < 0.8 * left["axes"]["turned-base"]
-    assert left["axes"]["other-face"] < 0.8 * left["axes"]["turned-base"]
+        whole_mm = found.volumetric_sigma_mm
+        return {change: one.sigma_mm / whole_mm for change, one in remedies.items()}
+
+    circle, axes = find_left(eccentricity_urad=40.0), find_left(**NOT_SQUARE)
+    assert circle["turned-base"] < 0.8 * axes["turned-base"]
+    assert axes["other-face"] < 0.8 * axes["turned-base"]
 
 
 def test_a_plan_says_what_is_the_trackers_and_what_removes_most_a_minute(small_mill):
@@ -215,18 +208,10 @@ def test_no_hour_is_planned_where_the_tracker_stands_in_the_way(small_mill):
     assert plan.duration_s < 1000.0
 
 
-PLACES = ((250.0, -800.0, 0.0), (1200.0, 100.0, 50.0), (-700.0, 200.0, 0.0))
-THREE_NESTS = tuple(Box(place, place) for place in PLACES)
-WORKSPACE = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS))
-FEEDS = (6000.0,)
-
-
 @pytest.fixture(scope="module")
 def planned(small_mill):
-    order = PlanRequirements(
-        minutes=0.6, feeds_mm_min=FEEDS, workspace=WORKSPACE, stations=2
-    )
-    return make_plan(small_mill, order)
+    order = {"minutes": 0.6, "workspace": WORKSPACE, "stations": 2}
+    return make_plan(small_mill, PlanRequirements(feeds_mm_min=FEEDS, **order))
 
 
 def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill):
@@ -241,7 +226,6 @@ def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill
     assert document["curve"][-1]["time_s"] == pytest.approx(document["duration_s"])
     left = document["stations"]["options"][1]["random_um"]
     assert left == pytest.approx(1e3 * planned.outcome.random_mm)
-    # The forecast is that of all, whatever their order.
     there = forecast(small_mill, second.commanded, second.station_mm)
     both = forecast(small_mill, first.commanded, first.station_mm, before=there)
     expected = pytest.approx(planned.uncertainty_um, rel=1e-4)
@@ -249,7 +233,6 @@ def test_stations_share_the_time_and_each_is_in_the_document(planned, small_mill
 
 
 def test_the_second_station_drives_what_the_first_leaves_open(planned, small_mill):
-    """Lines chosen without that knowledge tell less beside those of the first."""
     first, second = planned.at_stations
     here = Workspace((), tuple(second.station_mm.tolist()), 200.0)
     order = PlanRequirements(minutes=0.3, feeds_mm_min=FEEDS, workspace=here)
@@ -283,9 +266,6 @@ def test_no_move_between_known_points_and_lines_enters_a_keep_out_box(mill, squa
     assert workspace.allows(mill, way[:-1], way[1:]).all()
     back = np.vstack([square.position[-1], points.position[0]])
     assert workspace.allows(mill, back[:-1], back[1:]).all()
-
-
-SMALL = Workspace(nearest_mm=200.0, stations=StationAreas(THREE_NESTS[:1]))
 
 
 @pytest.mark.parametrize(

@@ -39,15 +39,12 @@ def waits_for_real_time(node):
     named = {word.arg for word in node.keywords}
     if named & {"timeout", "timeout_s"}:
         return True
-    if name not in ("get", "put") and any(map(_is_duration, node.args)):
+    words = [ast.unparse(argument).lower() for argument in node.args]
+    if name not in ("get", "put") and any(word.endswith("_s") for word in words):
         return True
     if name in ("poll", "settimeout") and node.args:
         return True
     return owner == "asyncio" and name.startswith("wait")
-
-
-def _is_duration(node):
-    return ast.unparse(node).lower().endswith("_s")
 
 
 def test_only_what_is_about_real_time_waits_for_it():
@@ -56,11 +53,8 @@ def test_only_what_is_about_real_time_waits_for_it():
     found, allowed = [], set()
     for file in files:
         name = file.relative_to(ROOT).as_posix()
-        lines = [
-            node.lineno
-            for node in ast.walk(ast.parse(file.read_text()))
-            if waits_for_real_time(node)
-        ]
+        nodes = ast.walk(ast.parse(file.read_text()))
+        lines = [node.lineno for node in nodes if waits_for_real_time(node)]
         place = next((p for p in REAL if name == p or name.startswith(f"{p}/")), None)
         if place is None:
             found += [f"{name}:{line}" for line in lines]

@@ -46,6 +46,8 @@ from truepath_drivers.interfaces.tracker_records import Light
 
 LIGHT = Light(633.0, is_group=False)
 BY_NOBODY = Refraction("nobody", why="no pressure")
+LONG_MM = 2300.0
+WRONG = 60e-6  # as by a pressure in another unit
 
 
 @pytest.fixture
@@ -136,18 +138,14 @@ def test_who_has_corrected_is_said_in_words_and_what_stays_uncorrected_is_doubtf
         (("air_degC", "pressure_hPa", "humidity_percent", "altitude_m"), 10.3),
     ],
 )
-def test_what_of_the_air_is_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(
-    assumed, ppm
-):
+def test_air_taken_as_usual_is_as_uncertain_as_halls_and_sites_are(assumed, ppm):
     air = (20.0, 954.6, 50.0)
     usual = Refraction("truepath", LIGHT, 1.00027, air, "no sensor", assumed)
     assert range_scale_uncertainty_ppm(usual)[0] == pytest.approx(ppm, abs=0.15)
     assert refraction_from_json(refraction_to_json(usual)) == usual
 
 
-def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_measured(
-    run,
-):
+def test_recordings_in_any_hall_are_right_within_what_is_said_of_their_air(run):
     rng, off_ppm = np.random.default_rng(5), []
     for _ in range(200):
         altitude_m = rng.uniform(0.0, 1000.0)
@@ -167,21 +165,16 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_air_nobody_meas
     assert reason.values["within_um"] == pytest.approx(2.0 * stated_ppm)
 
 
-def test_ranges_that_nobody_corrects_decide_no_tolerance_and_leave_the_scale_open(
-    estimate, provenance
-):
+def test_uncorrected_ranges_decide_no_tolerance_nor_the_scale(estimate, provenance):
     (run,) = provenance.runs
     runs = (replace(run, refraction=by) for by in (Refraction("instrument"), BY_NOBODY))
     told = [state_findings(estimate, replace(provenance, runs=(one,))) for one in runs]
     corrected, open_air = (one.volumetric.before.mean for one in told)
     for tolerance_um in (0.8 * corrected.value_um, 1.25 * corrected.value_um):
-        decided = [
-            decide_conformity(one.value_um, 2.0 * one.uncertainty_um, tolerance_um)
-            for one in (corrected, open_air)
-        ]
-        assert decided[0] is not Conformity.UNDECIDED
-        assert decided[1] is Conformity.UNDECIDED
-    # The far end of a positioning table knows the scale of the air.
+        for one in (corrected, open_air):
+            u_um = 2.0 * one.uncertainty_um
+            decided = decide_conformity(one.value_um, u_um, tolerance_um)
+            assert (decided is Conformity.UNDECIDED) == (one is open_air)
     known, open_air = (one.tables.table("EXX") for one in told)
     more_ppm = np.sqrt(np.diff([one.length_scale_ppm**2 for one in told])[0])
     away_mm = known.position_mm - known.position_mm[np.argmin(known.uncertainty)]
@@ -202,10 +195,6 @@ def test_axes_that_are_all_long_by_the_same_ask_for_air_and_temperature(estimate
     assert not assess_scale(replace(estimate, theta=68e-6 * stretch)).reasons
 
 
-LONG_MM = 2300.0
-WRONG = 60e-6  # as by a pressure in another unit
-
-
 def bar(off, sigma_mm=0.0005, direction=(0.0, 1.0, 0.0)):
     """Return a scale bar as a tracker measures it whose ranges are too long."""
     middle_mm = np.array([2500.0, 300.0, -200.0])
@@ -224,15 +213,12 @@ def as_it_is(recorded):
     return analyse(recorded)
 
 
-def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
-    recorded, as_it_is
-):
+def test_a_known_length_takes_the_scale_of_air_out_of_all_lengths(recorded, as_it_is):
     longer_mm = (1.0 + WRONG) * recorded.tracker.position_mm
     wrong = with_samples(recorded, position_mm=longer_mm)
     told = analyse(replace(wrong, known_lengths=(bar(WRONG),)))
-    assert ("scale-known", "usable") in {
-        (reason.kind, reason.state) for reason in told.verdict.reasons
-    }
+    states = {reason.kind: reason.state for reason in told.verdict.reasons}
+    assert states["scale-known"] == "usable"
     for symbol in ("EXX", "EYY", "EZZ"):
         settled, true = told.tables.table(symbol), as_it_is.tables.table(symbol)
         off_um = np.abs(settled.value - true.value)
@@ -242,9 +228,7 @@ def test_a_known_length_takes_the_scale_of_the_air_out_of_all_lengths(
     assert stated["off_ppm"] == pytest.approx(60.0, abs=3.0)
 
 
-def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_to(
-    recorded, as_it_is
-):
+def test_uncorrected_ranges_are_known_as_well_as_a_known_length(recorded, as_it_is):
     open_air = replace(recorded, refraction=BY_NOBODY)
     told = analyse(replace(open_air, known_lengths=(bar(0.0),)))
     assert analyse(open_air).length_scale_ppm > 250.0
@@ -266,13 +250,11 @@ def test_uncorrected_ranges_with_a_known_length_state_what_the_length_is_known_t
         (-68e-6, {"scale-known": "usable", "machine-scaled": "doubtful"}),
     ],
 )
-def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
-    estimate, provenance, off, kinds
-):
+def test_all_axes_are_long_by_the_air_or_the_machine(estimate, provenance, off, kinds):
     long = replace(estimate, theta=68e-6 * compute_scale_parameters(estimate.model))
     lengths = () if off is None else (bar(off),)
-    runs = tuple(replace(one, known_lengths=lengths) for one in provenance.runs)
-    found = state_findings(long, replace(provenance, runs=runs))
+    run = replace(provenance.runs[0], known_lengths=lengths)
+    found = state_findings(long, replace(provenance, runs=(run,)))
     said = assess_scale(found.estimate, found.known_scale).reasons
     assert {one.kind: one.state for one in said} == kinds
 
@@ -280,10 +262,7 @@ def test_axes_that_are_all_long_are_so_by_the_air_or_by_the_machine(
 @pytest.mark.parametrize(
     ("off", "state"), [(2e-6, "usable"), (68e-6, "doubtful"), (-68e-6, "doubtful")]
 )
-def test_a_known_length_that_air_and_tracker_deny_is_doubted_on_two_axes(
-    mill, provenance, off, state
-):
-    """On three it is believed where it leaves them a machine's usual size."""
+def test_a_length_that_air_and_tracker_deny_is_doubted(mill, provenance, off, state):
     flat = replace(mill, tool_side=("Y",), axes=mill.axes[:2])
     model, _ = build_identifiable_model(flat, np.array([[0.0, 0.0, -150.0]]))
     found = EstimatedModel(model, np.zeros(model.size), 1e-8 * np.eye(model.size))
@@ -293,9 +272,7 @@ def test_a_known_length_that_air_and_tracker_deny_is_doubted_on_two_axes(
 
 
 @pytest.mark.parametrize("sigma_mm", [0.001, 0.01])
-def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
-    construct, sigma_mm
-):
+def test_what_is_left_of_scale_is_as_uncertain_as_stated(construct, sigma_mm):
     estimate = construct()
     stretch, scale = compute_scale_parameters(estimate.model), 10e-6
     rng = np.random.default_rng(3)
@@ -315,21 +292,18 @@ def test_what_is_left_of_scale_and_machine_is_as_uncertain_as_stated(
     assert np.mean(off) < 0.01
 
 
-def test_a_known_length_says_nothing_of_another_run_and_may_lack_in_a_joint_result(
-    estimate, provenance
-):
+def test_a_known_length_says_nothing_of_another_run(estimate, provenance):
     (run,) = (replace(one, refraction=BY_NOBODY) for one in provenance.runs)
     told = replace(run, known_lengths=(bar(0.0),))
-    both, one, none = (
-        state_findings(estimate, replace(provenance, runs=runs)).length_scale_ppm
-        for runs in ((told, told), (told, run), (run, run))
-    )
-    assert both < 10.0
-    assert one == pytest.approx(none, rel=1e-3)
-    (run,) = provenance.runs
-    told = replace(run, refraction=BY_NOBODY, known_lengths=(bar(200e-6),))
-    both = replace(provenance, runs=(told, run))
-    assert state_findings(estimate, both).length_scale_ppm > 200.0
+
+    def find_ppm(*runs):
+        found = state_findings(estimate, replace(provenance, runs=runs))
+        return found.length_scale_ppm
+
+    assert find_ppm(told, told) < 10.0
+    assert find_ppm(told, run) == pytest.approx(find_ppm(run, run), rel=1e-3)
+    far_off = replace(told, known_lengths=(bar(200e-6),))
+    assert find_ppm(far_off, *provenance.runs) > 200.0
 
 
 def test_many_bars_of_which_some_are_short_are_no_better_than_the_best(construct):

@@ -33,11 +33,7 @@ ANGLE = np.radians(figures.list_sector_angles())
 
 
 def drive(machine, *, seed=7, again=(), **setting):
-    """Return the Run of the circle path on a machine.
-
-    again : rows of circles that are driven a second time at its end
-    setting : what a Setting takes
-    """
+    """Return the Run of the circle path; rows of `again` come once more at its end."""
     path = make_circle_path(machine)
     if again:
         path = append_part(path, drive_arcs_again(path, again))
@@ -46,7 +42,6 @@ def drive(machine, *, seed=7, again=(), **setting):
 
 
 def evaluate(run):
-    """Return the figures of each plane, and the rows whose circle is not whole."""
     seen = align(run)
     noise = NoiseModel((1.0, 1.0), (0.2, 0.2, 0.2), 1.0, 0.0)  # of the simulated air
     planes, whole = {}, set()
@@ -59,13 +54,11 @@ def evaluate(run):
         if driven is not None:
             whole.add(arc.row)
             planes.setdefault(commanded.plane, {})[commanded.sense] = driven
-    stated = {
-        plane: figures.state_figures(
-            {sense: one.radial_mm for sense, one in senses.items()},
-            {sense: one.covariance_mm2 for sense, one in senses.items()},
-        )
-        for plane, senses in planes.items()
-    }
+    stated = {}
+    for plane, senses in planes.items():
+        radial = {sense: one.radial_mm for sense, one in senses.items()}
+        covariance = {sense: one.covariance_mm2 for sense, one in senses.items()}
+        stated[plane] = figures.state_figures(radial, covariance)
     arcs = {row for row, arc in enumerate(run.commanded.arc) if arc}
     return planes, stated, arcs - whole
 
@@ -107,9 +100,7 @@ def test_play_lag_and_lean_are_in_the_figures_of_the_planes_they_belong_to(demo)
     assert senses[1] == pytest.approx(lean_um + lag_um, abs=2.0)
 
 
-def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
-    calibrated, measured_again, tmp_path
-):
+def test_a_result_predicts_circles_in_motion(calibrated, measured_again, tmp_path):
     found = verify(calibrated, measured_again())
     assert found.consistency.is_consistent
     document = VerificationOut.model_validate(write_verification(found, tmp_path))
@@ -117,10 +108,8 @@ def test_a_result_predicts_the_circles_that_were_driven_on_the_fly(
     assert document.circles_missing == []
     for one in document.circles_in_motion:
         mean = np.mean(list(one.radial_um.values()), axis=0)
-        columns = np.column_stack(
-            [np.cos(ANGLE), np.sin(ANGLE), np.ones(figures.SECTORS)]
-        )
-        fitted = np.linalg.lstsq(columns, mean)[0]
+        columns = [np.cos(ANGLE), np.sin(ANGLE), np.ones(figures.SECTORS)]
+        fitted = np.linalg.lstsq(np.column_stack(columns), mean)[0]
         assert one.centre_um is not None
         assert one.centre_um["measured"] == pytest.approx(fitted[:2])
     within = []
@@ -140,9 +129,7 @@ def test_an_exact_machine_has_no_hysteresis_beyond_its_uncertainty(demo):
         assert one.value_um["G"] <= 2.0 * one.uncertainty_um["G"]
 
 
-def test_a_circle_that_was_driven_again_whole_is_not_missing(
-    calibrated, measured_again
-):
+def test_a_circle_that_was_driven_again_is_not_missing(calibrated, measured_again):
     holds = ((30.0, 2.0),)
     run = measured_again(holds)
     lost = verify(calibrated, run).circles
@@ -159,23 +146,20 @@ def test_a_circle_that_was_driven_again_whole_is_not_missing(
     assert "H" in first.measured.value_um
 
 
-@pytest.mark.parametrize(
-    ("there_um", "back_um"),
-    [
-        (0.0 * ANGLE, 0.0 * ANGLE),
-        (2.0 * np.cos(2 * ANGLE), 2.0 * np.cos(2 * ANGLE)),
-        (
-            5.0 * np.cos(2 * ANGLE) + np.sign(np.sin(ANGLE)),
-            5.0 * np.cos(2 * ANGLE) - np.sign(np.sin(ANGLE)),
-        ),
-        (
-            6.0 * np.exp(-(ANGLE % np.pi) / 0.2),
-            -6.0 * np.exp(-((np.pi - ANGLE) % np.pi) / 0.2),
-        ),
+ELLIPSE, SENSE = np.cos(2 * ANGLE), np.sign(np.sin(ANGLE))
+SHAPES_UM = {  # there and back
+    "exact": (0.0 * ANGLE, 0.0 * ANGLE),
+    "ellipse": (2.0 * ELLIPSE, 2.0 * ELLIPSE),
+    "lost-motion": (5.0 * ELLIPSE + SENSE, 5.0 * ELLIPSE - SENSE),
+    "spikes-at-reversals": [
+        sign * 6.0 * np.exp(-(sign * ANGLE % np.pi) / 0.2) for sign in (1, -1)
     ],
-    ids=["exact", "ellipse", "lost-motion", "spikes-at-reversals"],
-)
-def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES_UM)
+def test_the_stated_uncertainty_covers_the_true_figures(shape, rng):
+    there_um, back_um = SHAPES_UM[shape]
     true = {"counterclockwise": 1e-3 * there_um, "clockwise": 1e-3 * back_um}
     exact = figures.compute_figures({name: one[:, None] for name, one in true.items()})
     time_s = 0.16 * np.arange(figures.SECTORS)
@@ -187,11 +171,9 @@ def test_the_stated_uncertainty_covers_the_true_figures(there_um, back_um, rng):
         noise = (factor @ rng.standard_normal(figures.SECTORS) for _ in true)
         seen = {name: true[name] + one for name, one in zip(true, noise, strict=True)}
         found = figures.state_figures(seen, dict.fromkeys(true, covariance))
-        inside += sum(
-            abs(found.value_um[name] - 1e3 * exact[name][0])
-            <= 2.0 * found.uncertainty_um[name]
-            for name in figures.FIGURES
-        )
+        for name in figures.FIGURES:
+            off_um = abs(found.value_um[name] - 1e3 * exact[name][0])
+            inside += off_um <= 2.0 * found.uncertainty_um[name]
     assert inside >= 0.92 * trials * len(figures.FIGURES)
 
 
@@ -213,21 +195,17 @@ def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0), commanded_deg
     pose = RigidTransform(np.eye(3), np.array([1000.0, 0.0, 0.0]))
     noise = NoiseModel((1.0, 1.0), (0.1, 0.1, 0.1), 1.0, 0.0)
     stream = ArcDrive(2, 0, len(time_s)), time_s, pose.apply(points.T)
-    driven = figures.reduce_to_sectors(
-        figures.CommandedCircle(*about, 3000.0), *stream, pose, noise, demo.tracker
-    )
+    commanded = figures.CommandedCircle(*about, 3000.0)
+    seen = *stream, pose, noise, demo.tracker
+    driven = figures.reduce_to_sectors(commanded, *seen)
     return driven and driven.radial_mm
 
 
-def test_a_circle_driven_in_the_other_sense_tells_nothing(demo):
-    assert turn(demo, lambda t: 0.0 * t, commanded_deg=-732.0) is None
-
-
 @pytest.mark.parametrize("turn_deg", [732.0, -732.0])
-def test_an_ellipse_is_in_the_sectors_it_belongs_to_and_run_in_is_in_none(
-    demo, turn_deg
-):
-    radial = turn(demo, lambda t: 0.005 * np.cos(2 * t), turn_deg=turn_deg)
+def test_an_ellipse_is_in_its_sectors_and_run_in_is_in_none(demo, turn_deg):
+    how = {"radial_mm": lambda t: 0.005 * np.cos(2 * t), "turn_deg": turn_deg}
+    assert turn(demo, **how, commanded_deg=-turn_deg) is None  # in the other sense
+    radial = turn(demo, **how)
     # The first sector and the last one meet: a little of what is driven past is there.
     assert np.allclose(radial, 0.005 * np.cos(2 * ANGLE), atol=1e-4)
 
@@ -247,10 +225,8 @@ def test_a_spike_at_a_reversal_is_in_the_sectors_after_the_quadrant(demo):
 
 def test_a_circle_off_its_centre_is_as_round_about_its_own(demo):
     at = (0.012, -0.02)
-    both = [
-        turn(demo, lambda t: 0.0 * t, centre_mm=at, turn_deg=turn_deg)
-        for turn_deg in (732.0, -732.0)
-    ]
+    off = {"radial_mm": lambda t: 0.0 * t, "centre_mm": at}
+    both = [turn(demo, **off, turn_deg=turn_deg) for turn_deg in (732.0, -732.0)]
     centre = figures.fit_centre(np.mean(both, axis=0)[:, None])
     assert centre[:, 0] == pytest.approx(at, abs=1e-4)
     for one in both:

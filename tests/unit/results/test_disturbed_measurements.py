@@ -20,6 +20,9 @@ from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
 TRAVEL_MM = 150.0
+SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
+CONTENT = shorten(load_machine("trunnion"))
+CONTENT["tracker"]["stands_on"] = "base"
 
 
 def shifted(run, first, last, shift_mm):
@@ -91,10 +94,10 @@ def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
 
 
 def test_a_drift_is_no_knock_and_widens_what_is_stated(record):
-    still, drifting = (
-        analyse(record(22, rows=40, travel_mm=TRAVEL_MM, setting=setting)[0])
-        for setting in (Setting(), Setting(hidden=(TableDrift((0.3, -0.3, 0.24)),)))
-    )
+    drift, how = TableDrift((0.3, -0.3, 0.24)), {"rows": 40, "travel_mm": TRAVEL_MM}
+    settings = Setting(), Setting(hidden=(drift,))
+    runs = (record(22, setting=setting, **how)[0] for setting in settings)
+    still, drifting = map(analyse, runs)
     assert drifting.knocks == ()
     before, after = (one.volumetric.before.mean for one in (still, drifting))
     assert after.uncertainty_um > 1.3 * before.uncertainty_um
@@ -134,9 +137,7 @@ def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
         pytest.param(250.0, "not-usable", {"rows": 60}, 10.0, marks=pytest.mark.long),
     ],
 )
-def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
-    record, offset_um, state, how, most_um
-):
+def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, most_um):
     setting = Setting(hidden=(TrackerRangeOffset(offset_um),))
     findings = analyse(record(31, **how, setting=setting)[0])
     assert findings.knocks == ()
@@ -148,29 +149,18 @@ def test_a_wrong_home_distance_of_the_tracker_is_named_with_its_size(
     assert within < most_um
 
 
-SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
-
-
-CONTENT = shorten(load_machine("trunnion"))
-CONTENT["tracker"]["stands_on"] = "base"
-
-
 @pytest.fixture(scope="module")
 def made():
-    """A trunnion at standstills, one target after the other."""
     program = turning_points(parse_machine(CONTENT), 5, 96, dwell_s=0.4)
     return synthetic.record(CONTENT, program, 5, "standstill")
 
 
 @pytest.fixture(scope="module")
 def change(made):
-    """The first point of the first target on the table."""
     return made.program.target.index("W1")
 
 
-def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is_none(
-    made, run_of, change
-):
+def test_a_point_lost_where_the_target_changes_may_be_a_knock(made, run_of, change):
     run, amid = run_of(made), change + 8
     status = np.where(np.isin(made.row, (change, amid)), 1, run.tracker.status)
     verdict = analyse(with_samples(run, status=status)).verdict
@@ -182,16 +172,13 @@ def test_a_point_lost_where_the_target_changes_may_be_a_knock_and_one_amid_it_is
 
 
 @pytest.mark.long
-def test_a_run_that_ends_without_its_first_target_says_that_a_knock_would_not_show(
-    made, run_of, change
-):
+def test_a_run_without_its_first_target_at_the_end_says_so(made, run_of, change):
     kinds = {r.kind: r.values for r in analyse(run_of(made)).verdict.reasons}
     assert str(change) in kinds["not-measured-again"]["rows"].split(", ")
 
 
 @pytest.mark.long
 def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(made, run_of):
-    """It is at the end as well, at its first points; all sit where they are found."""
     program = made.program
     own = program.target.index("T2") // 2
     position = np.vstack([program.position[:-4], program.position[:4]])

@@ -22,10 +22,16 @@ from truepath.kinematics.conditions import make_standstill
 TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
 BEYOND = 10.0, 400.0
 RUNS = 5
-
-
-def places_at(machine, position):
-    return SimpleNamespace(at=make_standstill(machine, np.array(position)))
+SHAPES_UM = {  # radial, by the outward direction of a place and its sense
+    "an exact circle": lambda out, sense: 0.0 * sense,
+    "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
+    "a small ellipse": lambda out, sense: 0.5 * out[:, 0] ** 2,
+    "lost motion": lambda out, sense: 1.5 * sense * np.sign(out[:, 1]),
+    "a place that is off": lambda out, sense: np.where(out[:, 1] > 0.999, 8.0, 0.0),
+}
+MANY = 1e6  # degrees of freedom: as good as known
+PLACES, TRIALS, DRAWS = 120, 60, 300
+SIGMA_MM = 1e-3
 
 
 def axis_runs(machine, start, direction):
@@ -40,9 +46,8 @@ def evaluate(machine, position, deviation_mm, rng, noise_mm=1e-9, scale_mm=None)
     noise = noise_mm * rng.standard_normal((*deviation_mm.shape, 50))
     scale = nothing if scale_mm is None else scale_mm
     measured = SampledVectors(deviation_mm, noise, scale[:, :, None])
-    return evaluate_static_lines_and_circles(
-        places_at(machine, position), measured, nothing
-    )
+    places = SimpleNamespace(at=make_standstill(machine, np.array(position)))
+    return evaluate_static_lines_and_circles(places, measured, nothing)
 
 
 def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
@@ -101,19 +106,16 @@ def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mil
 
 
 def count_held(machine, position, exact_mm, noise_um, trials, rng):
-    """In how many trials each figure holds that of the machine, by name."""
     of = "lines" if np.ptp(position[:, 1]) == 0.0 else "circles"
     (true,) = getattr(evaluate(machine, position, exact_mm, rng), of)
     noise_mm = 1e-3 * noise_um * rng.standard_normal((*exact_mm.shape, 300))
-    places, nothing = places_at(machine, position), np.zeros_like(exact_mm)
-    held = dict.fromkeys(true.figures_um, 0)
+    nothing, held = np.zeros_like(exact_mm), dict.fromkeys(true.figures_um, 0)
+    places = SimpleNamespace(at=make_standstill(machine, position))
     for _ in range(trials):
         scatter_mm = 1e-3 * noise_um * rng.standard_normal(exact_mm.shape)
-        seen_mm = exact_mm + scatter_mm
-        measured = SampledVectors(seen_mm, noise_mm, nothing[:, :, None])
-        (found,) = getattr(
-            evaluate_static_lines_and_circles(places, measured, nothing), of
-        )
+        seen = SampledVectors(exact_mm + scatter_mm, noise_mm, nothing[:, :, None])
+        found = evaluate_static_lines_and_circles(places, seen, nothing)
+        (found,) = getattr(found, of)
         for name, value in found.figures_um.items():
             off_um = abs(value - true.figures_um[name])
             held[name] += off_um <= 2.0 * found.uncertainty_um[name]
@@ -121,9 +123,7 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
 
 
 @pytest.mark.parametrize("scatter_um", [0.0, 2.0])
-def test_accuracy_and_repeatability_hold_those_of_the_machine_in_95_of_100_cases(
-    mill, rng, scatter_um
-):
+def test_accuracy_and_repeatability_hold_in_95_of_100_cases(mill, rng, scatter_um):
     position, distance = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
     exact_mm = np.zeros((len(position), 3))
     scatter = scatter_um * rng.standard_normal(len(position))
@@ -140,9 +140,7 @@ def circle_in_both_senses():
     return out, np.round(np.array([200.0, 200.0, -50.0]) + 100.0 * out, 4)
 
 
-def test_circles_of_one_size_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(
-    mill, rng
-):
+def test_circles_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(mill, rng):
     out, _ = circle_in_both_senses()
     in_xz, in_yz = out[:, [0, 2, 1]], out[:, [2, 0, 1]]
     position = np.array([200.0, 200.0, -150.0]) + 100.0 * np.vstack([in_xz, in_yz])
@@ -158,20 +156,9 @@ def test_circles_of_one_size_in_two_planes_are_two_and_an_axis_too_long_an_ellip
         assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
-SHAPES_UM = {  # radial, by the outward direction of a place and its sense
-    "an exact circle": lambda out, sense: 0.0 * sense,
-    "an ellipse": lambda out, sense: 4.0 * out[:, 0] ** 2,
-    "a small ellipse": lambda out, sense: 0.5 * out[:, 0] ** 2,
-    "lost motion": lambda out, sense: 1.5 * sense * np.sign(out[:, 1]),
-    "a place that is off": lambda out, sense: np.where(out[:, 1] > 0.999, 8.0, 0.0),
-}
-
-
 @pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("shape", SHAPES_UM)
-def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
-    mill, rng, shape, noise_um
-):
+def test_circle_figures_hold_true_ones_in_95_of_100_cases(mill, rng, shape, noise_um):
     out, position = circle_in_both_senses()
     sense = np.repeat([1.0, -1.0], len(out) // 2)
     radial_um = SHAPES_UM[shape](out, sense)
@@ -180,9 +167,7 @@ def test_figures_of_a_circle_hold_the_true_ones_in_95_of_100_cases(
     assert min(held.values()) >= 0.95 * 80
 
 
-def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertainty(
-    mill, rng
-):
+def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_u(mill, rng):
     out, position = circle_in_both_senses()
     still = 1e-3 * rng.standard_normal(out.shape)
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).circles
@@ -191,9 +176,7 @@ def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_its_uncertain
     assert found.figures_um["G"] < found.own_um["G"]
 
 
-def test_the_scale_of_all_lengths_is_in_figures_of_length_and_not_in_the_noise(
-    mill, rng
-):
+def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng):
     position, _ = axis_runs(mill, (0.0, 50.0, -40.0), (1.0, 0.0, 0.0))
     still, ppm = np.zeros((len(position), 3)), 10.0
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
@@ -211,9 +194,6 @@ def test_the_scale_of_all_lengths_is_in_figures_of_length_and_not_in_the_noise(
     assert circle.uncertainty_um["G"] < 1e-2
 
 
-MANY = 1e6  # degrees of freedom: as good as known
-
-
 @pytest.mark.parametrize(
     ("length_um", "decision"),
     [
@@ -223,9 +203,7 @@ MANY = 1e6  # degrees of freedom: as good as known
         ([3.0, 12.5], "outside"),
     ],
 )
-def test_only_what_is_clear_of_the_limit_by_its_uncertainty_is_decided(
-    length_um, decision
-):
+def test_only_what_is_clear_of_the_limit_by_u_is_decided(length_um, decision):
     sigma_um = np.full(2, 0.9)  # expanded for two places: 2.0 µm
     found = decide_points(np.array(length_um), sigma_um, MANY, 10.0)
     assert found.conformity == decision
@@ -238,14 +216,12 @@ def test_one_place_that_fails_fails_all_and_what_was_not_seen_is_never_within():
     found = decide_points(length, sigma, MANY, 10.0)
     assert (found.conformity, found.worst) == ("outside", 2)
     for length_um, decision in ((3.0, "undecided"), (20.0, "outside")):
-        length, sigma = np.array([length_um]), np.array([0.1])
-        found = decide_points(length, sigma, MANY, 10.0, sees_all=False)
+        length = np.array([length_um])
+        found = decide_points(length, sigma[:1], MANY, 10.0, sees_all=False)
         assert found.conformity == decision
 
 
-def test_so_many_places_lie_within_together_in_95_of_100_cases_by_known_noise_or_not(
-    rng,
-):
+def test_so_many_places_lie_within_together_in_95_of_100_cases(rng):
     k = compute_joint_factor(30, MANY)
     within = np.abs(rng.standard_normal((20_000, 30))).max(axis=1) <= k
     assert within.mean() == pytest.approx(0.95, abs=0.005)
@@ -253,12 +229,7 @@ def test_so_many_places_lie_within_together_in_95_of_100_cases_by_known_noise_or
     assert compute_joint_factor(1, 8.0) == pytest.approx(2.306, abs=0.001)  # Student
 
 
-PLACES, TRIALS, DRAWS = 120, 60, 300
-SIGMA_MM = 1e-3
-
-
 def draw_noise(rng, count):
-    """Noise of which a part is common to ten places one after another."""
     slow = rng.standard_normal((PLACES // 10, 3, count)).repeat(10, axis=0)
     return SIGMA_MM * (0.8 * rng.standard_normal((PLACES, 3, count)) + 0.6 * slow)
 
@@ -280,9 +251,8 @@ def test_what_noise_hides_of_lengths_is_within_their_uncertainty(times_the_noise
         length_um = 1e3 * np.linalg.norm(true, axis=1)
         known = (length_um.mean(), np.quantile(length_um, 0.95), length_um.max())
         seen = true + draw_noise(rng, 1)[:, :, 0]
-        stated = compute_measured_statistics(
-            seen, draw_noise(rng, DRAWS), 60.0, np.zeros_like(seen)
-        )
+        noise, nothing = draw_noise(rng, DRAWS), np.zeros_like(seen)
+        stated = compute_measured_statistics(seen, noise, 60.0, nothing)
         for name, value in zip(NAMES, known, strict=True):
             off = abs(stated[name].value_um - value)
             inside[name] += off <= 2.0 * stated[name].uncertainty_um

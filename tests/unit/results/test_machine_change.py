@@ -24,6 +24,7 @@ from truepath.kinematics.machine.machine import Target
 from truepath.results.result_json import result_json
 
 SYMBOL = "EYX"
+HOUR_S = 3600.0
 
 
 def draw_result(estimate, seed, shift=0.0):
@@ -89,7 +90,6 @@ def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(esti
     change = find_changes(*pair)
     assert change.volume.is_significant
     assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
-    # A rigid motion of the whole volume alone changes no entry and no volume.
     before = draw_result(estimate, 1)
     digest = [{"name": "later", "input_sha256": "f" * 64}]
     change = find_changes(before, replace(before, provenance={"runs": digest}))
@@ -105,8 +105,6 @@ def content(found):
 
 @pytest.fixture
 def calibrate(content, tmp_path):
-    """Keep a result of a machine; its p95 may be another than the constructed one."""
-
     def keep(machine, number, p95=None):
         stated = json.loads(json.dumps(content))
         if p95 is not None:
@@ -115,16 +113,13 @@ def calibrate(content, tmp_path):
         file = tmp_path / f"{machine}-{number}.json"
         file.write_text(json.dumps(stated), encoding="utf-8")
         job_id, when = f"job-{number}", f"2026-01-0{number}T08:00:00.000Z"
-        return documents.Calibration(
-            machine, job_id, (job_id,), when, 1, "usable", file
-        )
+        known = machine, job_id, (job_id,), when, 1, "usable", file
+        return documents.Calibration(*known)
 
     return keep
 
 
-def test_history_states_entries_and_figures_as_the_results_do_and_refuses_others(
-    calibrate, content
-):
+def test_history_states_what_results_state_and_refuses_others(calibrate, content):
     made = [calibrate("mill", 1), calibrate("mill", 2)]
     history = documents.history_json("mill", made, "EXX", None)
     table = content["error_tables"]["EXX"]
@@ -169,23 +164,19 @@ def test_machines_are_compared_by_what_is_sure_the_more_the_more_it_takes(calibr
     assert eight > 3.0
 
 
-HOUR_S = 3600.0
-
-
 def look(beyond, begin_um=0.5, runs=4, limit=2.0):
-    """Look 10 h ahead where a share of 100 courses grows by 1 µm an hour."""
-    at_runs = Course(HOUR_S * np.arange(runs), np.zeros((runs, 0)))
     grows = np.arange(100) < 100 * beyond
 
     def measure(at):
         hours = (at.time_s - at_runs.time_s[-1]) / HOUR_S
         return begin_um + grows[:, None] * hours
 
-    stub = SimpleNamespace(
-        runs=at_runs,
-        course_at=lambda *time_s: Course(np.array(time_s), np.zeros((len(time_s), 0))),
-        _measure_change_um=measure,
-    )
+    def course_at(*time_s):
+        return Course(np.array(time_s), np.zeros((len(time_s), 0)))
+
+    at_runs = course_at(*HOUR_S * np.arange(runs))
+    told = {"course_at": course_at, "_measure_change_um": measure}
+    stub = SimpleNamespace(runs=at_runs, **told)
     return ForecastModel.predict_exceedance(stub, limit, 10.0 * HOUR_S)
 
 
@@ -200,9 +191,7 @@ def look(beyond, begin_um=0.5, runs=4, limit=2.0):
         (1.0, "due", "certain", "(certain)"),
     ],
 )
-def test_each_share_of_courses_beyond_the_limit_has_its_answer(
-    beyond, state, grade, said
-):
+def test_each_share_of_courses_beyond_has_its_answer(beyond, state, grade, said):
     found = look(beyond)
     assert (found.state, found.grade) == (state, grade)
     assert found.exceeded == pytest.approx(beyond)

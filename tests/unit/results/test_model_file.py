@@ -22,7 +22,6 @@ SAG = ElasticSag("X", "Y", "Z", 14.0)
 
 @pytest.fixture(scope="module")
 def sagging(record):
-    """A Run of a machine whose X guide bends under Y, and what it was made from."""
     return record(7, rows=40, travel_mm=200.0, setting=Setting(hidden=(SAG,)))
 
 
@@ -73,15 +72,11 @@ def test_the_file_comes_back_as_the_model_that_was_written(grown, loaded):
     assert loaded.version == 2
 
 
-def test_prediction_from_the_model_has_the_sag_in_it(
-    sagging, loaded, volume, rigid_free
-):
+def test_prediction_from_the_model_has_the_sag(sagging, loaded, volume, rigid_free):
     run, truth = sagging
     at = volume(run.machine)
-    u, v = (
-        (at[:, k] - axis.low) / (axis.high - axis.low)
-        for k, axis in enumerate(run.machine.linear_axes[:2])
-    )
+    low, high = np.array([(a.low, a.high) for a in run.machine.linear_axes[:2]]).T
+    u, v = ((at[:, :2] - low) / (high - low)).T
     sag_mm = np.outer(-4.0 * u * (1.0 - u) * v, [0.0, 0.0, 1e-3 * SAG.amplitude_um])
     true_um = 1e3 * rigid_free(at, truth.deviation_mm(at) + sag_mm)
     told = predict(loaded, at)
@@ -94,9 +89,7 @@ def test_prediction_from_the_model_has_the_sag_in_it(
     assert np.std(true_um - rigid_free(at, without.error_um)) > 2.0 * np.std(left)
 
 
-def test_nothing_is_missing_from_the_model_that_has_it_and_the_next_knows_its_parent(
-    sagging, loaded
-):
+def test_nothing_is_missing_then_and_the_next_knows_its_parent(sagging, loaded):
     given = build_reference(PriorModel(loaded, "model.json", "0"), sagging[0])
     again = discover([sagging[0]], given)
     assert again.findings == ()

@@ -27,19 +27,18 @@ from truepath.results.volumetric_error import (
     compute_volumetric_error,
 )
 
+HEADER = "x_mm,y_mm,z_mm"
+HALF_MM, SIGMA_MM = 0.015, 2e-4
+
 
 def free_gauge(loaded):
-    """Return a machine with splines that no gauge holds, and θ to match."""
     model = loaded.model
-    effects, theta = [], []
-    for effect in model.effects:
-        part = loaded.theta[model.slices[effect.name]]
+    effects, theta = list(model.effects), []
+    for k, effect in enumerate(model.effects):
+        theta.append(loaded.theta[model.slices[effect.name]])
         if isinstance(effect, ErrorMotion):
-            effects.append(replace(effect, gauge=np.eye(effect.spline.size)))
-            theta.append(effect.gauge @ part)
-        else:
-            effects.append(effect)
-            theta.append(part)
+            effects[k] = replace(effect, gauge=np.eye(effect.spline.size))
+            theta[k] = effect.gauge @ theta[k]
     free = MachineModel(model.machine, tuple(effects))
     theta = np.concatenate(theta)
     none = np.zeros((free.size, free.size))
@@ -61,9 +60,7 @@ def rigid_motion(model, shift_mm, turn_rad):
     return theta
 
 
-def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
-    loaded, travel_points, rng
-):
+def test_a_rigid_motion_of_the_volume_changes_no_prediction(loaded, travel_points, rng):
     # So small that motions add up.
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
     free = free_gauge(loaded)
@@ -81,7 +78,6 @@ def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction_known_or_not(
 
 
 def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
-    """The mean of the map over the travel, and its mean turn, are zero."""
     machine = loaded.machine
     nodes = [np.linspace(a.low, a.high, 41) for a in machine.linear_axes]
     middle = [0.5 * (n[1:] + n[:-1]) for n in nodes]
@@ -94,9 +90,7 @@ def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
     assert turn < 1e-3 * largest * np.abs(arm).max()
 
 
-def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance_in_any_blocks(
-    loaded, travel_points, rng, monkeypatch
-):
+def test_uncertainty_is_the_spread_of_maps(loaded, travel_points, rng, monkeypatch):
     at = make_standstill(loaded.machine, travel_points)
     J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
     normal = loaded.theta, loaded.covariance
@@ -137,13 +131,9 @@ def test_each_point_is_predicted_for_its_target(construct, rng):
     plain = predict(result, points)
     named = predict(result, points, ["short"] * len(points))
     assert plain.error_um == pytest.approx(named.error_um)
-    assert plain.warnings == (
-        "the points name no target: short is meant, the first of the machine",
-    )
+    (said,) = plain.warnings
+    assert said == "the points name no target: short is meant, the first of the machine"
     assert named.warnings == ()
-
-
-HEADER = "x_mm,y_mm,z_mm"
 
 
 def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
@@ -151,10 +141,8 @@ def test_the_answer_holds_the_question_and_six_numbers_more(loaded):
     points = read_points(asked.encode(), loaded.machine)
     predicted = predict(loaded, points.position)
     rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
-    assert rows[0] == [
-        *("x_mm", "y_mm", "z_mm", "label"),
-        *("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um"),
-    ]
+    assert rows[0][:4] == ["x_mm", "y_mm", "z_mm", "label"]
+    assert rows[0][4:] == [f"{what}{axis}_um" for what in "du" for axis in "xyz"]
     assert rows[1][:4] == ["10.50", "20", "30", "first"]
     assert rows[2][:4] == ["-1e2", "4e+01", "0.5", "a, b"]
     numbers = np.array([row[4:] for row in rows[1:]], float)
@@ -206,17 +194,12 @@ def test_a_point_may_name_its_target(loaded, construct):
     assert "target" in points.table.names
 
 
-HALF_MM, SIGMA_MM = 0.015, 2e-4
-
-
 @pytest.fixture(scope="module")
 def seen(estimate):
     return compute_volumetric_error(estimate)
 
 
-def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave_open(
-    estimate, seen, loaded
-):
+def test_the_map_is_that_of_predictions_and_what_they_leave(estimate, seen, loaded):
     axes = estimate.model.machine.linear_axes
     assert len(seen.position_mm) == 729
     assert seen.position_mm.min(axis=0).tolist() == [a.low for a in axes]
@@ -236,19 +219,15 @@ def test_the_map_of_the_travel_is_that_of_predictions_and_after_what_these_leave
     assert (np.diff(quantiles) >= 0).all()
     after = seen.after
     assert after.mean.value_um < after.p95.value_um < after.largest.value_um
-    halved, certain = (
-        compute_volumetric_error(replace(estimate, covariance=k * estimate.covariance))
-        for k in (0.25, 0.0)
-    )
+    surer = (replace(estimate, covariance=k * estimate.covariance) for k in (0.25, 0.0))
+    halved, certain = map(compute_volumetric_error, surer)
     assert halved.after.mean.value_um == pytest.approx(after.mean.value_um / 2)
     assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)
     assert certain.after.largest.value_um == 0.0
     assert certain.before.mean.uncertainty_um == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
-    estimate,
-):
+def test_the_scale_of_lengths_is_in_the_uncertainty_of_the_volumetric_error(estimate):
     ppm, certain = 40.0, replace(estimate, covariance=1e-6 * estimate.covariance)
     scaled = certain.widen_by_scale(1e-6 * ppm)
     stated = compute_volumetric_error(scaled, ppm).before.mean
@@ -272,18 +251,14 @@ def test_the_scale_of_all_lengths_is_in_the_uncertainty_of_the_volumetric_error(
     assert left.scale_uncertainty_um == pytest.approx(left.uncertainty_um, rel=0.1)
 
 
-def test_lost_motion_adds_to_the_map_of_the_mean_as_the_account_of_files_says(
-    estimate, seen, loaded
-):
-    """The mean of both directions does not see it: squares of both add up."""
+def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, loaded):
     assert compute_both_directions(estimate) is None
     effect = make_half_width("EXX", estimate.model.machine.linear("X"))
     covariance = np.pad(estimate.covariance, (0, 1))
     covariance[-1, -1] = SIGMA_MM**2
     model, theta = estimate.model.with_effects(effect), [*estimate.theta, HALF_MM]
-    losing = replace(
-        estimate, model=model, theta=np.array(theta), covariance=covariance
-    )
+    told = {"theta": np.array(theta), "covariance": covariance}
+    losing = replace(estimate, model=model, **told)
     mean = compute_volumetric_error(losing).before.mean.value_um
     assert mean == pytest.approx(seen.before.mean.value_um)
     both = compute_both_directions(losing)
@@ -307,6 +282,5 @@ def test_a_result_that_would_hardly_make_the_machine_better_says_so(seen, share,
     mean = replace(seen.after.mean, value_um=left_um)
     verdict = assess_gain(replace(seen, after=replace(seen.after, mean=mean)))
     assert verdict.state == state
-    assert [reason.kind for reason in verdict.reasons] == (
-        [] if state == "usable" else ["little-gained"]
-    )
+    kinds = [reason.kind for reason in verdict.reasons]
+    assert kinds == ["little-gained"] * (state != "usable")

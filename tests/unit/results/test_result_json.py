@@ -36,11 +36,12 @@ KEYS = (
     *("machine", "mode", "error_tables", "squareness_urad"),
     *("alignment", "residuals", "observability", "provenance"),
 )
+NOTHING = object()
+FIRST = ("model", "effects", 0)
 
 
 @pytest.fixture
 def content(found):
-    """The result as it comes back from a file."""
     return json.loads(json.dumps(result_json(found), allow_nan=False))
 
 
@@ -92,9 +93,7 @@ def test_a_file_of_old_or_of_another_hand_is_read_as_it_was_stated(found, conten
     assert np.isfinite(predict(loaded, middle).uncertainty_um).all()
 
 
-def test_rows_that_left_no_data_are_named_points_count_from_the_first_no_noise_is_null(
-    estimate, provenance, across_only
-):
+def test_rows_without_data_and_unknown_noise_say_so(estimate, provenance, across_only):
     left = estimate.runs[0].measured_rows - {4}
     thinned = change_run(estimate, measured_rows=left)
     alignment = result_json(state_findings(thinned, provenance))["alignment"]
@@ -106,7 +105,6 @@ def test_rows_that_left_no_data_are_named_points_count_from_the_first_no_noise_i
     assert content["mode"] == "standstill"
     assert content["alignment"]["rows_without_data"] == [0]
     assert content["provenance"]["feed_mm_min"] is None
-    # Without data along the travel their noise is not known.
     content = result_json(state_findings(across_only, provenance))
     assert content["noise"]["along_travel_um"] is None
     assert content["provenance"]["options"] == {"perpendicular_only": True}
@@ -131,9 +129,7 @@ def test_residuals_along_the_lines_are_those_of_the_rows_and_add_up(content, est
     assert whole == pytest.approx(content["residuals"]["rms_um"])
 
 
-def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
-    construct, provenance, travel_points
-):
+def test_the_file_predicts_what_the_estimate_does(construct, provenance, travel_points):
     found = state_findings(construct(THREE_TARGETS), provenance)
     read = result_from_json(json.loads(json.dumps(result_json(found))))
     expected = predict(as_loaded(found.estimate), travel_points)
@@ -142,10 +138,7 @@ def test_the_file_predicts_what_the_estimate_of_three_targets_predicts(
     assert got.uncertainty_um == pytest.approx(expected.uncertainty_um, rel=1e-9)
 
 
-def test_parameters_and_tables_come_back_whatever_basis_the_gauge_had(
-    found, estimate, content
-):
-    """The file holds values at knots; a gauge brings its own basis when it is read."""
+def test_parameters_and_tables_come_back_whatever_the_gauge(found, estimate, content):
     read = result_from_json(content)
     assert read.mode == "otf"
     assert read.unobservable == estimate.observability.unobservable
@@ -172,7 +165,6 @@ def with_value(value, *path):
     return spoil
 
 
-NOTHING = object()
 without = partial(with_value, NOTHING)
 
 
@@ -196,7 +188,6 @@ def lost(position_mm, uncertainty_um):
     return with_value(half, "direction", "half_difference", "EXX")
 
 
-FIRST = ("model", "effects", 0)
 BAD = [
     (with_value("result/9", "schema"), "schema is not that of a result"),
     (without("schema"), "schema is missing"),
@@ -242,9 +233,7 @@ def test_what_is_no_object_is_no_result():
         result_from_json([1, 2])
 
 
-def test_what_belongs_to_the_measurement_is_integrated_out_and_nothing_else_dropped(
-    estimate,
-):
+def test_what_belongs_to_the_measurement_is_integrated_out_and_no_more(estimate):
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
     covariance = np.pad(estimate.covariance, (0, 6))
     covariance[:, -6:] = covariance[-6:, :] = 0.5
@@ -267,9 +256,7 @@ def tables(estimate):
     return build_error_tables(estimate)
 
 
-def test_straightness_is_zero_at_both_ends_all_else_at_the_axis_zero_or_the_lowest(
-    tables,
-):
+def test_straightness_is_zero_at_both_ends_all_else_at_zero_or_the_lowest(tables):
     straight = [t for t in tables.tables if is_straightness(t.symbol)]
     assert len(straight) == 6
     for table in straight:
@@ -298,9 +285,7 @@ def test_positions_are_equidistant_and_hold_both_ends_five_at_least(tables, esti
     assert choose_table_positions(short).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
-def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
-    estimate, tables
-):
+def test_values_are_those_of_the_parameters_in_um_and_urad(estimate, tables):
     for motion in estimate.model.effects[:-3]:
         table = tables.table(motion.name)
         theta = estimate.theta[estimate.model.slices[motion.name]]
@@ -313,7 +298,6 @@ def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
         assert square.value == pytest.approx(1e6 * angle)
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
-    # An effect that is no error motion has no table.
     theta = np.append(estimate.theta, np.ones(6))
     covariance = np.pad(estimate.covariance, (0, 6))
     more = build_error_tables(EstimatedModel(model, theta, covariance))
@@ -321,11 +305,7 @@ def test_values_are_those_of_the_parameters_in_micrometres_and_microradians(
     assert len(more.squareness) == 3
 
 
-def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
-    estimate, tables
-):
-    """A way to the numbers that shares nothing with the propagation."""
-
+def test_uncertainty_is_the_spread_of_tables_the_covariance_allows(estimate, tables):
     def values(theta):
         found = build_error_tables(replace(estimate, theta=theta))
         of_tables = [table.value for table in found.tables]
@@ -341,9 +321,7 @@ def test_uncertainty_is_the_spread_of_tables_that_the_covariance_allows(
     assert np.concatenate(stated) == pytest.approx(spread, rel=1e-6, abs=1e-9)
 
 
-def test_what_merges_has_no_table_until_three_targets_give_tables_for_any_tool(
-    estimate, tables, construct
-):
+def test_what_merges_has_no_table_until_three_targets_tell(estimate, tables, construct):
     known = {t.symbol for t in tables.tables}
     assert len(known) == 14
     assert tables.table("ECZ") is None
@@ -369,7 +347,6 @@ def test_each_row_of_the_file_has_value_uncertainty_unit_and_verdict(found):
             assert read == pytest.approx(getattr(table, column), abs=1e-4)
     squares = [r for r in rows if r["error"] in ("C0Y", "B0Z", "A0Z")]
     assert {(r["position_mm"], r["unit"]) for r in squares} == {("", "urad")}
-    # Nothing is said of what is not known.
     assert {r["error"] for r in rows}.isdisjoint({"EAZ", "EBZ", "ECZ"})
     assert len(squares) == 3
     assert len(rows) == sum(len(t.value) for t in found.tables.tables) + 3
@@ -406,7 +383,6 @@ def test_the_figures_of_iso_230_2_are_ranges_of_the_tables(estimate, tables, rng
 
 
 def test_what_nobody_measured_is_not_in_the_figures(estimate):
-    """X measured from -60 to 140 of its -200 to 300 mm, between rows of its table."""
     low, high = -60.0, 140.0
     (motion,) = (m for m in estimate.model.error_motions if m.symbol == "EXX")
     own = estimate.theta[estimate.model.slices[motion.name]]

@@ -6,15 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from results_fixtures import as_loaded
 from temperature_world import SHIFTED, World
 from truepath.answers.temperature.combined_results import combine_results
 from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import (
-    study_temperature,
-)
+from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.errors import BadInput
-from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.temperature_file import temperature_model_from_json
+
+KINDS = {  # tables, their uncertainties, and the name of one of them
+    "half_difference_um": ("half_difference_u_um", "X"),
+    "half_turn_urad": ("half_turn_u_urad", "C"),
+    "half_across": ("half_across_u", "EYX"),
+}
+AT, OWN = np.array([0.0, 100.0]), 0.5
 
 
 @pytest.fixture
@@ -36,9 +41,7 @@ def find_expansion(study):
     ("rounds", "most"),
     [(8, 2), pytest.param(150, 12, marks=pytest.mark.long)],
 )
-def test_a_machine_is_said_to_depend_and_to_grow_as_it_does(
-    world, rounds, most, scatter
-):
+def test_a_machine_is_said_to_depend_and_grow_as_it_does(world, rounds, most, scatter):
     steady = (study_temperature(world.draw(k, scatter=scatter)) for k in range(rounds))
     assert sum(bool(name_dependent(study)) for study in steady) <= most
     world.grow(11.0)
@@ -120,21 +123,6 @@ def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
     assert at[27.0] > 2.0 * at[21.0]
 
 
-KINDS = {  # tables, their uncertainties, and the name of one of them
-    "half_difference_um": ("half_difference_u_um", "X"),
-    "half_turn_urad": ("half_turn_u_urad", "C"),
-    "half_across": ("half_across_u", "EYX"),
-}
-AT, OWN = np.array([0.0, 100.0]), 0.5
-
-
-@pytest.fixture
-def results(estimate):
-    """Three results whose lost motion of every kind is 1, 2 and 3."""
-    first = CalibrationResult(estimate.model, estimate.theta, estimate.covariance)
-    return [state(first, half) for half in (1.0, 2.0, 3.0)]
-
-
 def state(result, half):
     tables = {key: {name: (AT, np.full(2, half))} for key, (_, name) in KINDS.items()}
     sigmas = {sigma: {name: np.full(2, OWN)} for sigma, name in KINDS.values()}
@@ -142,9 +130,8 @@ def state(result, half):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter_or_left_out(
-    results, kind
-):
+def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(estimate, kind):
+    results = [state(as_loaded(estimate), half) for half in (1.0, 2.0, 3.0)]
     joined = combine_results(results).result
     of_sigma, name = KINDS[kind]
     at, value = getattr(joined, kind)[name]

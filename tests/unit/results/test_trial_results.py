@@ -35,9 +35,7 @@ def held(estimated):
     return run_trials(estimated, PLAN)
 
 
-def test_every_table_and_squareness_is_held_where_it_is_stated_and_agrees(
-    estimated, held
-):
+def test_every_table_and_squareness_is_held_where_stated_and_agrees(estimated, held):
     by_name = {q.name: q for q in held.quantities}
     stated = build_error_tables(estimated)
     for table in stated.tables:
@@ -60,9 +58,7 @@ def test_every_table_and_squareness_is_held_where_it_is_stated_and_agrees(
         assert width / (2 * 1.96 * linear) == pytest.approx(1.0, abs=0.08)
 
 
-def test_trials_that_disagree_or_did_not_settle_validate_nothing_and_the_report_says_so(
-    estimated, held
-):
+def test_trials_that_disagree_or_did_not_settle_validate_nothing(estimated, held):
     small = replace(estimated, covariance=0.25 * estimated.covariance)
     other = replace(run_trials(small, PLAN), settled=True)
     undecided = replace(held, settled=False)
@@ -87,9 +83,7 @@ def test_the_file_states_trials_beside_the_linear_law(held):
     assert len(stated["volumetric_error"]["uncertainty_um"]) == 81
 
 
-def test_an_analysis_carries_trials_into_file_and_report_or_says_nothing_of_them(
-    run, found
-):
+def test_an_analysis_carries_trials_into_file_and_report_or_is_silent(run, found):
     stages = []
     asked = {"monte_carlo": PLAN, "on_progress": lambda *report: stages.append(report)}
     analysis = render_analysis(analyse(run, **asked))

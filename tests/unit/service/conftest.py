@@ -1,4 +1,2 @@
-"""Fixtures of this room, for tests of both kinds."""
-
 from jobs_fixtures import logged_plainly, make_cell, science  # noqa: F401
 from service_fixtures import *  # noqa: F403

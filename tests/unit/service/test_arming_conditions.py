@@ -28,7 +28,6 @@ REQUIRED = {
 
 @pytest.fixture
 def seen():
-    """What the board sees, as the only element."""
     return [GOOD]
 
 
@@ -37,9 +36,7 @@ def board(seen, hand_clock):
     return ConditionLog(lambda: seen[0])
 
 
-def test_arming_is_refused_by_the_name_of_each_condition_that_is_wrong(
-    client, seen, board, take, make_cell
-):
+def test_each_wrong_condition_refuses_arming(client, seen, board, take, make_cell):
     job = take("ready", kind="measure-otf", control_compensation="off")
     lying = board.path
     assert lying.level is Level.TRUE

@@ -16,13 +16,10 @@ HEADER = "error,position_mm,direction,value,unit\n"
 
 @pytest.fixture
 def place(with_result):
-    """Address of the certificates of a job with a real result."""
     return f"/api/v1/jobs/{with_result}/certificates"
 
 
 class Here:
-    """Calls what a process of its own would compute."""
-
     def __init__(self, name):
         self.call, self.close = (lambda function: function()), (lambda: None)
 
@@ -35,23 +32,20 @@ def quick_print(monkeypatch):
     monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
 
 
-def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_changes(
-    client, service, with_result, place, quick_print
-):
+def test_what_was_stated_is_kept(client, service, with_result, place, quick_print):
     service.setup.registry.change("default", serial_number="4711", place="Hall 3")
     known = {"serial_number": "4711", "place": "Hall 3"}
     assert client.get(place).json()["identity"] == known
     stated = {"place": "Hall 4", "operator": "A. Weiß", "warm_up": "2 h"}
-    by_earlier_name = {**stated, "tracker_serial": "7"}
-    answer = client.post(place, json={"language": "de", "identity": by_earlier_name})
+    identity = {**stated, "tracker_serial": "7"}  # by its earlier name
+    answer = client.post(place, json={"language": "de", "identity": identity})
     assert answer.status_code == 201, answer.text
     first = answer.json()
     tracker = {"tracker_serial_number": "7"}
     assert answer.headers["location"] == first["links"]["self"]
     assert first["identity"] == {"serial_number": "4711", **stated, **tracker}
-    record = service.setup.registry.get("default")
-    assert record.place == "Hall 4"
-    assert record.stated == {"operator": "A. Weiß", **tracker}
+    record, kept = service.setup.registry.get("default"), {"operator": "A. Weiß"}
+    assert (record.place, record.stated) == ("Hall 4", kept | tracker)
     client.patch("/api/v1/machines/default", json={"serial_number": "4712"})
     second = client.post(place, json={}).json()
     assert second["number"] != first["number"]
@@ -71,6 +65,30 @@ def test_what_was_stated_need_not_be_stated_again_and_a_certificate_never_change
     assert client.get(first["links"]["pdf"]).content == printed
     assert client.put(first["links"]["self"], json={}).status_code == 405
     assert client.delete(first["links"]["self"]).status_code == 405
+
+
+def test_a_preview_is_what_would_be_issued_and_keeps_nothing(
+    client, service, place, quick_print
+):
+    service.setup.registry.change("default", tolerance_um=1000.0)
+    before = service.setup.registry.get("default").stated
+    order = {"identity": {"operator": "A. Weiß", "laboratory": "Room 1"}}
+    seen = client.post(f"{place}/preview", json=order)
+    assert seen.status_code == 200, seen.text
+    assert client.get(place).json()["items"] == []
+    assert service.setup.registry.get("default").stated == before
+    issued = client.post(place, json=order).json()
+    assert seen.json()["results"] == issued["results"]
+    (decided,) = issued["results"]["conformity"]
+    assert (decided["of"], decided["conformity"]) == ("before", "within")
+    assert decided["tolerance_um"] == 1000.0
+    html, page = seen.json()["html"], client.get(issued["links"]["html"]).text
+    assert "PREVIEW: not issued" in html
+    assert issued["number"] not in html
+    assert "PREVIEW" not in page
+    for text in ("A. Weiß", "Room 1", "ISO 14253-1"):
+        assert text in html
+        assert text in page
 
 
 def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
@@ -93,9 +111,7 @@ def test_a_result_not_to_be_used_has_one_only_if_that_is_accepted(
 
 
 @pytest.mark.usefixtures("few_places")
-def test_the_files_of_a_verification_are_stated_without_being_named_again(
-    client, service, with_result, place, quick_print
-):
+def test_verified_files_are_stated(client, service, with_result, place, quick_print):
     at = f"/api/v1/jobs/{with_result}/compensations"
     kept = client.post(at, json={"format": "json"}).json()
     asked = {"result_id": with_result, "compensation_id": kept["id"]}
@@ -113,9 +129,7 @@ def test_the_files_of_a_verification_are_stated_without_being_named_again(
     assert "these files of the format json active" in page
 
 
-def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(
-    client, with_result, analysed, is_problem
-):
+def test_a_reference_is_compared_or_refused(client, with_result, analysed, is_problem):
     at = f"/api/v1/jobs/{with_result}/comparisons"
 
     def send(rows, **query):
@@ -143,7 +157,6 @@ def test_a_reference_is_compared_and_what_cannot_be_is_refused_with_its_place(
 
 @pytest.fixture
 def at(with_result):
-    """Address of a real result."""
     return f"/api/v1/jobs/{with_result}/result"
 
 
@@ -151,9 +164,7 @@ def lengths(found):
     return np.linalg.norm(found["error_um"], axis=1)
 
 
-def test_a_map_is_that_of_the_result_computed_once_and_one_that_cannot_be_says_why(
-    client, service, at, with_result
-):
+def test_a_map_is_that_of_the_result_computed_once(client, service, at, with_result):
     found = client.get(f"{at}/volumetric-map?grid=3").json()
     assert (found["axes"], len(found["position"])) == (["X", "Y", "Z"], 27)
     np.testing.assert_allclose(found["length_um"], lengths(found), atol=1e-3)
@@ -195,9 +206,7 @@ def test_files_leave_what_their_format_does_not_carry(client, at):
     assert mean_um == pytest.approx(said["after"]["mean"], rel=0.1)
 
 
-def test_means_are_held_against_a_tolerance_and_most_places_against_the_machines(
-    client, at
-):
+def test_means_have_a_stated_tolerance_most_places_the_machines(client, at):
     states = "before", "after_expected"
 
     def read(level, **query):

@@ -1,13 +1,19 @@
-"""The interface as it describes itself: enough to generate a client from it."""
+"""The interface as it describes itself, and answers that are as it says."""
 
 import inspect
+import json
 import re
 import runpy
 import sys
+from importlib import resources
 from urllib.parse import urljoin
 
 import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
 from pydantic import TypeAdapter
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi import checks
 
 from described_answers import DOCUMENT, list_errors, read_document, resolve
 from truepath import errors as app_errors
@@ -15,9 +21,9 @@ from truepath.catalogue import errors as job_errors
 from truepath.catalogue.job import Failure, Job, JobKind
 from truepath.catalogue.transitions import VERB_TRANSITIONS, State, Verb
 from truepath.service.api import problems
+from truepath.service.api.application import create_application
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.jobs.job_request import JobRequest
-from truepath.service.api.problems import find_kind_of_status
 from truepath.service.api.security.route_roles import LEAST_ROLES
 from truepath_drivers.interfaces import errors as device_errors
 
@@ -64,8 +70,7 @@ def test_every_family_of_errors_is_a_kind_of_problem():
 
 def test_a_failure_of_a_job_is_a_problem_of_its_family_with_its_own_code_and_way_out():
     content = problems.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
-    assert content["code"] == "bundle"
-    assert content["detail"] == "tracker.csv: NaN"
+    assert (content["code"], content["detail"]) == ("bundle", "tracker.csv: NaN")
     assert "status" not in content
     text = "127.0.0.1:5000 streams at up to 400 Hz, not at 500 Hz"
     failure = Failure("MeasurementEnded", text, "refused", "check the rate")
@@ -85,12 +90,9 @@ def test_an_error_or_status_nobody_foresaw_is_of_the_nearest_kind_and_tells_noth
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
     assert problems.find_kind(KeyError) is problems.INTERNAL
-    for status, code, shown in (
-        (418, "bad-request", 418),
-        (599, "internal-error", 500),
-    ):
-        kind = find_kind_of_status(status)
-        assert (kind.code, kind.status) == (code, shown)
+    for status, told in ((418, ("bad-request", 418)), (599, ("internal-error", 500))):
+        kind = problems.find_kind_of_status(status)
+        assert (kind.code, kind.status) == told
 
 
 OPERATIONS = {
@@ -145,7 +147,7 @@ def test_paths_have_versions_reading_no_conflicts_and_every_refusal_is_a_problem
             assert not list_errors(content["schema"], example["value"])
 
 
-def test_every_answer_that_succeeds_has_a_type_and_an_example_of_it():
+def test_every_body_and_every_answer_that_succeeds_has_an_example_of_its_type():
     answers = [
         (name, media_type, content)
         for name, operation in OPERATIONS.items()
@@ -159,9 +161,6 @@ def test_every_answer_that_succeeds_has_a_type_and_an_example_of_it():
         else:
             assert {"schema", "example"} <= set(content), (name, media_type)
             assert not list_errors(content["schema"], content["example"]), name
-
-
-def test_every_request_body_has_an_example_that_its_schema_takes():
     for name, operation in OPERATIONS.items():
         for content in operation.get("requestBody", {}).get("content", {}).values():
             schema = resolve(content["schema"])
@@ -206,3 +205,62 @@ def test_a_job_names_the_verbs_that_its_state_allows_each_with_its_address():
         assert set(job.allowed_verbs) == legal
     computing = Job(JobKind.ANALYSE, state=State.RUNNING)
     assert computing.allowed_verbs == (Verb.CANCEL, Verb.ABORT)
+
+
+HEADERS = {"host": "127.0.0.1"}
+SLOW = [HealthCheck.too_slow, HealthCheck.filter_too_much]
+DRAWN = settings(deadline=None, derandomize=True, phases=[Phase.generate])
+DRAWN = settings(DRAWN, suppress_health_check=SLOW)
+CHECKS = [
+    not_a_server_error,
+    checks.status_code_conformance,
+    checks.content_type_conformance,
+    checks.response_headers_conformance,
+    checks.response_schema_conformance,
+]
+EXAMPLES = resources.files("truepath.service.api").joinpath("examples.json")
+ROUTES = sorted(
+    (path, method)
+    for path, methods in read_document()["paths"].items()
+    for method in methods
+    if not path.endswith("/events")  # endless
+)
+
+
+@pytest.fixture
+def planner(planner):
+    more = {"document": json.loads(EXAMPLES.read_text())["get_plan"]["document"]}
+    return lambda *order, on_progress: planner(*order, on_progress=on_progress) | more
+
+
+@pytest.fixture
+def described(service):
+    found = schemathesis.openapi.from_dict(
+        read_document()
+    )  # described once, not each time
+    found.app = create_application(service)
+    return found
+
+
+def check_answers(described, path, method, most):
+    @settings(DRAWN, max_examples=most)
+    @given(case=described[path][method].as_strategy())
+    def check(case):
+        case.validate_response(case.call(headers=HEADERS), checks=CHECKS)
+
+    check()
+
+
+@pytest.mark.database
+@pytest.mark.fault_row(35)
+@pytest.mark.timeout(240)
+def test_every_answer_is_documented(described):
+    for path, method in ROUTES:
+        check_answers(described, path, method, 2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("path", "method"), ROUTES)
+@pytest.mark.timeout(120)
+def test_every_answer_to_many_requests_is_documented(described, path, method):
+    check_answers(described, path, method, 20)

@@ -14,9 +14,7 @@ def discover(take, run):
     return lambda **more: take(kind="discover", run_id=run["id"], **more)
 
 
-def test_a_discovery_has_a_model_and_no_tables_and_an_analysis_takes_what_it_names(
-    client, run, discover, take, is_problem, science
-):
+def test_a_discovery_has_a_model(client, run, discover, take, is_problem, science):
     job = discover()
     assert job["result"] is None
     report = client.get(job["discovery"]["report_html"])
@@ -37,9 +35,7 @@ def test_a_discovery_has_a_model_and_no_tables_and_an_analysis_takes_what_it_nam
     assert result.endswith(f"{analysed}/result.json")
 
 
-def test_models_are_listed_newest_first_with_the_versions_they_came_from(
-    client, discover, is_problem
-):
+def test_models_are_listed_with_what_they_came_from(client, discover, is_problem):
     first = discover()["id"]
     second = discover(model_id=first)["id"]
     page = client.get(MODELS, params={"limit": 1})
@@ -75,9 +71,7 @@ def test_what_names_no_run_discovery_or_model_is_not_found(client, run, is_probl
     assert client.get(JOBS).json()["items"] == []
 
 
-def test_a_model_that_is_not_to_be_used_says_so_and_steers_no_job(
-    client, run, discover, explorer, is_problem
-):
+def test_a_bad_model_steers_nothing(client, run, discover, explorer, is_problem):
     explorer.verdict = Verdict((Reason("stated", "not-usable", {"text": "Odd."}),))
     refused = discover()
     assert refused["verdict"] == "not-usable"
@@ -94,9 +88,7 @@ def test_a_model_that_is_not_to_be_used_says_so_and_steers_no_job(
     is_problem(client.post(PLANS, json=order), 422, "not-usable")
 
 
-def test_plans_and_measurements_keep_the_model_that_they_name(
-    client, discover, until, service, plan_orders
-):
+def test_plans_and_jobs_keep_their_model(client, discover, until, service, plan_orders):
     model = discover()["id"]
     order = {"mode": "otf", "minutes": 0.5, "model_id": model}
     made = until(client.post(PLANS, json=order).json(), "succeeded")

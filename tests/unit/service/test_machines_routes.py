@@ -39,9 +39,7 @@ def chosen(client, service):
             cell.close()
 
 
-def test_the_only_machine_is_listed_and_its_identity_asked_once_and_kept(
-    client, is_problem
-):
+def test_a_machine_is_listed_and_its_identity_kept(client, is_problem):
     (one,) = client.get(BASE).json()["items"]
     assert (one["id"], one["name"], one["version"]) == ("default", "demo", 1)
     assert (one["cell"], one["current_job"]) == ("disconnected", None)
@@ -89,9 +87,7 @@ def test_what_contradicts_another_machine_is_refused(chosen, client, is_problem)
     is_problem(add(client, "current", name="x"), 422, "validation")
 
 
-def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
-    chosen, client, service, is_problem
-):
+def test_a_machine_file_anew_keeps_the_devices(chosen, client, service, is_problem):
     assert chosen["devices"]["tracker_options"] == TRACKER
     first, added = client.get(BASE).json()["items"]
     assert (first["id"], added["id"], added["place"]) == ("default", "mill-3", "hall 3")
@@ -113,8 +109,7 @@ def test_a_machine_described_anew_is_a_new_version_and_keeps_its_devices(
     assert client.put(at, json=body).json()["version"] == 3
     assert service.machines.get("mill-3") is now
     content["axes"]["X"]["max_mm"] = -1e4
-    wrong = is_problem(client.put(at, json=body), 422, "bundle")
-    assert "axes.X" in wrong["detail"]
+    assert "axes.X" in is_problem(client.put(at, json=body), 422, "bundle")["detail"]
     taken = {"machine_file": load_machine("demo")}
     is_problem(client.put(at, json=taken), 409, "machine-known")
     for path, sent in (("devices", DEVICES), ("machine-file", taken)):
@@ -139,14 +134,11 @@ def test_a_changed_machine_is_audited_with_what_was_and_what_is(client, chosen):
     client.put(f"{BASE}/mill-3/machine-file", json={"machine_file": content})
     old, new = read_change()
     assert (old["machine_file.name"], new["machine_file.name"]) == ("mill 3", "mill 3b")
-    headers = {"If-Match": f'"{new["version"]:.0f}"'}
-    assert client.delete(f"{BASE}/mill-3", headers=headers).status_code == 204
+    assert remove(client).status_code == 204
     assert read_change()[0]["machine_file.name"] == "mill 3b"
 
 
-def test_a_trial_says_what_the_tracker_sends_unless_its_machine_measures(
-    client, make_cell, order, take, is_problem
-):
+def test_a_trial_says_what_a_tracker_sends(client, make_cell, order, take, is_problem):
     trial = f"{BASE}/default/devices:try"
     answer = client.post(trial)
     assert answer.status_code == 200, answer.text
@@ -169,13 +161,10 @@ def test_no_password_of_a_device_is_shown():
 def remove(client, machine_id="mill-3", version=None):
     if version is None:
         version = client.get(f"{BASE}/{machine_id}").json()["version"]
-    headers = {"If-Match": f'"{version}"'}
-    return client.delete(f"{BASE}/{machine_id}", headers=headers)
+    return client.delete(f"{BASE}/{machine_id}", headers={"If-Match": f'"{version}"'})
 
 
-def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
-    client, service, is_problem
-):
+def test_a_machine_that_is_removed_keeps_its_history(client, service, is_problem):
     (example,) = NewMachine.model_config["json_schema_extra"]["examples"]
     answer = client.post(BASE, json=example)  # of the description
     assert answer.status_code == 201, answer.text
@@ -193,9 +182,7 @@ def test_a_machine_that_is_removed_is_driven_no_more_and_keeps_its_history(
     assert (again.json()["origin"], again.json()["version"]) == ("catalogue", 3)
 
 
-def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
-    client, service, chosen, is_problem
-):
+def test_a_machine_is_removed_while_it_stands_free(client, service, chosen, is_problem):
     is_problem(client.delete(f"{BASE}/mill-3"), 428, "version-required")
     stale = remove(client, version=chosen["version"] - 1)
     assert is_problem(stale, 412, "stale-version")["current_version"] == 2
@@ -210,9 +197,7 @@ def test_a_machine_is_removed_by_its_version_and_while_it_stands_free(
     assert "is running" in moving["detail"]
 
 
-def test_the_history_of_a_machine_is_every_calibration_and_what_changed_is_said(
-    client, calibrated, service, is_problem
-):
+def test_history_is_every_calibration(client, calibrated, service, is_problem):
     answer = client.get(f"{BASE}/default/history").json()
     assert answer["schema"] == "machine-history/1"
     assert [c["job_id"] for c in answer["calibrations"]] == list(calibrated)
@@ -260,9 +245,7 @@ def test_an_old_run_that_is_uploaded_late_is_not_the_newest(calibrated, service)
     assert len(list_jobs()) == 1
 
 
-def test_only_a_usable_calibration_of_the_machine_is_a_reference(
-    client, calibrated, service, finished, is_problem
-):
+def test_references_are_calibrations(client, calibrated, service, finished, is_problem):
     at, standing = f"{BASE}/default", f"{BASE}/default/standing"
     (service.results / finished["id"] / "result.json").unlink()  # as a verification
     for other in (finished["id"], "job-9"):
@@ -280,7 +263,6 @@ def test_only_a_usable_calibration_of_the_machine_is_a_reference(
 
 @pytest.fixture
 def told(service):
-    """What is told of machines."""
     told = []
     service.event_bus.subscribe(lambda n: n.type == "machine" and told.append(n.body))
     return told
@@ -314,13 +296,10 @@ def test_a_machine_that_has_changed_raises_an_alarm(client, calibrated, service,
     assert (event["is_alarm"], event["calibration"]) == (True, calibrated[1])
 
 
-def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
-    client, calibrated, service, is_problem
-):
+def test_three_calibrations_show_temperature(client, calibrated, service, is_problem):
     at = f"{BASE}/default/temperature"
 
     def state(job_id, celsius):
-        """Write what the scales' thermometers have shown."""
         shown = {"mean": celsius, "low": celsius, "high": celsius, "used": True}
         with edited(service.results / job_id / "result.json") as content:
             axes = content["machine"]["axes"]
@@ -330,16 +309,14 @@ def test_what_depends_on_temperature_is_told_from_three_calibrations_on(
 
     for job_id, celsius in zip(calibrated, (18.0, 24.0), strict=True):
         state(job_id, celsius)
-    refused = is_problem(client.get(at), 422, "bad-input")["detail"]
-    assert "needs three or more" in refused
+    refused = is_problem(client.get(at), 422, "bad-input")
+    assert "needs three or more" in refused["detail"]
     third = service.results / add_calibration(service, 3)
     copytree(service.results / "job-1", third, dirs_exist_ok=True)
     file = third / "result.json"
     file.write_text(file.read_text().replace(f"{1:064d}", f"{3:064d}"))
     state("job-3", 21.0)
-    answer = client.get(at)
-    assert answer.status_code == 200, answer.text
-    told = answer.json()
+    told = client.get(at).json()
     assert [c["temperature_degC"] for c in told["calibrations"]] == [18.0, 24.0, 21.0]
     assert told["text"][0].endswith("nothing is seen to depend on temperature.")
     file = client.get(f"{at}/temperature.json", params={"reference_degC": 21.0})

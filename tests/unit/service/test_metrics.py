@@ -16,8 +16,6 @@ from truepath_drivers.interfaces import errors
 
 @pytest.fixture
 def scrape(client):
-    """Read the metrics as a dictionary of samples by name and labels."""
-
     def read(http=client):
         answer = http.get("/metrics")
         assert answer.status_code == 200, answer.text
@@ -32,15 +30,12 @@ def scrape(client):
 
 
 def progress(samples, **counted):
-    return messages.MeasurementProgress(
-        1, 2, "lines", "measuring", 1.0, 1.0, samples=samples, **counted
-    )
+    known = 1, 2, "lines", "measuring", 1.0, 1.0
+    return messages.MeasurementProgress(*known, samples=samples, **counted)
 
 
 @pytest.mark.database
-def test_the_format_is_that_of_prometheus_and_names_the_machine(
-    scrape, service, monkeypatch
-):
+def test_the_format_is_that_of_prometheus(scrape, service, monkeypatch):
     found = scrape()
     machine = ("machine", "default")
     assert found["truepath_cell_up", machine] == 1
@@ -60,17 +55,15 @@ def test_the_format_is_that_of_prometheus_and_names_the_machine(
     assert scrape()["truepath_catalogue_up",] == 0  # a number and no failure
 
 
-def test_a_request_is_counted_by_the_template_of_its_route_by_its_service_alone(
-    client, service, scrape
-):
+def test_requests_are_counted_by_the_template_of_their_route(client, service, scrape):
     client.get("/api/v1/jobs/019a0000-0000-7000-8000-000000000000")
     client.get("/nowhere/019a")
     found = scrape()
     template = ("route", "/api/v1/jobs/{job_id}"), ("status", "404")
     key = ("truepath_request_seconds_count", ("method", "GET"), *template)
     assert found[key] == 1
-    none = ("method", "GET"), ("route", "none"), ("status", "404")
-    assert found[("truepath_request_seconds_count", *none)] == 1
+    none = key[0], key[1], ("route", "none"), ("status", "404")
+    assert found[none] == 1
     assert not [name for name in found if "019a" in str(name)]
     with TestClient(create_application(service), base_url="http://localhost") as other:
         routes = {dict(key[1:]).get("route") for key in scrape(other)}
@@ -78,21 +71,16 @@ def test_a_request_is_counted_by_the_template_of_its_route_by_its_service_alone(
 
 
 @pytest.mark.database
-def test_an_aborted_measurement_is_counted_and_times_its_commands(
-    client, armed, scrape, make_cell, until
-):
+def test_a_measurement_times_its_commands(client, armed, scrape, make_cell, until):
     client.post(f"/api/v1/jobs/{armed['id']}/abort")
     until(armed, "aborted")
     machine = ("machine", "default")
     count = "truepath_cell_command_seconds_count"
-    found = wait_until(
-        lambda: (now := scrape()).get((count, ("command", "abort"), machine)) and now,
-        "the abort",
-    )
+    abort = count, ("command", "abort"), machine
+    found = wait_until(lambda: (now := scrape()).get(abort) and now, "the abort")
     key = ("kind", "measure-otf"), ("state", "aborted")
     assert found[("truepath_jobs", *key)] == 1
-    assert found[count, ("command", "begin"), machine] == 1
-    assert found[count, ("command", "abort"), machine] == 1
+    assert found[count, ("command", "begin"), machine] == found[abort] == 1
     upto = [
         number
         for (name, *labels), number in found.items()
@@ -130,9 +118,7 @@ def test_a_repeated_command_is_timed_from_its_first_time(hand_clock):
     assert (sum(pause.counts), pause.total_s) == (1, 2.5)
 
 
-def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
-    client, is_problem, monkeypatch
-):
+def test_the_system_says_what_it_is_and_lacks(client, is_problem, monkeypatch):
     assert client.get("/healthz").json() == {"status": "ok"}
     ready = client.get("/readyz")
     assert ready.status_code == 200
@@ -154,9 +140,7 @@ def test_the_system_says_what_it_is_what_it_is_short_of_and_who_is_connected(
     assert (machine["connected"], machine["motion"]["model"]) == (True, "Controller")
 
 
-def test_a_device_that_does_not_answer_as_it_should_is_a_problem(
-    client, make_cell, is_problem
-):
+def test_a_device_that_answers_wrongly_is_a_problem(client, make_cell, is_problem):
     for refusal, status, code in (
         (errors.ConnectionLost("no such port"), 502, "device-unreachable"),
         (errors.DeviceTimeout("silence"), 504, "device-silent"),
@@ -174,13 +158,11 @@ class TestWithoutAMachine:
 
     def test_nothing_is_measured_and_a_stop_is_still_taken(self, client, is_problem):
         system = client.get("/api/v1/system").json()
-        assert system["machine"] is None
-        assert system["cell"]["state"] == "none"
+        assert (system["machine"], system["cell"]["state"]) == (None, "none")
         ready = client.get("/readyz").json()
         assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
         is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
         is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
         answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
-        problem = is_problem(answer, 409, "no-machine")
-        assert "machine_file" in problem["action"]
+        assert "machine_file" in is_problem(answer, 409, "no-machine")["action"]
         assert client.post("/api/v1/stop").status_code == 202

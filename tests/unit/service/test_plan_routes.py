@@ -5,6 +5,7 @@ import dataclasses
 
 import pytest
 
+from api_builders import rows_at
 from service_fixtures import SHORT
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_requests import plan_measurement
@@ -18,14 +19,11 @@ BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
 
 @pytest.fixture
 def more():
-    """What a test adds to the plan."""
     return {}
 
 
 @pytest.fixture
 def planner(short_plan, more):
-    """The real one, whose short plan is made once."""
-
     def plan(machine, order, *, on_progress):
         if {key: order[key] for key in order if order[key]} == SHORT:
             return copy.deepcopy(short_plan | more)
@@ -36,8 +34,6 @@ def planner(short_plan, more):
 
 @pytest.fixture
 def planned(client, until):
-    """Ask for a plan and wait until its job has ended."""
-
     def make(request):
         answer = client.post("/api/v1/plans", json=request)
         assert answer.status_code == 202, answer.text
@@ -79,8 +75,7 @@ def test_a_plan_and_each_beginning_of_it_say_what_they_will_leave_unknown(plan, 
     assert points[0]["grade"]["verdict"] == "poor"
     for point in points:
         at_tool = [weak["at_tool_um"] for weak in point["weakest"]]
-        assert at_tool == sorted(at_tool, reverse=True)
-        assert len(at_tool) == 3
+        assert (at_tool, len(at_tool)) == (sorted(at_tool, reverse=True), 3)
     assert found["tracker_mm"] == document["tracker"]["position_mm"]
 
 
@@ -96,14 +91,13 @@ def test_a_plan_or_its_beginning_is_driven_as_it_is_shown(plan, client, take):
         driven = client.get(job["links"]["plan"]).json()
         assert driven["position"] == position[:rows]
         assert driven["predicted_um"] == predicted_um
+        assert driven["tracker_mm"] == plan["document"]["tracker"]["position_mm"]
         target_um = asked.get("target_um")
         assert job["target_um"] == driven["target_um"] == target_um
         client.post("/api/v1/stop")
 
 
-def test_each_station_of_a_plan_has_its_program(
-    planned, more, short_plan, client, is_problem
-):
+def test_each_station_has_its_program(planned, more, short_plan, client, is_problem):
     by_row = ("position", "feed_mm_min", "dwell_s")
     whole = {name: short_plan[name] for name in ("kind", "axes", *by_row)}
     whole |= {"position_mm": [0.0, -1200.0, 0.0], "duration_s": 30.0, "target": []}
@@ -120,14 +114,11 @@ def test_each_station_of_a_plan_has_its_program(
     assert "2 stations, not 3" in told
 
 
-def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
-    plan, client, service, ready, is_problem
-):
+def test_a_plan_is_of_its_mode_and_machine(plan, client, service, ready, is_problem):
     client.post("/api/v1/stop")
 
     def refused(kind, plan_id=plan["id"], status=422, code="plan"):
-        order = {"kind": kind, "plan_id": plan_id}
-        answer = client.post("/api/v1/jobs", json=order)
+        answer = client.post("/api/v1/jobs", json={"kind": kind, "plan_id": plan_id})
         return is_problem(answer, status, code)["detail"]
 
     refused("measure-otf", ready["id"], 404, "not-found")
@@ -144,11 +135,9 @@ def test_a_plan_alone_is_driven_in_its_mode_on_the_machine_it_is_for(
 def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, client):
     axes = MACHINE.linear_axes
     low, high = [axis.low - 1.0 for axis in axes], [axis.high + 1.0 for axis in axes]
-    everything = {"min_mm": low, "max_mm": high}
-    order = {**SHORT, "workspace": {"keep_out": [everything]}}
+    order = {**SHORT, "workspace": {"keep_out": [{"min_mm": low, "max_mm": high}]}}
     made = planned(order)
-    assert made["state"] == "failed"
-    assert made["error"]["code"] == "plan"
+    assert (made["state"], made["error"]["code"]) == ("failed", "plan")
     assert "keep-out" in made["error"]["detail"]
     assert (made["commanded"], made["document"]) == (None, None)
     sent = {"json": order, "headers": {"Idempotency-Key": "plan-1"}}
@@ -156,14 +145,7 @@ def test_a_plan_that_cannot_be_says_why_and_is_made_once_for_a_key(planned, clie
     assert first.json()["id"] == again.json()["id"]
 
 
-def rows_at(*places):
-    axes = "x_mm", "y_mm", "z_mm"
-    return [dict(zip(axes, place, strict=True)) for place in places]
-
-
-def test_rows_are_checked_over_the_swept_path_and_taken_whatever_they_leave_open(
-    client, is_problem
-):
+def test_rows_are_checked_over_the_swept_path(client, is_problem):
     def check(**body):
         return client.post("/api/v1/plans:validate", json=body)
 

@@ -1,4 +1,4 @@
-"""Runs that are taken in, named, noted, and deleted as jobs are."""
+"""Runs that are taken in, named, noted, followed over time, and deleted as jobs are."""
 
 import io
 import json
@@ -16,18 +16,18 @@ from truepath.jobs.dispatch.reconciliation import reconcile
 from truepath.jobs.dispatch.retention import Retention, RetentionRules
 from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.service.api.routes import runs as run_routes
+from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.database
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
+LATER = datetime.now(UTC) + timedelta(days=25)
 
 
 def send(client, content, name="from shop.zip"):
     return client.post(RUNS, files={"bundle": (name, content, "application/zip")})
 
 
-def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent(
-    client, bundle, take
-):
+def test_an_uploaded_bundle_is_analysed_and_comes_back_as_sent(client, bundle, take):
     sent = bundle()
     answer = send(client, sent)
     assert answer.status_code == 201, answer.text
@@ -47,9 +47,7 @@ def test_an_uploaded_bundle_is_catalogued_analysed_and_comes_back_as_it_was_sent
     assert take(**order)["monte_carlo"] is None
 
 
-def test_a_bundle_or_upload_that_cannot_be_used_is_refused_with_its_place(
-    client, service, bundle, is_problem, monkeypatch
-):
+def test_a_bad_upload_has_its_place(client, service, bundle, is_problem, monkeypatch):
     for members, file, column, text in (
         ({"tracker_csv": None}, "tracker.parquet", None, "missing"),
         ({"tracker_csv": "t_s,x_mm,y_mm\n0,1,2\n"}, "tracker.csv", "z_mm", "missing"),
@@ -98,8 +96,7 @@ def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
     at = f"{JOBS}/{ready['id']}"
     assert (ready["name"], ready["note"]) == ("", "")
     event = service.store.read_last_event_id()
-    named = client.patch(at, json={"name": "As found, Müller"})
-    assert named.status_code == 200, named.text
+    assert client.patch(at, json={"name": "As found, Müller"}).status_code == 200
     noted = client.patch(at, json={"note": "Warm since 8:00.\nDoor open."}).json()
     assert noted["name"] == "As found, Müller"
     assert noted == client.get(at).json()
@@ -116,9 +113,7 @@ def test_a_job_gets_name_and_note_without_a_new_version(client, service, ready):
     assert (job["name"], job["note"]) == (noted["name"], noted["note"])
 
 
-def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_them(
-    client, ready, run, is_problem
-):
+def test_names_are_short_and_found_by_a_part(client, ready, run, is_problem):
     for at, named in ((JOBS, ready), (RUNS, run)):
         own = f"{at}/{named['id']}"
         client.patch(own, json={"name": "Vor der Spindel ÄÖ 100%_a"})
@@ -146,9 +141,7 @@ def test_jobs_and_runs_have_short_names_of_letters_and_are_listed_by_a_part_of_t
         assert "pattern" not in detail
 
 
-def test_runs_are_listed_in_pages_that_lead_on_and_analysed_together(
-    client, run, upload, take, is_problem
-):
+def test_runs_are_listed_and_analysed_together(client, run, upload, take, is_problem):
     for asked, count in (
         ({"machine": run["machine"]}, 1),
         ({"machine": "default"}, 1),
@@ -177,9 +170,6 @@ def test_runs_are_listed_in_pages_that_lead_on_and_analysed_together(
         is_problem(client.get(RUNS + path), 404, "not-found")
 
 
-LATER = datetime.now(UTC) + timedelta(days=25)
-
-
 @pytest.fixture
 def analyse(take):
     return lambda run, **more: take(kind="analyse", run_id=run["id"], **more)
@@ -187,7 +177,6 @@ def analyse(take):
 
 @pytest.fixture
 def kept(service, analyse, run):
-    """A job whose answer stands in its folder."""
     job = analyse(run)
     folder = service.results / job["id"]
     folder.mkdir(exist_ok=True)
@@ -197,16 +186,13 @@ def kept(service, analyse, run):
 
 @pytest.fixture
 def retention(service):
-    rows = []
-    rules = RetentionRules(keep_runs_days=20, keep_results_days=20)
-    made = Retention(
-        service.dispatcher._context,
-        service.calibrations,
-        service.deletion,
-        rules,
-        lambda _, deleted: rows.append((deleted.kind, deleted.id)),
-        lambda: False,
-    )
+    rows, rules = [], RetentionRules(keep_runs_days=20, keep_results_days=20)
+    parts = service.dispatcher._context, service.calibrations, service.deletion
+
+    def note(_, deleted):
+        rows.append((deleted.kind, deleted.id))
+
+    made = Retention(*parts, rules, note, lambda: False)
     made.rows = rows
     return made
 
@@ -280,9 +266,7 @@ def test_a_run_stays_while_its_measurement_can_go_on_from_it_and_is_then_forgott
     assert client.get(f"{JOBS}/{job['id']}").json()["run_id"] is None
 
 
-def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
-    client, service, finished, monkeypatch
-):
+def test_a_run_once_deleted_is_not_taken_in(client, service, finished, monkeypatch):
     """The rows are gone and the file is not: as if the power had failed between."""
     file = service.runs.file(finished["run_id"])
 
@@ -293,8 +277,7 @@ def test_a_run_whose_file_outlives_a_crash_is_not_taken_in_again(
         patch.setattr(type(service.runs), "remove_files", fail)
         at = f"{RUNS}/{finished['run_id']}"
         assert client.delete(at, params={"with_results": True}).status_code == 204
-    assert file.is_file()
-    assert file.suffix == ".sqlite"
+    assert (file.is_file(), file.suffix) == (True, ".sqlite")
     reconcile(service.dispatcher._context)
     assert not service.runs.find([finished["run_id"]])
     service.deletion.remove_files()
@@ -329,17 +312,14 @@ def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
 
 
-def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
-    client, service, run, is_problem
-):
+def test_known_lengths_stay_with_their_run(client, service, run, is_problem):
     address = run["links"]["known_lengths"]
 
     def send(text, to=address):
         return client.put(to, files={"known_lengths": ("bar.csv", text)})
 
-    problem = is_problem(
-        send(KNOWN_LENGTHS.replace("2000.01", "2.00001")), 422, "bundle"
-    )
+    in_metres = KNOWN_LENGTHS.replace("2000.01", "2.00001")
+    problem = is_problem(send(in_metres), 422, "bundle")
     assert (problem["row"], problem["column"]) == (2, "length_mm")
     is_problem(send(KNOWN_LENGTHS, f"{RUNS}/nowhere/known-lengths"), 404, "not-found")
     is_problem(client.get(address), 404, "not-found")
@@ -355,3 +335,62 @@ def test_known_lengths_are_kept_with_a_run_read_with_it_and_deleted_with_it(
     send(KNOWN_LENGTHS)
     assert client.delete(f"{RUNS}/{run['id']}").status_code == 204
     assert not list(service.runs._folder.glob("*.csv"))
+
+
+@pytest.fixture
+def upload_at(upload):
+    def taken(begin_s, name="mill.zip", **members):
+        rows = "".join(f"{begin_s + n / 500:.3f},{n},0,0\n" for n in range(100))
+        return upload(name, tracker_csv="t_s,x_mm,y_mm,z_mm\n" + rows, **members)["id"]
+
+    return taken
+
+
+@pytest.fixture
+def ask(client):
+    order = {"kind": "trend"}
+    return lambda *ids, **more: client.post(JOBS, json=order | {"run_ids": ids} | more)
+
+
+def test_a_trend_is_told_what_is_asked(client, upload_at, take, follower):
+    runs = [upload_at(0.0), upload_at(3600.0)]
+    asked = {"limit_um": 5.0, "later_h": [1.0], "temperature_degC": {"X": 21.5}}
+    job = take(kind="trend", run_ids=runs, **asked)
+    assert (job["run_ids"], job["verdict"], job["result"]) == (runs, "usable", None)
+    report = client.get(job["trend"]["report_html"])
+    assert "sandbox" in report.headers["content-security-policy"]
+    ((files, names, told),) = follower.calls
+    assert (len(files), names) == (2, ["mill", "mill"])
+    assert {key: told[key] for key in asked} == asked
+
+
+def test_runs_without_a_trend_make_no_job(upload_at, ask, is_problem):
+    first, anew = upload_at(5.0, "monday.zip"), upload_at(0.0)
+    again = upload_at(5.0, "tuesday.zip")
+    said = is_problem(ask(first, again, at_h=[0, 1]), 422, "bad-input")["detail"]
+    assert all(words in said for words in ("monday (", "tuesday (", "same Run"))
+    is_problem(ask(first, "no-such-run"), 404, "not-found")
+    assert "at_h" in is_problem(ask(first, anew), 422, "bad-input")["detail"]
+    said = is_problem(ask(first, anew, at_h=[8.0]), 422, "bad-input")["detail"]
+    assert "1 times" in said
+    shorter = load_machine("demo")
+    shorter["axes"]["X"]["max_mm"] = 450.0
+    other = upload_at(3600.0, machine_json=json.dumps(shorter))
+    assert "axes.X.max_mm" in is_problem(ask(first, other), 422, "bundle")["detail"]
+    assert ask(first, anew, at_h=[8.0, 9.5]).status_code == 202
+
+
+def test_a_reanalysis_takes_many_runs_and_has_a_summary(client, take, reanalysed):
+    job = take(kind="reanalyse", run_ids=reanalysed)
+    summary = client.get(job["reanalysis"]["reanalysis"]).json()
+    assert (summary["schema"], summary["analysed"]) == ("reanalysis/1", 2)
+    assert [one["name"] for one in summary["analyses"]] == ["run-0", "run-1"]
+    at = f"{JOBS}/{job['id']}/reanalysis/runs"
+    assert client.get(f"{at}/{reanalysed[0]}").json()["schema"] == "result/1"
+    ids = [f"019a0000-0000-7000-8000-{n:012d}" for n in range(51)]
+    assert client.get(f"{at}/{ids[0]}").status_code == 404
+    answer = client.post(JOBS, json={"kind": "analyse", "run_ids": ids})
+    assert answer.status_code == 422
+    assert "more than 50" in answer.text
+    answer = client.post(JOBS, json={"kind": "reanalyse", "run_ids": ids})
+    assert answer.status_code == 404

@@ -109,8 +109,7 @@ def moving(master):
     assert master.load(LINE) is Result.DONE
     assert master.command(Command.START) is Result.DONE
     master.wait(3.0)
-    assert master.state is MotionState.RUNNING
-    assert master.value("line") == 1
+    assert (master.state, master.value("line")) == (MotionState.RUNNING, 1)
     feed = master.value("feed") / regmap.FEED_COUNTS
     assert feed == pytest.approx(6000.0, abs=0.01)
     return master
@@ -118,8 +117,7 @@ def moving(master):
 
 def test_a_path_is_driven_again_and_a_long_one_goes_over_in_blocks(master, rng):
     assert master.load(LINE) is Result.DONE
-    assert master.state is MotionState.READY
-    assert master.value("path_rows") == 2
+    assert (master.state, master.value("path_rows")) == (MotionState.READY, 2)
     assert master.value("path_crc") == path_crc(row_words(LINE))
     assert master.command(Command.START) is Result.DONE
     assert master.state is MotionState.RUNNING
@@ -176,8 +174,7 @@ def test_a_move_to_the_ends_of_the_travel_keeps_the_committed_path(master):
     assert master.move_to([500.0, 400.0, 300.0]) is Result.DONE
     assert master.wait_still() is MotionState.FINISHED
     np.testing.assert_allclose(master.position, [500.0, 400.0, 300.0])
-    assert master.value("path_rows") == 2
-    assert master.value("line") == 0
+    assert (master.value("path_rows"), master.value("line")) == (2, 0)
     assert master.command(Command.START) is Result.DONE
 
 
@@ -223,8 +220,7 @@ def test_an_alarm_stops_is_told_and_stays(moving):
     assert moving.command(Command.RESET) is Result.NOT_READY
     moving.registers.staying_cause = None
     assert moving.command(Command.RESET) is Result.DONE
-    assert moving.state is MotionState.IDLE
-    assert moving.value("path_rows") == 0
+    assert (moving.state, moving.value("path_rows")) == (MotionState.IDLE, 0)
 
 
 @pytest.mark.parametrize("begin", ["moving", "held", "at 0 %"])
@@ -293,8 +289,7 @@ def test_a_number_alone_never_replays_a_verb_with_edited_arguments(master):
     master.registers.write(rows + 1, [0])  # another goal in the arguments
     with pytest.raises(ModbusError) as refused:
         master.write("command_sequence", master.number + 1)
-    assert refused.value.code == ILLEGAL_VALUE
-    assert master.state is MotionState.FINISHED
+    assert (refused.value.code, master.state) == (ILLEGAL_VALUE, MotionState.FINISHED)
     assert master.value("position") == here
     assert master.value("command_ack") == master.number
 
@@ -311,5 +306,4 @@ def test_readiness_tells_reference_and_compensation(master):
         lose()
         assert master.value("readiness") == regmap.IS_COMPENSATING
         assert master.command(Command.HOME) is Result.DONE
-        assert master.value("readiness") == both
-        assert master.state is MotionState.IDLE
+        assert (master.value("readiness"), master.state) == (both, MotionState.IDLE)

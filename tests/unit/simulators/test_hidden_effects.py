@@ -41,9 +41,8 @@ def program(rows):
     return Program(np.array(rows), np.full(n, FEED_MM_S), np.full(n, 0.2))
 
 
-THERE_AND_BACK = program(
-    [(50, 50, 50), (250, 50, 50), (50, 50, 50), (50, 200, 50), (150, 200, 50)]
-)
+ENDS = (50, 50, 50), (250, 50, 50), (50, 50, 50), (50, 200, 50), (150, 200, 50)
+THERE_AND_BACK = program(ENDS)
 CHORDS = paths.chord_path(MACHINE, 2, 12, 60.0 * FEED_MM_S)
 
 
@@ -236,18 +235,18 @@ def test_an_effect_is_given_by_name_and_size_or_by_its_numbers():
     assert "squareness" not in named.CATALOGUED  # every fitted model has it
 
 
+def named_json(name, axis="X", **numbers):
+    return json.dumps({"name": name, "axis": axis, **numbers})
+
+
 @pytest.mark.parametrize(
     ("text", "names"),
     [
         ('{"name": "backlash"', "not JSON"),
-        ('{"name": "backlash", "axis": "Q", "width_um": 8}', "demo cannot have it"),
-        ('{"name": "backlash", "axis": "X", "width_um": "big"}', "big"),
+        (named_json("backlash", "Q", width_um=8), "demo cannot have it"),
+        (named_json("backlash", width_um="big"), "big"),
         ('{"name": "squareness", "symbol": "D0Y", "value_urad": 8}', "D0Y"),
-        (
-            '{"name": "lateral-backlash", "axis": "X", "motion": "EYC", '
-            '"half_width": 5}',
-            "no axis C",
-        ),
+        (named_json("lateral-backlash", motion="EYC", half_width=5), "no axis C"),
     ],
 )
 def test_numbers_that_the_machine_cannot_have_are_refused(text, names):

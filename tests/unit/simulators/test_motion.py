@@ -152,8 +152,7 @@ def test_the_feed_changes_under_way_within_limits(length, feed, other, when, lim
 def test_half_the_feed_takes_twice_the_time_from_then_on():
     timeline = drive(one_line(400.0, 100.0, 0.0))
     slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
-    at = np.array([3.0])
-    assert slower.speeds(at)[0] == pytest.approx(50.0)
+    assert slower.speeds(np.array([3.0]))[0] == pytest.approx(50.0)
     assert slower.end_s == pytest.approx(2.0 + 2.0 * (timeline.end_s - 2.0), rel=0.02)
 
 
@@ -212,8 +211,7 @@ def source():
 
 def test_positions_are_those_of_the_source_at_its_own_times(source):
     followed, write = source
-    assert followed.timeline() is None
-    assert followed.now_s() == 0.0
+    assert (followed.timeline(), followed.now_s()) == (None, 0.0)
     write("1000 10.0 5.0\n1001 10.2 5.0\n1002 10.4 5.1 99 98\n1003 10.4 ")
     at = followed.timeline().positions(np.array([1.0, 1.0005, 1.0015, 1.002, 7.0]))
     expected = [[10.0, 5.0], [10.1, 5.0], [10.3, 5.05], [10.4, 5.1], [10.4, 5.1]]

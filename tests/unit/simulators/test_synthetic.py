@@ -24,7 +24,7 @@ def recorded(seed=4, rows=8, **setting):
 
 @pytest.fixture(scope="module")
 def clean():
-    """A recording without defects."""
+
     return recorded()
 
 
@@ -153,8 +153,7 @@ def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, 
 def test_corners_are_all_joined_and_chords_are_lines_in_the_travel():
     corners = [tuple(p) for p in paths.corner_path(MACHINE, 5000.0).position]
     lines = {frozenset(pair) for pair in itertools.pairwise(corners)}
-    assert len({c for line in lines for c in line}) == 8
-    assert len(lines) == 28
+    assert (len({c for line in lines for c in line}), len(lines)) == (8, 28)
     position = paths.chord_path(MACHINE, 2, 200, 5000.0).position
     assert np.all(position >= MACHINE.low_mm)
     assert np.all(position <= MACHINE.high_mm)

@@ -67,7 +67,7 @@ class Wire:
 
 
 def stream_of(*faults):
-    """A device that streams at 500 Hz."""
+
     wire = Wire(*faults)
     wire.ask(Start(1, 500.0))
     return wire
@@ -75,7 +75,7 @@ def stream_of(*faults):
 
 @pytest.fixture(scope="module")
 def clean():
-    """A stream of two seconds without faults."""
+
     return stream_of().stream(2.0)
 
 
@@ -179,8 +179,7 @@ def test_without_a_ping_the_stream_ends_and_an_overflow_is_told_with_the_next_sa
 def test_silence_a_delay_and_damage_lose_what_they_say():
     device = stream_of("tracker:silence@0.5s+0.5s")
     steps = np.diff(device.stream(1.2).sequence)
-    assert np.count_nonzero(steps > 1) == 1
-    assert steps.max() == pytest.approx(251, abs=2)
+    assert (np.count_nonzero(steps > 1), steps.max()) == (1, pytest.approx(251, abs=2))
     late = stream_of("tracker:delay@0.5s+0.5s")
     np.testing.assert_array_equal(np.diff(late.stream(1.2).sequence), 1)
     assert max(len(block) for block in late.samples) > 240
@@ -225,8 +224,7 @@ def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(c
     spiky = stream_of("tracker:spike@600n*0.3").stream(1.5)
     off = np.linalg.norm(spiky.position_mm - clean.position_mm[: len(spiky)], axis=1)
     assert np.flatnonzero(off > 1e-9).tolist() == [600]
-    assert off[600] == pytest.approx(0.3)
-    assert spiky.status[600] == 0
+    assert (off[600], spiky.status[600]) == (pytest.approx(0.3), 0)
 
 
 def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():

@@ -18,8 +18,6 @@ CHAINS = [
     for order in itertools.permutations("XYZ")
     for k in range(4)
 ]
-
-
 LINEAR = {"type": "linear", "min_mm": 0.0, "max_mm": 300.0}
 STRAIGHT = dict.fromkeys("XYZ", LINEAR)
 
@@ -150,10 +148,8 @@ def test_targets_go_by_name(demo):
     del demo["tool_offset_mm"]
     with pytest.raises(SimulatorError, match="tool_offset_mm"):
         parse_machine(demo)
-    demo["targets"] = {
-        "T1": {"on": "tool", "offset_mm": [0, 0, -100]},
-        "T2": {"on": "workpiece", "offset_mm": [1, 2, 3]},
-    }
+    demo["targets"] = {"T1": {"on": "tool", "offset_mm": [0, 0, -100]}}
+    demo["targets"]["T2"] = {"on": "workpiece", "offset_mm": [1, 2, 3]}
     machine = parse_machine(demo)
     assert machine.reflector("T2").on == "workpiece"
     assert machine.reflector() == machine.reflector("T1")

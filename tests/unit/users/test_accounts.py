@@ -4,16 +4,8 @@ import pytest
 from sqlalchemy import text
 
 from truepath.errors import BadInput, NotFound
+from truepath.users import access as limits
 from truepath.users import errors, passwords
-from truepath.users.access import (
-    FORGET_S,
-    FREE_TRIES,
-    LONGEST_WAIT_S,
-    Access,
-    AccessRules,
-    BackOff,
-    RateLimit,
-)
 from truepath.users.passwords import is_password
 from truepath.users.roles import Actor, Role, includes
 from truepath.users.tokens import read_moment
@@ -48,9 +40,7 @@ def test_who_is_not_there_has_no_password_and_is_refused_as_slowly_as_who_is():
         ),
     ],
 )
-def test_what_is_no_name_or_password_a_taken_name_and_a_role_of_programs_are_refused(
-    accounts, name, role, password, refused
-):
+def test_what_makes_no_user_is_refused(accounts, name, role, password, refused):
     error = errors.UserConflict if name == "anna" else BadInput
     with pytest.raises(error, match=refused):
         accounts.add(name, role, password)
@@ -84,21 +74,19 @@ def test_each_role_may_what_those_before_it_may():
 
 @pytest.fixture
 def access(database, accounts):
-    access = Access(database, AccessRules(log_in_required=True))
+    access = limits.Access(database, limits.AccessRules(log_in_required=True))
     yield access
     access.close()
 
 
-def test_who_logs_in_is_known_by_the_token_a_refusal_says_no_reason_and_many_wait(
-    access, monkeypatch
-):
+def test_who_logs_in_is_known_by_the_token_and_failures_wait(access, monkeypatch):
     token, actor = access.log_in("anna", PASSWORD, "192.0.2.17")
     assert actor == access.identify(token) == Actor("anna", Role.ADMINISTRATOR)
     for name in ("anna", "nobody"):
         with pytest.raises(errors.WrongPassword, match=r"^name and password do not"):
             access.log_in(name, "wrong", "192.0.2.16")
     monkeypatch.setattr("truepath.users.access.is_password", lambda *_: False)
-    for _ in range(FREE_TRIES):
+    for _ in range(limits.FREE_TRIES):
         with pytest.raises(errors.WrongPassword):
             access.log_in("anna", "wrong", "192.0.2.17")
     monkeypatch.undo()
@@ -108,10 +96,8 @@ def test_who_logs_in_is_known_by_the_token_a_refusal_says_no_reason_and_many_wai
     assert access.log_in("anna", PASSWORD, "192.0.2.18"), "another place is not kept"
 
 
-def test_each_further_failure_waits_twice_as_long_up_to_a_limit_until_forgotten(
-    hand_clock,
-):
-    back_off = BackOff(3)
+def test_each_failure_waits_twice_as_long_until_forgotten(hand_clock):
+    back_off = limits.BackOff(3)
     waits = []
     for _ in range(16):
         back_off.fail("anna")
@@ -121,8 +107,7 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit_until_forgotten(
             waits.append(error.retry_after_s)
             hand_clock.time_s += error.retry_after_s
             back_off.check("anna")
-    assert waits[:4] == [1, 2, 4, 8]
-    assert waits[-1] == LONGEST_WAIT_S
+    assert (waits[:4], waits[-1]) == ([1, 2, 4, 8], limits.LONGEST_WAIT_S)
     back_off.clear("anna")
     for _ in range(31):  # a typo a day
         back_off.fail("anna")
@@ -130,14 +115,14 @@ def test_each_further_failure_waits_twice_as_long_up_to_a_limit_until_forgotten(
         hand_clock.time_s += 24 * 3600
     for _ in range(3):
         back_off.fail("anna")
-        hand_clock.time_s += FORGET_S - 1
+        hand_clock.time_s += limits.FORGET_S - 1
     back_off.fail("anna")
     with pytest.raises(errors.TooManyTries):
         back_off.check("anna")
 
 
 def test_a_rate_is_a_burst_and_then_so_many_a_second(hand_clock):
-    limit = RateLimit(3, 2.0)
+    limit = limits.RateLimit(3, 2.0)
     for _ in range(3):
         limit.count_request("anna")
     with pytest.raises(errors.TooManyRequests) as refused:
@@ -155,9 +140,7 @@ def session(accounts, tokens):
     return tokens.open_session("anna")
 
 
-def test_a_session_is_that_of_its_user_is_kept_as_a_hash_only_and_forgotten_once_ended(
-    database, tokens, session, clock
-):
+def test_a_session_is_kept_as_a_hash_until_its_end(database, tokens, session, clock):
     def read_rows():
         with database.read() as connection:
             return connection.execute(text("SELECT * FROM tokens")).all()
@@ -174,9 +157,7 @@ def test_a_session_is_that_of_its_user_is_kept_as_a_hash_only_and_forgotten_once
 
 @pytest.mark.fault_row(29)
 @pytest.mark.parametrize("jump_s", [0, 3 * 3600, -3 * 3600, -1e9])
-def test_a_jump_of_the_wall_clock_neither_ends_nor_lengthens_a_session(
-    tokens, session, clock, jump_s
-):
+def test_a_jump_of_the_wall_clock_changes_no_session(tokens, session, clock, jump_s):
     clock.jump_s(jump_s)
     clock.pass_s(3599)
     assert tokens.find(session)
@@ -194,9 +175,7 @@ def test_the_time_that_the_computer_was_off_counts(tokens, session, clock):
     assert 0 <= first.age_s(then) < 10
 
 
-def test_another_role_or_password_a_log_out_and_a_removal_count_at_once(
-    accounts, tokens, session
-):
+def test_a_change_a_log_out_and_a_removal_count_at_once(accounts, tokens, session):
     accounts.add("ben", Role.ADMINISTRATOR, PASSWORD)
     of_ben, key = tokens.open_session("ben"), tokens.create_key("plant", Role.SERVICE)
     accounts.set_role("anna", Role.VIEWER)
@@ -214,9 +193,7 @@ def test_another_role_or_password_a_log_out_and_a_removal_count_at_once(
     assert tokens.find(key), "a key is of nobody's password"
 
 
-def test_a_key_is_no_person_and_lasts_until_its_end_or_is_revoked(
-    accounts, tokens, clock
-):
+def test_a_key_is_no_person_and_lasts_until_revoked(accounts, tokens, clock):
     short = tokens.create_key("gauge", Role.SERVICE, days=2)
     key = tokens.create_key("plant", Role.SERVICE)
     clock.pass_s(86400)

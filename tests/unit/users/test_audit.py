@@ -10,29 +10,26 @@ from structlog.testing import capture_logs
 
 from truepath.users import audit_writer
 from truepath.users.audit import AuditLog, Entry
-from truepath.users.audit_writer import AuditWriter
 
 ENTRY = Entry(
     *("anna", "operator", "192.0.2.17", "6f0e4c1b9a7d4e52", "POST /api/v1/jobs", "202"),
     old={"version": "3"},
     new={"made": "ä"},
 )
+STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
 
 
 @pytest.fixture
 def writer(audit_log):
-    writer = AuditWriter(audit_log)
+    writer = audit_writer.AuditWriter(audit_log)
     yield writer
     writer.close()
 
 
 @contextmanager
 def locked(database):
-    """Let nobody else write to the catalogue."""
-    with (
-        database.engine.connect() as raw,
-        raw.execution_options(truepath_writes=True).begin(),
-    ):
+    writes = {"truepath_writes": True}
+    with database.engine.connect() as raw, raw.execution_options(**writes).begin():
         yield
 
 
@@ -76,9 +73,7 @@ FORGED = "UPDATE audit SET hash = substr(hash, 2) || substr(hash, 1, 1) WHERE se
         (FORGED, "row 3 has been changed; row 4 has been changed"),
     ],
 )
-def test_a_row_that_was_changed_removed_or_forged_is_named(
-    five, database, statement, said
-):
+def test_a_row_that_was_changed_or_removed_is_named(five, database, statement, said):
     """By somebody who has the file in hand; the next row finds a hash made anew."""
     with database.engine.begin() as connection:
         for verb in ("update", "delete"):
@@ -87,9 +82,7 @@ def test_a_row_that_was_changed_removed_or_forged_is_named(
     assert "; ".join(five.verify()) == said
 
 
-def test_entries_wait_for_a_locked_catalogue_in_their_order(
-    audit_log, database, writer
-):
+def test_entries_wait_for_the_catalogue_in_order(audit_log, database, writer):
     with locked(database):
         begun = time.monotonic()
         done = [writer.record(replace(ENTRY, outcome=str(n))) for n in range(3)]
@@ -102,12 +95,7 @@ def test_entries_wait_for_a_locked_catalogue_in_their_order(
     assert audit_log.verify() == []
 
 
-STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
-
-
-def test_what_strangers_repeat_is_counted_in_few_rows_many_kinds_together(
-    audit_log, writer
-):
+def test_what_strangers_repeat_is_counted_in_few_rows(audit_log, writer):
     for _ in range(5000):
         writer.record(STRANGER, may_repeat=True)
     writer.record(ENTRY).result(timeout=10)
@@ -137,9 +125,7 @@ def test_what_could_not_be_written_is_counted_at_the_end(database, writer, monke
     assert said["not_written"] == 5
 
 
-def test_an_unforeseen_error_costs_one_row_and_not_the_writer(
-    audit_log, writer, monkeypatch
-):
+def test_an_unforeseen_error_costs_one_row_alone(audit_log, writer, monkeypatch):
     append = audit_log.append
 
     def fail_once(entry):

@@ -16,16 +16,13 @@ def files(tmp_path):
     return create_certificate(["localhost", "127.0.0.1"], tmp_path / "tls", days=30)
 
 
-def test_one_that_was_made_holds_for_its_days_and_its_key_is_the_owners(files):
+def test_one_that_was_made_holds_for_its_days_and_is_not_written_over(files, tmp_path):
     now = datetime.now(UTC)
     assert timedelta(days=29) < check_tls_files(files) - now < timedelta(days=30)
     assert os.stat(files.key).st_mode & 0o777 == 0o600
     for days, said in ((31, "expired on"), (-2, "check the clock of this computer")):
         with pytest.raises(BadInput, match=said):
             check_tls_files(files, now + timedelta(days=days))
-
-
-def test_none_is_written_over_and_what_is_no_name_gets_none(files, tmp_path):
     with pytest.raises(BadInput, match="is there already"):
         create_certificate(["localhost"], files.cert.parent, days=1)
     for name in ("", "a b", "https://a", "ä"):

@@ -11,7 +11,6 @@ FOLDER = str(Path(__file__).resolve().parents[3] / "validation")
 
 @pytest.fixture(scope="module")
 def validation():
-    """Import one of the scripts by its name."""
     before = set(sys.modules)
     sys.path.insert(0, FOLDER)
     yield importlib.import_module

@@ -27,12 +27,9 @@ def effect(name, value=1.0, sigma=0.1, others=(), **keys):
 
 
 def said(*effects, unnamed=()):
-    return {
-        "effects": list(effects),
-        "unnamed": [{"description": text} for text in unnamed],
-        "possible": [],
-        "gap": {"before": 3.0, "after": 1.0, "noise_floor": 1.0},
-    }
+    gap = {"before": 3.0, "after": 1.0, "noise_floor": 1.0}
+    strange = [{"description": text} for text in unnamed]
+    return {"effects": list(effects), "unnamed": strange, "possible": [], "gap": gap}
 
 
 class World:
@@ -68,9 +65,7 @@ def test_an_answer_is_right_when_it_says_the_truth_or_that_there_is_nothing(vali
     assert not judge(strange, said(effect("backlash", axis="X")), 0.0).right
 
 
-def test_a_refused_world_is_a_wrong_answer_and_outcomes_are_kept_whole(
-    validation, monkeypatch
-):
+def test_a_refused_world_is_wrong_and_outcomes_are_kept_whole(validation, monkeypatch):
     score = validation("discovery_score")
 
     def refuse(*_):
@@ -90,9 +85,8 @@ def test_phases_are_compared_on_their_circle(validation):
     measure_deviations = validation("discovery_score").measure_deviations
     truth = {"name": "vibration", "parameters": {"phase_rad": {"value": 0.1}}}
     late = {"phase_rad": {"value": 2.0 * np.pi, "uncertainty": 0.05}}
-    assert measure_deviations(truth, {"parameters": late}) == pytest.approx(
-        {"vibration phase_rad": -2.0}
-    )
+    found = measure_deviations(truth, {"parameters": late})
+    assert found == pytest.approx({"vibration phase_rad": -2.0})
 
 
 def test_the_summary_counts_what_was_asked_and_says_which_mark_is_missed(validation):
@@ -172,7 +166,6 @@ def test_a_small_draw_is_named_right(validation, kind, seed):
 
 
 def test_a_gap_is_closed_when_clean_worlds_show_as_much(validation):
-    """The ratio of a clean world scatters; a named effect may not stand above that."""
     judge = validation("discovery_score").judge
     summary = validation("discovery_summary").summarise
     truth = World(effect("backlash", axis="X"))

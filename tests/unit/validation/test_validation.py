@@ -21,9 +21,7 @@ def test_every_section_of_the_document_holds_a_table_and_every_figure_is_there()
     assert all((ROOT / "docs" / n).stat().st_size < 200_000 for n in names)
 
 
-def test_a_section_is_replaced_and_an_unknown_one_refused(
-    validation, tmp_path, monkeypatch
-):
+def test_sections_are_replaced_unknown_ones_refused(validation, tmp_path, monkeypatch):
     document = validation("document")
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- x -->\nold\n<!-- /x -->\nb\n", encoding="utf-8")
@@ -71,10 +69,7 @@ def test_the_error_left_is_near_the_information_bound(validation):
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
-def test_an_order_of_axes_that_the_data_do_not_tell_is_no_end_of_an_analysis(
-    validation,
-):
-    """Two axes turn in its table, and its targets leave much open."""
+def test_an_order_of_axes_that_data_do_not_tell_ends_no_analysis(validation):
     assert validation("instrument_errors").judge_turning(5).inside > 0.8
 
 
@@ -84,19 +79,15 @@ def test_gantries_reach_the_information_bound(validation, perfect_trackers):
     script = validation("large_machines")
     gantry = next(world for world in script.WORLDS if world.travel_mm[0] == 3000.0)
     found = [script.outcome(gantry, seed) for seed in range(1, 5)]
-    left, bound = (
-        np.sqrt(np.mean([getattr(o, key) ** 2 for o in found]))
-        for key in ("left", "bound")
-    )
+    squares = [np.square([o.left, o.bound]) for o in found]
+    left, bound = np.sqrt(np.mean(squares, axis=0))
     assert left < 1.15 * bound
     assert 0.90 < np.mean([o.covered for o in found]) < 0.99
 
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_the_direction_of_travel_halves_what_corner_paths_leave(
-    validation, perfect_trackers
-):
+def test_the_direction_halves_what_corner_paths_leave(validation, perfect_trackers):
     script = validation("along_the_path")
     ratios = [o.ratio for o in script.outcomes(5)]
     assert np.median(ratios) < 0.5
@@ -105,7 +96,6 @@ def test_the_direction_of_travel_halves_what_corner_paths_leave(
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_u_carries_what_few_targets_leave_open(validation):
-    """Whatever the targets tell: the measured tool, one nobody measured, tables."""
     script = validation("five_axes")
     for kind in script.KINDS:
         outcomes = [script.judge(kind, seed) for seed in range(1, 7)]
@@ -120,7 +110,6 @@ def test_u_carries_what_few_targets_leave_open(validation):
 def test_files_that_carry_all_errors_leave_a_twentieth_and_what_they_state(
     validation, tmp_path, monkeypatch, perfect_trackers
 ):
-    """Twenty machines in no table of the documents, as the exact machine stands."""
     tables = validation("compensation_tables")
     monkeypatch.setattr(tables, "ORDERS", {"siemens": ("siemens", {})})
     outcomes = []

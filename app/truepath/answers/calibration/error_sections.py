@@ -44,7 +44,7 @@ def describe_error_motions(findings: Findings) -> View:
         "axes": [
             {
                 "name": axis.name,
-                "figure": draw_error_motions(findings, axis),
+                "figure": draw_error_motions([findings.estimate], axis),
                 **_list_values(findings, axis),
             }
             for axis in axes

@@ -135,7 +135,7 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
     i = int(np.argmax(q.linear))
     is_map = q.name == MAP
     half = (q.high[i] - q.low[i]) / 2.0
-    sizes = q.linear[i], q.sigma[i], NORMAL_FACTOR * q.linear[i], half
+    sizes = _K * q.linear[i], _K * q.sigma[i], NORMAL_FACTOR * q.linear[i], half
     return (
         "" if is_map else q.name,
         "volumetric error" if is_map else describe_symbol(q.name),

@@ -7,6 +7,7 @@ record, and the identity that people state. What is unknown is shown as not stat
 Not here: the report of a calibration (`answers.calibration`).
 
     issue            what a certificate is made from, and whether it may be
+    stated_results   its main numbers, once for pages and record
     language         texts, numbers and names in one language, from one table
     *_sections       views of the template's sections
     map_figures      pictures of the map

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.certificate.issue import Certificate, Source
+from truepath.answers.certificate.issue import Certificate, Content, Source
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.lengths import (
     describe_lengths,
     describe_measured_lengths,
 )
 from truepath.answers.certificate.paper_colours import inline_colours
+from truepath.answers.certificate.setup_figures import draw_places
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.circles.circle_figures import FIGURES
@@ -62,11 +63,25 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
         ),
         "decision": describe_decision(source.content, language),
         "statements": word_findings(source.content, language),
+        "places": _draw_places(certificate, source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
         "driven": describe_iso_figures(source.content, language),
         "circles": _describe_circles(source.content, language),
     }
+
+
+def _draw_places(certificate: Certificate, content: Content, language: Language) -> str:
+    """Empty without decisions of places, or without three linear axes."""
+    places = as_object(content.get("places"))
+    if not (decided := places.get("conformity")):
+        return ""
+    machine = certificate.found.result.machine
+    linear = [k for k, a in enumerate(machine.axes) if a in machine.linear_axes]
+    if len(linear) != 3:
+        return ""
+    position_mm = np.array(places["position"], float)[:, linear]
+    return draw_places(machine.linear_axes, position_mm, decided, language)
 
 
 def describe_compensation(certificate: Certificate, language: Language) -> View:
@@ -144,12 +159,11 @@ def describe_provenance(certificate: Certificate, language: Language) -> View:
 
 
 def describe_signatures(certificate: Certificate, language: Language) -> View:
-    """Operator by name, and an empty line for the responsible person."""
-    operator = certificate.identity.get("operator", "")
+    """Names of the operator and of who authorises, each with a line to sign on."""
     return {
         "signatories": [
-            (language.say("signature_operator"), operator),
-            (language.say("signature_responsible"), ""),
+            (language.say(f"signature_{name}"), certificate.identity.get(name, ""))
+            for name in ("operator", "authorised_by")
         ]
     }
 
@@ -181,9 +195,9 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
 def _describe_mismatch(
     key: str, source: Source, certificate: Certificate, language: Language
 ) -> str:
-    other, own = source.input_sha256, certificate.found.input_sha256
-    if not other or other == own:
+    if not source.is_of_another(certificate.found):
         return ""
+    other, own = source.input_sha256, certificate.found.input_sha256
     return language.say(key, other=other[:16], own=own[:16])
 
 
@@ -243,7 +257,7 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         one.get("length_scale_ppm") for one in _list_runs(content)
     ):
         if ppm is not None:
-            scale_ppm = language.number(ppm, 2)
+            scale_ppm = language.number(_K * ppm, 2)
             yield language.say("length_scale", ppm=scale_ppm)
 
 

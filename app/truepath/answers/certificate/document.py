@@ -12,6 +12,7 @@ from truepath.answers.certificate.closing_sections import (
     describe_verification,
 )
 from truepath.answers.certificate.identity_sections import (
+    describe_conformity,
     describe_heading,
     describe_identity,
     describe_verdict,
@@ -26,6 +27,7 @@ from truepath.answers.certificate.measurement_sections import (
 from truepath.answers.certificate.result_sections import (
     describe_brief,
     describe_budget,
+    describe_curves,
     describe_positioning,
     describe_single,
     describe_tables,
@@ -36,6 +38,7 @@ from truepath.answers.shown.templating import View, render_page
 _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
     "heading": describe_heading,
     "verdict": describe_verdict,
+    "conformity": describe_conformity,
     "identity": describe_identity,
     "brief": describe_brief,
     "measurement": describe_measurement,
@@ -48,6 +51,7 @@ _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
     "effects": describe_effects,
     "verification": describe_verification,
     "compensation": describe_compensation,
+    "curves": describe_curves,
     "tables": describe_tables,
     "provenance": describe_provenance,
     "signature": describe_signatures,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
@@ -30,6 +31,8 @@ from truepath.files.earlier.verdict import Verdict
 
 VERIFICATION, COMPENSATION = "verification/1", "compensation/1"
 Content = Mapping[str, Any]
+_DEVICES = {"tracker": "tracker", "control": "motion"}
+_SIMULATED = re.compile(r"(?i)simulat|\bSIM-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,10 @@ class Source:
         found = origin.get("input_sha256")
         return found if isinstance(found, str) else ""
 
+    def is_of_another(self, result: Source) -> bool:
+        """Whether it was made for a result of other Runs."""
+        return bool(self.input_sha256) and self.input_sha256 != result.input_sha256
+
 
 @dataclass(frozen=True, slots=True)
 class ResultSource(Source):
@@ -63,6 +70,9 @@ class Certificate:
     found : the result as found; left : that of a measurement after compensation
     verification, compensation : contents of their files, where there are any
     number : empty for one that follows from the result
+    issued_by : empty where unknown
+    tolerance_um : of the machine, for 95 % of the volume; None where none is agreed
+    is_preview : not issued: its pages say so
     """
 
     found: ResultSource
@@ -73,6 +83,31 @@ class Certificate:
     identity: Identity = field(default_factory=dict[str, str])
     language: LanguageCode = "en"
     number: str = ""
+    issued_by: str = ""
+    tolerance_um: float | None = None
+    is_preview: bool = False
+
+    @property
+    def devices(self) -> dict[str, str]:
+        """Names that tracker and control reported for the Runs, by identity field."""
+        known: dict[str, str] = {}
+        for field_name, device in _DEVICES.items():
+            said = [
+                as_object(as_object(run).get("source")).get(device)
+                for source in (self.found, self.left)
+                if source is not None
+                for run in source.content.get("runs", ())
+            ]
+            if names := dict.fromkeys(str(one).strip() for one in said if one):
+                known[field_name] = "; ".join(names)
+        return known
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a device reported itself, or was stated, to be simulated."""
+        names = [self.devices.get(name, "") for name in _DEVICES]
+        names += [self.identity.get(name, "") for name in _DEVICES]
+        return any(map(_SIMULATED.search, names))
 
     @property
     def left_verdict(self) -> Verdict | None:
@@ -100,6 +135,8 @@ def gather_certificate(
     identity: Identity,
     language: LanguageCode = "en",
     number: str = "",
+    issued_by: str = "",
+    tolerance_um: float | None = None,
 ) -> Certificate:
     """Raises BundleError for a file that does not belong to the result."""
     as_left = None if left is None else read_result_source(left)
@@ -117,6 +154,8 @@ def gather_certificate(
         identity,
         language,
         number,
+        issued_by,
+        tolerance_um,
     )
 
 

@@ -14,7 +14,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +31,7 @@ from truepath.answers.certificate.pdf import (
     print_pdf,
     require_printer,
 )
+from truepath.answers.certificate.stated_results import state_results
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import sync_to_disk, write_files
 from truepath.errors import NotFound
@@ -61,6 +62,17 @@ class CertificateOrder:
     identity: Identity = field(default_factory=dict[str, str])
     language: LanguageCode = "en"
     accept_verdict: bool = False
+    tolerance_um: float | None = None
+
+
+def preview_certificate(order: CertificateOrder) -> dict[str, Any]:
+    """HTML marked as a preview, and results; keeps nothing.
+
+    Raises as `issue_certificate` does.
+    """
+    content = replace(_gather(order), is_preview=True)
+    html = render_certificate(content, accept_verdict=order.accept_verdict)
+    return {"html": html, "results": asdict(state_results(content))}
 
 
 def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
@@ -69,15 +81,7 @@ def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
     Raises NotUsable where the result is not to be used and that was not accepted,
     BundleError for a file that does not fit.
     """
-    content = gather_certificate(
-        read_result_source(order.result),
-        issued=order.issued_at.date(),
-        left=order.left,
-        verification=order.verification,
-        compensation=order.compensation,
-        identity=order.identity,
-        language=order.language,
-    )
+    content = _gather(order)
     folder.mkdir(parents=True, exist_ok=True)
     count = 1 + len(list(folder.glob(f"*/{RECORD}")))
     while True:
@@ -116,6 +120,20 @@ def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) ->
     return folder / number / name
 
 
+def _gather(order: CertificateOrder) -> Certificate:
+    return gather_certificate(
+        read_result_source(order.result),
+        issued=order.issued_at.date(),
+        left=order.left,
+        verification=order.verification,
+        compensation=order.compensation,
+        identity=order.identity,
+        language=order.language,
+        issued_by=order.issued_by,
+        tolerance_um=order.tolerance_um,
+    )
+
+
 def _make_files(
     order: CertificateOrder, content: Certificate
 ) -> tuple[dict[str, bytes], dict[str, Any]]:
@@ -136,6 +154,7 @@ def _make_files(
         "verdict": content.found.result.verdict.state,
         "verdict_accepted": order.accept_verdict,
         "identity": dict(order.identity),
+        "results": asdict(state_results(content)),
         "sources_sha256": _list_sources(content),
         "files": {name: _digest(data) for name, data in files.items()},
     }

@@ -44,7 +44,7 @@ _ACCURACY = re.compile(r"\(to (?P<urad>[\d.]+) µrad, k = 2, on the same path\)"
 _POOR = re.compile(
     r"^(?P<first>\w{3})(?: together with (?P<others>[\w, ]+?)(?P<more> and others)?)?: "
     r"(?P<form>.+) is poorly observable; (?P<share>\d+) % of what a usual machine may "
-    r"have stays open, (?P<sigma>[\d.]+) µm at the tool \(k = 1\)$"
+    r"have stays open, (?P<sigma>[\d.]+) µm at the tool \(k = (?P<k>[12])\)$"
 )
 _FORM = re.compile(
     r"^an? (?P<shape>slope|bow|S|wave) of the (?P<what>error|turning) "
@@ -94,18 +94,19 @@ def describe_unobservable(text: str, language: Language) -> str:
 
 
 def describe_poorly_observable(text: str, language: Language) -> str:
-    """Which shape rests mostly on the prior; unknown forms are quoted."""
+    """Which shape rests mostly on the prior, k = 2; unknown forms are quoted."""
     found = _POOR.match(text)
     form = _describe_form(found["form"], language) if found else ""
-    if language.code == "en" or found is None or not form:
+    if found is None or not form:
         return language.localise_numbers(text)
     who = found["first"]
     if others := found["others"]:
         key = "limits_poor_with_more" if found["more"] else "limits_poor_with"
         who = language.say(key, first=who, others=others)
-    sigma = language.localise_numbers(found["sigma"])
+    times = 1.0 if found["k"] == "2" else 2.0  # of results of earlier versions
+    half = language.number(times * float(found["sigma"]), 1)
     return language.say(
-        "limits_poor", who=who, form=form, share=found["share"], sigma=sigma
+        "limits_poor", who=who, form=form, share=found["share"], half=half
     )
 
 

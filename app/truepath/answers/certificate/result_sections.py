@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from truepath.answers.certificate.as_left import is_compensation_confirmed
-from truepath.answers.certificate.issue import Certificate, Content
+from truepath.answers.certificate.issue import Certificate, Content, ResultSource
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.lengths import describe_measured_lengths
 from truepath.answers.certificate.map_figures import (
@@ -16,6 +16,9 @@ from truepath.answers.certificate.map_figures import (
     draw_histograms,
     draw_slices,
 )
+from truepath.answers.certificate.paper_colours import inline_colours
+from truepath.answers.certificate.stated_results import list_errors
+from truepath.answers.shown.error_figures import MotionWords, draw_error_motions
 from truepath.answers.shown.number_format import SIGN
 from truepath.answers.shown.templating import View
 from truepath.answers.verification.places.positioning_figures import (
@@ -38,26 +41,18 @@ _POSITION_SIGN = {"mm": "mm", "deg": "°"}
 
 def describe_brief(certificate: Certificate, language: Language) -> View:
     """The volumetric error as found, expected after compensation, and as left."""
-    stated = certificate.found.content["volumetric_error"]
-    states = [("before", stated["before"])]
-    if both := stated.get("both_directions"):
-        states.append(("before_both_directions", both))
-    states.append(("after_expected", stated["after_expected"]))
-    if certificate.left is not None:
-        left = certificate.left.content["volumetric_error"]
-        states.append(("after_left", left["before"]))
-        if both := left.get("both_directions"):
-            states.append(("after_left_both_directions", both))
     return {
         "rows": [
             (
-                language.say(name),
+                language.say(one.state),
                 *(
-                    _describe_figure(spread[k], language)
-                    for k in ("mean", "p95", "largest")
+                    language.write_expanded(
+                        size.value_um, 0.5 * size.expanded_uncertainty_um
+                    )
+                    for size in (one.mean, one.p95, one.largest)
                 ),
             )
-            for name, spread in states
+            for one in list_errors(certificate)
         ],
         "is_measured": certificate.left is not None,
         "left_note": _describe_compensated(certificate, language),
@@ -70,7 +65,7 @@ def _describe_scale(certificate: Certificate, language: Language) -> str:
     ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
     if not ppm:
         return ""
-    said = language.say("length_scale", ppm=language.number(ppm, 2))
+    said = language.say("length_scale", ppm=language.number(_K * ppm, 2))
     known = certificate.found.result.known_lengths
     if known is None:
         return said
@@ -122,40 +117,92 @@ def describe_budget(certificate: Certificate, language: Language) -> View:
     rows = [
         (
             language.say(f"budget_{source}"),
-            *(language.number(part[name], 3) for name in directions),
+            *(language.number(_K * part[name], 3) for name in directions),
             f"{language.number(100.0 * _share(part, total), 1)} %",
         )
         for source, part in budget["sources_um"].items()
     ]
-    sums = [language.number(total[name], 3) for name in directions]
     doubled = [language.number(_K * total[name], 3) for name in directions]
     has_thermal = budget["sources_um"].get("thermal", {}).get("volume", 0.0) > 0.0
     return {
         "rows": rows,
-        "total": (language.say("budget_total"), *sums, "100 %"),
-        "expanded": (language.say("budget_expanded"), *doubled, ""),
+        "expanded": (language.say("budget_expanded"), *doubled, "100 %"),
         "thermal": "" if has_thermal else _describe_no_thermal(content, language),
     }
 
 
 def describe_tables(certificate: Certificate, language: Language) -> View:
     """Tables of error motions, extrapolated positions marked, and half differences."""
-    content, machine = certificate.found.content, certificate.found.result.machine
-    holds = content.get("holds_for", {})
+    machine = certificate.found.result.machine
+    holds = certificate.found.content.get("holds_for", {})
     target = machine.target()
     offset = ", ".join(language.number(value) for value in target.offset_mm)
     return {
         "holds": language.say("any_tool")
         if holds.get("any_tool")
         else language.say("this_tool", offset=offset),
-        "axes": [_describe_axis(axis, content, language) for axis in machine.axes],
-        "halves": list(_list_halves(content, language)),
+        "states": [
+            {
+                "of": of,
+                "axes": [
+                    _describe_axis(axis, one.content, language) for axis in machine.axes
+                ],
+                "halves": list(_list_halves(one.content, language)),
+            }
+            for of, one in _list_states(certificate, language)
+        ],
     }
+
+
+def describe_curves(certificate: Certificate, language: Language) -> View:
+    """Error motions of each axis as curves, as found and as left."""
+    states = [one.result for _, one in _list_states(certificate, language)]
+    words = MotionWords(
+        language.own["curves_title"],
+        language.say("curves_unknown"),
+        language.name_symbol,
+        language.decimal_mark,
+    )
+    return {
+        "figures": [
+            inline_colours(draw_error_motions(states, axis, words))
+            for axis in certificate.found.result.machine.axes
+        ],
+        "has_left": len(states) > 1,
+    }
+
+
+def _list_states(
+    certificate: Certificate, language: Language
+) -> list[tuple[str, ResultSource]]:
+    """As found, without a name where it is the only one; and as left."""
+    if certificate.left is None:
+        return [("", certificate.found)]
+    return [
+        (language.say("before"), certificate.found),
+        (language.say("after_left"), certificate.left),
+    ]
 
 
 def describe_single(certificate: Certificate, language: Language) -> View:
     """Squareness of linear axes, and locations of rotary axes."""
-    content = certificate.found.content
+    states = _list_states(certificate, language)
+    columns = [_read_singles(one.content, language) for _, one in states]
+    head = [of or language.say("value_u") for of, _ in states]
+    return {
+        "head": (language.say("symbol"), language.say("error"), *head),
+        "rows": [
+            (
+                symbol,
+                language.name_symbol(symbol),
+                *(column.get(symbol, "–") for column in columns),
+            )
+            for symbol in columns[0]
+        ],
+    }
+
+
+def _read_singles(content: Content, language: Language) -> dict[str, str]:
     square = {
         symbol: (entry["value"], entry["uncertainty"], "urad")
         for symbol, entry in content["squareness_urad"].items()
@@ -166,26 +213,31 @@ def describe_single(certificate: Certificate, language: Language) -> View:
         for unit in (_unit_of(entry, "value"),)
     }
     return {
-        "rows": [
-            (
-                symbol,
-                language.name_symbol(symbol),
-                f"{language.write_expanded(value, sigma)} {SIGN[unit]}",
-            )
-            for symbol, (value, sigma, unit) in {**square, **places}.items()
-        ]
+        symbol: f"{language.write_expanded(value, sigma)} {SIGN[unit]}"
+        for symbol, (value, sigma, unit) in {**square, **places}.items()
     }
 
 
 def describe_positioning(certificate: Certificate, language: Language) -> View:
     """Figures of ISO 230-2 that follow from an estimate; no repeatability."""
-    halves = _read_halves(certificate.found.content)
-    found = certificate.found.result
-    every = compute_positioning_figures(found, halves, found.measured)
     return {
-        "rows": [_state_positioning(one, language) for one in every],
-        "lengths": describe_measured_lengths(found.provenance, language),
+        "states": [
+            {
+                "of": of,
+                "rows": list(_list_positioning(one, language)),
+                "lengths": describe_measured_lengths(one.result.provenance, language),
+            }
+            for of, one in _list_states(certificate, language)
+        ]
     }
+
+
+def _list_positioning(
+    source: ResultSource, language: Language
+) -> Iterator[tuple[str, ...]]:
+    halves, found = _read_halves(source.content), source.result
+    for one in compute_positioning_figures(found, halves, found.measured):
+        yield _state_positioning(one, language)
 
 
 def _list_after(
@@ -195,10 +247,6 @@ def _list_after(
         return language.say("after_expected"), before.after_lengths_um
     left = compute_volumetric_error(certificate.left.result)
     return language.say("after_left"), np.linalg.norm(left.error_um, axis=1)
-
-
-def _describe_figure(figure: Mapping[str, float], language: Language) -> str:
-    return language.write_expanded(figure["value_um"], figure["uncertainty_um"])
 
 
 def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:

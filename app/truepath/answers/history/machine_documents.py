@@ -201,7 +201,7 @@ def _describe_change(
         return told
     return [
         "No change is seen: no table entry differs by more than "
-        f"{factor:.1f} times its standard uncertainty, and the volumetric difference "
+        f"its expanded uncertainty (k = {factor:.1f}), and the volumetric difference "
         f"of {volume['difference_um']:.1f} µm is within the "
         f"{volume['by_chance_um']:.1f} µm that both uncertainties allow."
     ]

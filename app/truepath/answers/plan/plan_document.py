@@ -31,6 +31,7 @@ from truepath.results.updated_effects import (
 from truepath_drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
+_K = 2.0  # of uncertainties in sentences
 _ORDINAL = {2: "second", 3: "third"}
 
 
@@ -83,9 +84,9 @@ def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
         return None
     total_um = planned.uncertainty_um
     said = [
-        f"with a perfect tracker {random_um:.2f} µm would stay (k = 1); the rest of "
-        f"{total_um:.2f} µm is what the tracker and its knowledge of the air may be "
-        "off by, which no time averages"
+        f"with a perfect tracker U would be {_K * random_um:.2f} µm; the rest of "
+        f"{_K * total_um:.2f} µm is what the tracker and its knowledge of the air may "
+        "be off by, which no time averages"
     ]
     return {
         "random_um": random_um,
@@ -112,7 +113,7 @@ def _describe_remedy(one: SetUpRemedy) -> str:
         "other-face": "in its other face",
     }[one.change]
     return (
-        f"the same rows once more {way} leave {UM_PER_MM * one.sigma_mm:.2f} µm, for "
+        f"the same rows once more {way} leave {_um(one)}, for "
         f"{one.added_s / 60.0:.0f} min more"
     )
 
@@ -237,7 +238,7 @@ def _list_unobservable(planned: Plan) -> list[str]:
 def _state_both(standard_um: float) -> dict[str, float]:
     return {
         "volumetric_uncertainty_um": standard_um,
-        "expanded_volumetric_uncertainty_um": 2.0 * standard_um,
+        "expanded_volumetric_uncertainty_um": _K * standard_um,
     }
 
 
@@ -268,7 +269,7 @@ def format_text(advice: StationAdvice) -> list[str]:
     first, *further = advice.options
     said = [
         f"from {_place(first.place_mm[0])} {_um(first.left)} stay, "
-        f"{UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
+        f"{_K * UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
         f"errors; of {advice.judged} places the worst leaves {_um(advice.worst)}"
     ]
     if first.left.seen < 1.0:
@@ -326,8 +327,9 @@ def _state(left: StationVariance) -> dict[str, float]:
     }
 
 
-def _um(left: StationVariance) -> str:
-    return f"{UM_PER_MM * left.sigma_mm:.2f} µm"
+def _um(left: StationVariance | SetUpRemedy) -> str:
+    """The expanded uncertainty."""
+    return f"{_K * UM_PER_MM * left.sigma_mm:.2f} µm"
 
 
 def _place(place_mm: Float64[np.ndarray, "3"]) -> str:

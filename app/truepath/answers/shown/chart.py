@@ -216,18 +216,22 @@ def _draw_grid(
 
 
 def draw_panels(
-    axis: Axis, title: str, draw_motion: Callable[[Frame, str, str], Markup]
+    axis: Axis,
+    title: str,
+    draw_motion: Callable[[Frame, str, str], Markup],
+    name_motion: Callable[[str], str] = describe_symbol,
 ) -> Markup:
     """Six panels, one per error motion; the name of the axis is below the lower ones.
 
     draw_motion : draws an error motion, by its symbol, into a frame; its last argument
         is the text below the frame
+    name_motion : words of a symbol, in the language of the title
     """
     name = f"{axis.name}, {position_unit(axis)}"
     parts: list[Markup] = []
     for i, symbol in enumerate(list_error_motions(axis.name)):
         frame = make_panel(*divmod(i, 3), _PANEL_HEIGHT, _ROW_HEIGHT)
-        parts.append(frame.write_title(f"{symbol}  {describe_symbol(symbol)}"))
+        parts.append(frame.write_title(f"{symbol}  {name_motion(symbol)}"))
         parts.append(draw_motion(frame, symbol, name if i >= 3 else ""))
     return draw_image(TOP + _ROW_HEIGHT + _PANEL_HEIGHT + _BELOW, title, parts)
 

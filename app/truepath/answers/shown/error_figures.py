@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 from markupsafe import Markup
 
@@ -18,26 +21,54 @@ from truepath.answers.shown.svg import (
     write_label,
 )
 from truepath.files.units import UM_PER_MM
+from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis
+from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.results.error_tables import ErrorTable, build_error_table
-from truepath.results.result_summary import Findings, RunFindings
+from truepath.results.result_summary import RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22
+_STATES = (Colour.ACCENT, Colour.SECOND)  # as found, as left
 _DRAWN = 121  # positions of a curve
 _BINS = 41
 
 
-def draw_error_motions(findings: Findings, axis: Axis) -> Markup:
-    """The six error motions of an axis, each with its band of ±2u."""
+@dataclass(frozen=True, slots=True)
+class MotionWords:
+    """Texts of a figure of error motions.
+
+    title : with `axis`; unknown : of a motion that was not determined
+    """
+
+    title: str = "Error motions of axis {axis} over its travel"
+    unknown: str = "not observable\nwith the measured target"
+    name_motion: Callable[[str], str] = describe_symbol
+    decimal_mark: str = "."
+
+
+def draw_error_motions(
+    states: Sequence[EstimatedModel], axis: Axis, words: MotionWords | None = None
+) -> Markup:
+    """The six error motions of an axis, each with its band of ±U (k = 2).
+
+    states : of one machine, as found and as left
+    """
+    words = words or MotionWords()
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
-        table = _make_fine_table(findings, symbol)
-        if table is None:
-            return frame.draw_empty("not observable\nwith the measured target")
-        return _draw_motion(frame, table, name)
+        tables = [_make_fine_table(one, symbol) for one in states]
+        known = [
+            (table, colour)
+            for table, colour in zip(tables, _STATES, strict=False)
+            if table is not None
+        ]
+        if not known:
+            return frame.draw_empty(words.unknown)
+        return _draw_motion(frame, known, name, words.decimal_mark)
 
-    return draw_panels(axis, f"Error motions of axis {axis.name} over its travel", draw)
+    title = words.title.format(axis=axis.name)
+    return draw_panels(axis, title, draw, words.name_motion)
 
 
 def draw_residuals(run: RunFindings) -> Markup:
@@ -64,30 +95,40 @@ def draw_legend(
     )
 
 
-def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
-    motions = {m.symbol: m for m in findings.estimate.model.identifiable_motions}
+def _make_fine_table(estimated: EstimatedModel, symbol: str) -> ErrorTable | None:
+    motions = {m.symbol: m for m in estimated.model.identifiable_motions}
     if symbol not in motions:
         return None
     axis = motions[symbol].axis
     at_mm = np.linspace(axis.low, axis.high, _DRAWN)
-    return build_error_table(findings.estimate, motions[symbol], at_mm)
+    return build_error_table(estimated, motions[symbol], at_mm)
 
 
-def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:
-    half = _COVERAGE * table.uncertainty
-    low, high = table.value - half, table.value + half
-    travel = table.position_mm
+def _draw_motion(
+    frame: Frame, states: Sequence[tuple[ErrorTable, str]], name: str, mark: str
+) -> Markup:
+    first = states[0][0]
+    travel = first.position_mm
+    bands = [
+        (table.value - half, table.value + half)
+        for table, _ in states
+        for half in (_COVERAGE * table.uncertainty,)
+    ]
+    low = min(float(below.min()) for below, _ in bands)
+    high = max(float(above.max()) for _, above in bands)
     x = frame.make_x(float(travel[0]), float(travel[-1]), margin=0.01)
-    y = frame.make_y(min(0.0, float(low.min())), max(0.0, float(high.max())))
+    y = replace(frame.make_y(min(0.0, low), max(0.0, high)), decimal_mark=mark)
     at = x.place(travel)
-    return join_shapes(
-        [
-            frame.draw_axes(x, y, name, SIGN[table.unit]),
-            frame.draw_level(y, 0.0, Colour.MUTED, width=0.6),
-            fill_band(at, y.place(low), y.place(high), Colour.ACCENT, opacity=_BAND),
-            draw_curve(at, y.place(table.value), Colour.ACCENT),
+    shapes = [
+        frame.draw_axes(x, y, name, SIGN[first.unit]),
+        frame.draw_level(y, 0.0, Colour.MUTED, width=0.6),
+    ]
+    for (table, colour), (below, above) in zip(states, bands, strict=True):
+        shapes += [
+            fill_band(at, y.place(below), y.place(above), colour, opacity=_BAND),
+            draw_curve(at, y.place(table.value), colour),
         ]
-    )
+    return join_shapes(shapes)
 
 
 def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:

@@ -86,8 +86,8 @@ def _state_air(run: VerifiedRun) -> str:
     return (
         "The ranges of the verifying measurement are "
         f"{describe_refraction(run.summary.refraction)}; "
-        f"{format_number(run.scale_ppm, 2)} ppm (k = 1) of scale, of air and tracker, "
-        "common to all places, are part of its uncertainty."
+        f"{format_number(K * run.scale_ppm, 2)} ppm (k = 2) of scale, of air and "
+        "tracker, common to all places, are part of its uncertainty."
     )
 
 

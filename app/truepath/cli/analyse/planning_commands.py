@@ -239,15 +239,14 @@ def _print_plan(document: Mapping[str, Any]) -> None:
         )
     print(
         f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, volumetric "
-        f"uncertainty {predicted['volumetric_uncertainty_um']:.2f} µm (k = 1), "
-        f"{predicted['expanded_volumetric_uncertainty_um']:.2f} µm (k = 2)"
+        f"uncertainty {predicted['expanded_volumetric_uncertainty_um']:.2f} µm (k = 2)"
     )
     if predicted["tracker_errors"] is not None:
         for statement in predicted["tracker_errors"]["statement"]:
             print(f"tracker: {statement}")
     if document["target"] is not None and not document["target"]["reached"]:
-        wanted = document["target"]["volumetric_uncertainty_um"]
-        print(f"the target of {wanted:g} µm (k = 1) is out of reach in that time")
+        wanted = document["target"]["expanded_volumetric_uncertainty_um"]
+        print(f"the target of {wanted:g} µm (k = 2) is out of reach in that time")
 
 
 def _print_predicted(name: str, predicted: Mapping[str, Any]) -> None:

@@ -211,6 +211,10 @@ def certificate(
         datetime | None,
         typer.Option(formats=["%Y-%m-%d"], help="Date of issue; today if left out."),
     ] = None,
+    tolerance_um: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="Of the machine, for 95 % of the volume, µm."),
+    ] = None,
     accept_verdict: Annotated[
         bool,
         typer.Option(
@@ -251,6 +255,7 @@ def certificate(
         identity=stated,
         language=language,
         number=number,
+        tolerance_um=tolerance_um,
     )
     try:
         html = render_certificate(content, accept_verdict=accept_verdict)

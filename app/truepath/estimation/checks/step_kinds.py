@@ -18,11 +18,11 @@ from scipy.special import chdtri
 from truepath.estimation.checks.setup_shifts import POSE, Step
 from truepath.estimation.checks.shift_candidates import COLUMNS
 from truepath.numerics.rigid import cross_matrix
-from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 PLACE, TILT, RANGE = "place", "tilt", "range"
 _PRICE = 8.0  # gain that each parameter has to exceed
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
+_ALIKE = 1e-9  # of unit columns: what is less is the rounding of the fit
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,10 @@ class StepKinds:
         turn = np.concatenate([drift, *(part.turned for part in parts)], axis=1)
         # A millimetre, a radian: what the fit explains wholly stays at 0.
         left = turn.T @ self.matrix @ turn + np.eye(turn.shape[1])
-        pulled = turn.T @ self.pulled
-        value = ScaledCholesky.of(left).solve(pulled)
-        return float(pulled @ value), value
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(left), 1.0))
+        pulled = scale * (turn.T @ self.pulled)
+        # Two parts may be one: a range step beside the offset of a lock there.
+        size, vector = np.linalg.eigh(left * scale[:, None] * scale)
+        told = vector[:, size > _ALIKE] / np.sqrt(size[size > _ALIKE])
+        value = told @ (told.T @ pulled)
+        return float(pulled @ value), scale * value

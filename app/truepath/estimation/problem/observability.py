@@ -80,7 +80,7 @@ class PoorlyObservableShape:
         return (
             f"{who}: {self.form} is poorly observable; "
             f"{100 * self.remaining:.0f} % of what a usual machine may have "
-            f"stays open, {1e3 * self.sigma_mm:.1f} µm at the tool (k = 1)"
+            f"stays open, {2e3 * self.sigma_mm:.1f} µm at the tool (k = 2)"
         )
 
 

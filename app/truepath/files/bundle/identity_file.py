@@ -35,11 +35,17 @@ Field = Literal[
     "laboratory",
     "customer",
     "place",
-    "warm_up",
+    "authorised_by",
+    "condition",
+    "received_on",
     "measured_on",
+    "warm_up",
+    "deviations",
 ]
 FIELDS: tuple[Field, ...] = Field.__args__
-OF_ONE_MEASUREMENT: frozenset[Field] = frozenset({"warm_up", "measured_on"})
+OF_ONE_MEASUREMENT: frozenset[Field] = frozenset(
+    {"condition", "received_on", "measured_on", "warm_up", "deviations"}
+)
 """Stated anew each time: what was true of the last measurement is not of this one."""
 
 EARLIER_NAMES: Mapping[str, Field] = {

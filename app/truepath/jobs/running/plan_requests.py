@@ -228,6 +228,7 @@ def check_plan_to_drive(
     return {
         **encode_commanded_json(commanded),
         **{key: plan[key] for key in sorted(kept)},
+        "tracker_mm": document.get("tracker", {}).get("position_mm"),
         **({"place": place} if place["stations"] else {}),
     }
 

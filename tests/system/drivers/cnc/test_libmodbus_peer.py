@@ -47,9 +47,8 @@ class Server:
 
 @contextmanager
 def start(*command):
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True) as process:
         try:
             yield process, process.stdout.readline().split()
         finally:
@@ -80,7 +79,7 @@ def serve_rtu(program, folder, until):
 
 @pytest.fixture
 def server(request, program, tmp_path, until):
-    """One on TCP, unless a test asks for another."""
+
     is_tcp = getattr(request, "param", "tcp") == "tcp"
     over_rtu = serve_rtu(program, tmp_path, until)
     with serve_tcp(program) if is_tcp else over_rtu as server:
@@ -125,13 +124,9 @@ def read_raw(server, address, count):
     """Read registers by mbpoll, which takes words as they come."""
     if shutil.which("mbpoll") is None:
         pytest.fail("mbpoll is absent: apt-get install mbpoll")
-    done = subprocess.run(
-        f"mbpoll -m tcp -p {server.options['port']} -a 1 -0 -t 4:hex "
-        f"-r {address} -c {count} -1 127.0.0.1".split(),
-        capture_output=True,
-        text=True,
-        timeout=10,
-    )
+    device = f"mbpoll -m tcp -p {server.options['port']} -a 1 -0 -t 4:hex"
+    words = f"{device} -r {address} -c {count} -1 127.0.0.1".split()
+    done = subprocess.run(words, capture_output=True, text=True, timeout=10)
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     assert len(lines) == count, done.stdout + done.stderr
     return [int(line.split()[-1], 16) for line in lines]

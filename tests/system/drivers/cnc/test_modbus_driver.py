@@ -9,32 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import register_peers as peers
 from paths_by_hand import path_of, two_turns
-from register_peers import (
-    ABORT,
-    COMMIT,
-    HOLD,
-    MOVE_TO,
-    PUT_ROWS,
-    START,
-    RtuPeer,
-    TcpPeer,
-)
 from truepath_drivers.cnc.modbus.driver import ModbusController
-from truepath_drivers.interfaces.errors import (
-    ConnectionLost,
-    DeviceError,
-    DeviceTimeout,
-    MotionFault,
-    OutOfTravel,
-    Refused,
-    WrongDevice,
-)
+from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
 
 
-@pytest.fixture(params=[TcpPeer, RtuPeer], ids=["tcp", "rtu"])
+@pytest.fixture(params=[peers.TcpPeer, peers.RtuPeer], ids=["tcp", "rtu"])
 def peer(request):
     with request.param() as peer:
         yield peer
@@ -42,7 +25,7 @@ def peer(request):
 
 @pytest.fixture
 def tcp_peer():
-    with TcpPeer() as peer:
+    with peers.TcpPeer() as peer:
         yield peer
 
 
@@ -72,12 +55,11 @@ def popped(items: list) -> bool:
 def test_connect_reads_who_and_what_and_sets_a_watchdog_unless_another_is_kept(peer):
     controller = ModbusController(**peer.options, watchdog_s=0.5)
     assert (controller.axes, controller.travel) == ((), ())
-    with pytest.raises(ConnectionLost, match="connect first"):
+    with pytest.raises(errors.ConnectionLost, match="connect first"):
         controller.send_heartbeat()
     with controller:
-        assert controller.connect() == Identity(
-            "Truepath", "loopback", "CNC-1", "0.2", has_watchdog=True
-        )
+        names = "Truepath", "loopback", "CNC-1", "0.2"
+        assert controller.connect() == Identity(*names, has_watchdog=True)
         assert controller.axes == ("X", "Y", "Z")
         assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
         status = controller.status()
@@ -88,28 +70,23 @@ def test_connect_reads_who_and_what_and_sets_a_watchdog_unless_another_is_kept(p
         assert not controller.connect().has_watchdog
 
 
-def test_a_move_is_one_command_of_these_bytes_and_ends_where_it_was_sent(
-    peer, controller
-):
+def test_a_move_is_one_command_and_ends_where_it_was_sent(peer, controller):
     controller.move_to([12.34565, 0.0, -0.0001], 1500)
     row = struct.pack(">6i2I", 123_456, 0, -1, 0, 0, 0, 1_500_000, 0)
-    request = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, MOVE_TO, 0, 1, 0, 0) + row
-    assert request in peer.requests
+    head = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, peers.MOVE_TO, 0, 1, 0, 0)
+    assert head + row in peer.requests
     status = controller.wait(2.0)
     assert status.state is MotionState.FINISHED
     assert status.position == pytest.approx((12.3456, 0.0, -0.0001), abs=1e-9)
     controller.move_to([500.0, 400.0, -300.0], 1000)  # the ends of the travel
-    assert peer.model.executed == [MOVE_TO, MOVE_TO]
+    assert peer.model.executed == [peers.MOVE_TO, peers.MOVE_TO]
 
 
 @pytest.mark.parametrize("rows", [1, 7, 8, 50])
-def test_a_path_is_loaded_row_by_row_and_runs_whatever_the_order_of_its_columns(
-    peer, controller, rows
-):
+def test_a_path_of_any_order_of_axes_is_loaded_and_runs(peer, controller, rows):
     path = zigzag(rows)
-    controller.load(
-        replace(path, axes=("Z", "X", "Y"), position=path.position[:, [2, 0, 1]])
-    )
+    turned = {"axes": ("Z", "X", "Y"), "position": path.position[:, [2, 0, 1]]}
+    controller.load(replace(path, **turned))
     assert controller.status().state is MotionState.READY
     assert peer.model.words[104] == rows
     for i in range(rows):
@@ -118,8 +95,9 @@ def test_a_path_is_loaded_row_by_row_and_runs_whatever_the_order_of_its_columns(
         assert peer.model.rows[i] == expected
     controller.start()
     assert controller.wait(2.0).state is MotionState.FINISHED
-    blocks = -(-rows // 7)
-    assert peer.model.executed == [PUT_ROWS] * blocks + [COMMIT, START]
+    *blocks, commit, start = peer.model.executed
+    assert blocks == [peers.PUT_ROWS] * -(-rows // 7)
+    assert (commit, start) == (peers.COMMIT, peers.START)
 
 
 def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controller):
@@ -130,10 +108,10 @@ def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controlle
         ([0, 0, float("nan")], "Z = nan is outside"),
         ([0, float("inf"), 0], "Y = inf is outside"),
     ):
-        with pytest.raises(OutOfTravel, match=text):
+        with pytest.raises(errors.OutOfTravel, match=text):
             controller.move_to(position, 1000)
         path = path_of((0, 0, 0), (1, 1, -1), position)
-        with pytest.raises(OutOfTravel, match="row 3: " + text):
+        with pytest.raises(errors.OutOfTravel, match="row 3: " + text):
             controller.load(path)
     for path, text in (
         (path_of((0, 0, 0), feed=0.0), "row 1: a feed of 0 mm/min"),
@@ -145,9 +123,9 @@ def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controlle
         (path_of(), "0 rows, 1 to 4096 fit"),
         (zigzag(4097), "4097 rows, 1 to 4096 fit"),
     ):
-        with pytest.raises(Refused, match=text):
+        with pytest.raises(errors.Refused, match=text):
             controller.load(path)
-    with pytest.raises(Refused, match="positions have 2 values"):
+    with pytest.raises(errors.Refused, match="positions have 2 values"):
         controller.move_to([1.0, 2.0], 1000)
     assert len(peer.requests) == sent
 
@@ -155,11 +133,10 @@ def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controlle
 def test_an_alarm_is_a_fault_with_its_text_or_number(peer, controller):
     peer.model.raise_alarm(27, "X servo overload")
     status = controller.status()
-    assert status.state is MotionState.ALARM
-    assert status.alarm == "X servo overload"
-    with pytest.raises(MotionFault, match="X servo overload"):
+    assert (status.state, status.alarm) == (MotionState.ALARM, "X servo overload")
+    with pytest.raises(errors.MotionFault, match="X servo overload"):
         controller.wait(1.0)
-    with pytest.raises(MotionFault, match="refuses MOVE_TO: X servo overload"):
+    with pytest.raises(errors.MotionFault, match="refuses MOVE_TO: X servo overload"):
         controller.move_to([1, 1, -1], 1000)
     controller.hold()
     controller.abort()
@@ -169,19 +146,19 @@ def test_an_alarm_is_a_fault_with_its_text_or_number(peer, controller):
 
 def test_results_of_the_device_are_told_in_words(tcp_peer, tcp_controller):
     for result, family, text in (
-        (1, Refused, "refuses START in state idle: not in this"),
-        (2, OutOfTravel, "beyond the travel"),
-        (3, Refused, "no path is loaded"),
-        (4, Refused, "arrived damaged"),
-        (5, Refused, "an argument"),
-        (6, Refused, "does not know this command"),
-        (8, Refused, "drives on, door closed"),
-        (77, Refused, "result 77"),
+        (1, errors.Refused, "refuses START in state idle: not in this"),
+        (2, errors.OutOfTravel, "beyond the travel"),
+        (3, errors.Refused, "no path is loaded"),
+        (4, errors.Refused, "arrived damaged"),
+        (5, errors.Refused, "an argument"),
+        (6, errors.Refused, "does not know this command"),
+        (8, errors.Refused, "drives on, door closed"),
+        (77, errors.Refused, "result 77"),
     ):
         tcp_peer.model.answers_with = result
         with pytest.raises(family, match=text) as refusal:
             tcp_controller.start()
-        assert family is not Refused or refusal.value.code == result
+        assert family is not errors.Refused or refusal.value.code == result
 
 
 @pytest.mark.fault_row(17)
@@ -189,15 +166,15 @@ def test_rows_that_are_damaged_or_lost_on_the_way_are_not_driven(peer, controlle
     sent = peer.model.written
 
     def damaged(first, count):
-        if peer.model.words[201] == PUT_ROWS:
+        if peer.model.words[201] == peers.PUT_ROWS:
             peer.model.words[207] ^= 1
         sent(first, count)
 
     peer.model.written = damaged
-    with pytest.raises(Refused, match="arrived damaged"):
+    with pytest.raises(errors.Refused, match="arrived damaged"):
         controller.load(zigzag(3))
     peer.model.written, peer.model.loses_rows = sent, True
-    with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
+    with pytest.raises(errors.MotionFault, match="holds 2 rows with CRC"):
         controller.load(zigzag(3))
 
 
@@ -206,7 +183,7 @@ def test_a_command_that_is_never_taken_is_a_fault(tcp_peer, measured):
     with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
         tcp_peer.model.takes_commands = False
         begun_s = time.monotonic()
-        with pytest.raises(MotionFault, match=r"START was not taken in 0\.1 s"):
+        with pytest.raises(errors.MotionFault, match=r"START was not taken in 0\.1 s"):
             controller.start()
         measured(f"told after {time.monotonic() - begun_s:.2f} s")
         in_vain = tcp_peer.model.words[200]
@@ -226,7 +203,7 @@ def test_a_lost_reply_runs_the_command_once(peer, controller):
     peer.mangle = mangle
     peer.model.words[104] = 1
     controller.start()
-    assert (lose, peer.model.executed) == ([], [START])
+    assert (lose, peer.model.executed) == ([], [peers.START])
 
 
 @pytest.mark.fault_row(14)
@@ -246,12 +223,10 @@ def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_cont
     model.written = forgets
     tcp_peer.mangle = lambda reply: b"" if popped(replies_to_lose) else reply
     tcp_controller.start()
-    assert model.executed == [START]
+    assert model.executed == [peers.START]
 
 
-def test_numbers_go_on_where_the_device_is_and_skip_zero_and_those_of_other_masters(
-    peer,
-):
+def test_numbers_go_on_and_skip_zero_and_those_of_other_masters(peer):
     words = peer.model.words
     words[105] = words[200] = 0xFFFF
     with ModbusController(**peer.options) as controller:
@@ -260,17 +235,17 @@ def test_numbers_go_on_where_the_device_is_and_skip_zero_and_those_of_other_mast
             assert words[105] == number
         words[105] = words[200] = 3
         controller.abort()
-    assert peer.model.executed == [HOLD, HOLD, ABORT]
+    assert peer.model.executed == [peers.HOLD, peers.HOLD, peers.ABORT]
 
 
 def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_controller):
     tcp_peer.mangle = lambda reply: reply if reply[7] == 16 else b""
-    with pytest.raises(DeviceTimeout):
+    with pytest.raises(errors.DeviceTimeout):
         tcp_controller.hold()
-    assert tcp_peer.model.executed == [HOLD]
-    with pytest.raises(DeviceTimeout):
+    assert tcp_peer.model.executed == [peers.HOLD]
+    with pytest.raises(errors.DeviceTimeout):
         tcp_controller.start()
-    assert tcp_peer.model.executed == [HOLD]
+    assert tcp_peer.model.executed == [peers.HOLD]
 
 
 MANGLED = {
@@ -290,7 +265,7 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
     took_s = []
     for _ in range(3):  # on a busy computer one of them may take longer
         begin = time.monotonic()
-        with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.2 s"):
+        with pytest.raises(errors.DeviceTimeout, match=r"no valid reply in 0\.2 s"):
             controller.status()
         took_s.append(time.monotonic() - begin)
         if took_s[-1] < 0.5:
@@ -303,11 +278,11 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 @pytest.mark.fault_row(14)
 def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
-    with RtuPeer() as rtu_peer, ModbusController(**rtu_peer.options) as controller:
-        rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
-        with pytest.raises(DeviceTimeout):
+    with peers.RtuPeer() as rtu, ModbusController(**rtu.options) as controller:
+        rtu.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
+        with pytest.raises(errors.DeviceTimeout):
             controller.status()
-        rtu_peer.mangle = lambda reply: reply
+        rtu.mangle = lambda reply: reply
         assert controller.status().position == (0.0, 0.0, 0.0)
 
     def shortened(reply):
@@ -315,7 +290,7 @@ def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
         return reply[:4] + struct.pack(">HB", len(fewer) + 1, 1) + fewer
 
     tcp_peer.mangle = shortened
-    with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
+    with pytest.raises(errors.DeviceTimeout, match="1 registers came, not 24"):
         tcp_controller.status()
 
 
@@ -324,7 +299,7 @@ def test_a_reply_to_an_older_transaction_is_not_taken(
     tcp_peer, tcp_controller, measured
 ):
     tcp_peer.mangle = lambda reply: b"\x7f\xff" + reply[2:]
-    with pytest.raises(DeviceTimeout):
+    with pytest.raises(errors.DeviceTimeout):
         tcp_controller.status()
     stale = []
 
@@ -350,17 +325,17 @@ def test_a_reply_that_comes_late_to_the_repeated_request_as_well_is_not_taken(
         return reply
 
     tcp_peer.mangle = late
-    with pytest.raises(DeviceTimeout, match=r"later than 0\.2 s"):
+    with pytest.raises(errors.DeviceTimeout, match=r"later than 0\.2 s"):
         tcp_controller.status()
     assert tcp_controller.status().state is MotionState.IDLE
 
 
 EXCEPTIONS = {
-    1: (Refused, "does not know this function"),
-    2: (Refused, "does not have these registers"),
-    3: (Refused, "does not take this value"),
-    **dict.fromkeys((4, 7, 8), (MotionFault, "the device has failed")),
-    **dict.fromkeys((10, 11), (ConnectionLost, "the gateway does not reach")),
+    1: (errors.Refused, "does not know this function"),
+    2: (errors.Refused, "does not have these registers"),
+    3: (errors.Refused, "does not take this value"),
+    **dict.fromkeys((4, 7, 8), (errors.MotionFault, "the device has failed")),
+    **dict.fromkeys((10, 11), (errors.ConnectionLost, "the gateway does not reach")),
 }
 
 
@@ -384,12 +359,12 @@ def test_a_busy_device_is_asked_again_and_one_that_stays_so_is_a_timeout(
         assert controller.status().state is MotionState.IDLE
         peer.exceptions = [code, 0, code]
         controller.hold()
-    assert peer.model.executed == [HOLD, HOLD]
+    assert peer.model.executed == [peers.HOLD, peers.HOLD]
     controller.close()
     with ModbusController(command_timeout_s=0.1, **peer.options) as hurried:
         peer.exceptions = [6] * 1000
         begun_s = time.monotonic()
-        with pytest.raises(DeviceTimeout, match="busy"):
+        with pytest.raises(errors.DeviceTimeout, match="busy"):
             hurried.status()
         measured(f"busy for good: told after {time.monotonic() - begun_s:.2f} s")
         peer.exceptions = []
@@ -411,27 +386,28 @@ def test_a_busy_device_is_asked_again_and_one_that_stays_so_is_a_timeout(
 def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text, measured):
     for address, word in words.items():
         peer.model.words[address] = word
-    with pytest.raises(WrongDevice, match=text):
+    with pytest.raises(errors.WrongDevice, match=text):
         ModbusController(**peer.options).connect()
     measured(f"“{text}”")
 
 
 @pytest.mark.fault_row(7)
 def test_the_wrong_device_by_its_serial_number_or_another_map_is_refused(peer):
-    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
+    with pytest.raises(errors.WrongDevice, match="controller CNC-1 answers, CNC-2"):
         ModbusController(serial_number="CNC-2", **peer.options).connect()
     with ModbusController(serial_number="CNC-1", **peer.options) as controller:
         assert controller.axes
+    remedy = "check unit number and register map"
     for code in (1, 2, 3):
         peer.exceptions = [code]
-        with pytest.raises(WrongDevice, match="check unit number and register map"):
+        with pytest.raises(errors.WrongDevice, match=remedy):
             ModbusController(**peer.options).connect()
 
 
 @pytest.mark.fault_row(15)
 def test_another_unit_does_not_answer(peer):
     peer.unit = 2
-    with pytest.raises(DeviceTimeout, match="check power, unit number"):
+    with pytest.raises(errors.DeviceTimeout, match="check power, unit number"):
         ModbusController(unit=9, **peer.options).connect()
 
 
@@ -442,7 +418,7 @@ def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     for verb in (*verbs * 3, tcp_controller.start):
         tcp_peer.drop()
         verb()
-    assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
+    assert tcp_peer.model.executed == [peers.HOLD, peers.HOLD, peers.HOLD, peers.START]
 
 
 @pytest.mark.fault_row(14)
@@ -462,15 +438,15 @@ def test_a_command_whose_link_breaks_under_way_runs_once(tcp_peer, tcp_controlle
     opening.start()
     tcp_controller.start()
     opening.join()
-    assert model.executed == [START]
+    assert model.executed == [peers.START]
 
 
 def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_controller):
     tcp_peer.model.put(36, b"CNC-2".ljust(16, b"\0"))
     tcp_peer.drop()
-    with pytest.raises(WrongDevice, match="CNC-2"):
+    with pytest.raises(errors.WrongDevice, match="CNC-2"):
         tcp_controller.status()
-    with pytest.raises(DeviceError):
+    with pytest.raises(errors.DeviceError):
         tcp_controller.start()
     assert tcp_peer.model.executed == []
 
@@ -486,7 +462,7 @@ def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
             pool.submit(tcp_controller.status)
             time.sleep(0.02)
         begin_s = time.monotonic()
-        with pytest.raises(DeviceTimeout):
+        with pytest.raises(errors.DeviceTimeout):
             tcp_controller.hold()
         took_s = time.monotonic() - begin_s
     assert took_s < 0.5
@@ -498,38 +474,36 @@ def test_close_lets_a_held_machine_stand_and_does_without_an_answer(peer, caplog
     with ModbusController(**peer.options) as controller:
         controller.move_to([1, 1, -1], 1000)
         controller.hold()
-    assert peer.model.executed == [MOVE_TO, HOLD]
+    assert peer.model.executed == [peers.MOVE_TO, peers.HOLD]
     with ModbusController(**peer.options):
         peer.mangle = lambda reply: b""
     assert "closed without an answer" in caplog.text
 
 
-def test_one_way_to_the_device_has_to_be_given_and_one_that_leads_nowhere_is_told(
-    free_port,
-):
+def test_one_way_has_to_be_given_and_one_that_leads_nowhere_is_told(free_port):
     nowhere = {"host": "127.0.0.1", "port": free_port}, {"serial_port": "/dev/none"}
+    remedy = "check address, cable and power"
     for options in nowhere:
-        with pytest.raises(ConnectionLost, match="check address, cable and power"):
+        with pytest.raises(errors.ConnectionLost, match=remedy):
             ModbusController(**options).connect()
     for options in ({}, {"host": "a", "serial_port": "/dev/b"}):
         with pytest.raises(ValueError, match="either host"):
             ModbusController(**options)
 
 
-def test_4096_rows_fit_and_an_abort_overtakes_their_upload(
-    tcp_peer, tcp_controller, until
-):
+def test_an_abort_overtakes_the_upload_of_4096_rows(tcp_peer, tcp_controller, until):
     tcp_controller.load(zigzag(4096))
     assert tcp_peer.model.words[104] == 4096
     tcp_peer.model.executed.clear()
+    cause = "aborted while the path was being loaded"
     with ThreadPoolExecutor() as pool:
         loading = pool.submit(tcp_controller.load, zigzag(4096))
         until(lambda: len(tcp_peer.model.executed) > 5)
         tcp_controller.abort()
-        with pytest.raises(Refused, match="aborted while the path was being loaded"):
+        with pytest.raises(errors.Refused, match=cause):
             loading.result()
-    assert tcp_peer.model.executed.count(PUT_ROWS) < 4096 / 7
-    assert ABORT in tcp_peer.model.executed[-2:]
+    assert tcp_peer.model.executed.count(peers.PUT_ROWS) < 4096 / 7
+    assert peers.ABORT in tcp_peer.model.executed[-2:]
 
 
 def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
@@ -538,8 +512,8 @@ def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
     with ThreadPoolExecutor() as pool:
         asked = [pool.submit(lambda verb=v: [verb() for _ in range(30)]) for v in verbs]
     assert [done.exception() for done in asked] == [None] * 4
-    assert tcp_peer.model.executed.count(HOLD) == 30
-    assert tcp_peer.model.executed.count(COMMIT) == 30
+    assert tcp_peer.model.executed.count(peers.HOLD) == 30
+    assert tcp_peer.model.executed.count(peers.COMMIT) == 30
 
 
 @pytest.fixture(scope="module")
@@ -571,9 +545,9 @@ def test_a_machine_that_cannot_be_driven_says_why_until_it_can(
     assert controller.status().compensation is False
     bench.inject(f"cnc:{fault}")
     until(lambda: controller.status().state is state)
-    with pytest.raises(MotionFault, match=remedy):
+    with pytest.raises(errors.MotionFault, match=remedy):
         controller.move_to((1.0, 1.0, 1.0), 3000.0)
-    with pytest.raises(MotionFault, match=remedy):
+    with pytest.raises(errors.MotionFault, match=remedy):
         controller.wait(1.0)
     if state is MotionState.UNHOMED:
         controller.home(5.0)
@@ -592,10 +566,10 @@ def test_arcs_that_leave_the_travel_or_their_row_never_reach_the_wire(bench_cont
     arcs = [arc and replace(arc, centre_mm=(60.0, 45.0 + low)) for arc in path.arc]
     moved = replace(path, position=path.position + shift, arc=tuple(arcs))
     assert high > 100.0
-    with pytest.raises(OutOfTravel, match="row 2: on its arc Y comes to"):
+    with pytest.raises(errors.OutOfTravel, match="row 2: on its arc Y comes to"):
         bench_controller.load(moved)
     wrong = replace(path.arc[1], turn_deg=700.0)
-    with pytest.raises(Refused, match="from where its arc leads to"):
+    with pytest.raises(errors.Refused, match="from where its arc leads to"):
         bench_controller.load(replace(path, arc=(None, wrong, path.arc[2])))
 
 
@@ -614,7 +588,7 @@ def test_an_override_is_lowered_never_raised_and_one_that_stays_above_refused(
         assert controller.status().override == 0.5
         for exceptions in ([], [0, 2]):  # it keeps it, or has it not
             tcp_peer.model.words[107], tcp_peer.exceptions = 1200, exceptions
-            with pytest.raises(Refused, match="at the machine only"):
+            with pytest.raises(errors.Refused, match="at the machine only"):
                 controller.limit_override(1.0)
             tcp_peer.model.words[107] = 800
             controller.limit_override(1.0)

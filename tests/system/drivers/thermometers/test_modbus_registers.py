@@ -5,14 +5,13 @@ import shutil
 import subprocess
 import threading
 import time
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
-from truepath_drivers.conformance.device import (
-    a_device_that_is_not_there_is_a_device_error,
-)
+from truepath_drivers.conformance import device
 from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
@@ -63,16 +62,14 @@ class ServedGateway:
         return self.gateway.answer(unit, pdu, self.at_s)
 
 
-PORTS = {
-    "tcp": lambda: ModbusTcpPort("127.0.0.1", 0, UNITS),
-    "rtu": lambda: ModbusRtuPort(None, UNITS),
-}
+TCP, RTU = partial(ModbusTcpPort, "127.0.0.1", 0), partial(ModbusRtuPort, None)
+PORTS = {"tcp": TCP, "rtu": RTU}
 
 
 @pytest.fixture
 def gateway(request):
-    """One on TCP, unless a test asks for another."""
-    with ServedGateway(PORTS[getattr(request, "param", "tcp")]()) as served:
+
+    with ServedGateway(PORTS[getattr(request, "param", "tcp")](UNITS)) as served:
         yield served
 
 
@@ -88,11 +85,9 @@ def test_it_conforms(gateway, check):
     check(lambda: point.load()(**gateway.options))
 
 
-def test_a_gateway_that_is_not_there_or_has_not_these_registers_is_told(
-    gateway, free_port
-):
+def test_an_absent_gateway_or_register_is_told(gateway, free_port):
     rows = [{"name": "oil_degC", "address": 50}]
-    a_device_that_is_not_there_is_a_device_error(
+    device.a_device_that_is_not_there_is_a_device_error(
         lambda: ModbusRegisters(host="127.0.0.1", port=free_port, registers=rows)
     )
     with pytest.raises(Refused, match=r"oil_degC.*does not have these registers"):

@@ -3,15 +3,14 @@
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import truepath_drivers.tracker.bridge as kit
+from tracker_peers import read_samples
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
-from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 
 FOLDER = Path(kit.__file__).parent
@@ -40,12 +39,7 @@ def read_whole(port: int, rate_hz: float, count: int, pause_s: float = 0.0):
     """Return so many samples, none of which is missing or was hit on the way."""
     with StreamingTracker(port, host="127.0.0.1") as tracker:
         tracker.start(rate_hz)
-        blocks = []
-        while sum(map(len, blocks)) < count:
-            blocks.append(tracker.read(0.5))
-            time.sleep(pause_s)
-        health = tracker.health
-    samples = TrackerSamples.join(blocks)
+        samples, health = read_samples(tracker, count, pause_s), tracker.health
     assert (np.diff(samples.sequence) == 1).all()
     np.testing.assert_allclose(np.diff(samples.device_time_s), 1 / rate_hz, atol=1e-6)
     assert (health.crc_errors, health.skipped_bytes) == (0, 0)

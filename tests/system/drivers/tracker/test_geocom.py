@@ -10,13 +10,7 @@ from geocompy import Angle, GeoCom, open_serial, open_socket
 from geocompy.geo.gctypes import GeoComCode
 
 from tracker_peers import LinePeer
-from truepath_drivers.interfaces.errors import (
-    BeamLost,
-    DeviceError,
-    DeviceTimeout,
-    Refused,
-    WrongDevice,
-)
+from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.tracker_records import Air, TrackerEventKind
 from truepath_drivers.tracker.geocom import codec
 from truepath_drivers.tracker.geocom.codec import encode_request, to_cartesian_mm
@@ -49,13 +43,9 @@ class Instrument(LinePeer):
         self.port: str = self.options["port"]
         self.heard: list[bytes] = []
         self.unknown: set[int] = set()
-        self.answers: dict[int, bytes] = {
-            5004: b'0,"TS"',
-            5003: b"0,77",
-            5034: b"0,1,2,3",
-            2108: b"0,0.1,1.5,10.0",
-            2029: b"0,0.000000658,1013.25,20.0,14.0",
-        }
+        self.answers = {5004: b'0,"TS"', 5003: b"0,77", 5034: b"0,1,2,3"}
+        self.answers[2108] = b"0,0.1,1.5,10.0"
+        self.answers[2029] = b"0,0.000000658,1013.25,20.0,14.0"
         self.say = lambda number, body: b"%R1P,0," + number + b":" + body + b"\r\n"
 
     def answer(self, line: bytes) -> bytes:
@@ -69,7 +59,7 @@ class Instrument(LinePeer):
         return self.say(found[2], self.answers.get(asked, b"0"))
 
     def driver(self, **options) -> GeoComTracker:
-        """Make the driver of this instrument, not connected yet."""
+
         return GeoComTracker(self.port, **HURRIED, **options)
 
 
@@ -132,10 +122,8 @@ def test_requests_are_byte_for_byte_those_of_geocompy(instrument):
             operator.attrgetter(ask)(client)(*values)
         theirs = instrument.heard[begin:]
     first = int(theirs[0].split(b",")[2].split(b":")[0])
-    assert [
-        encode_request(procedure, first + k, values)
-        for k, (_, _, procedure, values) in enumerate(REQUESTS)
-    ] == theirs
+    numbered = enumerate((asked[2:] for asked in REQUESTS), first)
+    assert [encode_request(what, k, values) for k, (what, values) in numbered] == theirs
 
 
 def test_a_reply_to_another_request_is_never_taken(instrument):
@@ -150,9 +138,9 @@ def test_a_reply_to_another_request_is_never_taken(instrument):
 
 
 SHOTS = {
-    BeamLost: [b"1285,0.1,1.5,0.0", b"1292,0.1,1.5,0.0"],
-    Refused: [b"1291,0.1,1.5,0.0"],
-    DeviceError: [
+    errors.BeamLost: [b"1285,0.1,1.5,0.0", b"1292,0.1,1.5,0.0"],
+    errors.Refused: [b"1291,0.1,1.5,0.0"],
+    errors.DeviceError: [
         *[b"0,0.1,1.5,0.0", b"0,0.1,1.5,-2.5", b"0,0.1,1.5,inf", b"0,nan,1.5,3.0"],
         *[b"0,1.0,90.0,2.5", b"0,1.0,100.0,2.5", b"0,57.3,1.5,2.5"],  # degrees, gon
         *[b"0,0.1,1.5", b"0,0.1,1.5,ten"],
@@ -176,7 +164,7 @@ def test_a_shot_without_full_accuracy_is_told_and_a_silence_ends_in_time(instrum
         assert tracker.measure(0.0).quality == 0.0
         assert [e.kind for e in tracker.take_events()] == [TrackerEventKind.WARNING]
         instrument.say = lambda *_: b""
-        with pytest.raises(DeviceTimeout, match="no reply to TMC_DO_MEASURE"):
+        with pytest.raises(errors.DeviceTimeout, match="no reply to TMC_DO_MEASURE"):
             tracker.measure(0.0)
 
 
@@ -184,10 +172,11 @@ def test_a_name_of_any_letters_is_told_and_others_are_wrong_devices(instrument):
     instrument.answers[5004] = '0,"TS60 I, R für 3D"'.encode()
     with instrument.driver() as tracker:
         assert tracker.connect().model == "TS60 I, R für 3D"
-    with pytest.raises(WrongDevice, match="instrument 77 answers, 78 is configured"):
+    said = "instrument 77 answers, 78 is configured"
+    with pytest.raises(errors.WrongDevice, match=said):
         instrument.driver(serial_number="78").connect()
     instrument.say = lambda *_: b"OK\r\n"
-    with pytest.raises(WrongDevice, match="not in GeoCOM"):
+    with pytest.raises(errors.WrongDevice, match="not in GeoCOM"):
         instrument.driver().connect()
 
 
@@ -198,7 +187,7 @@ def test_air_is_pushed_and_read_back(tracker):
     assert used.pressure_hpa == pytest.approx(985.0)
     assert used.humidity_percent == pytest.approx(55.0, abs=0.1)
     assert tracker.measure(0.0).air == used
-    with pytest.raises(Refused, match="temperature, pressure and humidity"):
+    with pytest.raises(errors.Refused, match="temperature, pressure and humidity"):
         tracker.push_air(Air(23.0))
 
 
@@ -207,13 +196,12 @@ def test_a_prism_near_the_beam_is_found_again_and_one_far_off_is_told(tracker):
     aside = 0.015 * np.linalg.norm(before) * np.array([0.0, 0.0, 1.0])
     x, y, z = before + aside
     tracker.aim(math.atan2(y, x), math.atan2(z, math.hypot(x, y)))
-    again = tracker.measure(0.0).position_mm
-    assert np.linalg.norm(again - before) < 0.2
+    assert np.linalg.norm(tracker.measure(0.0).position_mm - before) < 0.2
     kinds = [event.kind for event in tracker.take_events()]
     assert kinds == [TrackerEventKind.BEAM_LOST, TrackerEventKind.BEAM_LOCKED]
     tracker.home()
     tracker.aim(1.0, 1.2)
-    with pytest.raises(BeamLost, match="bring it into the beam"):
+    with pytest.raises(errors.BeamLost, match="bring it into the beam"):
         tracker.measure(0.0)
 
 
@@ -224,10 +212,11 @@ def test_what_an_instrument_lacks_is_asked_for_otherwise_or_refused(instrument):
     assert b"%R1Q,18005," in heard
     assert b"%R1Q,18007," in heard
     instrument.unknown |= {18005, 18007}
-    with pytest.raises(Refused, match=r"does not know AUS_SET_USER_ATR.*follows"):
+    said = r"does not know AUS_SET_USER_ATR.*follows"
+    with pytest.raises(errors.Refused, match=said):
         instrument.driver().connect()
     with instrument.driver(follows=False):
         pass
     instrument.answers[2023] = b"0,0.0"
-    with pytest.raises(Refused, match="uses a prism constant of 0 mm, "):
+    with pytest.raises(errors.Refused, match="uses a prism constant of 0 mm, "):
         instrument.driver(prism_constant_mm=-17.5).connect()

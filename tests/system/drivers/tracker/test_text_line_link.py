@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tracker_peers import read_samples
 from truepath.device_options import make_device
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import ConnectionLost
@@ -61,9 +62,8 @@ PLACE = ("2255.5", "-2602.9", "-275.1")
 
 def read_example():
     """Return the row and the settings of the page."""
-    section = PAGE.read_text(encoding="utf-8").partition(
-        "### SpatialAnalyzer's UDP stream\n"
-    )[2]
+    page = PAGE.read_text(encoding="utf-8")
+    section = page.partition("### SpatialAnalyzer's UDP stream\n")[2]
     row = re.search(r"`(X,.*?)`", section)[1]
     return row, tomllib.loads(re.search(r"```toml\n(.*?)```", section, re.DOTALL)[1])
 
@@ -96,13 +96,6 @@ def sending(make_datagrams, place):
     finally:
         ended.set()
         thread.join()
-
-
-def read_samples(tracker, least):
-    blocks = []
-    while sum(map(len, blocks)) < least:
-        blocks.append(tracker.read(1.0))
-    return TrackerSamples.join(blocks)
 
 
 def test_the_documented_stream_of_spatial_analyzer_is_read(free_port):

@@ -59,14 +59,11 @@ def test_every_byte_goes_through_both_ways_until_nobody_takes_one(either_port):
     assert time.monotonic() - begin < 2.0
 
 
-def test_a_serial_port_takes_its_baud_rate_and_a_tcp_port_waits_for_no_more_bytes(
-    pty_port, tcp_port
-):
+def test_a_baud_rate_is_set_and_tcp_waits_for_no_more_bytes(pty_port, tcp_port):
     for _, port in (pty_port, tcp_port):
         port.open()
     assert termios.tcgetattr(pty_port[0].slave)[4] == termios.B921600
-    link = tcp_port[1]._socket
-    assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert tcp_port[1]._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_close_twice_is_one_close_and_open_opens_anew(either_port):
@@ -118,9 +115,7 @@ def test_a_serial_port_is_for_one_program(pty_port):
     other.close()
 
 
-def test_a_path_that_is_no_tty_is_named_and_one_without_permission_names_the_group(
-    tmp_path, monkeypatch
-):
+def test_a_path_without_a_tty_or_permission_is_named(tmp_path, monkeypatch):
     path = tmp_path / "file"
     path.touch()
     port = SerialPort(str(path), 921_600)

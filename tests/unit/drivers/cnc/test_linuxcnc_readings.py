@@ -130,8 +130,7 @@ def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path
         "[JOINT_3]\nMIN_LIMIT = -360\nMAX_LIMIT = 360\n"
     )
     machine = read_ini(file)
-    assert machine.name == "Big"
-    assert machine.axes == ("X", "Y", "C")
+    assert (machine.name, machine.axes) == ("Big", ("X", "Y", "C"))
     assert machine.travel == ((0, 500), (-20, 300), (-360, 360))
     assert (machine.joints, machine.joint_count) == ((0, 1, 3), 4)
     file.write_text(file.read_text() + "[TRAJ]\nLINEAR_UNITS = inch\n")
@@ -140,16 +139,12 @@ def test_axes_travel_and_compensation_come_from_the_ini_file_or_by_hand(tmp_path
     with pytest.raises(Refused, match="ini_file"):
         read_ini(tmp_path / "none.ini")
 
-    for entry, has in (
-        ("", False),
-        ("COMP_FILE = x.tbl", True),
-        ("BACKLASH = 0.0", False),
-        ("BACKLASH = 0.01", True),
-    ):
-        file.write_text(
-            "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
-            f"[JOINT_1]\nMIN_LIMIT = 0\n{entry}\n"
-        )
+    plain = "[KINS]\nKINEMATICS = trivkins coordinates=XY\n[JOINT_0]\nMIN_LIMIT = 0\n"
+    plain += "[JOINT_1]\nMIN_LIMIT = 0\n"
+    entries = {"": False, "COMP_FILE = x.tbl": True}
+    entries |= {"BACKLASH = 0.0": False, "BACKLASH = 0.01": True}
+    for entry, has in entries.items():
+        file.write_text(f"{plain}{entry}\n")
         assert read_ini(file).has_compensation is has
     travel = parse_travel("X 0 500, c -360 360")
     assert (travel.axes, travel.has_compensation) == (("X", "C"), None)
@@ -163,8 +158,6 @@ UNITS = b"USER_LINEAR_UNITS "
 
 
 class AnsweringPort(HandPort):
-    """Gives the next answer after each request."""
-
     def __init__(self, answers):
         super().__init__()
         self._answers = list(answers)

@@ -2,10 +2,7 @@
 
 import pytest
 
-from truepath_drivers.thermometers.modbus_registers.driver import (
-    ModbusRegisters,
-    Register,
-)
+from truepath_drivers.thermometers.modbus_registers import driver
 
 
 @pytest.mark.parametrize(
@@ -22,7 +19,7 @@ from truepath_drivers.thermometers.modbus_registers.driver import (
     ],
 )
 def test_words_are_decoded(words, options, value):
-    row = Register("X_degC", 0, **{"scale": 0.1, **options})
+    row = driver.Register("X_degC", 0, **{"scale": 0.1, **options})
     assert row.decode(words) == pytest.approx(value)
 
 
@@ -40,4 +37,4 @@ ALONE = [[GOOD_ROW | wrong] for wrong in WRONG]
 )
 def test_rows_that_cannot_be_are_refused(rows):
     with pytest.raises(ValueError, match=r"register|channel|each name once"):
-        ModbusRegisters(host="127.0.0.1", registers=rows)
+        driver.ModbusRegisters(host="127.0.0.1", registers=rows)

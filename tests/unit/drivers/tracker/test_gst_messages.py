@@ -9,17 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tracker_peers import one_sample, raw_samples
+from truepath_drivers.tracker.streaming import measurements, message_codec
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
-from truepath_drivers.tracker.streaming.measurements import (
-    RawSamples,
-    encode_measurements,
-)
-from truepath_drivers.tracker.streaming.message_codec import (
-    encode_message,
-    parse_message,
-)
 
 PAGE = Path(__file__).parents[4] / "docs" / "tracker-protocol.md"
 
@@ -79,15 +72,15 @@ EXAMPLES = [
 
 
 def read_messages(data: bytes):
-    return [parse_message(body) for body in FrameReader().feed(data)]
+    return [message_codec.parse_message(body) for body in FrameReader().feed(data)]
 
 
 def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions():
     for frame, meaning in zip(page_frames().values(), EXAMPLES, strict=True):
-        if isinstance(meaning, RawSamples):
-            assert encode_measurements(meaning) == frame
+        if isinstance(meaning, measurements.RawSamples):
+            assert measurements.encode_measurements(meaning) == frame
         else:
-            assert encode_message(meaning) == frame
+            assert message_codec.encode_message(meaning) == frame
             assert read_messages(frame) == [meaning]
     decoder = StreamDecoder()
     samples = decoder.feed(b"".join(page_frames().values())).samples
@@ -98,18 +91,17 @@ def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions
     np.testing.assert_allclose(samples.position_mm, [first, second], atol=1e-9)
     assert samples.sequence.tolist() == [0, 1]
     assert samples.device_time_s.tolist() == [1.002, 1.004]
-    assert samples.status.tolist() == [0, 1]
-    assert decoder.health.frames == len(EXAMPLES)
+    assert (samples.status.tolist(), decoder.health.frames) == ([0, 1], len(EXAMPLES))
 
 
 @given(messages)
 def test_a_message_comes_back_as_it_was_sent(message):
-    assert read_messages(encode_message(message)) == [message]
+    assert read_messages(message_codec.encode_message(message)) == [message]
 
 
 @given(st.text(min_size=61, max_size=80))
 def test_a_text_that_is_too_long_is_cut_at_a_character(text):
-    (nak,) = read_messages(encode_message(gst.Nak(1, 2, 3, text)))
+    (nak,) = read_messages(message_codec.encode_message(gst.Nak(1, 2, 3, text)))
     assert text.startswith(nak.text)
     assert 57 <= len(nak.text.encode()) <= 60
 
@@ -150,5 +142,5 @@ def test_short_frames_keep_10_nm_and_3_nrad():
     position_mm = np.random.default_rng(6).normal(0, 1500, (200, 3))
     number = np.arange(200)
     raw = raw_samples(gst.Format.MEAS, number, 2000 * number, position_mm)
-    decoded = StreamDecoder().feed(encode_measurements(raw)).samples
+    decoded = StreamDecoder().feed(measurements.encode_measurements(raw)).samples
     np.testing.assert_allclose(decoded.position_mm, position_mm, atol=20e-6)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from nc_controls import RUN, Alarm, run_fanuc, run_heidenhain, run_siemens
+from nc_controls import RUN, Alarm, run_fanuc
 from paths_by_hand import path_of
 from truepath.motion.nc_programs.programs import read_program, write_program
 from truepath.motion.paths.verification_points import make_circle_path
@@ -67,13 +67,10 @@ def test_fanuc_has_the_unit_afterwards_that_it_had_before(unit, mill):
 def test_offsets_that_were_left_move_nothing(mill, circles):
     for path in (LINES, circles):
         texts = {name: write_program(path, mill, name, "P") for name in RUN}
-        for run, name in (
-            (run_siemens, "siemens-840d"),
-            (run_heidenhain, "heidenhain"),
-        ):
-            still, shifted = run(texts[name]), run(texts[name], (5.0, -7.0, 11.0))
-            assert still.recorded().position.tolist() == (
-                shifted.recorded().position.tolist()
-            )
+        for name in ("siemens-840d", "heidenhain"):
+            run = RUN[name]
+            runs = run(texts[name]), run(texts[name], (5.0, -7.0, 11.0))
+            still, shifted = (one.recorded().position.tolist() for one in runs)
+            assert still == shifted
         with pytest.raises(Alarm, match="an axis has an offset"):
             run_fanuc(texts["fanuc"], offset=(0.0, 0.01, 0.0))

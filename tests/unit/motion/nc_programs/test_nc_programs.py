@@ -32,11 +32,7 @@ DECIMALS = {"fanuc": 3}
 LEAST_DWELL_S = {"heidenhain": 0.1}
 
 every_dialect = pytest.mark.parametrize("dialect", OURS)
-
-
 path_of = partial(paths_by_hand.path_of, feed=3000.0, dwell_s=0.5)
-
-
 L_SHAPE = path_of((10, 10, -10), (400.5, 10, -10), (400.5, 300, -250))
 
 
@@ -91,9 +87,7 @@ def test_a_program_moves_the_axes_as_the_path_says(dialect, mill, trunnion, axes
 
 
 @pytest.mark.parametrize("dialect", ["fanuc", "heidenhain"])
-def test_much_turning_on_a_short_line_keeps_f_within_what_a_control_reads(
-    dialect, trunnion
-):
+def test_much_turning_on_a_short_line_keeps_f_within_its_limit(dialect, trunnion):
     rows = (10, 10, -10, 0, 0), (10.01, 10, -10, -20, 180)
     path = path_of(*rows, feed=6000.0, axes=trunnion.axis_names)
     text = write_program(path, trunnion, dialect, "P")
@@ -132,9 +126,7 @@ def drive_to_first_row(text, dialect):
 
 
 @every_dialect
-def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear_or_as_a_machine_states(
-    dialect, mill, trunnion
-):
+def test_the_first_row_is_reached_axis_by_axis(dialect, mill, trunnion):
     rows = (10, 20, -290, -30, 90), (20, 20, -290, -30, 90)
     path = path_of(*rows, axes=trunnion.axis_names)
     text = write_program(path, trunnion, dialect, "P")
@@ -152,21 +144,17 @@ def test_the_first_row_is_reached_axis_by_axis_once_z_is_clear_or_as_a_machine_s
         write_program(flat, mill, dialect, "P")
 
 
+CYCLE = "CYCL DEF 32.0 TOLERANCE"
 SMOOTHING = {
     "fanuc": (["/G5.1 Q0", "G61"], ["G64", "G#1", "M30"]),
-    "heidenhain": (
-        ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1 T0.002"],
-        ["CYCL DEF 32.0 TOLERANCE", "CYCL DEF 32.1", "M30"],
-    ),
+    "heidenhain": ([CYCLE, "CYCL DEF 32.1 T0.002"], [CYCLE, "CYCL DEF 32.1", "M30"]),
     "linuxcnc": (["M70", "G61.1"], ["M72", "M2"]),
     "siemens-840d": (["COMPOF", "G60 G601"], ["G64", "M30"]),
 }
 
 
 @every_dialect
-def test_nothing_is_smoothed_and_every_block_has_its_number_every_motion_its_row(
-    dialect, mill
-):
+def test_nothing_is_smoothed_and_blocks_and_rows_are_numbered(dialect, mill):
     lines = write_program(L_SHAPE, mill, dialect, "P").splitlines()
     blocks = [re.sub(r"^N?\d+ ", "", line) for line in lines]
     begin, end = SMOOTHING[dialect]
@@ -194,9 +182,7 @@ FILES = {
 
 
 @every_dialect
-def test_the_file_is_named_and_its_header_tells_machine_travel_time_and_checksum(
-    dialect, mill
-):
+def test_the_file_has_its_name_and_a_header_of_what_it_does(dialect, mill):
     text = write_program(L_SHAPE, mill, dialect, "weekly check")
     assert re.fullmatch(FILES[dialect], name_file(text, dialect))
     header = " ".join(re.sub(r"^[\d ]*[;(]|\)$", "", s) for s in text.splitlines()[:24])
@@ -299,17 +285,15 @@ def test_what_a_machine_a_control_an_installation_or_an_order_lacks_is_named(mil
     texts = [write_program(path, mill, "fanuc", "P") for path in (L_SHAPE, shorter)]
     assert len({read_program(text, "fanuc").name for text in texts}) == 2
     long = path_of(*np.tile(L_SHAPE.position, (11_001, 1)))
-    with pytest.raises(
-        PlanningError, match=r"33003 rows; a Fanuc program numbers 33000"
-    ):
+    said = "33003 rows; a Fanuc program numbers 33000"
+    with pytest.raises(PlanningError, match=said):
         write_program(long, mill, "fanuc", "P")
     points = Configurations(("X", "Y", "Z", "B"), np.zeros((1, 4)), np.ones(1))
     with pytest.raises(OutOfTravel, match="axis B"):
         write_program(points, mill, "linuxcnc", "P")
     assert set(OURS) <= set(list_dialects())
-    with pytest.raises(
-        BadInput, match=r"'mazatrol' is installed; installed: .*linuxcnc"
-    ):
+    said = r"'mazatrol' is installed; installed: .*linuxcnc"
+    with pytest.raises(BadInput, match=said):
         write_program(L_SHAPE, mill, "mazatrol", "P")
 
 
@@ -329,14 +313,10 @@ class OffByOne(LinuxCnc):
 
 
 class Quiet(Fanuc):
-    """A control of somebody else."""
-
     suffix = ".tap"
 
 
-def test_a_control_of_a_third_party_is_found_and_its_programs_are_read_back(
-    mill, monkeypatch
-):
+def test_a_control_of_a_third_party_is_found_and_read_back(mill, monkeypatch):
     kinds = {"off-by-one": OffByOne, "quiet": Quiet}.items()
     points = [EntryPoint(n, f"{__name__}:{k.__name__}", GROUP) for n, k in kinds]
     monkeypatch.setattr(plugins, "entry_points", lambda group: {GROUP: points}[group])

@@ -27,6 +27,7 @@ class PointConformity:
 
     tolerance_um : upper limit; coverage_factor : of the expanded uncertainties
     worst : point that is farthest outside, or nearest to it
+    each : decision of every point alone
     """
 
     conformity: Conformity
@@ -35,6 +36,7 @@ class PointConformity:
     worst: int
     length_um: float
     expanded_um: float
+    each: tuple[Conformity, ...]
 
 
 def compute_joint_factor(count: int, known_by: float) -> float:
@@ -81,4 +83,5 @@ def decide_points(
         worst,
         float(length_um[worst]),
         float(half[worst]),
+        tuple(each),
     )

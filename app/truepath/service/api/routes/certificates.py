@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 from pydantic import AliasChoices, AwareDatetime, BaseModel, ConfigDict, Field
 
+from truepath.answers.certificate.stated_results import StatedResults
 from truepath.catalogue.machine_registry import MachineRecord
 from truepath.child_process import WorkerProcess
 from truepath.errors import NotFound
@@ -34,11 +36,18 @@ from truepath.service.api.models.base import (
 )
 from truepath.service.api.models.naming import Name
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.routes.results import send_page
+from truepath.service.api.routes.results import (
+    get_machine_tolerance_um,
+    send_page,
+)
 from truepath.service.api.security.access_control import note_change
 from truepath.service.api.security.session import ActorDep
 from truepath.service.api.service import Service, ServiceDep
 from truepath.service.api.thread_pools import on_threads
+from truepath.users.roles import Actor
+
+if TYPE_CHECKING:
+    from truepath.answers.certificate.kept_certificates import CertificateOrder
 
 router = APIRouter(tags=["certificates"])
 
@@ -59,7 +68,7 @@ def _either(name: str) -> AliasChoices:
 class IdentityIn(RequestBody):
     """What people state; all may be left out, and an empty text is as good as none.
 
-    The registry of machines keeps it, but for the last two.
+    The registry of machines keeps it, except the entries of one measurement.
     """
 
     machine_maker: Name = ""
@@ -74,11 +83,15 @@ class IdentityIn(RequestBody):
     tracker_calibrated_on: Name = ""
     target: Name = Field("", description="Reflector: kind and serial number.")
     operator: Name = ""
-    laboratory: Name = Field("", description="Who issues the certificate.")
-    customer: Name = ""
+    laboratory: Name = Field("", description="Name and address.")
+    customer: Name = Field("", description="Name and contact.")
     place: Name = ""
-    warm_up: Name = Field("", description="Of this measurement; not kept.")
+    authorised_by: Name = Field("", description="Who signs the certificate.")
+    condition: Name = Field("", description="Of the machine now; not kept.")
+    received_on: Name = Field("", description="Date; not kept.")
     measured_on: Name = Field("", description="Date of this measurement; not kept.")
+    warm_up: Name = Field("", description="Of this measurement; not kept.")
+    deviations: Name = Field("", description="From the method; not kept.")
 
 
 class CertificateRequest(RequestBody):
@@ -135,9 +148,21 @@ class CertificateOut(BaseModel):
     verdict: VerdictState = Field(description="Of the result, as the first page says.")
     verdict_accepted: bool
     identity: dict[str, str] = Field(description="As stated; what is missing was not.")
+    results: StatedResults | None = Field(
+        None,
+        description="Main numbers as its pages state them. Certificates of earlier "
+        "versions do not have them.",
+    )
     sources_sha256: dict[str, str] = Field(description="Files it was made from.")
     files: dict[str, str] = Field(description="SHA-256 by name; no PDF, none could be.")
     links: CertificateLinks
+
+
+class CertificatePreview(BaseModel):
+    """What issuing would make."""
+
+    html: str = Field(description="One page, each of its sheets marked as a preview.")
+    results: StatedResults
 
 
 class CertificateList(BaseModel):
@@ -164,6 +189,25 @@ def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
 
 
 @router.post(
+    "/jobs/{job_id}/certificates/preview", responses=declare_problems(404, 422)
+)
+@on_threads(_ISSUING)
+def preview_certificate(
+    job_id: JobId, body: CertificateRequest, service: ServiceDep, actor: ActorDep
+) -> CertificatePreview:
+    """Return what issuing would make, marked as a preview; nothing is kept."""
+    from truepath.answers.certificate.kept_certificates import (
+        preview_certificate as preview,
+    )
+
+    order = _make_order(service, job_id, body, actor)
+    known = describe_identity(_find_machine(service, order.result))
+    order = replace(order, identity={**known, **_list_stated(body)})
+    with _TURN, closing(WorkerProcess("printer")) as printer:
+        return CertificatePreview(**printer.call(partial(preview, order)))
+
+
+@router.post(
     "/jobs/{job_id}/certificates",
     status_code=201,
     responses=declare_problems(404, 422),
@@ -184,22 +228,12 @@ def issue_certificate(
     """
     from truepath.answers.certificate import kept_certificates as kept
 
-    result = _find_result(service, job_id)
-    now = datetime.now(UTC)
-    order = kept.CertificateOrder(
-        f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
-        result,
-        now,
-        actor.name if actor else "",
-        _find_other(service, body.as_left_job, "result.json"),
-        _find_other(service, body.verification_job, "verification.json"),
-        _find_account(service, result.parent, body),
-        _store_identity(service, result, body),
-        body.language,
-        body.accept_verdict,
-    )
+    order = _make_order(service, job_id, body, actor)
+    machine = _find_machine(service, order.result)
+    identity = store_identity(machine, _list_stated(body), service.setup.registry)
+    order = replace(order, identity=identity)
     with _TURN, closing(WorkerProcess("printer")) as printer:
-        folder = result.parent / kept.FOLDER
+        folder = order.result.parent / kept.FOLDER
         record = printer.call(partial(kept.issue_certificate, order, folder))
     issued = _describe(job_id, record)
     note_change(request, old={}, new={"number": issued.number, **issued.files})
@@ -294,13 +328,29 @@ def _find_account(
     return file if file.is_file() else None
 
 
-def _store_identity(
-    service: Service, result: Path, body: CertificateRequest
-) -> Identity:
-    """New entries take precedence over those of the registry."""
-    given = {k: v for k, v in body.identity.model_dump().items() if v.strip()}
-    machine = _find_machine(service, result)
-    return store_identity(machine, given, service.setup.registry)
+def _make_order(
+    service: Service, job_id: str, body: CertificateRequest, actor: Actor | None
+) -> CertificateOrder:
+    """Without the identity."""
+    from truepath.answers.certificate.kept_certificates import CertificateOrder
+
+    result, now = _find_result(service, job_id), datetime.now(UTC)
+    return CertificateOrder(
+        f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
+        result,
+        now,
+        actor.name if actor else "",
+        _find_other(service, body.as_left_job, "result.json"),
+        _find_other(service, body.verification_job, "verification.json"),
+        _find_account(service, result.parent, body),
+        language=body.language,
+        accept_verdict=body.accept_verdict,
+        tolerance_um=get_machine_tolerance_um(service, job_id),
+    )
+
+
+def _list_stated(body: CertificateRequest) -> Identity:
+    return {k: v for k, v in body.identity.model_dump().items() if v.strip()}
 
 
 def _find_machine(service: Service, result: Path) -> MachineRecord | None:

@@ -99,6 +99,7 @@ _OF_INTERFACE: Mapping[str, Role | None] = {
     "GET /jobs/{job_id}/certificates/{number}.pdf": _VIEWER,
     "GET /jobs/{job_id}/certificates/{number}": _VIEWER,
     "POST /jobs/{job_id}/certificates": _METROLOGIST,
+    "POST /jobs/{job_id}/certificates/preview": _METROLOGIST,
     "POST /jobs/{job_id}/comparisons": _METROLOGIST,
     "GET /jobs/{job_id}/comparisons/{comparison_id}": _VIEWER,
     "GET /jobs/{job_id}/comparisons/{comparison_id}/report.html": _VIEWER,

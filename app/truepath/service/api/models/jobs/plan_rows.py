@@ -231,6 +231,11 @@ class PlanOut(BaseModel):
         description="Where the plan has chosen the tracker's place: `tracker`, "
         "`stations` and `at_stations` of its `document`.",
     )
+    tracker_mm: list[float] | None = Field(
+        None,
+        description="Where it was planned: the tracker's place, in the frame that it "
+        "stands on; of several stations the first's.",
+    )
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."
     )

@@ -32,7 +32,7 @@ export function createActions(store, go) {
   }
 
   function refuse(error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     const offer = error.code === "not-in-control" ? { label: t("control.take"), run: takeControl } : null;
     store.set({ problem: { ...worded(error), code: error.code, tone: "fault", offer } });
   }
@@ -198,8 +198,6 @@ export function createActions(store, go) {
     const job = await during("prepare", async () => api.createJob(withModel(
       request ? { ...order, plan_id: (await makePlan(withModel(request, machine), tell)).id } : order, machine)));
     if (!job) return null;
-    const curve = order.plan_id ? await api.planCurve(order.plan_id).catch(() => null) : null;
-    if (curve) store.set({ trackers: { ...store.get().trackers, [job.id]: curve.tracker_mm } });
     hear(job);
     follow(job);
     go(addressOf(job));
@@ -214,6 +212,7 @@ export function createActions(store, go) {
 
   /** Issue a certificate of a result; null where it is refused. */
   const issue = (id, order) => during("issue", () => api.issueCertificate(id, order));
+  const preview = (id, order) => during("preview", () => api.previewCertificate(id, order));
 
   return {
     loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse, regain,
@@ -227,17 +226,18 @@ export function createActions(store, go) {
     prepare: begin,
     /** Keep that a step that may be left out was done for a result. */
     did: (step, id) => store.set({ done: { ...store.get().done, [id]: { ...store.get().done[id], [step]: true } } }),
-    verify, issue, choose,
+    verify, issue, preview, choose,
     /** Have a plan made to look at, with its curve; null where it is refused. Nothing waits for it. */
     async foresee(request, tell) {
       try {
-        const plan = await makePlan(withModel(request, store.get().machine), tell);
-        return { ...plan, curve: await api.planCurve(plan.id) };
+        return withCurve(await makePlan(withModel(request, store.get().machine), tell));
       } catch (error) {
         refuse(error);
         return null;
       }
     },
+    /** A plan that was made before, with its curve; null where there is none. */
+    findPlan: (id) => api.planned(id).then(withCurve).catch(() => null),
     /** Ask for the token as the hold begins; a refusal is shown once the hold is done. */
     beginHold() {
       arming = api.prepareArming(store.get().job);
@@ -278,6 +278,8 @@ export function createActions(store, go) {
     forgetDeviceError: () => store.set({ deviceError: null }),
   };
 }
+
+const withCurve = async (plan) => ({ ...plan, curve: await api.planCurve(plan.id) });
 
 /** Have a plan made; tells how far it is, answers it once it is there. */
 async function makePlan(request, tell) {

@@ -18,6 +18,11 @@ export class Problem extends Error {
   }
 }
 
+/** Throw what is no refusal of the service. */
+export function expectProblem(error) {
+  if (!(error instanceof Problem)) throw error;
+}
+
 async function call(method, path, { json, form, version, key, patience_ms = PATIENCE_MS } = {}) {
   const headers = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";
@@ -195,6 +200,9 @@ export const certificates = (id) => call("GET", `/jobs/${id}/certificates`);
 /** Issue one; it never changes. */
 export const issueCertificate = (id, order) =>
   call("POST", `/jobs/${id}/certificates`, { json: order, patience_ms: 180000 });
+/** What issuing would make; keeps nothing. */
+export const previewCertificate = (id, order) =>
+  call("POST", `/jobs/${id}/certificates/preview`, { json: order, patience_ms: 60000 });
 /** A certificate as the page that was issued. */
 export async function certificatePage({ links: { html } }) {
   const answer = await fetch(locate(html), { cache: "no-store" });

@@ -2,9 +2,9 @@
 const SVG = "http://www.w3.org/2000/svg";
 const ICONS = new URL("../icons.svg", import.meta.url).pathname;
 
-/** Make an element; `on…` are listeners, `null`, `false` and `undefined` are left out. */
+/** Make an element; `on…` are listeners, `null`, `false` and `undefined` are left out; a button submits only where it says so. */
 export function h(tag, attributes = {}, ...children) {
-  return fill(document.createElement(tag), attributes, children);
+  return fill(document.createElement(tag), tag === "button" ? { type: "button", ...attributes } : attributes, children);
 }
 
 /** The same for SVG. */

@@ -1,5 +1,6 @@
 /* Keep-out boxes of each machine, as this panel keeps them: axis positions X, Y, Z that no motion may touch. */
 import { prefer, preference } from "./preferences.js";
+import { number, t } from "./texts.js";
 
 export const LINEAR = ["X", "Y", "Z"];
 const MOST_MM = 1e6;
@@ -20,6 +21,9 @@ export const isWholeAlong = ({ min_mm, max_mm }, axis) => isEnd(min_mm[axis]) &&
 
 /** Whether boxes can be sent as they are. */
 export const areWhole = (boxes) => boxes.every((box) => LINEAR.every((_, axis) => isWholeAlong(box, axis)));
+
+/** What a box is called: by its name, else by its number. */
+export const nameOfBox = ({ name }, at) => name?.trim() || t("keepout.box", { number: number(at + 1) });
 
 /** Boxes as the service takes them. */
 export const orderBoxes = (boxes) => boxes.map(({ name, min_mm, max_mm }) => ({ ...(name.trim() ? { name: name.trim() } : {}), min_mm, max_mm }));

@@ -29,7 +29,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, machines: [], machine_id: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null, trend: null, verification: null,
-  conditions: null, safetyRead: null, arming: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, deviceError: null, busy: null, planned: null, asked: null, proves: {}, done: {}, trackers: {}, issued: null,
+  conditions: null, safetyRead: null, arming: null, live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, deviceError: null, busy: null, planned: null, asked: null, proves: {}, done: {}, issued: null,
   link: { stale: false, asked: false, last: null, age_s: 0 },
 });
 const go = (address) => {
@@ -187,7 +187,7 @@ async function start() {
   try {
     await load();
   } catch (error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     actions.refuse(error);
     setTimeout(start, RETRY_MS);
     return;

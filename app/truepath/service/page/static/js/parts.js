@@ -3,6 +3,7 @@ import { locate } from "./api.js";
 import { h, icon, mark } from "./dom.js";
 import { hasEnded } from "./flow.js";
 import { COVERAGE } from "./plots/error-chart.js";
+import { recall, retain } from "./preferences.js";
 import { wordProblem } from "./problems.js";
 import { known, number, t } from "./texts.js";
 import { quantity } from "./units.js";
@@ -14,6 +15,14 @@ export const head = (title, text) =>
 /** A card with a heading. */
 export const card = (title, ...content) =>
   h("section", { class: "card" }, title && h("h2", {}, title), content);
+
+/** A card of one line that opens on a tap, and stays so in this tab; `value` says in a word what is chosen inside. */
+export function fold(name, title, ...content) {
+  const value = h("span", { class: "quiet" });
+  const element = h("details", { class: "card fold", "data-fold": name, open: recall("folds", {})[name] ?? false,
+    ontoggle: () => retain("folds", { ...recall("folds", {}), [name]: element.open }) }, h("summary", {}, h("h2", {}, title), " ", value), content);
+  return { element, value };
+}
 
 /** Room for a table that may be wider than its card; arrow keys scroll it. */
 export const tableFrame = (label, ...content) =>
@@ -47,7 +56,7 @@ export function markStale(element, age_s) {
 export function segments(label, options, chosen, choose, small = false) {
   const group = h("div", { class: `segments${small ? " is-small" : ""}`, role: "group", "aria-label": label });
   const buttons = options.map(([value, text]) =>
-    h("button", { type: "button", "aria-pressed": String(value === chosen), "data-value": value,
+    h("button", { "aria-pressed": String(value === chosen), "data-value": value,
       onclick: () => {
         for (const b of buttons) b.setAttribute("aria-pressed", String(b.dataset.value === value));
         choose(value);

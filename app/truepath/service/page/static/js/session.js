@@ -42,7 +42,7 @@ async function ask() {
   try {
     return await api.session();
   } catch (error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     return null;
   }
 }

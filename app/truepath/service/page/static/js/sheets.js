@@ -1,4 +1,7 @@
 /* Sheets over the view. Not modal: the rest, Abort above all, stays within reach. */
+import { h } from "./dom.js";
+import { t } from "./texts.js";
+
 let opener = null;
 
 /** Open a sheet and give it the focus; another one closes. */
@@ -8,6 +11,10 @@ export function openSheet(sheet) {
   sheet.show();
   sheet.querySelector("button, [tabindex]")?.focus();
 }
+
+/** Title of a sheet, and what closes it. */
+export const sheetHead = (sheet, title) => h("div", { class: "sheet-head" }, h("h2", { id: `${sheet.id}-title` }, title),
+  h("button", { class: "button", onclick: () => closeSheet(sheet) }, t("shell.close")));
 
 /** Close a sheet and give the focus back. */
 export function closeSheet(sheet) {

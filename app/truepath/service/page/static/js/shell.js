@@ -86,7 +86,7 @@ export function updateProblems({ problem }, dismiss) {
     return;
   }
   const shown = notice(problem.tone, problem.title, problem.text, problem.action);
-  const button = (label, run) => h("button", { class: "button", type: "button", onclick: run }, label);
+  const button = (label, run) => h("button", { class: "button", onclick: run }, label);
   const { offer } = problem;
   shown.append(h("div", { class: "problem-buttons" }, offer && button(offer.label, offer.run), button(t("shell.dismiss"), dismiss)));
   place.replaceChildren(shown);
@@ -126,8 +126,8 @@ function place(container, wanted, make) {
   }
 }
 
-const nextButton = () => h("button", { class: "next", type: "button", "aria-describedby": "reason" });
+const nextButton = () => h("button", { class: "next", "aria-describedby": "reason" });
 
-const backButton = () => h("button", { class: "button is-plain", type: "button" }, icon("back"));
+const backButton = () => h("button", { class: "button is-plain" }, icon("back"));
 
-const asideButton = () => h("button", { class: "button is-plain", type: "button" });
+const asideButton = () => h("button", { class: "button is-plain" });

@@ -102,9 +102,10 @@ const corner = (room, bits) => [0, 1, 2].map((i) => room[i][(bits >> i) & 1]);
 
 const travelOf = ({ x, y, z }) => [x, y, z].map((all) => all.filter((v) => v !== null)).map((all) => [Math.min(...all), Math.max(...all)]);
 
-function figure({ mode, x, y, z, line, marker, hovertext }, at) {
+function figure({ mode, x, y, z, line, marker, hovertext, text, textfont }, at) {
   const places = x.map((value, i) => (value === null ? null : at([value, y[i], z[i]]).map((v) => Math.round(10 * v) / 10)));
-  return [mode.includes("lines") && strokes(line, places), mode.includes("markers") && dots(marker, places, hovertext)];
+  return [mode.includes("lines") && strokes(line, places), mode.includes("markers") && dots(marker, places, hovertext),
+    mode.includes("text") && text.map((words, i) => words && label(places[i], [0, 1], words, "middle", null, textfont.color))];
 }
 
 /** One path a colour; null breaks a line. */
@@ -177,8 +178,8 @@ function away([right, down], half, middle) {
 /** On which side of its place a text stands: right, left or, where that hardly matters, in the middle. */
 const anchorOf = (right) => (Math.abs(right) < 0.35 ? "middle" : right < 0 ? "end" : "start");
 
-function label([x, y], [dx, dy], text, anchor, name) {
-  return s("text", { class: name, x: x + AWAY_PX * dx, y: y + AWAY_PX * dy + 5 + 4 * dy, "text-anchor": anchor }, text);
+function label([x, y], [dx, dy], text, anchor, name, tone = null) {
+  return s("text", { class: name, style: tone && `fill: ${tone}`, x: x + AWAY_PX * dx, y: y + AWAY_PX * dy + 5 + 4 * dy, "text-anchor": anchor }, text);
 }
 
 function turnByDragging(svg, turn) {

@@ -7,9 +7,10 @@ const REDRAW_MS = 250;
 const TRACE = { plan: 1, done: 2, now: 3 };
 
 /** Columns of X, Y and Z among the axes of a plan; -1 where the machine has none. */
-const linear = (axes) => ["X", "Y", "Z"].map((name) => axes.indexOf(name));
+export const linear = (axes) => ["X", "Y", "Z"].map((name) => axes.indexOf(name));
 
-const pick = (row, columns) => columns.map((c) => (c < 0 ? 0 : row[c]));
+/** Of a row the axes X, Y and Z; 0 where the machine has none. */
+export const pickLinear = (row, columns) => columns.map((c) => (c < 0 ? 0 : row[c]));
 
 function traces(rows, travel, standing, boxes, { tracker_mm, offset_mm }) {
   const base = { type: "scatter3d", hoverinfo: "skip", showlegend: false };
@@ -35,7 +36,7 @@ function traces(rows, travel, standing, boxes, { tracker_mm, offset_mm }) {
 export const offsetOf = (machine) => machine?.tool_offset_mm ?? Object.values(machine?.targets ?? {})[0]?.offset_mm ?? [0, 0, 0];
 
 /** Travel of X, Y and Z: of the machine, widened to the plan. */
-function travelOf(machine, rows) {
+export function travelOf(machine, rows) {
   return ["X", "Y", "Z"].map((name, i) => {
     const axis = machine?.axes?.[name];
     const values = rows.map((row) => row[i]);
@@ -50,7 +51,7 @@ function travelOf(machine, rows) {
  */
 export async function drawPath(element, plan, machine) {
   const columns = linear(plan.axes);
-  const rows = plan.position.map((row) => pick(row, columns));
+  const rows = plan.position.map((row) => pickLinear(row, columns));
   const travel = travelOf(machine, rows);
   const standing = !plan.feed_mm_min?.length;
   const seen = { tracker_mm: plan.tracker_mm, offset_mm: offsetOf(machine) };
@@ -65,7 +66,7 @@ export async function drawPath(element, plan, machine) {
   function redraw() {
     if (!wanted || document.hidden) return;
     const { done, position } = wanted;
-    const at = position ? [pick(position, columns)] : [];
+    const at = position ? [pickLinear(position, columns)] : [];
     const key = `${done} ${at}`;
     if (key === drawn) return;
     drawn = key;

@@ -1,12 +1,12 @@
 /* A planned path in space with the tracker that looks at it: how much of it is chosen. */
 import { colour } from "./css-colour.js";
-import { boxTrace, coordinates, drawScene, edges } from "./scene.js";
+import { boxEdges, boxTrace, coordinates, drawScene, edges } from "./scene.js";
 
-const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4 };
+const TRACE = { rest: 1, chosen: 2, sights: 3, tool: 4, boxes: 6 };
 
-/** Draw a plan; answers {choose(rows), view, close}.
+/** Draw a plan; answers {choose(rows), keepOut(boxes), close}.
  *
- * rows: [{at_mm, tracker_mm}, …], X, Y and Z of the axes and where the tracker stands
+ * rows: [{at_mm, tracker_mm}, …], X, Y and Z of the axes and where the tracker stands; none before there is a plan
  * travel: of X, Y and Z; offset_mm: of the reflector on the tool; boxes: that are kept clear
  */
 export async function drawPlanSpace(element, { rows, travel, offset_mm, boxes }, chosen) {
@@ -34,17 +34,20 @@ export async function drawPlanSpace(element, { rows, travel, offset_mm, boxes },
     const driven = rows.slice(0, count);
     const end = driven.at(-1);
     const places = (some) => some.map((row) => row.at_mm);
-    return [places(rows.slice(count - 1)), places(driven), driven.flatMap((row) => [row.tracker_mm, reflector(row), null]),
-      [end.at_mm, reflector(end)]].map(coordinates);
+    return [places(rows.slice(Math.max(0, count - 1))), places(driven), driven.flatMap((row) => [row.tracker_mm, reflector(row), null]),
+      end ? [end.at_mm, reflector(end)] : []].map(coordinates);
   }
 
   return {
     choose(count) {
       const next = cut(count);
       const along = (name) => next.map((part) => part[name]);
-      scene.restyle({ x: along("x"), y: along("y"), z: along("z") }, Object.values(TRACE));
+      scene.restyle({ x: along("x"), y: along("y"), z: along("z") }, [TRACE.rest, TRACE.chosen, TRACE.sights, TRACE.tool]);
     },
-    view: scene.view,
+    keepOut(next) {
+      const { x, y, z, text } = boxEdges(next);
+      scene.restyle({ x: [x], y: [y], z: [z], text: [text] }, [TRACE.boxes]);
+    },
     close: scene.close,
   };
 }

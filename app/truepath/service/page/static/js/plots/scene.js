@@ -1,5 +1,6 @@
 /* Pictures in space: plotly.js where a graphics processor draws them, else flat; and the frame they share. */
 import { ROOT } from "../api.js";
+import { nameOfBox } from "../keep-out.js";
 import { shown, unitOf } from "../units.js";
 import { colour } from "./css-colour.js";
 import { drawFlat } from "./flat-scene.js";
@@ -45,6 +46,8 @@ async function drawInSpace(element, traces, travel, isZoomed) {
   const Plotly = await plotly();
   const options = { ...OPTIONS, scrollZoom: isZoomed };
   await Plotly.newPlot(element, traces, layout(travel, element), options);
+  // At the end of a line under the pointer plotly.js has no data coordinate to snap to: uniform3fv throws, and nothing is drawn any more.
+  element._fullLayout.scene._scene.glplot.snapToData = false;
   return {
     restyle: (change, which) => Plotly.restyle(element, change, which),
     replace: (next) => Plotly.react(element, next, element.layout, options),
@@ -99,12 +102,15 @@ export function edges(travel) {
   return coordinates(points);
 }
 
-/** A trace of the edges of keep-out boxes. */
-export function boxTrace(boxes) {
+/** A trace of the edges of keep-out boxes, each with its name at a corner. */
+export const boxTrace = (boxes) => ({ type: "scatter3d", hoverinfo: "skip", showlegend: false, mode: "lines+text",
+  line: { color: colour("fault"), width: 2.5 }, textfont: { color: colour("fault"), size: 14 }, ...boxEdges(boxes) });
+
+/** What of that trace changes with the boxes. */
+export function boxEdges(boxes) {
   const parts = boxes.map(({ min_mm, max_mm }) => edges(min_mm.map((low, i) => [low, max_mm[i]])));
   const along = (name) => parts.flatMap((part) => part[name]);
-  return { type: "scatter3d", hoverinfo: "skip", showlegend: false, mode: "lines", line: { color: colour("fault"), width: 2.5 },
-    x: along("x"), y: along("y"), z: along("z") };
+  return { x: along("x"), y: along("y"), z: along("z"), text: parts.flatMap(({ x }, at) => x.map((_, i) => (i ? "" : nameOfBox(boxes[at], at)))) };
 }
 
 /** Layout of a scene over the travel of X, Y and Z that fills a frame. */

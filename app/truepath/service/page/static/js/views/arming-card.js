@@ -20,7 +20,7 @@ export function armingCard(store, actions) {
       found = await api.prepareArming(job);
       shown = pairs(rowsOf(found, nameOf(found)));
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       shown = refusal(error, job);
     }
     const now = store.get().job;
@@ -39,7 +39,7 @@ export function armingCard(store, actions) {
       if (await actions.takeControl()) ask(store.get().job ?? job);
     };
     return [notice("held", title, text, action), error.code === "not-in-control"
-      && h("button", { class: "button below", type: "button", "data-needs": "operator", onclick: take }, t("control.take"))].filter(Boolean);
+      && h("button", { class: "button below", "data-needs": "operator", onclick: take }, t("control.take"))].filter(Boolean);
   }
 
   return {

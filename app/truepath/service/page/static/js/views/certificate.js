@@ -10,7 +10,7 @@ import { newMeasurement } from "./onward.js";
 const GROUPS = {
   machine: ["machine_maker", "machine_model", "serial_number", "control", "customer", "place"],
   tracker: ["tracker", "tracker_serial_number", "tracker_certificate", "tracker_calibrated_on", "target"],
-  measurement: ["operator", "laboratory", "measured_on", "warm_up"],
+  measurement: ["operator", "laboratory", "authorised_by", "condition", "received_on", "measured_on", "warm_up", "deviations"],
 };
 const NAMES = { en: "English", de: "Deutsch" };
 const LONGEST = 200;
@@ -57,13 +57,16 @@ export function mount(root, { store, actions }) {
     showAll(items, certificate);
   };
 
+  const show = async (certificate) => preview.replaceChildren(...await previewOf(certificate));
+
   function showAll(items, chosen) {
-    list.replaceChildren(...issuedList(items, (one) => show(one)));
+    list.replaceChildren(...issuedList(items, show));
     show(chosen);
   }
 
-  async function show(certificate) {
-    preview.replaceChildren(...await previewOf(certificate));
+  async function look() {
+    const made = await actions.preview(drawn, orderOf(order));
+    if (made) show(made);
   }
 
   async function load(job, jobs) {
@@ -72,7 +75,7 @@ export function mount(root, { store, actions }) {
     for (const [step, found] of [["export", files.length], ["verify", proof]]) if (found) actions.did(step, job.id);
     const { machine } = store.get();
     order = { job_id: job.id, language: currentLanguage(), identity: await identityOf(job, kept.identity, machine), proof, proves: Boolean(proof), files: verifiedFiles(proof, files), others: hasOtherFiles(proof, job) };
-    stated.replaceChildren(...form(order, files));
+    stated.replaceChildren(...form(order, files, look));
     showAll(kept.items, kept.items.at(-1) ?? null);
     store.set({});
   }
@@ -110,20 +113,17 @@ function verifiedFiles(proof, files) {
 /** Whether the control had files of a discovery while it was verified: the service takes their account by itself. */
 const hasOtherFiles = (proof, job) => Boolean(proof?.verification.asked.compensation_id) && proof.verification.asked.result_id !== job.id;
 
-function form(order, files) {
-  const choose = h("select", { id: "certificate-files", onchange: () => {
-    order.files = choose.value;
-  } }, h("option", { value: "" }, t(order.others ? "certificate.files_of_proof" : "certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
+function form(order, files, look) {
+  const choose = h("select", { id: "certificate-files", onchange: () => Object.assign(order, { files: choose.value }) }, h("option", { value: "" }, t(order.others ? "certificate.files_of_proof" : "certificate.no_files")), files.map((made) => h("option", { value: made.id }, wordFormat(made.format, "control", made.control))));
   choose.value = order.files;
   const groups = Object.entries(GROUPS).map(([group, names]) => [h("h3", {}, t(`certificate.of_${group}`)),
     h("div", { class: "text-fields" }, names.map((name) => textField(order.identity, name)))]);
   return [h("section", { class: "card stack", "data-card": "identity" }, h("h2", {}, t("certificate.content")),
     h("div", { class: "field" }, h("span", { class: "label" }, t("settings.language")),
-      segments(t("settings.language"), languages.map((one) => [one, NAMES[one] ?? one]), order.language, (value) => {
-        order.language = value;
-      })),
+      segments(t("settings.language"), languages.map((one) => [one, NAMES[one] ?? one]), order.language, (language) => Object.assign(order, { language }))),
     proofField(order),
-    files.length > 0 && h("div", { class: "field" }, h("label", { for: "certificate-files" }, t("certificate.files")), choose)),
+    files.length > 0 && h("div", { class: "field" }, h("label", { for: "certificate-files" }, t("certificate.files")), choose),
+    h("button", { class: "button", type: "button", onclick: look }, t("certificate.preview"))),
   h("section", { class: "card stack", "data-card": "stated" }, h("h2", {}, t("certificate.stated")),
     h("p", { class: "quiet" }, t("certificate.stated_text")), groups)];
 }
@@ -133,7 +133,7 @@ function proofField(order) {
   if (!order.proof) return h("p", { class: "quiet" }, t("certificate.no_proof"));
   const { job, verification } = order.proof;
   const word = t(`verify.is_${decisionOf(verification)}`);
-  const box = h("button", { class: "choice is-box", type: "button", role: "checkbox", "aria-checked": "true", onclick: () => {
+  const box = h("button", { class: "choice is-box", role: "checkbox", "aria-checked": "true", onclick: () => {
     order.proves = !order.proves;
     box.setAttribute("aria-checked", String(order.proves));
   } }, h("strong", {}, t("certificate.with_proof")), h("span", {}, `${dateTime(job.ended ?? job.created)} · ${word}`));
@@ -142,9 +142,7 @@ function proofField(order) {
 
 function textField(identity, name) {
   const id = `state-${name}`;
-  const input = h("input", { id, value: identity[name], maxlength: LONGEST, autocomplete: "off", oninput: () => {
-    identity[name] = input.value;
-  } });
+  const input = h("input", { id, value: identity[name], maxlength: LONGEST, autocomplete: "off", oninput: () => Object.assign(identity, { [name]: input.value }) });
   return h("div", { class: "text-field" }, h("label", { for: id }, t(`identity.${name}`)), input);
 }
 
@@ -154,7 +152,7 @@ function issuedList(items, show) {
     h("div", {}, h("strong", { class: "number" }, one.number),
       h("p", { class: "quiet" }, [dateTime(one.issued_at), NAMES[one.language] ?? one.language, one.issued_by].filter(Boolean).join(" · "))),
     h("div", { class: "row-actions" },
-      h("button", { class: "button", type: "button", onclick: () => show(one) }, t("certificate.show")), download(one))));
+      h("button", { class: "button", onclick: () => show(one) }, t("certificate.show")), download(one))));
   return [card(t("certificate.issued"), h("ul", { class: "kept-list" }, rows))];
 }
 
@@ -163,16 +161,17 @@ const hasPdf = ({ files }) => "certificate.pdf" in files;
 const download = (one) => (hasPdf(one) ? linkButton(one.links.pdf, "download", "PDF", { download: `${one.number}.pdf` })
   : linkButton(one.links.html, "download", "HTML", { download: `${one.number}.html` }));
 
-/** The certificate as it was issued, in a frame that runs nothing. */
+/** The certificate as it was issued, or would be, in a frame that runs nothing. */
 async function previewOf(certificate) {
   if (!certificate) {
     return [h("h2", {}, t("certificate.preview")), h("div", { class: "preview-none" }, h("p", {}, t("certificate.preview_none")))];
   }
-  const title = h("div", { class: "card-head" }, h("h2", {}, certificate.number),
-    h("div", { class: "row-actions" }, linkButton(certificate.links.html, "expand", t("certificate.open"), { target: "_blank", rel: "noopener" }), download(certificate)));
+  const { number = t("certificate.preview"), links, html } = certificate;
+  const title = h("div", { class: "card-head" }, h("h2", {}, number),
+    links && h("div", { class: "row-actions" }, linkButton(links.html, "expand", t("certificate.open"), { target: "_blank", rel: "noopener" }), download(certificate)));
   try {
-    const frame = h("iframe", { class: "preview", sandbox: "", title: t("certificate.preview_of", { number: certificate.number }) });
-    frame.srcdoc = await api.certificatePage(certificate);
+    const frame = h("iframe", { class: "preview", sandbox: "", title: t("certificate.preview_of", { number }) });
+    frame.srcdoc = html ?? await api.certificatePage(certificate);
     return [title, frame];
   } catch (error) {
     if (!(error instanceof api.Problem) && !(error instanceof TypeError)) throw error;

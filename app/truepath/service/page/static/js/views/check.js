@@ -1,11 +1,13 @@
 /* Step 3: what will move, and the hold that starts it. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
-import { addressOf, hasEnded, isExtra, machineName, rowsNow, stepOf, waitsForArming } from "../flow.js";
-import { card, errorNotice, head, kindOf, linkButton, notice, pairs } from "../parts.js";
+import { addressOf, hasEnded, isExtra, rowsNow, stepOf, waitsForArming } from "../flow.js";
+import { term } from "../glossary.js";
+import { nameOfBox } from "../keep-out.js";
+import { card, errorNotice, fold, head, kindOf, linkButton, notice, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
-import { figure, quantity } from "../units.js";
+import { quantity } from "../units.js";
 import { adviceCard, placeText } from "./advice-card.js";
 import { armingCard } from "./arming-card.js";
 import { conditionsCard, obstacle, wordsOf } from "./conditions-card.js";
@@ -53,17 +55,16 @@ export function mount(root, { store, actions }) {
   const path = pathCard(false);
   const grade = plannedGrade();
   const program = programCard();
-  const facts = h("div");
-  const reach = h("div", { class: "reach" });
+  const facts = fold("run", t("check.plan"), h("div"));
   const safety = safetyCard(store);
   const arming = armingCard(store, actions);
   const failure = h("div", { class: "stack below" });
   const advice = h("div", { class: "stack" });
   root.append(
     head(t("check.title"), t("check.text")), safety.element, failure,
-    h("div", { class: "columns is-main-left is-check" },
-      h("div", { class: "stack" }, path.element, card(t("check.reach"), reach), grade.element, program.element),
-      h("div", { class: "stack" }, conditions.element, arming.element, card(t("check.plan"), facts), advice)),
+    h("div", { class: "columns is-check" },
+      h("div", { class: "stack" }, path.element, h("div", { class: "folds" }, fold("grade", t("grade.title"), grade.element).element, fold("program", t("program.title"), program.element).element)),
+      h("div", { class: "stack" }, arming.element, facts.element, advice), conditions.element),
   );
   let described = "";
   return {
@@ -73,15 +74,13 @@ export function mount(root, { store, actions }) {
       safety.update(job);
       arming.update(job);
       const plan = rowsNow(whole, job);
-      path.update(plan && { ...plan, tracker_mm: plan.position_mm ?? whole.place?.tracker.position_mm ?? state.trackers[job.id] }, machine);
+      path.update(plan && { ...plan, tracker_mm: plan.position_mm ?? plan.tracker_mm }, machine);
       if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
       program.update(job, plan);
-      const name = machineName(state);
-      const key = [job?.id, job?.version, Boolean(plan), Boolean(machine), name].join();
+      const key = [job?.id, job?.version, Boolean(plan)].join();
       if (key === described || !job) return;
       described = key;
-      facts.replaceChildren(pairs(describe(job, plan, name)));
-      reach.replaceChildren(...(plan ? rows(plan, machine) : [h("p", { class: "empty" }, t("path.waiting"))]));
+      facts.element.lastElementChild.replaceWith(pairs(describe(job, plan)));
       advice.replaceChildren(...[adviceCard(plan)].filter(Boolean));
       failure.replaceChildren(...[errorNotice(job), ...stationNotices(job)].filter(Boolean));
     },
@@ -94,60 +93,32 @@ export function mount(root, { store, actions }) {
   };
 }
 
-function describe(job, plan, machine) {
-  const facts = [[t("check.machine"), machine || "–"], [t("check.kind"), kindOf(job.kind)]];
+function describe(job, plan) {
+  const facts = [[t("check.kind"), kindOf(job.kind)]];
   if (!plan) return facts;
   const standing = !plan.feed_mm_min?.length;
   const length = lengthOf(plan);
   facts.push([t(standing ? "check.points" : "check.lines"),
     number(plan.position.length - (standing ? 0 : 1))]);
   facts.push([t("check.length"), quantity(length, "distance")]);
-  if (!standing) facts.push([t("check.feed"), feeds(plan.feed_mm_min)]);
   if (job.target_um) {
     const target = quantity(COVERAGE * job.target_um, "error");
     facts.push([t("check.target"), t("check.target_at", { target, k: COVERAGE })]);
   }
   if (plan.predicted_um) {
     const predicted = quantity(COVERAGE * plan.predicted_um, "error");
-    facts.push([t("check.predicted"), t("check.predicted_at", { predicted, k: COVERAGE })]);
+    facts.push([term("uncertainty", t("check.predicted")), t("check.predicted_at", { predicted, k: COVERAGE })]);
   }
-  if (plan.keep_out) facts.push([t("keepout.title"), nameBoxes(plan.keep_out)]);
+  if (plan.keep_out) facts.push([t("keepout.title"), plan.keep_out.map(nameOfBox).join("; ") || t("keepout.none")]);
   const time_s = job.progress?.eta_s ?? plan.duration_s;
   if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
   return facts;
-}
-
-const nameBoxes = (boxes) => boxes.map(({ name }, i) => name || t("keepout.box", { number: number(i + 1) })).join("; ") || t("keepout.none");
-
-function feeds(feed_mm_min) {
-  const values = feed_mm_min.slice(1).filter((feed) => feed > 0);
-  const [least, most] = [Math.min(...values), Math.max(...values)];
-  return least === most ? quantity(most, "feed")
-    : `${quantity(least, "feed")} … ${quantity(most, "feed")}`;
 }
 
 function lengthOf({ axes, position }) {
   const linear = axes.map((name, i) => ("XYZ".includes(name) ? i : -1)).filter((i) => i >= 0);
   return position.slice(1).reduce((sum, row, i) =>
     sum + Math.hypot(...linear.map((a) => row[a] - position[i][a])), 0);
-}
-
-/** How far the plan reaches within the travel of each axis. */
-function rows({ axes, position }, machine) {
-  return axes.map((name, i) => {
-    const values = position.map((row) => row[i]);
-    const [low, high] = [Math.min(...values), Math.max(...values)];
-    const axis = machine?.axes?.[name] ?? {};
-    const [from, to] = [axis.min_mm ?? axis.min_deg ?? low, axis.max_mm ?? axis.max_deg ?? high];
-    const share = (v) => (100 * (v - from)) / (to - from || 1);
-    const kind = axis.type === "rotary" ? "turn" : "length";
-    const style = `left:${share(low)}%;width:${share(high) - share(low)}%`;
-    return h("div", { class: "reach-row" }, h("b", {}, name),
-      h("div", { class: "reach-track" }, h("i", { style })),
-      h("span", { class: "reach-note" }, t("check.within", {
-        low: figure(low, kind, 1), high: quantity(high, kind, 1),
-        from: figure(from, kind, 1), to: quantity(to, kind, 1) })));
-  });
 }
 
 /** What a person has to do with the tracker before the job is armed, as notices. */

@@ -1,5 +1,6 @@
 /* Circles that a verification drove on the fly (ISO 230-4): a polar chart of each, and its figures. */
 import { h, icon, s } from "../dom.js";
+import { term } from "../glossary.js";
 import { card, notice, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
@@ -11,7 +12,7 @@ const FIGURES = ["H", "G", "G_counterclockwise", "G_clockwise", "F_max", "F_min"
 export function circlesCard({ circles_in_motion: circles = [], circles_missing: missing = [] }) {
   if (!circles.length && !missing.length) return null;
   const lost = missing.length > 0 && notice("held", t("circles.missing"), t("circles.missing_text", { rows: missing.map((row) => number(row + 1)).join(", ") }));
-  const element = card(t("circles.title"), h("p", { class: "quiet" }, t("circles.text", { k: COVERAGE })), lost, circles.map(circleSection));
+  const element = card(t("circles.title"), h("p", { class: "quiet" }, t("circles.text", { k: COVERAGE }), " ", term("circle")), lost, circles.map(circleSection));
   element.dataset.card = "circles";
   return element;
 }

@@ -28,7 +28,7 @@ export function compareCard(job, result, jobs, onOther) {
       shown = describe(result, found);
       if (!difference(result, found)) onOther(others.find((other) => other.id === id), found);
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       shown = problemNotice(error);
     }
     if (asked === id) content.replaceChildren(shown);
@@ -101,5 +101,5 @@ function row({ symbol, name, kind, change, uncertainty, ratio, place, table }) {
     h("td", { class: "right" }, quantity(change, kind)), h("td", { class: "right" }, `± ${quantity(COVERAGE * uncertainty, kind)}`),
     h("td", { class: "right" }, place),
     h("td", { class: "right" }, ratio > 1 && h("span", { class: "changed" }, icon("warning"), t("compare.beyond")),
-      table && h("button", { class: "button is-plain", type: "button", "aria-label": t("result.enlarge", { symbol }), onclick: () => showTable(table) }, icon("expand"))));
+      table && h("button", { class: "button is-plain", "aria-label": t("result.enlarge", { symbol }), onclick: () => showTable(table) }, icon("expand"))));
 }

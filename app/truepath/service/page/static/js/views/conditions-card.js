@@ -45,7 +45,7 @@ export function conditionsCard(store) {
   return listCard(store, t("condition.title"), (conditions) => (conditions ? [...conditions].sort(byUrgency).map(row) : [none]));
 }
 
-/** Card with the temperatures before a Run; hidden where no thermometer shows any. */
+/** The temperatures before a Run, with the name of each thermometer; hidden where none shows any. */
 export function temperatureCard(store) {
   return listCard(store, t("condition.temperatures"), (conditions) =>
     (conditions ?? []).filter(({ type, temperatures }) => type === TEMPERATURES && temperatures?.length).map(row));
@@ -73,6 +73,9 @@ function listCard(store, title, rowsOf) {
 /** `told` is wrong and stands in nobody's way. */
 const stateOf = ({ level, is_required }) => (level === "false" && !is_required ? "told" : level);
 
+/** Types of which all is shown: the list is written anew each time that one of them changes. */
+const opened = new Set();
+
 const ORDER = ["false", "told", "unknown", "true"];
 
 /** What stands in the way first; what is as it should be last. */
@@ -81,15 +84,12 @@ const byUrgency = (a, b) => ORDER.indexOf(stateOf(a)) - ORDER.indexOf(stateOf(b)
 function row(condition) {
   const { type, level, since, temperatures } = condition;
   const state = stateOf(condition);
-  const at = clock(new Date(since));
-  const words = explain(condition);
-  return h("li", { "data-level": state, "data-type": type },
-    icon(SHAPES[level]),
-    h("b", {}, nameOf(type, state)),
-    state !== "true" && h("span", { class: "condition-since" }, t("condition.since", { at })),
-    words ? h("p", {}, words) : null,
-    temperatures?.length ? h("p", { class: "quiet" }, temperatures.map(temperature).join("; ")) : null,
-    state === "told" && h("p", { class: "quiet" }, t("condition.no_obstacle")));
+  const line = [icon(SHAPES[level]), h("b", {}, nameOf(type, state))];
+  const more = [explain(condition), (temperatures ?? []).map(temperature).join("; "), state === "told" && t("condition.no_obstacle"),
+    state !== "true" && t("condition.since", { at: clock(new Date(since)) })].filter(Boolean);
+  const details = () => h("details", { open: opened.has(type), ontoggle: ({ target }) => (target.open ? opened.add(type) : opened.delete(type)) },
+    h("summary", {}, line), more.map((text) => h("p", {}, text)));
+  return h("li", { "data-level": state, "data-type": type }, more.length ? details() : line);
 }
 
 /** A condition by its name, the state that is required; a word before it where that is missing or unknown. */

@@ -186,7 +186,7 @@ function lastErrorCard(forget) {
   const body = h("div");
   const element = h("section", { class: "card", "data-card": "last-error", hidden: true },
     h("h2", {}, t("connect.last_error")), body,
-    h("button", { class: "button below", type: "button", onclick: forget }, t("connect.forget_error")));
+    h("button", { class: "button below", onclick: forget }, t("connect.forget_error")));
   let shown = null;
   return {
     element,

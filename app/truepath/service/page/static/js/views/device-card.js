@@ -48,7 +48,7 @@ export function deviceCard({ actions }) {
 /** Connect and listen for a second: nothing moves. */
 function trialField() {
   const said = h("div", { role: "status" });
-  const button = h("button", { class: "button", type: "button", "data-needs": "operator" }, t("devices.try"));
+  const button = h("button", { class: "button", "data-needs": "operator" }, t("devices.try"));
   let id = null;
   button.addEventListener("click", async () => {
     button.disabled = true;
@@ -73,7 +73,7 @@ function tried({ samples, usable, lost_samples: lost, distance_mm }) {
 }
 
 function refusal(error) {
-  if (!(error instanceof api.Problem)) throw error;
+  api.expectProblem(error);
   return problemNotice(error);
 }
 

@@ -59,7 +59,7 @@ export function mount(root, { store, actions }) {
 export function askCard(job, actions) {
   if (!job.run_id) return null;
   return card(t("discover.title"), h("p", { class: "quiet" }, t("discover.text")),
-    h("div", {}, h("button", { class: "button", type: "button", "data-needs": "operator", onclick: () => actions.discover(job.run_id) },
+    h("div", {}, h("button", { class: "button", "data-needs": "operator", onclick: () => actions.discover(job.run_id) },
       icon("check"), h("span", {}, t("discover.ask")))));
 }
 

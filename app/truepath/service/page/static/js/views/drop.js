@@ -6,7 +6,7 @@ import { t } from "../texts.js";
 export function dropZone(store, actions) {
   const input = h("input", { type: "file", accept: ".zip,application/zip", id: "bundle",
     "aria-label": t("upload.choose"), tabindex: "-1" });
-  const button = h("button", { class: "button", type: "button", onclick: () => input.click() },
+  const button = h("button", { class: "button", onclick: () => input.click() },
     icon("upload"), t("upload.choose"));
   const zone = h("div", { class: "drop", "data-needs": "operator" }, h("p", {}, t("upload.text")), input, button);
   const send = async (file) => {

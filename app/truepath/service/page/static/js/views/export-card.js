@@ -66,7 +66,7 @@ export function exportCard(job, { verdict, stated_um, own }, onFiles) {
 
 /** One of the choices; they are radio buttons of one group. */
 function choice({ name, control }, chosen) {
-  const button = h("button", { class: "choice", type: "button", role: "radio", "aria-checked": "false",
+  const button = h("button", { class: "choice", role: "radio", "aria-checked": "false",
     "data-format": name, onclick: () => {
       for (const other of button.parentElement.children) other.setAttribute("aria-checked", String(other === button));
       chosen();
@@ -124,14 +124,14 @@ function basisOf({ basis }, { difference }, choose) {
 
 /** The problem; where active tables are wanted, a field for their files, or the difference instead. */
 function refusal(error, choose) {
-  if (!(error instanceof api.Problem)) throw error;
+  api.expectProblem(error);
   if (error.code !== "active-tables-unknown") return [problemNotice(error)];
   const files = h("input", { type: "file", multiple: true, "aria-label": t("export.active_files"), onchange: async () => {
     const read = [...files.files].map(async (file) => [file.name, await file.text()]);
     choose({ active_files: Object.fromEntries(await Promise.all(read)), difference: false });
   } });
   return [problemNotice(error), h("label", { class: "choice-beside" }, h("span", {}, t("export.active_files")), files),
-    h("button", { class: "button", type: "button", onclick: () => choose({ difference: true, active_files: {} }) }, t("export.difference"))];
+    h("button", { class: "button", onclick: () => choose({ difference: true, active_files: {} }) }, t("export.difference"))];
 }
 
 /** Sections of an account; none for a machine of straight axes. */

@@ -84,10 +84,10 @@ function simulatedLoader(job, { system }, changed) {
   function button(made, loaded) {
     if (loaded.job_id === job.id && loaded.compensation_id === made.id) {
       return h("span", { class: "row-actions" }, h("span", { class: "tag" }, t("export.loaded")),
-        h("button", { class: "button", type: "button", "data-needs": "metrologist", "data-unload": made.id,
+        h("button", { class: "button", "data-needs": "metrologist", "data-unload": made.id,
           onclick: () => order(() => api.clearSimulatedTables(job.machine)) }, t("export.unload")));
     }
-    return h("button", { class: "button", type: "button", "data-needs": "metrologist", "data-load": made.id,
+    return h("button", { class: "button", "data-needs": "metrologist", "data-load": made.id,
       onclick: () => order(() => api.loadSimulatedTables(job.machine, { job_id: job.id, compensation_id: made.id })),
     }, t("export.load"));
   }
@@ -96,6 +96,6 @@ function simulatedLoader(job, { system }, changed) {
 }
 
 function refusal(error) {
-  if (!(error instanceof api.Problem)) throw error;
+  api.expectProblem(error);
   return [problemNotice(error)];
 }

@@ -2,6 +2,7 @@
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
 import { isActive } from "../flow.js";
+import { term } from "../glossary.js";
 import { card, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { nameOf } from "../tables.js";
@@ -13,14 +14,12 @@ const SHAPES = { good: "check", usable: "info", poor: "warning" };
 /** A card of a grade; null where there is none. */
 export function gradeCard(grade) {
   if (!grade) return null;
-  const { verdict, thresholds } = grade;
+  const { verdict } = grade;
   const expected = quantity(COVERAGE * grade.expected_uncertainty_um, "error");
   return card(t("grade.title"),
     h("p", { class: "grade", "data-verdict": verdict }, icon(SHAPES[verdict]),
-      h("strong", {}, `${number(grade.number, 2)}: ${t(`grade.${verdict}`)}`)),
+      h("strong", {}, term("grade", `${number(grade.number, 2)}: ${t(`grade.${verdict}`)}`))),
     h("p", {}, t(`grade.${verdict}_means`), " ", t("grade.expected", { u: expected, k: COVERAGE })),
-    h("p", { class: "quiet" }, t("grade.thresholds", {
-      good: number(thresholds.good, 2), usable: number(thresholds.usable, 2) })),
     remedies(grade));
 }
 
@@ -63,7 +62,7 @@ export function plannedGrade() {
       found = await api.grade(id, place_mm);
     } catch (error) {
       // Whoever discards the job meanwhile needs no grade.
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
     }
     if (asked === id) show(found);
   }

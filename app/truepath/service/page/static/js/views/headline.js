@@ -1,11 +1,12 @@
 /* The first line of a result: the volumetric error before and after, held against the tolerance of the machine and of its mean. */
 import * as api from "../api.js";
 import { h, icon, mark, write } from "../dom.js";
+import { term } from "../glossary.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { prefer, preference } from "../preferences.js";
 import { wordProblem } from "../problems.js";
-import { dateTime, plain, t, typed } from "../texts.js";
-import { decimalsOf, figure, quantity, shown, stored, unitOf } from "../units.js";
+import { dateTime, t } from "../texts.js";
+import { decimalsOf, figure, quantity, unitOf } from "../units.js";
+import { keptTolerance, toleranceField } from "./tolerance-field.js";
 
 const SHAPES = { within: "check", outside: "warning", undecided: "info" };
 const WAIT_MS = 300;
@@ -17,12 +18,16 @@ export function headline(job, result, proof) {
   const judged = h("div", { class: "machine-tolerance", hidden: true });
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
-    h("p", { class: "headline-line" }, value(before.mean, t("headline.before")),
+    h("p", { class: "headline-line" }, value(before.mean, [term("volumetric"), " ", t("headline.before")]),
       h("span", { class: "headline-arrow", role: "img", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
     judged,
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) }), " ", wordScale(before.mean)),
-    toleranceField((tolerance_um) => ask(tolerance_um)), decided);
+    toleranceField("tolerance", t("headline.tolerance"), (tolerance_um) => {
+      clearTimeout(due);
+      if (!Number.isNaN(tolerance_um)) due = setTimeout(ask, WAIT_MS, tolerance_um);
+    }), decided);
   let asked = null;
+  let due = null;
 
   async function ask(tolerance_um) {
     asked = tolerance_um;
@@ -30,7 +35,7 @@ export function headline(job, result, proof) {
     try {
       found = await api.volumetricError(job.id, tolerance_um);
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       if (asked === tolerance_um) write(decided, wordProblem(error).title);
       return;
     }
@@ -90,31 +95,4 @@ function sentence({ before, after_expected: after, tolerance_um }) {
   const tolerance = quantity(tolerance_um, "gap", 1);
   const now = t(`headline.now_${before.conformity}`);
   return [icon(SHAPES[after.conformity]), h("span", {}, h("strong", {}, t(`headline.${after.conformity}`, { tolerance })), " ", now)];
-}
-
-function keptTolerance() {
-  const kept = Number(preference("tolerance_um"));
-  return kept > 0 ? kept : null;
-}
-
-/** What the operator allows; kept on this panel. */
-function toleranceField(changed) {
-  const kept = keptTolerance();
-  const input = h("input", { id: "tolerance", inputmode: "decimal", autocomplete: "off", placeholder: t("headline.none"),
-    "aria-describedby": "tolerance-error", value: kept === null ? "" : plain(shown(kept, "gap"), 2) });
-  const error = h("p", { class: "field-error", id: "tolerance-error", role: "status" });
-  let timer = null;
-  input.addEventListener("input", () => {
-    const wanted = typed(input.value);
-    const isGood = wanted === null || wanted > 0;
-    mark(input, "aria-invalid", isGood ? null : "true");
-    write(error, isGood ? "" : t("headline.tolerance_refused"));
-    clearTimeout(timer);
-    if (!isGood) return;
-    const tolerance_um = wanted === null ? null : stored(wanted, "gap");
-    prefer("tolerance_um", tolerance_um ?? "");
-    timer = setTimeout(() => changed(tolerance_um), WAIT_MS);
-  });
-  return h("div", { class: "tolerance" }, h("label", { for: "tolerance" }, t("headline.tolerance")), input,
-    h("span", { class: "unit" }, unitOf("gap")), error);
 }

@@ -13,13 +13,6 @@ const WAYS = ["kept", "added", "only"];
 /** Whether the boxes of the earlier measurement hold (`kept`), those of this panel as well (`added`), or these alone (`only`). */
 const based = { by: "kept" };
 
-/** The card on Plan; `update({machine_id, machine})` shows the machine's boxes, `changed()` hears of each change. */
-export function keepOutCard(changed) {
-  const editor = boxEditor(changed);
-  const element = frame(h("p", { class: "quiet" }, t("keepout.text")), editor.element);
-  return { element, update: ({ machine_id, machine }) => editor.show(machine_id, machine) };
-}
-
 /** The card of what is based on a measurement: its boxes hold, unless somebody says that they are gone. */
 export function keepOutChoice(machine_id, machine, changed) {
   const editor = boxEditor(changed);
@@ -33,7 +26,7 @@ export function keepOutChoice(machine_id, machine, changed) {
 
   editor.show(machine_id, machine);
   show();
-  return frame(segments(t("keepout.title"), WAYS.map((by) => [by, t(`keepout.${by}`)]), based.by, (by) => {
+  return h("section", { class: "card stack", "data-card": "keep-out" }, h("h2", {}, t("keepout.title")), segments(t("keepout.title"), WAYS.map((by) => [by, t(`keepout.${by}`)]), based.by, (by) => {
     based.by = by;
     show();
     changed();
@@ -53,12 +46,10 @@ export const refuseBased = (machine_id) => (based.by === "kept" ? "" : refuseBox
 /** Why the boxes of a machine cannot be sent; empty where they can. */
 export const refuseBoxes = (machine_id) => (areWhole(boxesOf(machine_id)) ? "" : t("keepout.refused"));
 
-const frame = (...content) => h("section", { class: "card stack", "data-card": "keep-out" }, h("h2", {}, t("keepout.title")), content);
-
-/** Fields of all boxes; `show(machine_id, machine)` draws those of another machine. */
-function boxEditor(changed) {
+/** Fields of all boxes; `changed()` hears of each change, `show(machine_id, machine)` draws those of another machine. */
+export function boxEditor(changed) {
   const list = h("div", { class: "stack" });
-  const add = h("button", { class: "button", type: "button", onclick: addBox }, t("keepout.add"));
+  const add = h("button", { class: "button", onclick: addBox }, t("keepout.add"));
   const element = h("div", { class: "stack" }, list, h("div", {}, add));
   let id;
   let travel = [];
@@ -137,5 +128,5 @@ function boxFields(first, { at, travel, change, remove }) {
     h("div", { class: "text-field" }, h("label", { for: name.id }, t("keepout.name")), name),
     h("div", { class: "box-ends" }, h("span"), ENDS.map(([, word]) => h("span", { class: "quiet", "aria-hidden": "true" }, `${t(word)} (${unitOf(KIND)})`)),
       rows.map((pair, i) => [h("b", { "aria-hidden": "true" }, LINEAR[i]), pair])), error,
-    h("div", {}, h("button", { class: "button", type: "button", onclick: remove }, icon("cross"), t("keepout.remove"))));
+    h("div", {}, h("button", { class: "button", onclick: remove }, icon("cross"), t("keepout.remove"))));
 }

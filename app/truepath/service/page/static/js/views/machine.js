@@ -128,7 +128,7 @@ async function standingOf(id) {
 async function changesOf(id, standing) {
   if (!standing?.reference_job) return null;
   return api.machineChanges(id, standing.reference_job, standing.calibration).catch((error) => {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     return null; // other axes or targets: not comparable
   });
 }
@@ -149,7 +149,7 @@ function machineCard({ entry, history, standing, changes }, { chosen, several, c
       fact(t("machine.error_95"), newest ? wordEntry(history, newest, "p95") : "–", newest && t("machine.error_note")),
       changes && driftOf(changes)),
     standingMark(standing),
-    several && h("button", { class: "button", type: "button", "aria-pressed": String(entry.id === chosen), onclick: () => choose(entry) },
+    several && h("button", { class: "button", "aria-pressed": String(entry.id === chosen), onclick: () => choose(entry) },
       entry.id === chosen && icon("check"), t(chooseWord(entry, chosen))));
 }
 
@@ -247,7 +247,7 @@ function toleranceField(kept) {
 /** Card that removes a machine; `remove()` refuses with a Problem. */
 function removalCard({ id, name }, remove) {
   const error = h("p", { class: "field-error", role: "alert" });
-  const button = h("button", { class: "button", type: "button", id: "machine-remove" },
+  const button = h("button", { class: "button", id: "machine-remove" },
     icon("cross"), t("machine.remove_hold", { name: name || id }));
   holdToConfirm(button, async () => {
     button.disabled = true;

@@ -90,7 +90,7 @@ export function mapCard(job, result, proof, did) {
     try {
       if (!maps.has(state)) maps.set(state, await load(state));
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       if (shown.state === state && !closed) fail(error);
       return;
     }

@@ -14,9 +14,9 @@ export function closingCard(first, actions) {
   const { job, machine, discovery } = first;
   let latest = first;
   const said = h("p", { class: "quiet", role: "status" });
-  const use = h("button", { class: "button", type: "button", "data-needs": "operator", onclick: choose,
+  const use = h("button", { class: "button", "data-needs": "operator", onclick: choose,
     disabled: discovery.verdict?.state === "not-usable" });
-  const extra = discovery.ask && h("button", { class: "button", type: "button", "data-needs": "operator",
+  const extra = discovery.ask && h("button", { class: "button", "data-needs": "operator",
     onclick: () => driveExtra(latest, actions) }, icon("play"), t("extra.drive"));
   const element = card(t("model.next"), h("div", { class: "downloads" }, use,
     linkButton(`#/export/${job.id}`, "download", t("model.export")), extra), said);
@@ -49,7 +49,7 @@ export function versionsCard(id) {
   api.modelVersions(id).then(
     (versions) => list.replaceChildren(...versions.slice(0, SHOWN).map(version)),
     (error) => {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       list.replaceChildren(h("li", { class: "quiet" }, t("model.no_versions")));
     });
   const element = card(t("model.versions"), list);
@@ -80,7 +80,7 @@ export function modelNotice(machine) {
   if (!id) return "";
   const said = notice(null, t("model.in_use"), h("a", { href: `#/discover/${id}` }, t("model.look")));
   said.dataset.model = id;
-  said.lastChild.append(h("button", { class: "button", type: "button", onclick: () => {
+  said.lastChild.append(h("button", { class: "button", onclick: () => {
     useModel(null, machine);
     said.parentElement.remove();
   } }, t("model.unuse")));

@@ -44,7 +44,7 @@ export function numberField({ id, kind, label, note, less, more, none, get, set,
   });
   show();
   const button = (name, sign, direction) =>
-    h("button", { class: "button", type: "button", "aria-label": name, onclick: () => step(direction) }, sign);
+    h("button", { class: "button", "aria-label": name, onclick: () => step(direction) }, sign);
   const element = h("div", { class: "field" }, h("label", { for: id }, label),
     h("div", { class: "stepper" }, button(less, "−", -1), input, button(more, "+", 1),
       h("span", { class: "suffix" }, unitOf(kind))),

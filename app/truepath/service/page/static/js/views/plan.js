@@ -1,15 +1,17 @@
 /* Step 2: how to measure, and how well. */
-import { h, mark } from "../dom.js";
+import { h, mark, write } from "../dom.js";
 import { addressOf, isActive, isConnected, machineName } from "../flow.js";
-import { boxesOf, orderBoxes } from "../keep-out.js";
+import { term } from "../glossary.js";
+import { areWhole, boxesOf, orderBoxes } from "../keep-out.js";
 import { modelInUse } from "../model-choice.js";
-import { head, segments } from "../parts.js";
+import { fold, head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { recall, retain } from "../preferences.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { temperatureCard } from "./conditions-card.js";
 import { curveCard, shownPart } from "./curve-card.js";
-import { keepOutCard, refuseBoxes } from "./keep-out-card.js";
+import { boxEditor, refuseBoxes } from "./keep-out-card.js";
 import { modelNotice } from "./model-card.js";
 import { numberField, within } from "./number-field.js";
 import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
@@ -17,10 +19,10 @@ import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100] };
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
-const choices = {
+const choices = recall("choices", {
   kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
   by: "time", minutes: null, reach_um: null, on_notice: "note", control_compensation: "any",
-};
+});
 
 const isAdaptive = () => choices.kind === "measure-adaptive";
 
@@ -56,7 +58,7 @@ export function lead(state, { actions, go }) {
 const isFeedGood = () => !streams() || within(choices.most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
 
 /** Whether a plan can be asked for with what is chosen, by who looks on. */
-const mayBePlanned = ({ machine, machine_id }) => isConnected(machine) && document.body.dataset.role !== "viewer"
+const mayBePlanned = ({ machine, machine_id }) => isConnected(machine) && !isAdaptive() && document.body.dataset.role !== "viewer"
   && isFeedGood() && !refuseBoxes(machine_id) && !refusePlace();
 
 function refusal({ machine, machine_id, busy, planned }) {
@@ -113,11 +115,12 @@ function asked(state) {
 
 /** Show the choices. */
 export function mount(root, { store, actions }) {
-  const changed = () => store.set({});
-  const feed = feedField(changed);
-  const minutes = minutesField(changed);
-  const target = targetField(changed);
-  const policy = noticePolicy(changed);
+  const changed = () => {
+    retain("choices", choices);
+    store.set({});
+  };
+  const { feed, minutes, target } = fields(changed);
+  const policy = question("on-notice", "on_notice", "notice", ["note", "pause", "check", "replan"], changed);
   let shownId;
   const changedWithin = () => {
     planFor(store.get().machine_id);
@@ -131,13 +134,18 @@ export function mount(root, { store, actions }) {
   }
 
   const place = placeCard(changedWithin);
-  const keepOut = keepOutCard(changedWithin);
+  const keepOut = boxEditor(changedWithin);
   const temperatures = temperatureCard(store);
-  temperatures.element.classList.add("below");
+  const method = fold("method", t("plan.how"), kinds(changed), perpendicular(changed));
+  const details = fold("details", t("plan.details"), answered(store.get()), minutes.element, feed.element, target.element,
+    question("control-compensation", "control_compensation", "compensation", ["any", "off", "on"], changed), policy);
   const curve = curveCard({
     asked: () => (mayBePlanned(store.get()) ? asked(store.get()) : null),
     foresee: actions.foresee,
+    find: actions.findPlan,
     choice: effective,
+    boxes: () => boxesOf(store.get().machine_id).filter((box) => areWhole([box])),
+    beside: h("div", { class: "stack", "data-card": "keep-out" }, h("h3", {}, term("keep_out")), keepOut.element),
     pick(picked) {
       Object.assign(choices, picked);
       if (picked.minutes !== undefined) minutes.write(picked.minutes);
@@ -145,28 +153,25 @@ export function mount(root, { store, actions }) {
     },
   });
   root.append(
-    head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element, temperatures.element, answered(store.get()),
-    h("div", { class: "columns" },
-      h("div", { class: "stack" },
-        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular(changed)), place, keepOut.element),
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
-        target.element, compensationWish(changed), policy)),
+    head(t("plan.title"), t("curve.text")), modelNotice(store.get().machine), curve.element,
+    h("div", { class: "folds" }, temperatures.element, method.element, place.element, details.element, curve.more),
   );
   return {
     update(state) {
       temperatures.update(state);
-      keepOut.update(state);
+      keepOut.show(state.machine_id, state.machine);
       if (shownId !== state.machine_id) {
         shownId = state.machine_id;
         planFor(shownId);
       }
-      curve.element.hidden = isAdaptive();
+      mark(curve.element, "data-adaptive", isAdaptive());
       curve.update(state);
       minutes.element.hidden = isForTarget();
       feed.element.hidden = !streams();
       target.element.hidden = !mayEndEarly();
       policy.hidden = !mayEndEarly();
-      place.hidden = isAdaptive();
+      place.element.hidden = isAdaptive();
+      write(method.value, t(`kind.${choices.kind}`));
     },
     close() {
       temperatures.close();
@@ -179,12 +184,12 @@ export function mount(root, { store, actions }) {
 function answered(state) {
   const named = (device) => [device.maker, device.model, device.serial_number].filter(Boolean).join(" ");
   const { tracker, motion } = state.machine ?? {};
-  return tracker && motion ? h("p", { class: "quiet below", id: "answered" },
+  return tracker && motion ? h("p", { class: "quiet", id: "answered" },
     t("plan.answered", { machine: machineName(state), tracker: named(tracker), control: named(motion) })) : "";
 }
 
 function kinds(changed) {
-  const option = (kind) => h("button", { class: "choice", type: "button", role: "radio",
+  const option = (kind) => h("button", { class: "choice", role: "radio",
     "aria-checked": String(choices.kind === kind), "data-kind": kind,
     onclick: () => choose(kind) },
   h("strong", {}, t(`kind.${kind}`)), h("span", {}, t(`plan.${kind}`)));
@@ -203,64 +208,34 @@ const keep = (name, changed) => (value) => {
   changed();
 };
 
-function feedField(changed) {
-  const { usual, least, most, step } = FEED_MM_MIN;
-  return numberField({
-    id: "feed", kind: "feed", label: t("plan.feed"), note: t("plan.feed_note", { usual: quantity(usual, "feed") }),
-    less: t("plan.slower"), more: t("plan.faster"), none: t("plan.feed_none"), least, most,
-    get: () => choices.most_feed_mm_min, set: keep("most_feed_mm_min", changed),
-    next: (feed, direction) => (feed === null ? usual : (Math.round(feed / step) + direction) * step),
+/** The next of some steps; `below` and `above` are beyond their ends. */
+const stepIn = ({ usual, steps }, below, above) => (value, direction) => {
+  if (value === null) return usual;
+  return direction < 0 ? steps.findLast((one) => one < value - 1e-9) ?? below : steps.find((one) => one > value + 1e-9) ?? above;
+};
+
+/** Fields of feed, minutes and target; each may be left empty. */
+function fields(changed) {
+  const { usual, step } = FEED_MM_MIN;
+  const field = (id, name, kind, limits, next, [less, more], note = {}) => numberField({
+    id, kind, label: t(`plan.${id}`, { k: COVERAGE }), note: t(`plan.${id}_note`, note), less: t(`plan.${less}`), more: t(`plan.${more}`),
+    none: t(`plan.${id}_none`), least: limits.least, most: limits.most, next, get: () => choices[name], set: keep(name, changed),
   });
+  return {
+    feed: field("feed", "most_feed_mm_min", "feed", FEED_MM_MIN,
+      (feed, direction) => (feed === null ? usual : (Math.round(feed / step) + direction) * step), ["slower", "faster"], { usual: quantity(usual, "feed") }),
+    minutes: field("minutes", "minutes", "minutes", MINUTES, stepIn(MINUTES, null, MINUTES.most), ["shorter", "longer"]),
+    target: field("target", "expanded_um", "error", TARGET_UM, stepIn(TARGET_UM, TARGET_UM.least, null), ["finer", "coarser"]),
+  };
 }
 
-function minutesField(changed) {
-  const { usual, least, most, steps } = MINUTES;
-  const shorter = (minutes) => steps.findLast((s) => s < minutes - 1e-9) ?? null;
-  const longer = (minutes) => steps.find((s) => s > minutes + 1e-9) ?? most;
-  return numberField({
-    id: "minutes", kind: "minutes", label: t("plan.minutes"), note: t("plan.minutes_note"),
-    less: t("plan.shorter"), more: t("plan.longer"), none: t("plan.minutes_none"), least, most,
-    get: () => choices.minutes, set: keep("minutes", changed),
-    next: (minutes, direction) => {
-      if (minutes === null) return usual;
-      return direction < 0 ? shorter(minutes) : longer(minutes);
-    },
-  });
-}
-
-function targetField(changed) {
-  const { usual, least, most, steps } = TARGET_UM;
-  const finer = (target) => steps.findLast((s) => s < target - 1e-9) ?? least;
-  const coarser = (target) => steps.find((s) => s > target + 1e-9) ?? null;
-  return numberField({
-    id: "target", kind: "error", label: t("plan.target", { k: COVERAGE }), note: t("plan.target_note"),
-    less: t("plan.finer"), more: t("plan.coarser"), none: t("plan.target_none"), least, most,
-    get: () => choices.expanded_um, set: keep("expanded_um", changed),
-    next: (target, direction) => {
-      if (target === null) return usual;
-      return direction < 0 ? finer(target) : coarser(target);
-    },
-  });
-}
-
-/** What the control's own error compensation has to be while it is measured; arming is refused while it is not. */
-function compensationWish(changed) {
-  const options = ["any", "off", "on"].map((one) => [one, t(`plan.compensation_${one}`)]);
-  return h("div", { class: "field", id: "control-compensation" }, h("p", { class: "label" }, t("plan.compensation")),
-    segments(t("plan.compensation"), options, choices.control_compensation, keep("control_compensation", changed), true),
-    h("p", { class: "quiet" }, t("plan.compensation_help")));
-}
-
-/** What is done where something changes while it is measured. */
-function noticePolicy(changed) {
-  const options = ["note", "pause", "check", "replan"].map((one) => [one, t(`plan.notice_${one}`)]);
-  return h("div", { class: "field", id: "on-notice" }, h("p", { class: "label" }, t("plan.notice")),
-    segments(t("plan.notice"), options, choices.on_notice, keep("on_notice", changed), true),
-    h("p", { class: "quiet" }, t("plan.notice_help")));
-}
+/** A choice in words under its question: what the control's own compensation has to be, or what is done where something changes. */
+const question = (id, name, key, options, changed) => h("div", { class: "field", id }, h("p", { class: "label" }, t(`plan.${key}`)),
+  segments(t(`plan.${key}`), options.map((one) => [one, t(`plan.${key}_${one}`)]), choices[name], keep(name, changed), true),
+  h("p", { class: "quiet" }, t(`plan.${key}_help`)));
 
 function perpendicular(changed) {
-  const box = h("button", { class: "choice is-box", type: "button", role: "checkbox",
+  const box = h("button", { class: "choice is-box", role: "checkbox",
     "aria-checked": String(choices.perpendicular_only),
     onclick: () => {
       choices.perpendicular_only = !choices.perpendicular_only;

@@ -1,9 +1,13 @@
 /* What a verification says: pass, fail or cannot be said, with its numbers. */
 import * as api from "../api.js";
 import { h, icon } from "../dom.js";
+import { term } from "../glossary.js";
 import { isVerification, resultOf } from "../flow.js";
 import { card, linkButton, tableFrame } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
+import { colour } from "../plots/css-colour.js";
+import { linear, pickLinear, travelOf } from "../plots/job-path.js";
+import { coordinates, drawScene, edges } from "../plots/scene.js";
 import { currentLanguage, dateTime, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { circlesCard } from "./circles-card.js";
@@ -14,13 +18,18 @@ const LINES_ACROSS = "three at standstills"; // start of `components` where line
 const LOOKS = 5; // newest verifications that are looked through
 const SHAPES = { within: "check", agrees: "check", outside: "warning", disagrees: "warning", undecided: "info" };
 
+const MARKS = {
+  within: { symbol: "circle", sign: "●", tone: "accent", size: 6 }, undecided: { symbol: "circle-open", sign: "○", tone: "trace-y", size: 8 },
+  outside: { symbol: "diamond", sign: "◆", tone: "fault", size: 11 }, measured: { symbol: "circle", sign: "●", tone: "accent", size: 6 },
+};
+
 export const isProof = (job) => isVerification(job) && job.state === "succeeded";
 
 /** The newest verification of a job, or of what a discovery has made of its result; or null: { job, verification }. */
 export async function findProof(id, jobs) {
   for (const job of jobs.filter(isProof).slice(0, LOOKS)) {
     const verification = await api.verification(job.id).catch((error) => {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       return null;
     });
     const held = verification?.asked?.result_id;
@@ -34,16 +43,37 @@ export function decisionOf({ conformity, agreement }) {
   return conformity.measured?.conformity ?? (agreement.consistent ? "agrees" : "disagrees");
 }
 
-/** The verdict, what is wrong with its measurement, and the numbers that it rests on. */
-export function proofCards({ job, verification }) {
-  return [verdict(job, verification), verdictBand(verification.run_verdict), numbers(verification), circlesCard(verification)].filter(Boolean);
+/** The verdict, what is wrong with its measurement, its places and the numbers that it rests on, in `cards`; `close` ends the picture. */
+export function proofCards({ job, verification }, machine) {
+  const picture = drawPlaces(verification, machine);
+  return { close: picture.close,
+    cards: [verdict(job, verification), verdictBand(verification.run_verdict), picture.element, numbers(verification), circlesCard(verification)].filter(Boolean) };
+}
+
+/** The measured places in the volume: inside and outside the tolerance differ by colour and shape. */
+function drawPlaces({ places }, machine) {
+  const space = h("div", { class: "path-view", role: "img", "aria-label": t("verify.places") });
+  const found = places.conformity ?? places.row.map(() => "measured");
+  const key = Object.keys(MARKS).filter((kind) => found.includes(kind)).map((kind) =>
+    h("li", {}, h("b", { class: `is-${kind}` }, MARKS[kind].sign), t(`verify.place_${kind}`, { count: number(found.filter((one) => one === kind).length) })));
+  const columns = linear(Object.keys(machine?.axes ?? { X: 0, Y: 0, Z: 0 }));
+  const at_mm = places.position.map((row) => pickLinear(row, columns));
+  const travel = travelOf(machine, at_mm);
+  const scene = drawScene(space, [{ type: "scatter3d", mode: "lines", hoverinfo: "skip", showlegend: false, line: { color: colour("line-strong"), width: 1.5 }, ...edges(travel) },
+    ...Object.entries(MARKS).map(([kind, { symbol, tone, size }]) => {
+      const of = places.row.map((_, i) => i).filter((i) => found[i] === kind);
+      return { type: "scatter3d", mode: "markers", showlegend: false, marker: { symbol, size, color: colour(tone) }, ...coordinates(of.map((i) => at_mm[i])),
+        hoverinfo: "text", hovertext: of.map((i) => quantity(Math.hypot(...places.measured_um[i]), "gap")) };
+    })], travel);
+  scene.then(() => (space.dataset.drawn = ""));
+  return { element: card(t("verify.places"), space, h("ul", { class: "key places-key" }, key)), close: () => scene.then((drawn) => drawn.close()) };
 }
 
 function verdict(job, verification) {
   const decision = decisionOf(verification);
   return h("section", { class: "card proof", "data-decision": decision, role: "status" },
     icon(SHAPES[decision]),
-    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification)), h("p", {}, agreement(verification)), scaleCause(verification),
+    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification), " ", term("decision")), h("p", {}, agreement(verification)), scaleCause(verification),
       h("p", { class: "quiet" }, t("verify.when", { when: dateTime(job.ended ?? job.created) }))),
     linkButton(api.links.verificationReport(job.id), "report", t("result.report"), { target: "_blank", rel: "noopener" }));
 }

@@ -122,7 +122,7 @@ async function comparison([later, earlier]) {
     const [now, then] = await Promise.all([api.result(later.id), api.result(earlier.id)]);
     return [title, describeChange(now, then)];
   } catch (error) {
-    if (!(error instanceof api.Problem)) throw error;
+    api.expectProblem(error);
     return [title, problemNotice(error)];
   }
 }
@@ -140,9 +140,9 @@ function jobTable(jobs, { go, errors, machines, picked, pick, rename, isFiltered
       verdictMark(job)),
     h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", { class: "number" }, errors.get(job.id)?.measured ?? "–"), h("td", {}, took(job)),
     h("td", {}, h("div", { class: "row-actions" },
-      statesTables(job) && h("button", { class: "button pick", type: "button", "aria-pressed": String(picked.has(job.id)), onclick: () => pick(job) },
+      statesTables(job) && h("button", { class: "button pick", "aria-pressed": String(picked.has(job.id)), onclick: () => pick(job) },
         picked.has(job.id) && icon("check"), t("records.compare")),
-      h("button", { class: "button", type: "button", onclick: () => go(addressOf(job)) },
+      h("button", { class: "button", onclick: () => go(addressOf(job)) },
         t(job.state === "succeeded" ? "records.result" : "records.open")))))));
 }
 
@@ -162,7 +162,7 @@ function took(job) {
 /** A button that sends known lengths after a Run, and says what was kept. */
 function knownLengthsButton(run, actions) {
   const file = h("input", { type: "file", accept: ".csv,text/csv", hidden: true, "aria-label": t("records.known_lengths") });
-  const button = h("button", { class: "button", type: "button", "data-needs": "operator", title: t("records.known_lengths_text"),
+  const button = h("button", { class: "button", "data-needs": "operator", title: t("records.known_lengths_text"),
     onclick: () => file.click() }, icon("upload"), t("records.known_lengths"));
   file.addEventListener("change", async () => {
     const [chosen] = file.files;
@@ -188,7 +188,7 @@ function runTable({ runs, busy }, actions) {
     h("td", {}, named(run.name ?? "–")), h("td", {}, dateTime(run.created ?? run.started)),
     h("td", { class: "number" }, number(run.samples)),
     h("td", {}, h("div", { class: "row-actions" },
-      h("button", { class: "button", type: "button", "data-needs": "operator", disabled: Boolean(busy),
+      h("button", { class: "button", "data-needs": "operator", disabled: Boolean(busy),
         onclick: () => actions.analyse(run.id) }, t("records.analyse")),
       ...knownLengthsButton(run, actions),
       linkButton(api.links.bundle(run.id), "download", t("result.bundle"), { download: `${run.id}.zip` }))))));

@@ -12,7 +12,7 @@ export function referenceCard(job) {
   const answer = h("div", { class: "stack", "aria-live": "polite" });
   const fields = [uncertaintyField("reference_um", "error", check), uncertaintyField("reference_urad", "angle", check)];
   const file = h("input", { type: "file", accept: ".csv,text/csv", hidden: true, "aria-label": t("reference.choose") });
-  const button = h("button", { class: "button", type: "button", onclick: () => file.click() }, icon("upload"), t("reference.choose"));
+  const button = h("button", { class: "button", onclick: () => file.click() }, icon("upload"), t("reference.choose"));
   file.addEventListener("change", () => send(file.files[0]));
 
   function check() {
@@ -27,7 +27,7 @@ export function referenceCard(job) {
       answer.replaceChildren(h("p", { class: "quiet" }, t("upload.sending")));
       answer.replaceChildren(...describe(await api.compareWithReference(job.id, chosen, stated)));
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       answer.replaceChildren(problemNotice(error));
     } finally {
       file.value = "";

@@ -2,6 +2,7 @@
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
 import { machineName } from "../flow.js";
+import { term } from "../glossary.js";
 import { card, earlyEndNotice, head, kindOf, linkButton, segments, tableFrame, tile } from "../parts.js";
 import { COVERAGE, drawErrors, extentOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
@@ -182,7 +183,7 @@ function chartCard(table) {
   const unit = unitOf(table.kind);
   const read = h("p", { class: "chart-read" });
   const title = h("h3", {}, table.symbol, h("span", { class: "unit" }, unit), h("small", {}, table.name));
-  const open = h("button", { class: "button is-plain", type: "button",
+  const open = h("button", { class: "button is-plain",
     "aria-label": t("result.enlarge", { symbol: table.symbol }), onclick: () => showTable(table) }, icon("expand"));
   if (!table.known) {
     const missing = h("div", { class: "chart-missing" }, h("p", {}, t("result.unknown"))); // why is said below, once
@@ -211,7 +212,7 @@ function squareness(result) {
     h("tr", {}, h("td", { class: "symbol" }, symbol), h("td", {}, name),
       h("td", { class: "right" }, quantity(value, kind)),
       h("td", { class: "right" }, `± ${uncertainty === null ? "–" : quantity(COVERAGE * uncertainty, kind)}`)));
-  return card(t(result.axis_location ? "result.squareness_location" : "result.squareness"),
+  return card(term("squareness", t(result.axis_location ? "result.squareness_location" : "result.squareness")),
     tableFrame(t("result.squareness"), h("table", {},
       h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
         h("th", { class: "right" }, t("result.value")),
@@ -231,7 +232,7 @@ function trialsCard(job, result, actions) {
 
 function askingForTrials(job, actions) {
   return card(t("trials.title"), h("p", { class: "quiet" }, t("trials.text")),
-    h("div", {}, h("button", { class: "button", type: "button", "data-needs": "operator", onclick: () => actions.validate(job.run_id) },
+    h("div", {}, h("button", { class: "button", "data-needs": "operator", onclick: () => actions.validate(job.run_id) },
       icon("check"), h("span", {}, t("trials.ask")))));
 }
 

@@ -251,7 +251,7 @@ function describe(one, job) {
 /** Lines are driven again only while the button is held: the machine moves. */
 function choice(actions) {
   const button = (then) => {
-    const element = h("button", { class: "button", type: "button", id: `then-${then}`, "data-needs": "operator" },
+    const element = h("button", { class: "button", id: `then-${then}`, "data-needs": "operator" },
       icon("play"), t(`notice.then_${then}`));
     holdToConfirm(element, () => actions.resume(then));
     return element;
@@ -262,12 +262,12 @@ function choice(actions) {
 
 /** Pause at a touch; resume, and end in order, held. */
 function motionButtons(actions) {
-  const pause = h("button", { class: "button", type: "button", id: "pause", "data-needs": "operator", onclick: actions.pause },
+  const pause = h("button", { class: "button", id: "pause", "data-needs": "operator", onclick: actions.pause },
     icon("pause"), t("run.pause"));
-  const resume = h("button", { class: "button", type: "button", id: "resume", "data-needs": "operator" },
+  const resume = h("button", { class: "button", id: "resume", "data-needs": "operator" },
     icon("play"), t("run.resume"));
   const words = h("span");
-  const cancel = h("button", { class: "button", type: "button", id: "cancel", "data-needs": "operator" }, icon("check"), words);
+  const cancel = h("button", { class: "button", id: "cancel", "data-needs": "operator" }, icon("check"), words);
   holdToConfirm(resume, () => actions.resume());
   holdToConfirm(cancel, actions.cancel);
   const element = h("div", { class: "motion-buttons" }, pause, resume, cancel);

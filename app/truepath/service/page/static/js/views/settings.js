@@ -35,14 +35,14 @@ function fill(sheet, changed) {
   };
   sheet.replaceChildren(
     h("div", { class: "sheet-head" }, h("h2", { id: "settings-title" }, t("settings.title")),
-      h("button", { class: "button", type: "button", onclick: () => closeSheet(sheet) }, t("shell.close"))),
+      h("button", { class: "button", onclick: () => closeSheet(sheet) }, t("shell.close"))),
     field(t("settings.units"), segments(t("settings.units"),
       [["mm", "mm"], ["inch", t("settings.inch")]], preference("units"), set("units"))),
     field(t("settings.theme"), segments(t("settings.theme"),
       ["auto", "light", "dark"].map((v) => [v, t(`settings.${v}`)]), preference("theme"), set("theme", themed))),
     field(t("settings.language"), segments(t("settings.language"),
       languages.map((v) => [v, NAMES[v] ?? v]), currentLanguage(), spoken)),
-    isLoggedIn() && h("div", { class: "field" }, h("button", { class: "button", type: "button", onclick: logOut }, t("session.log_out"))),
+    isLoggedIn() && h("div", { class: "field" }, h("button", { class: "button", onclick: logOut }, t("session.log_out"))),
     h("p", { class: "quiet", style: "margin-top: 20px" }, t("settings.note")),
     h("p", { class: "quiet number" }, `Truepath ${document.body.dataset.version}`),
   );

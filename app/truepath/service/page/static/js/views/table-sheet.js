@@ -1,7 +1,7 @@
 /* One error motion large, with its numbers. */
 import { h } from "../dom.js";
 import { COVERAGE, columns, drawErrors } from "../plots/error-chart.js";
-import { closeSheet, openSheet } from "../sheets.js";
+import { openSheet, sheetHead } from "../sheets.js";
 import { number, t } from "../texts.js";
 import { decimalsOf, unitOf } from "../units.js";
 
@@ -11,10 +11,7 @@ export function showTable(table) {
   const plot = h("div", { class: "chart-plot" });
   const read = h("p", { class: "chart-read" });
   const title = `${table.symbol} · ${table.name}`;
-  sheet.replaceChildren(
-    h("div", { class: "sheet-head" }, h("h2", { id: "detail-title" }, title),
-      h("button", { class: "button", type: "button", onclick: () => closeSheet(sheet) }, t("shell.close"))),
-    plot, read, values(table));
+  sheet.replaceChildren(sheetHead(sheet, title), plot, read, values(table));
   openSheet(sheet);
   const chart = drawErrors(plot, table, { read: (text) => { read.textContent = text; } });
   sheet.addEventListener("close", () => chart.close(), { once: true });

@@ -16,7 +16,7 @@ const NOT_TOLD = ["whole", "lost_motion", "one_temperature", "offset"];
 /** The card; asks when it is told to, as the service then solves all calibrations together. */
 export function temperatureDependenceCard(store) {
   const answer = h("div", { class: "stack", "aria-live": "polite" });
-  const button = h("button", { class: "button", type: "button", onclick: ask }, icon("records"), t("dependence.ask"));
+  const button = h("button", { class: "button", onclick: ask }, icon("records"), t("dependence.ask"));
 
   async function ask() {
     button.disabled = true;
@@ -24,7 +24,7 @@ export function temperatureDependenceCard(store) {
     try {
       answer.replaceChildren(...describe(await api.machineTemperature(store.get().machine_id)));
     } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
+      api.expectProblem(error);
       const { text, action } = wordProblem(error);
       answer.replaceChildren(notice("held", t("dependence.cannot"), sayTemperatureRefusal(error.detail ?? "") ?? text, action));
     } finally {

@@ -90,6 +90,6 @@ const parse = (text) => (text.trim() === "" ? null : Number(text.trim().replace(
 export function overTimeCard(runs, go) {
   if (runsOfOneMachine(runs).length < 2) return null;
   return card(t("trend.title"), h("p", { class: "quiet" }, t("trend.text")),
-    h("div", {}, h("button", { class: "button", type: "button", onclick: () => go("#/trend") },
+    h("div", {}, h("button", { class: "button", onclick: () => go("#/trend") },
       icon("records"), h("span", {}, t("trend.open")))));
 }

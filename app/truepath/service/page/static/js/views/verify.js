@@ -3,12 +3,11 @@ import * as api from "../api.js";
 import { h, mark } from "../dom.js";
 import { heldId, isConnected, isVerification, reach, statesMachine } from "../flow.js";
 import { card, head, notice, wordFormat } from "../parts.js";
-import { prefer, preference } from "../preferences.js";
-import { plain, t, typed } from "../texts.js";
-import { decimalsOf, shown, stored, unitOf } from "../units.js";
+import { t } from "../texts.js";
 import { newMeasurement, onward } from "./onward.js";
 import { basedOrder, keepOutChoice, refuseBased } from "./keep-out-card.js";
 import { findProof, proofCards } from "./proof.js";
+import { keptTolerance, toleranceField } from "./tolerance-field.js";
 
 const KINDS = ["diagonals", "random-points", "bidirectional", "circles", "circles-in-motion"];
 const ALONE = "circles-in-motion"; // a path; the others are standstills
@@ -50,6 +49,7 @@ const order = (id, machine_id) => ({
 export function mount(root, { store, actions }) {
   const body = h("div", { class: "stack" });
   let drawn = null;
+  let shown = null;
   root.append(head(t("verify.title"), t("verify.text")), body);
 
   function ask(job, state) {
@@ -58,8 +58,14 @@ export function mount(root, { store, actions }) {
     body.replaceChildren(form(job, state, () => store.set({})), before);
     findProof(job.id, state.jobs).then((proof) => {
       if (proof) actions.did("verify", job.id);
-      if (proof && drawn === job.id) before.replaceChildren(h("h2", {}, t("verify.before")), ...proofCards(proof));
+      if (proof && drawn === job.id) showProof(before, proof, state, h("h2", {}, t("verify.before")));
     }, () => {});
+  }
+
+  function showProof(place, proof, state, ...first) {
+    shown?.close();
+    shown = proofCards(proof, proof.job.machine === state.machine_id ? state.machine : null);
+    place.replaceChildren(...first, ...shown.cards);
   }
 
   return {
@@ -68,10 +74,10 @@ export function mount(root, { store, actions }) {
       const wanted = isVerification(job) ? verification : job?.id;
       if (!job || !wanted || wanted === drawn || !(isVerification(job) || statesMachine(job))) return;
       drawn = wanted;
-      if (isVerification(job)) body.replaceChildren(...proofCards({ job, verification }));
+      if (isVerification(job)) showProof(body, { job, verification }, state);
       else ask(job, state);
     },
-    close() {},
+    close: () => shown?.close(),
   };
 }
 
@@ -89,6 +95,7 @@ const otherFiles = (job_id) => notice("held", t("verify.other_files"), t("verify
   h("a", { href: `#/export/${job_id}` }, t("verify.other_files_open")));
 
 function form(job, state, changed) {
+  choices.tolerance_um = keptTolerance();
   const files = h("select", { id: "verify-files", onchange: () => {
     choices.compensation_id = files.value;
     changed();
@@ -101,7 +108,10 @@ function form(job, state, changed) {
     h("section", { class: "card stack" }, h("h2", {}, t("verify.what")),
       h("div", { class: "stack", role: "group", "aria-label": t("verify.what") }, KINDS.map((kind) => kindBox(kind, changed)))),
     h("div", { class: "stack" },
-      h("section", { class: "card stack" }, h("h2", {}, t("verify.against")), toleranceField(changed),
+      h("section", { class: "card stack" }, h("h2", {}, t("verify.against")), toleranceField("verify-tolerance", t("verify.tolerance"), (tolerance_um) => {
+        choices.tolerance_um = tolerance_um;
+        changed();
+      }),
         h("div", { class: "field" }, h("label", { for: "verify-files" }, t("verify.state")), files,
           h("p", { class: "field-note" }, t("verify.state_note"))), others),
       keepOutChoice(machineIdOf(state), state.machine, changed),
@@ -116,7 +126,7 @@ function nameFiles(made, kept) {
 }
 
 function kindBox(kind, changed) {
-  const box = h("button", { class: "choice is-box", type: "button", role: "checkbox", "data-kind": kind,
+  const box = h("button", { class: "choice is-box", role: "checkbox", "data-kind": kind,
     "aria-checked": String(choices.what.has(kind)), onclick: () => {
       if (!choices.what.delete(kind)) {
         if (kind === ALONE) choices.what.clear();
@@ -127,29 +137,4 @@ function kindBox(kind, changed) {
       changed();
     } }, h("strong", {}, t(`verify.${kind}`)), h("span", {}, t(`verify.${kind}_text`)));
   return box;
-}
-
-function keptTolerance() {
-  const kept = Number(preference("tolerance_um"));
-  return kept > 0 ? kept : null;
-}
-
-/** The tolerance is the same as on the result: one panel, one demand. */
-function toleranceField(changed) {
-  choices.tolerance_um = keptTolerance();
-  const kept = choices.tolerance_um;
-  const error = h("p", { class: "field-error", id: "verify-tolerance-error", role: "status" });
-  const input = h("input", { id: "verify-tolerance", inputmode: "decimal", autocomplete: "off", placeholder: t("headline.none"),
-    "aria-describedby": "verify-tolerance-error", value: kept === null ? "" : plain(shown(kept, "gap"), decimalsOf("gap")) });
-  input.addEventListener("input", () => {
-    const wanted = typed(input.value);
-    const isGood = wanted === null || wanted > 0;
-    mark(input, "aria-invalid", isGood ? null : "true");
-    error.textContent = isGood ? "" : t("headline.tolerance_refused");
-    choices.tolerance_um = isGood ? wanted && stored(wanted, "gap") : NaN;
-    if (isGood) prefer("tolerance_um", choices.tolerance_um ?? "");
-    changed();
-  });
-  return h("div", { class: "tolerance" }, h("label", { for: "verify-tolerance" }, t("verify.tolerance")), input,
-    h("span", { class: "unit" }, unitOf("gap")), error);
 }

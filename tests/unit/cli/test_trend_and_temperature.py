@@ -1,15 +1,21 @@
-"""`trend`: a machine whose X scale warms, from short bundles to files."""
+"""`trend` and `temperature`: a machine that warms, from short bundles to files."""
 
 import json
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from truepath.cli.command import run
+from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.bundle import read_bundle, zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.earlier.result_file import read_result
+from truepath.files.earlier.temperature_file import read_result_at
 from truepath.jobs.workers.analysis_tasks import follow_recorded
 from truepath.planning.lines.default_path import default_path
+from truepath.results.prediction import predict
 from truepath.service.api.models.results.trend import TrendOut
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
@@ -24,8 +30,7 @@ def write_bundles(content, path, folder):
     truth = random_machine(parse_machine(content), 5)
     places = [folder / f"run{number}" for number in range(len(HOURS))]
     for number, place in enumerate(places):
-        strain = GROWTH * -np.expm1(-HOURS[number] / TAU_H)
-        grown = stretch(truth, "X", strain)
+        grown = stretch(truth, "X", -GROWTH * np.expm1(-HOURS[number] / TAU_H))
         write_bundle_files(place, record_warm(content, path, grown, 40 + number))
     return places
 
@@ -62,9 +67,11 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(command, warming, tmp_
     assert content["outlook"]["state"] in said
     TrendOut.model_validate(content, extra="forbid")
     page = (tmp_path / "report.html").read_text()
-    assert content["outlook"]["sentence"] in page
-    assert "spindle" in page
-    assert "<svg" in page
+    for shown in (content["outlook"]["sentence"], "spindle", "<svg"):
+        assert shown in page
+    asked = ["--at", "0,1,2", "-o", tmp_path / "out"]
+    said = command.refuse("trend", *warming[:2], warming[0], *asked)
+    assert "run0 (1) and run0 (3) are the same Run" in said
 
 
 @pytest.mark.parametrize(
@@ -81,12 +88,6 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(command, warming, tmp_
 def test_what_is_wrong_with_times_is_said(command, warming, tmp_path, options, problem):
     order = ["trend", *warming, "-o", tmp_path / "out", *options]
     assert problem in command.refuse(*order)
-
-
-def test_the_same_bundle_twice_is_refused(command, warming, tmp_path):
-    asked = ["--at", "0,1,2", "-o", tmp_path / "out"]
-    said = command.refuse("trend", *warming[:2], warming[0], *asked)
-    assert "run0 (1) and run0 (3) are the same Run" in said
 
 
 def test_the_task_of_a_job_writes_what_the_command_writes(warming, tmp_path):
@@ -121,5 +122,70 @@ def test_five_axes_with_six_targets_are_followed(command, tmp_path):
     places = [at["axis_location"] for at in content["runs"]]
     assert {"YOA", "XOC"} <= places[0].keys()
     for name in ("YOA", "XOC"):
-        stay = np.array([place[name]["value_um"] for place in places])
-        assert np.ptp(stay) < 2.0
+        assert np.ptp([place[name]["value_um"] for place in places]) < 2.0
+
+
+DEGC, THERMOMETER_K = (18.0, 25.0, 20.0, 22.0), (0.1, -0.05, -0.1, 0.08)
+GROWTH_PER_K = {"X": 11e-6, "Y": 8e-6, "Z": 14e-6}
+LEAN_PER_K = 4e-6  # of Y about Z
+UNSEEN_DEGC = 23.5
+
+
+def warm(truth, celsius):
+    """Return the machine at a temperature: axes grow, Y leans."""
+    for name, growth in GROWTH_PER_K.items():
+        truth = stretch(truth, name, growth * (celsius - 20.0))
+    leaning = truth.joints["Y"]
+    x, *others = leaning.translation
+    motions = (x.shift(0.0, LEAN_PER_K * (celsius - 20.0)), *others)
+    joints = {**truth.joints, "Y": replace(leaning, translation=motions)}
+    return replace(truth, joints=joints)
+
+
+def analyse_at(content, path, truth, number, folder):
+    """Measure and analyse the machine at one of the temperatures; return the file."""
+    recording = record_warm(content, path, warm(truth, DEGC[number]), 60 + number)
+    shown = recording.temperatures
+    celsius = shown.celsius + DEGC[number] + THERMOMETER_K[number] - 20.0
+    recording = replace(recording, temperatures=replace(shown, celsius=celsius))
+    bundle, out = folder / f"run{number}", folder / f"result{number}"
+    write_bundle_files(bundle, recording)
+    assert run(["analyse", str(bundle), "-o", str(out)]) == 0
+    return out / "result.json"
+
+
+def find_left_um(result, truth, points):
+    """Mean length of what a result leaves of the machine at the unseen temperature."""
+    error = 1e3 * warm(truth, UNSEEN_DEGC).deviation_mm(points)
+    off = error - predict(result, points).error_um
+    return float(np.linalg.norm(remove_rigid_motion(points, off), axis=1).mean())
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_growth_and_squareness_per_kelvin_are_told_and_serve_at_another(tmp_path):
+    content = load_slow_tracker("demo")
+    path = default_path(machine_from_json(content, file=""), 9000.0, lines=20)
+    truth = random_machine(parse_machine(content), 5)
+    files = [analyse_at(content, path, truth, k, tmp_path) for k in range(len(DEGC))]
+    asked = ["--at", "0,20,50,60", "-o", str(tmp_path / "warm")]
+    assert run(["temperature", *map(str, files), *asked]) == 0
+    found = json.loads((tmp_path / "warm" / "temperature.json").read_text())
+    for axis, one in found["expansion"].items():
+        off = one["value_um_per_m_K"] - 1e6 * GROWTH_PER_K[axis]
+        assert abs(off) < 2.5 * one["uncertainty_um_per_m_K"], axis
+        assert one["is_significant"]
+    lean = found["coefficients"]["C0Y"]
+    off = abs(lean["value_urad_per_K"]) - 1e6 * LEAN_PER_K
+    assert abs(off) < 2.5 * lean["uncertainty_urad_per_K"]
+    named = {one["symbol"] for one in found["dependences"] if one["is_significant"]}
+    assert named == {"EXX", "EYY", "EZZ", "C0Y"}
+    low, high = np.array([(a.low, a.high) for a in truth.machine.linear_axes]).T
+    points = np.random.default_rng(1).uniform(low, high, (300, 3))
+    told, _ = read_result_at(tmp_path / "warm" / "temperature.json", UNSEEN_DEGC)
+    with_um = find_left_um(told, truth, points)
+    assert with_um < 0.25 * find_left_um(read_result(files[2]), truth, points)
+    asked = ["--format", "siemens", "--at-temperature", str(UNSEEN_DEGC)]
+    model = str(tmp_path / "warm" / "temperature.json")
+    assert run(["export", model, *asked, "-o", str(tmp_path / "s.ini")]) == 0
+    assert (tmp_path / "s-temperature.ini").is_file()
