@@ -214,9 +214,8 @@ def _merge(
         by_axis.setdefault(key, []).append(one)
     for group in by_axis.values():
         best = max(group, key=lambda one: one.ratio)
-        items = [set(one.term.candidate.keys.items()) for one in group]
-        shared = set.intersection(*items)
-        keys = {k: v for k, v in best.term.candidate.keys.items() if (k, v) in shared}
+        every = [one.term.candidate.keys for one in group]
+        keys = {k: v for k, v in every[0].items() if all(e[k] == v for e in every)}
         yield best, best.term.family, keys
 
 
