@@ -131,7 +131,10 @@ def find_undetermined(
         for best, family, keys in _merge(clear)
     ]
     found += _find_alike(data, kept)
-    return tuple(sorted(found, key=_order)[:_MOST])
+    lines: dict[tuple[str, str], Undetermined] = {}
+    for one in sorted(found, key=_order):
+        lines.setdefault((one.family.name, one.keys.get("axis", "")), one)
+    return tuple(lines.values())[:_MOST]
 
 
 def _order(one: Undetermined) -> tuple[bool, float]:
@@ -194,9 +197,8 @@ def _name_group(effect: Effect) -> str:
         return TRACKER
     if isinstance(effect, Squareness):
         return SQUARENESS
-    if isinstance(effect, AxisLocation):
-        return effect.axis.name
-    return effect.motion.axis.name if effect.motion else OTHER
+    of_axis = effect if isinstance(effect, AxisLocation) else effect.motion
+    return of_axis.axis.name if of_axis else OTHER
 
 
 def _rows(groups: dict[str, list[int]], names: Collection[str]) -> list[int]:
@@ -240,13 +242,8 @@ def _find_alike(data: TermData, kept: Sequence[_Weighed]) -> Iterator[Undetermin
             0.5 * _square(S[p, p] - _taken(S, p, q, second), first) < EQUIVALENT
             for p, q, first, second in ((a, b, one, other), (b, a, other, one))
         ):
-            yield Undetermined(
-                one.family,
-                one.candidate.keys,
-                kept[i].ratio,
-                (),
-                (other.candidate,),
-            )
+            keys, rivals = one.candidate.keys, (other.candidate,)
+            yield Undetermined(one.family, keys, kept[i].ratio, (), rivals)
 
 
 def _taken(S: _Matrix, p: slice, q: slice, term: CandidateTerm) -> _Matrix:

@@ -78,7 +78,8 @@ def test_an_offset_of_the_range_is_within_what_a_tracker_may_have(listed):
 def test_a_tilt_and_a_shift_of_one_carriage_are_alike_with_one_tool(listed):
     alike = listed("one-axis")["lateral-backlash", "Z"]
     others = alike["indistinguishable_from"]
-    assert {one["motion"] for one in (alike, *others)} == {"EXZ", "EBZ"}
+    motions = {one["motion"] for one in (alike, *others)}
+    assert motions in ({"EXZ", "EBZ"}, {"EYZ", "EAZ"})
     assert (alike["taken_by"], alike["would_tell"]) == ([], "other-target")
 
 
