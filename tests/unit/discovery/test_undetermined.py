@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from recorded import choose_program, load_erring, record_run
 from truepath.answers.discovery.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.service.api.models.results.discovery import CannotTellOut
@@ -70,8 +71,13 @@ def test_a_lag_is_timing_where_one_axis_moves_at_a_time(listed):
 
 
 def test_an_offset_of_the_range_is_within_what_a_tracker_may_have(listed):
-    offset = listed("there-and-back")["tracker-range-offset", ""]
-    assert offset["taken_by"] == ["tracker-errors"]
+    made = load_erring(None)
+    run, _ = record_run(made, choose_program(made, 12, rows=40), 12)
+    untold = discovery_json(discover([run]))["cannot_tell"]
+    (offset,) = (one for one in untold if one["name"] == "tracker-range-offset")
+    assert "tracker-errors" in offset["taken_by"]
+    perfect = listed("there-and-back")
+    assert ("tracker-range-offset", "") not in perfect
     assert "Set the home distance again" in offset["sentence"]
 
 
